@@ -1,0 +1,246 @@
+"""The data-set format, of simulated and real sets alike: a folder.
+
+    images/image_00000.png …   binary tactile images
+    targets.csv                a row an image: labels and shears in mm and degrees, and what the simulator measured
+    pins.npz                   simulated sets: every pin's tip and direction (m, sensor frame), rows as in targets.csv
+    meta.json                  configuration, versions, seed, failures, and a checksum of every file above
+    run.json                   simulated sets: when, where and how fast it was made; alone not the same in two runs
+
+meta.json is written last: a folder that has one is complete.
+"""
+
+import csv
+import dataclasses
+import hashlib
+import io
+import json
+import os
+import platform
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from sim.contact import Bounds
+from sim.fidelity import Fidelity
+from sim.pose import COMPONENTS, to_mm_deg
+from sim.sampling import Ranges
+from tactip_model.design import Design
+from tactip_model.errors import TactipError
+
+FORMAT = "tactip-twin data set"
+VERSION = 1
+
+LABELS = tuple(f"pose_{c}" for c in COMPONENTS)
+SHEARS = tuple(f"shear_{c}" for c in COMPONENTS)
+MEASURES = (
+    "normal_force_N",
+    "tangential_force_N",
+    "penetration_mm",
+    "volume_ratio",
+    "speed_mm_s",
+    "solver_warnings",
+    "steps",
+    "tries",
+)
+COLUMNS = ("sensor_image", *LABELS, *SHEARS, *MEASURES, "index", "seed")
+"""Columns of a simulated set's targets.csv; the first thirteen are those of every set."""
+
+PARTIAL = ".partial"
+"""Folder inside an unfinished set that holds what is made so far."""
+
+
+@dataclass(frozen=True)
+class Configuration:
+    """Everything that decides what a set's bytes are, beside the versions of the libraries."""
+
+    task: str
+    """`surface` or `edge`."""
+    split: str
+    """`train`, `val` or `test`."""
+    samples: int
+    """Contacts to make."""
+    seed: int
+    """Seed of the set; each sample spawns its own generator from it (sim/sampling.py)."""
+    renderer: str
+    """`pyrender` or `raster`."""
+    design: Design
+    fidelity: Fidelity
+    pose: Ranges
+    """Labelled poses."""
+    shear: Ranges
+    """Unlabelled perturbations."""
+    bounds: Bounds = field(default_factory=Bounds)
+    """What a record must keep to be trusted."""
+
+    def as_json(self):
+        """The configuration as a dict of JSON types."""
+        return json.loads(json.dumps(dataclasses.asdict(self)))
+
+    def digest(self):
+        """A checksum (hex str) of the configuration."""
+        return digest_of(self.as_json())
+
+
+def digest_of(configuration):
+    """Checksum (hex str) of a configuration (dict of JSON types)."""
+    return checksum(json.dumps(configuration, sort_keys=True).encode())
+
+
+def checksum(data):
+    """SHA-256 (hex str) of bytes."""
+    return hashlib.sha256(data).hexdigest()
+
+
+def versions():
+    """Versions (dict) of what decides a set's bytes."""
+    packages = ("mujoco", "numpy", "scipy", "opencv-contrib-python-headless", "scikit-robot-pyrender")
+    return {
+        "python": platform.python_version(),
+        "tactip-twin": version("tactip-twin"),
+        **{name: version(name) for name in packages},
+    }
+
+
+def image_name(index):
+    """File name of sample `index`."""
+    return f"image_{index:05d}.png"
+
+
+def encode_image(image):
+    """PNG bytes of a uint8 image."""
+    ok, data = cv2.imencode(".png", image)
+    if not ok:
+        raise TactipError(f"an image of {image.dtype} {image.shape} cannot be written as PNG")
+    return data.tobytes()
+
+
+def write_file(path, data):
+    """Write bytes so that a kill at any moment leaves the old file or the new one. path: Path. Raises OSError."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        temporary.write_bytes(data)
+        os.replace(temporary, path)
+    except OSError:
+        temporary.unlink(missing_ok=True)
+        raise
+
+
+def row_of(contact, index, tries, seed):
+    """A row (dict by COLUMNS, str and numbers) of a sim.contact.Contact."""
+    values = {"sensor_image": image_name(index)}
+    values.update(zip(LABELS, to_mm_deg(contact.pose).tolist(), strict=True))
+    values.update(zip(SHEARS, to_mm_deg(contact.shear).tolist(), strict=True))
+    measures = (
+        contact.normal_force_n,
+        contact.tangential_force_n,
+        1e3 * contact.penetration_m,
+        contact.volume_ratio,
+        1e3 * contact.speed_m_s,
+        contact.warnings,
+        contact.steps,
+        tries,
+    )
+    values.update(zip(MEASURES, measures, strict=True))
+    return {**values, "index": index, "seed": seed}
+
+
+def targets_csv(rows):
+    """The bytes of targets.csv from rows (list of dict by COLUMNS). Six decimals: nanometres and microdegrees."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    for row in rows:
+        writer.writerow([f"{row[c]:.6f}" if isinstance(row[c], float) else row[c] for c in COLUMNS])
+    return text.getvalue().encode()
+
+
+def meta_json(configuration, rows, failures, checksums, image_checksums):
+    """The bytes of meta.json.
+
+    configuration: Configuration. rows: of targets.csv. failures: list of dict. checksums, image_checksums: dict of file
+    name to checksum.
+    """
+    meta = {
+        "format": FORMAT,
+        "version": VERSION,
+        "digest": configuration.digest(),
+        "samples": {"asked": configuration.samples, "kept": len(rows), "failed": len(failures)},
+        "failures": failures,
+        "configuration": configuration.as_json(),
+        "versions": versions(),
+        "timings": "run.json",
+        "files": checksums,
+        "images": image_checksums,
+    }
+    return (json.dumps(meta, indent=1) + "\n").encode()
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """A finished set, real or simulated, as read from its folder. n images."""
+
+    folder: Path
+    meta: dict
+    images: tuple[str, ...]
+    """(n) file names inside `images/`."""
+    poses: np.ndarray
+    """(n, 6) labels, mm and degrees."""
+    shears: np.ndarray
+    """(n, 6), mm and degrees."""
+
+    def image(self, i):
+        """Image i, (size, size) uint8. Raises TactipError where it cannot be read."""
+        path = self.folder / "images" / self.images[i]
+        image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) if path.exists() else None
+        if image is None:
+            raise TactipError(f"the image {path} cannot be read: the set is damaged, see `tactip dataset verify`")
+        return image
+
+
+def read_meta(folder):
+    """The meta.json of a finished set as a dict. Raises TactipError where there is none, or one of something else."""
+    path = Path(folder) / "meta.json"
+    if not path.exists():
+        if (Path(folder) / PARTIAL).exists():
+            raise TactipError(f"the set in {folder} is unfinished: the command that makes it goes on where it stopped")
+        raise TactipError(f"there is no data set in {folder}: it has no meta.json")
+    try:
+        meta = json.loads(path.read_text())
+    except (ValueError, OSError) as error:
+        raise TactipError(f"{path} cannot be read as JSON: {error}") from error
+    if not isinstance(meta, dict) or meta.get("format") != FORMAT:
+        raise TactipError(f"{path} does not describe a data set of this project: its format is not {FORMAT!r}")
+    if meta.get("version") != VERSION:
+        raise TactipError(f"{path} is of version {meta.get('version')!r}: this program reads version {VERSION}")
+    return meta
+
+
+def read_targets(folder):
+    """Rows (list of dict of str) of targets.csv. Raises TactipError where it is missing or lacks a needed column."""
+    path = Path(folder) / "targets.csv"
+    try:
+        with path.open(newline="") as file:
+            reader = csv.DictReader(file)
+            rows = list(reader)
+            columns = reader.fieldnames or []
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise TactipError(f"{path} cannot be read: {error}") from error
+    missing = [c for c in COLUMNS[:13] if c not in columns]
+    if missing:
+        raise TactipError(f"{path} lacks the columns {', '.join(missing)}")
+    return rows
+
+
+def read_dataset(folder):
+    """Read a finished set's labels and names. Raises TactipError where it is damaged beyond reading."""
+    folder = Path(folder)
+    meta, rows = read_meta(folder), read_targets(folder)
+    try:
+        poses = np.array([[float(row[c]) for c in LABELS] for row in rows]).reshape(-1, 6)
+        shears = np.array([[float(row[c]) for c in SHEARS] for row in rows]).reshape(-1, 6)
+    except (TypeError, ValueError) as error:
+        raise TactipError(f"{folder / 'targets.csv'} has a cell that is no number: {error}") from error
+    return Dataset(folder, meta, tuple(row["sensor_image"] for row in rows), poses, shears)

@@ -1,0 +1,99 @@
+"""Named points on the curve of error against run time.
+
+Errors and costs are those of the sheared press on the flat that `python -m benchmarks.contact_error` measures, and
+stand in docs/fidelity.md with the machine they were taken on.
+"""
+
+from dataclasses import dataclass, field
+
+from tactip_model.body import ContactModel
+from tactip_model.errors import choose
+from tactip_model.mesh import Resolution
+
+
+@dataclass(frozen=True)
+class Motion:
+    """How a contact is played: steps, pace, and when the tip counts as at rest."""
+
+    step_s: float = 0.007
+    """Time step, s. Implicit; stable from 0.2 ms to 20 ms."""
+    press_step_m: float = 0.8e-3
+    """Approach per step, m (mean)."""
+    shear_step_m: float = 0.4e-3
+    """Travel of the skin per step of the shear, m (mean)."""
+    least_steps: int = 4
+    """Fewest steps of a motion."""
+    easing: float = 2.0
+    """Motions slow down to their end, their way to go being (1 - t)^easing. 1 stops dead; the skin then swings on and
+    friction lets go (three times the error at the same cost)."""
+    settle_steps: int = 3
+    """Fewest steps at rest before recording."""
+    settle_speed_m_s: float = 3e-3
+    """Settling goes on until no vertex moves faster, m/s ..."""
+    settle_limit: int = 20
+    """... or for so many steps in all."""
+
+
+@dataclass(frozen=True)
+class Solver:
+    """MuJoCo's conjugate gradients."""
+
+    iterations: int = 1000
+    """Most iterations a step."""
+    tolerance: float = 1e-7
+    """Relative tolerance, -, scaled by the vertices' mass alone (sim/scene.py)."""
+    impratio: float = 10.0
+    """Ratio of frictional to normal impedance, -; more lets less creep."""
+
+
+@dataclass(frozen=True)
+class Fidelity:
+    """Everything that trades error for time."""
+
+    name: str
+    mesh: Resolution = field(default_factory=Resolution)
+    contact: ContactModel = field(default_factory=ContactModel)
+    motion: Motion = field(default_factory=Motion)
+    solver: Solver = field(default_factory=Solver)
+
+
+FIDELITIES = {
+    "draft": Fidelity(
+        "draft",
+        mesh=Resolution(surface_m=3.2e-3, rim_m=5e-3),
+        motion=Motion(press_step_m=1.2e-3, shear_step_m=1e-3, settle_steps=2),
+        solver=Solver(tolerance=1e-6),
+    ),
+    "standard": Fidelity("standard"),
+    "reference": Fidelity(
+        "reference",
+        mesh=Resolution(surface_m=1.5e-3, rim_m=3e-3),
+        motion=Motion(step_s=3e-3, press_step_m=0.1e-3, shear_step_m=0.1e-3, settle_steps=20, settle_limit=60),
+        solver=Solver(tolerance=1e-8, iterations=3000),
+    ),
+}
+
+
+def fidelity_named(name):
+    """Return the preset Fidelity called `name`; raise TactipError that lists the presets where there is none."""
+    return choose("fidelity", name, FIDELITIES)
+
+
+def finer(fidelity):
+    """The Fidelity with which a contact that went wrong is tried again: half the steps' length, twice as many."""
+    from dataclasses import replace
+
+    motion = fidelity.motion
+    return replace(
+        fidelity,
+        motion=replace(
+            motion,
+            step_s=motion.step_s / 2,
+            press_step_m=motion.press_step_m / 2,
+            shear_step_m=motion.shear_step_m / 2,
+            least_steps=2 * motion.least_steps,
+            settle_steps=2 * motion.settle_steps,
+            settle_limit=4 * motion.settle_limit,
+        ),
+        solver=replace(fidelity.solver, tolerance=fidelity.solver.tolerance / 10, iterations=3 * fidelity.solver.iterations),
+    )

@@ -1,0 +1,445 @@
+"""Makes data sets: contacts on worker processes, images, and files that survive a kill at any moment.
+
+A sample is done when its record is in the set's `.partial` folder, after its image. Resuming makes what has no record;
+the same bytes come out, because a sample depends on nothing but the configuration and its index. When all are done the
+records become targets.csv, pins.npz and, last, meta.json.
+"""
+
+import contextlib
+import fcntl
+import io
+import json
+import os
+import platform
+import shutil
+import signal
+import sys
+import time
+from dataclasses import dataclass
+from datetime import datetime, timezone
+from multiprocessing import connection, get_context
+from pathlib import Path
+
+import numpy as np
+from tqdm import tqdm
+
+from sim.contact import CarefulPlayer
+from sim.dataset import (
+    PARTIAL,
+    Configuration,
+    checksum,
+    encode_image,
+    image_name,
+    meta_json,
+    read_meta,
+    row_of,
+    targets_csv,
+    versions,
+    write_file,
+)
+from sim.sampling import generator
+from sim.verification import seed_text
+from tactip_model.errors import Stopped, TactipError, choose
+from tactip_model.image import tactile_image
+from tactip_model.pins import neutral_pins
+
+RENDERERS = ("pyrender", "raster")
+
+
+@dataclass(frozen=True)
+class Job:
+    """A set to make and where."""
+
+    configuration: Configuration
+    folder: Path
+
+
+def check(configuration):
+    """Raise TactipError where a configuration (Configuration) cannot be made."""
+    if configuration.samples < 1:
+        raise TactipError(f"a set of {configuration.samples} samples cannot be made: ask for at least 1")
+    if configuration.seed < 0:
+        raise TactipError(f"the seed {configuration.seed} does not do: it must be 0 or more")
+    choose("renderer", configuration.renderer, dict.fromkeys(RENDERERS))
+    generator(configuration.seed, configuration.task, configuration.split, 0)
+    configuration.pose.check("pose")
+    configuration.shear.check("shear")
+
+
+def worker_count(asked):
+    """Number of workers (int) for `auto` or a number as str or int. Raises TactipError on anything else."""
+    if asked == "auto":
+        return len(os.sched_getaffinity(0))
+    try:
+        count = int(asked)
+    except ValueError:
+        count = 0
+    if count < 1:
+        raise TactipError(f"{asked!r} workers cannot work: ask for a number of at least 1, or auto")
+    return count
+
+
+def make(jobs, workers, say=print):
+    """Make the sets of `jobs` (list of Job), or finish them where they were left.
+
+    workers: int. say: called with each line for the user. Returns a list of dict, one a job: samples kept, failed, made
+    now, and the seconds this took. Raises TactipError (wrong configuration, unwritable folder, no OpenGL, a set of
+    another configuration in the folder) and Stopped (Ctrl-C). Nothing that was done is lost by either.
+    """
+    for job in jobs:
+        check(job.configuration)
+    with contextlib.ExitStack() as stack:
+        folders = [stack.enter_context(_Folder(job)) for job in jobs]
+        todo = [(k, index) for k, folder in enumerate(folders) for index in folder.missing()]
+        total = sum(job.configuration.samples for job in jobs)
+        if todo and len(todo) < total:
+            say(f"{total - len(todo)} of {total} samples are there already")
+        start = time.perf_counter()
+        if todo:
+            _work_through(jobs, folders, todo, min(workers, len(todo)), say)
+        return [folder.finish(time.perf_counter() - start, min(workers, max(1, len(todo)))) for folder in folders]
+
+
+def _work_through(jobs, folders, todo, workers, say):
+    """Have `workers` processes make the samples `todo` (list of (job number, index)), in order."""
+    queue = list(reversed(todo))
+    crew, killed, begun = {}, {}, time.perf_counter()
+    bar = tqdm(total=len(todo), unit="sample", file=sys.stderr, disable=None, smoothing=0.1)
+    try:
+        for _ in range(workers):
+            _hire(crew, jobs, queue)
+        while crew:
+            waiting = [c for c in crew] + [w.process.sentinel for w in crew.values()]
+            ready = connection.wait(waiting)
+            for conn in [c for c in crew if c in ready or crew[c].process.sentinel in ready]:
+                worker = crew[conn]
+                try:
+                    reply = conn.recv()
+                except (EOFError, ConnectionResetError):
+                    _bury(crew, conn, killed, queue, jobs, say)
+                    continue
+                if reply["error"]:
+                    raise TactipError(reply["error"])
+                folders[worker.task[0]].seconds.append(reply["seconds"])
+                bar.update()
+                if bar.n == workers:
+                    share = (time.perf_counter() - begun) / workers
+                    say(f"{len(todo)} samples on {workers} worker(s): about {_duration(share * len(todo))} in all")
+                _assign(crew, conn, queue)
+    except KeyboardInterrupt:
+        raise Stopped(f"{bar.n} of {len(todo)} samples made and kept: the same command goes on from there") from None
+    finally:
+        bar.close()
+        _dismiss(crew)
+
+
+@dataclass
+class _Worker:
+    process: object
+    task: tuple[int, int]
+
+
+def _hire(crew, jobs, queue):
+    """Start a worker on the next sample of the queue."""
+    context = get_context("spawn")
+    ours, theirs = context.Pipe()
+    process = context.Process(target=_serve, args=(theirs, [job.configuration for job in jobs], _paths(jobs)))
+    with _one_thread_each():
+        process.start()
+    theirs.close()  # so that the worker's end is the worker's alone, and its death closes it
+    crew[ours] = _Worker(process, None)
+    _assign(crew, ours, queue)
+
+
+def _paths(jobs):
+    return [str(job.folder) for job in jobs]
+
+
+@contextlib.contextmanager
+def _one_thread_each():
+    """Have processes started here use one thread each for numerics and for software OpenGL: workers fill the cores."""
+    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "LP_NUM_THREADS")
+    before = {name: os.environ.get(name) for name in names}
+    for name in names:
+        os.environ.setdefault(name, "1")
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+
+
+def _assign(crew, conn, queue):
+    """Give a worker the next sample, or its notice where there is none."""
+    if not queue:
+        conn.close()
+        crew.pop(conn).process.join()
+        return
+    crew[conn].task = queue.pop()
+    try:
+        conn.send(crew[conn].task)
+    except BrokenPipeError:
+        pass  # it is dead, and its sentinel says so at the next wait
+
+
+def _bury(crew, conn, killed, queue, jobs, say):
+    """A worker died: put its sample back and start another, unless that sample has killed one before."""
+    worker = crew.pop(conn)
+    conn.close()
+    worker.process.join()
+    job, index = worker.task
+    killed[worker.task] = killed.get(worker.task, 0) + 1
+    code = worker.process.exitcode
+    how = f"by signal {signal.Signals(-code).name}" if code < 0 else f"with exit code {code}"
+    if killed[worker.task] > 1:
+        raise TactipError(
+            f"sample {index} of {jobs[job].folder} has ended two workers (the last {how}): is memory short? Samples made "
+            "so far are kept, and the same command goes on from there"
+        )
+    say(f"a worker ended {how} at sample {index}: another takes over")
+    queue.append(worker.task)
+    _hire(crew, jobs, queue)
+
+
+def _dismiss(crew):
+    """Let workers finish what they hold, then make sure that they are gone."""
+    for conn in crew:
+        conn.close()
+    for worker in crew.values():
+        worker.process.join(timeout=10)
+        if worker.process.is_alive():
+            worker.process.kill()
+            worker.process.join()
+
+
+def _serve(conn, configurations, folders):
+    """A worker's life: samples in, records and images out, until the other end of the pipe is closed."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to answer
+    makers = {}
+    while True:
+        try:
+            job, index = conn.recv()
+        except EOFError:
+            return
+        began, error = time.perf_counter(), None
+        try:
+            if job not in makers:
+                makers[job] = _SampleMaker(configurations[job], Path(folders[job]), makers.values())
+            makers[job].make(index)
+        except TactipError as wrong:
+            error = str(wrong)
+        except OSError as wrong:
+            error = _sentence(wrong)
+        try:
+            conn.send({"error": error, "seconds": time.perf_counter() - began})
+        except BrokenPipeError:
+            return
+
+
+def _sentence(error):
+    """An OSError as a sentence."""
+    return (
+        f"cannot write {error.filename or 'the set'}: {error.strerror or error}; samples made so far are kept, and the "
+        "same command goes on from there"
+    )
+
+
+class _SampleMaker:
+    """Makes the samples of one set, in a worker."""
+
+    def __init__(self, configuration, folder, others):
+        """others: makers of this process whose scene and renderer can be shared, where theirs are the same."""
+        self._configuration, self._folder = configuration, folder
+        c = configuration
+        alike = [m for m in others if m._configuration.design == c.design and m._configuration.renderer == c.renderer]
+        self._render = alike[0]._render if alike else _renderer(c)
+        played = [m for m in alike if _physics(m._configuration) == _physics(c)]
+        self._player = played[0]._player if played else CarefulPlayer(c.design, c.task, c.fidelity, c.bounds)
+
+    def make(self, index):
+        """Write the image and the record of sample `index`. Raises OSError."""
+        c = self._configuration
+        draw = generator(c.seed, c.task, c.split, index)
+        contact, faults = self._player.play(c.pose.draw(draw), c.shear.draw(draw))
+        row = row_of(contact, index, len(faults) + 1, seed_text(c.seed, c.task, c.split, index))
+        failed = len(faults) > 1
+        record = {"row": row, "faults": faults, "failed": failed}
+        if not failed:
+            image = tactile_image(self._render(contact.tips, contact.directions), c.design.image)
+            data = encode_image(image)
+            write_file(self._folder / "images" / image_name(index), data)
+            record["image"] = checksum(data)
+        write_file(_record_path(self._folder, index), _pack(record, contact))
+
+
+def _physics(configuration):
+    return configuration.task, configuration.fidelity, configuration.bounds
+
+
+def _renderer(configuration):
+    """The function (tips, directions) to grey frame of a configuration's renderer."""
+    if configuration.renderer == "raster":
+        from tactip_model.raster import Raster
+
+        return Raster(configuration.design).render
+    from tactip_model.camera import PinCamera
+
+    return PinCamera(configuration.design).render
+
+
+def _record_path(folder, index):
+    return folder / PARTIAL / f"{index:06d}.npz"
+
+
+def _pack(record, contact):
+    """The bytes of a sample's record: what its row and pins.npz are made of."""
+    data = io.BytesIO()
+    tips, directions = contact.tips.astype(np.float32), contact.directions.astype(np.float32)
+    np.savez(data, record=np.array(json.dumps(record)), tips=tips, directions=directions)
+    return data.getvalue()
+
+
+class _Folder:
+    """A set's folder while it is made: whose it is, what is done, and the step from records to a finished set."""
+
+    def __init__(self, job):
+        self._configuration, self._path = job.configuration, job.folder
+        self._partial = job.folder / PARTIAL
+        self._lock = None
+        self._complete = False
+        self.seconds = []
+
+    def __enter__(self):
+        try:
+            self._open()
+        except OSError as error:
+            raise TactipError(f"cannot write to the folder {self._path}: {error.strerror or error}") from error
+        return self
+
+    def __exit__(self, *_):
+        if self._lock is not None:
+            self._lock.close()
+
+    def _open(self):
+        identity = {"configuration": self._configuration.as_json(), "versions": versions()}
+        if (self._path / "meta.json").exists():
+            meta = read_meta(self._path)
+            self._refuse_other({k: meta.get(k) for k in identity}, identity)
+            self._complete = True
+            shutil.rmtree(self._partial, ignore_errors=True)  # a kill came between the last two steps
+            return
+        if self._path.exists() and not self._partial.exists() and any(self._path.iterdir()):
+            raise TactipError(f"the folder {self._path} is not empty and holds no data set: name another one")
+        (self._path / "images").mkdir(parents=True, exist_ok=True)
+        self._partial.mkdir(exist_ok=True)
+        self._lock = (self._partial / "lock").open("w")
+        try:
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise TactipError(f"another command is making the set in {self._path}: wait for it, or stop it") from None
+        known = self._partial / "configuration.json"
+        if known.exists():
+            self._refuse_other(json.loads(known.read_text()), identity)
+        else:
+            write_file(known, json.dumps(identity, indent=1).encode())
+        for leftover in [*self._partial.glob(".*.tmp"), *(self._path / "images").glob(".*.tmp")]:
+            leftover.unlink()
+
+    def _refuse_other(self, there, asked):
+        difference = _first_difference(there, asked, "")
+        if difference:
+            name, old, new = difference
+            raise TactipError(
+                f"the folder {self._path} holds a set of another configuration: {name} is {old} there and {new} here; "
+                "name another folder, or remove this one"
+            )
+
+    def missing(self):
+        """Indices (list of int) of the samples that are still to be made."""
+        if self._complete:
+            return []
+        return [i for i in range(self._configuration.samples) if not self._done(i)]
+
+    def _done(self, index):
+        return _record_path(self._path, index).exists()
+
+    def finish(self, seconds, workers):
+        """Turn records into a finished set. Returns a dict: kept, failed, made, seconds. Raises TactipError."""
+        if self._complete:
+            samples = read_meta(self._path)["samples"]
+            return {**samples, "made": 0, "seconds": 0.0, "folder": str(self._path)}
+        try:
+            rows, failures = self._assemble(workers, seconds)
+        except OSError as error:
+            raise TactipError(_sentence(error)) from error
+        return {
+            "asked": self._configuration.samples,
+            "kept": len(rows),
+            "failed": len(failures),
+            "made": len(self.seconds),
+            "seconds": seconds,
+            "folder": str(self._path),
+        }
+
+    def _assemble(self, workers, seconds):
+        rows, failures, images, tips, directions = [], [], {}, [], []
+        for index in range(self._configuration.samples):
+            with np.load(_record_path(self._path, index), allow_pickle=False) as data:
+                record = json.loads(str(data["record"]))
+                if record["failed"]:
+                    row = record["row"]
+                    failures.append({"index": index, "seed": row["seed"], "tries": record["faults"]})
+                    continue
+                rows.append(record["row"])
+                images[image_name(index)] = record["image"]
+                tips.append(data["tips"])
+                directions.append(data["directions"])
+        neutral_tips, neutral_directions = neutral_pins(self._configuration.design)
+        pins = io.BytesIO()
+        shape = (-1, len(neutral_tips), 3)
+        np.savez(
+            pins,
+            tips=np.array(tips, np.float32).reshape(shape),
+            directions=np.array(directions, np.float32).reshape(shape),
+            neutral_tips=neutral_tips.astype(np.float32),
+            neutral_directions=neutral_directions.astype(np.float32),
+            digest=np.array(self._configuration.digest()),
+        )
+        files = {"targets.csv": targets_csv(rows), "pins.npz": pins.getvalue()}
+        for name, data in files.items():
+            write_file(self._path / name, data)
+        write_file(self._path / "run.json", self._run_json(workers, seconds))
+        sums = {name: checksum(data) for name, data in files.items()}
+        write_file(self._path / "meta.json", meta_json(self._configuration, rows, failures, sums, images))
+        shutil.rmtree(self._partial)
+        return rows, failures
+
+    def _run_json(self, workers, seconds):
+        """The facts of this very run, which are not the same in the next."""
+        run = {
+            "finished": datetime.now(timezone.utc).isoformat(timespec="seconds"),
+            "machine": {"system": platform.platform(), "processor": platform.machine(), "cores": os.cpu_count()},
+            "workers": workers,
+            "samples_made_by_the_last_command": len(self.seconds),
+            "seconds_of_the_last_command_all_its_sets": round(seconds, 3),
+            "seconds_a_sample_and_worker_median": round(float(np.median(self.seconds)), 4) if self.seconds else None,
+        }
+        return (json.dumps(run, indent=1) + "\n").encode()
+
+
+def _first_difference(there, asked, name):
+    """The first (name, value there, value asked) in which two JSON values differ, or None."""
+    if isinstance(there, dict) and isinstance(asked, dict):
+        for key in sorted(set(there) | set(asked)):
+            difference = _first_difference(there.get(key), asked.get(key), f"{name}.{key}" if name else key)
+            if difference:
+                return difference
+        return None
+    return None if there == asked else (name, json.dumps(there), json.dumps(asked))
+
+
+def _duration(seconds):
+    """Seconds as text for people."""
+    seconds = round(seconds)
+    return f"{seconds // 3600} h {seconds % 3600 // 60} min" if seconds >= 3600 else f"{seconds // 60} min {seconds % 60} s"

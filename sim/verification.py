@@ -1,0 +1,136 @@
+"""Is a data set whole? Every promise of its format, checked; every breach, a sentence."""
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from sim.dataset import COLUMNS, LABELS, SHEARS, checksum, digest_of, image_name, read_meta, read_targets
+from tactip_model.errors import TactipError
+
+_ROUNDING = 1e-6
+"""A cell may lie this far outside its range: the table has six decimals."""
+
+
+def verify(folder):
+    """Check a finished set. Returns what is wrong with it: a list of sentences, empty if nothing is.
+
+    Raises TactipError where there is no set to check.
+    """
+    folder = Path(folder)
+    meta = read_meta(folder)
+    configuration = meta.get("configuration")
+    problems = []
+    if configuration is not None and digest_of(configuration) != meta.get("digest"):
+        problems.append("meta.json: its configuration was altered: it does not have the digest that it was made with")
+    try:
+        rows = read_targets(folder)
+    except TactipError as error:
+        return [*problems, str(error)]
+    problems += _files(folder, meta) + _images(folder, meta, rows) + _rows(rows, meta)
+    if configuration is not None:
+        problems += _pins(folder, meta, rows)
+    return problems
+
+
+def _files(folder, meta):
+    problems = []
+    for name, expected in meta.get("files", {}).items():
+        path = folder / name
+        if not path.exists():
+            problems.append(f"{name}: missing")
+        elif checksum(path.read_bytes()) != expected:
+            problems.append(f"{name}: altered: it does not have the checksum in meta.json")
+    return problems
+
+
+def _images(folder, meta, rows):
+    named = [row["sensor_image"] for row in rows]
+    problems = [f"targets.csv: the image {n} has more than one row" for n in sorted({n for n in named if named.count(n) > 1})]
+    there = {path.name for path in (folder / "images").glob("*")}
+    problems += [f"images/{name}: missing" for name in sorted(set(named) - there)]
+    problems += [f"images/{name}: has no row in targets.csv" for name in sorted(there - set(named))]
+    expected = meta.get("images", {})
+    size = (meta.get("configuration") or {}).get("design", {}).get("image", {}).get("size_px")
+    for name in sorted(set(named) & there):
+        data = (folder / "images" / name).read_bytes()
+        if name in expected and checksum(data) == expected[name]:
+            continue
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE) if data else None
+        if image is None:
+            problems.append(f"images/{name}: truncated or not an image ({len(data)} bytes)")
+        elif size is not None and image.shape != (size, size):
+            problems.append(f"images/{name}: it is {image.shape[1]} by {image.shape[0]} px instead of {size} by {size}")
+        elif name in expected:
+            problems.append(f"images/{name}: altered: it does not have the checksum in meta.json")
+        elif not np.isin(image, (0, 255)).all():
+            problems.append(f"images/{name}: it has values other than 0 and 255")
+    return problems
+
+
+def _rows(rows, meta):
+    problems = []
+    configuration = meta.get("configuration")
+    kept = meta.get("samples", {}).get("kept")
+    if kept is not None and kept != len(rows):
+        problems.append(f"targets.csv: it has {len(rows)} rows, meta.json promises {kept}")
+    ranges = {}
+    if configuration is not None:
+        for columns, key in ((LABELS, "pose"), (SHEARS, "shear")):
+            ranges.update(zip(columns, configuration[key].values(), strict=True))
+    for number, row in enumerate(rows, start=2):
+        where = f"targets.csv, line {number}"
+        if None in row or None in row.values():
+            problems.append(f"{where}: it has more or fewer cells than the header")
+            continue
+        for column in (*LABELS, *SHEARS):
+            try:
+                value = float(row[column])
+            except ValueError:
+                problems.append(f"{where}: {column} is {row[column]!r}, not a number")
+                continue
+            if not np.isfinite(value):
+                problems.append(f"{where}: {column} is {row[column]}, not a finite number")
+            elif column in ranges and not ranges[column][0] - _ROUNDING <= value <= ranges[column][1] + _ROUNDING:
+                problems.append(
+                    f"{where}: {column} is {row[column]}, outside the set's range {ranges[column]}: "
+                    "a row of another configuration"
+                )
+        if configuration is not None and not _belongs(row, configuration):
+            problems.append(f"{where}: its seed {row.get('seed')!r} or its image is not of this set: a mixed configuration")
+    return problems
+
+
+def _belongs(row, configuration):
+    """Whether a row's index, seed and image fit each other and the set."""
+    if any(row.get(c) is None for c in COLUMNS) or not row["index"].isdigit():
+        return False
+    index = int(row["index"])
+    seed = seed_text(configuration["seed"], configuration["task"], configuration["split"], index)
+    return index < configuration["samples"] and row["seed"] == seed and row["sensor_image"] == image_name(index)
+
+
+def seed_text(seed, task, split, index):
+    """The seed (str) of a sample as its row names it: what sim.sampling.generator takes."""
+    return f"{seed}:{task}:{split}:{index}"
+
+
+def _pins(folder, meta, rows):
+    path = folder / "pins.npz"
+    if not path.exists():
+        return []  # reported by its checksum
+    try:
+        with np.load(path, allow_pickle=False) as pins:
+            digest, tips = str(pins["digest"]), pins["tips"]
+            finite = all(np.isfinite(pins[k]).all() for k in ("tips", "directions"))
+    except (OSError, ValueError, KeyError, json.JSONDecodeError) as error:
+        return [f"pins.npz: it cannot be read: {error}"]
+    problems = []
+    if digest != meta["digest"]:
+        problems.append("pins.npz: it belongs to a set of another configuration")
+    if len(tips) != len(rows):
+        problems.append(f"pins.npz: it has {len(tips)} records, targets.csv {len(rows)} rows")
+    if not finite:
+        problems.append("pins.npz: it has numbers that are not finite")
+    return problems

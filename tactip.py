@@ -1,0 +1,192 @@
+"""The front door: one subcommand for each job, nothing else."""
+
+import sys
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from tactip_model.errors import Stopped, TactipError
+
+Range = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class RangeOptions:
+    """Low and high of each component. What is not given is the paper's (Table 1) for the task."""
+
+    x_mm: Range | None = None
+    """Horizontal, square to the edge, mm."""
+    y_mm: Range | None = None
+    """Horizontal, along the edge, mm."""
+    depth_mm: Range | None = None
+    """Depth, negative into the object, mm."""
+    roll_deg: Range | None = None
+    """Rotation vector about x, degrees."""
+    pitch_deg: Range | None = None
+    """Rotation vector about y, degrees."""
+    yaw_deg: Range | None = None
+    """Rotation vector about the normal, degrees."""
+
+
+@dataclass(frozen=True)
+class Make:
+    """Make labelled, sheared tactile images with the simulated sensor. Run again, it goes on where it stopped."""
+
+    out: Path
+    """Folder of the set; of the sets (OUT/TASK/SPLIT) if task or split is all."""
+    task: str = "surface"
+    """surface, edge, or all."""
+    split: str = "train"
+    """train, val, test, or all: independent draws."""
+    samples: int = 200
+    """Contacts in a set; the paper has 2000."""
+    seed: int = 0
+    """Seed of the draws."""
+    workers: str = "auto"
+    """Worker processes; auto is one a core."""
+    fidelity: str = "standard"
+    """draft, standard or reference (sim/fidelity.py)."""
+    design: str = "tactip-127"
+    """tactip-127 or tactip-331 (tactip_model/design.py)."""
+    renderer: str = "pyrender"
+    """pyrender, or raster: the same image without OpenGL."""
+    pose: RangeOptions = field(default_factory=RangeOptions)
+    """Labelled poses."""
+    shear: RangeOptions = field(default_factory=RangeOptions)
+    """Unlabelled perturbations."""
+
+    def run(self):
+        from sim import generation
+
+        results = generation.make(self._jobs(), generation.worker_count(self.workers))
+        failed = 0
+        for r in results:
+            failed += r["failed"]
+            made = f", {r['made']} of them now" if r["made"] else ", complete already"
+            print(f"{r['folder']}: {r['kept']} of {r['asked']} samples{made}; {r['failed']} failed")
+        made, seconds = sum(r["made"] for r in results), max(r["seconds"] for r in results)
+        if made:
+            print(f"{made} samples in {seconds:.1f} s: {made / seconds:.2f} samples/s")
+        if failed:
+            print(f"{failed} contacts failed twice and were left out: meta.json names them and says why")
+        return 0
+
+    def _jobs(self):
+        from sim.dataset import Configuration
+        from sim.fidelity import fidelity_named
+        from sim.generation import Job
+        from sim.sampling import POSE_RANGES, SHEAR_RANGES, SPLITS
+        from sim.stimulus import TASKS
+        from tactip_model.design import design_named
+        from tactip_model.errors import choose
+
+        tasks = TASKS if self.task == "all" else (self.task,)
+        splits = SPLITS if self.split == "all" else (self.split,)
+        several = "all" in (self.task, self.split)
+        jobs = []
+        for task in tasks:
+            for split in splits:
+                configuration = Configuration(
+                    task=task,
+                    split=split,
+                    samples=self.samples,
+                    seed=self.seed,
+                    renderer=self.renderer,
+                    design=design_named(self.design),
+                    fidelity=fidelity_named(self.fidelity),
+                    pose=_with_options(choose("task", task, POSE_RANGES), self.pose),
+                    shear=_with_options(SHEAR_RANGES, self.shear),
+                )
+                jobs.append(Job(configuration, self.out / task / split if several else self.out))
+        return jobs
+
+
+def _with_options(ranges, options):
+    """Ranges with those that RangeOptions names put in their place."""
+    from dataclasses import replace
+
+    given = {f.name: getattr(options, f.name) for f in fields(options) if getattr(options, f.name) is not None}
+    return replace(ranges, **given)
+
+
+@dataclass(frozen=True)
+class Verify:
+    """Check that a set is whole: images, rows, pins, checksums, one configuration."""
+
+    folder: tyro.conf.Positional[Path]
+    """Folder of the set."""
+
+    def run(self):
+        from sim.dataset import read_meta
+        from sim.verification import verify
+
+        problems = verify(self.folder)
+        for problem in problems:
+            print(f"{self.folder}: {problem}", file=sys.stderr)
+        if problems:
+            print(f"{self.folder}: {len(problems)} problem(s)", file=sys.stderr)
+            return 1
+        samples = read_meta(self.folder).get("samples", {})
+        print(f"{self.folder}: whole; {samples.get('kept', 'some')} samples, {samples.get('failed', 0)} failed contacts")
+        return 0
+
+
+@dataclass(frozen=True)
+class Show:
+    """Write a contact sheet of a set: images over their labels (x y depth, roll pitch yaw)."""
+
+    folder: tyro.conf.Positional[Path]
+    """Folder of the set."""
+    out: Path = Path("sheet.png")
+    """PNG to write."""
+    count: int = 24
+    """Samples, spread over the set."""
+    columns: int = 6
+    """Samples in a line."""
+
+    def run(self):
+        from sim.sheet import write_sheet
+
+        write_sheet(self.folder, self.out, self.count, self.columns)
+        print(f"{self.out} written")
+        return 0
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """Make, verify and show data sets."""
+
+    action: Annotated[
+        Annotated[Make, tyro.conf.subcommand("make")]
+        | Annotated[Verify, tyro.conf.subcommand("verify")]
+        | Annotated[Show, tyro.conf.subcommand("show")],
+        tyro.conf.arg(name=""),
+    ]
+
+    def run(self):
+        return self.action.run()
+
+
+def main(arguments=None):
+    """Run the command line. arguments: list of str, the process's own if None. Returns the exit status (int)."""
+    about = "A digital twin of the TacTip, a soft optical fingertip."
+    command = tyro.extras.subcommand_cli_from_dict(
+        {"dataset": Dataset}, args=arguments, prog="tactip", description=about
+    )
+    try:
+        return command.run()
+    except TactipError as error:
+        print(f"tactip: {error}", file=sys.stderr)
+        return 1
+    except OSError as error:
+        print(f"tactip: {error.filename or 'a file'}: {error.strerror or error}", file=sys.stderr)
+        return 1
+    except Stopped as stopped:
+        print(f"tactip: stopped; {stopped}", file=sys.stderr)
+        return 130
+
+
+if __name__ == "__main__":
+    sys.exit(main())

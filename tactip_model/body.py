@@ -1,0 +1,138 @@
+"""The soft body: a design and its mesh become flexes of a MuJoCo model.
+
+The gel is a 3D flex of stable neo-Hookean tetrahedra, the skin a 2D flex (stretching and bending) over the gel's surface
+vertices: they share bodies, so that the skin costs no degree of freedom.
+
+Only the skin touches things, in two ways. Its vertices are small spheres, and what is flat on the scale of a facet meets
+these: one contact a vertex, with the right normal at corners too. Its facets meet what can pass between the vertices,
+such as an edge. (A facet against a box gives each of its corners a contact: six on a vertex, and beside an edge of the
+box, contacts where there is no box, that drag the tip along by a millimetre.)
+"""
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from tactip_model.mesh import CONTACT_RADIUS_M
+
+STABLE_NEO_HOOKEAN = 1
+"""MjsFlex.elastic3d. The default law, St Venant-Kirchhoff, softens under compression: a third of the force is missing
+at 3 mm of depth, and it collapses near 4 mm."""
+
+STRETCHING_AND_BENDING = 3
+"""MjsFlex.elastic2d."""
+
+
+TOUCHES_VERTICES = 2
+TOUCHES_FACETS = 4
+"""Contact bits (contype and conaffinity) of what meets the skin's vertices, and of what meets its facets."""
+
+
+@dataclass(frozen=True)
+class ContactModel:
+    """How contact is enforced. Numerical: none of it is a property of the tip."""
+
+    stiffness: float = 2e7
+    """Direct `solref` stiffness, 1/s^2. The default contact scales with the vertices' tiny masses and lets objects
+    through the skin; this leaves less than 0.05 mm."""
+    damping: float = 8e4
+    """Direct `solref` damping, 1/s."""
+    impedance: float = 0.95
+    """`solimp`: constant impedance, -."""
+    vertex_mass_kg: float = 3e-5
+    """Mass of a skin vertex, kg. Contact pushes against it: half of it leaves twice the penetration, twice of it costs
+    more iterations. Motions are quasi-static, so that mass does not change where the tip comes to rest."""
+
+
+@dataclass(frozen=True)
+class SoftBody:
+    """What was added to the model: names of flexes and of the vertices' bodies."""
+
+    skin: str
+    gel: str
+    vertex_bodies: tuple[str, ...]
+
+
+def add_body(spec, parent, design, mesh, resolution, contact):
+    """Add the soft tip to a model.
+
+    spec: mujoco.MjSpec. parent: MjsBody whose frame is the sensor frame; bonded vertices move with it. design: Design.
+    mesh: mesh.Mesh. resolution: mesh.Resolution, that the mesh was built with. contact: ContactModel.
+    Returns a SoftBody. The integrator must be `discrete` (see sim/scene.py).
+    """
+    materials = design.materials
+    mass = np.zeros(len(mesh.vertices))
+    for corner in mesh.tetrahedra.T:
+        np.add.at(mass, corner, mesh.volumes * materials.density_kg_m3 / 4)
+    mass[: mesh.surface_count] = contact.vertex_mass_kg
+
+    touch = contact_attributes(materials.friction, contact)
+    bodies = []
+    for i, (position, bonded) in enumerate(zip(mesh.vertices, mesh.bonded, strict=True)):
+        if bonded:
+            bodies.append(parent.name)
+            continue
+        body = parent.add_body(
+            name=f"tip/{i}", pos=position, mass=mass[i], inertia=[1e-9] * 3, explicitinertial=True
+        )
+        for axis in np.eye(3):
+            body.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
+        if i < mesh.surface_count:
+            body.add_geom(
+                name=f"tip/{i}",
+                type=mujoco.mjtGeom.mjGEOM_SPHERE,
+                size=[CONTACT_RADIUS_M, 0, 0],
+                contype=TOUCHES_VERTICES,
+                conaffinity=TOUCHES_VERTICES,
+                **touch,
+            )
+        bodies.append(body.name)
+    local = np.where(mesh.bonded[:, None], mesh.vertices, 0.0)
+
+    surface = mesh.surface_count
+    spec.add_flex(
+        name="tip/skin",
+        dim=2,
+        radius=CONTACT_RADIUS_M,
+        vertbody=bodies[:surface],
+        vert=local[:surface].ravel(),
+        elem=mesh.triangles.ravel(),
+        young=materials.skin_young_pa,
+        poisson=materials.skin_poisson,
+        thickness=materials.skin_thickness_m,
+        elastic2d=STRETCHING_AND_BENDING,
+        damping=materials.damping_s,
+        selfcollide=mujoco.mjtFlexSelf.mjFLEXSELF_NONE,
+        contype=TOUCHES_FACETS,
+        conaffinity=TOUCHES_FACETS,
+        **touch,
+    )
+    locked = materials.gel_poisson > resolution.poisson_limit
+    spec.add_flex(
+        name="tip/gel",
+        dim=3,
+        radius=0,
+        vertbody=bodies,
+        vert=local.ravel(),
+        elem=mesh.tetrahedra.ravel(),
+        young=materials.gel_young_pa * (resolution.locked_stiffness if locked else 1.0),
+        poisson=min(materials.gel_poisson, resolution.poisson_limit),
+        elastic3d=STABLE_NEO_HOOKEAN,
+        damping=materials.damping_s,
+        selfcollide=mujoco.mjtFlexSelf.mjFLEXSELF_NONE,
+        contype=0,
+        conaffinity=0,
+    )
+    return SoftBody("tip/skin", "tip/gel", tuple(bodies))
+
+
+def contact_attributes(friction, contact):
+    """Attributes (dict) of a flex or geom that touches: friction (-) and a ContactModel."""
+    return {
+        # Without friction the contact must have one dimension: three with zero friction turned the dome inside out.
+        "condim": 3 if friction > 0 else 1,
+        "friction": [friction, 0, 0],
+        "solref": [-contact.stiffness, -contact.damping],
+        "solimp": [contact.impedance, contact.impedance, 1e-4, 0.5, 2],
+    }

@@ -1,0 +1,150 @@
+"""The pins' grey image by pyrender, from the wide-angle camera inside the sensor.
+
+pyrender has no wide-angle lens. Each vertex is put where the lens sees it, in pixels, with its distance as depth, and
+drawn by an orthographic camera: the lens is exact at every vertex, and the edges between them are shorter than pixels
+are wide. Light is by vertex, from the LED ring (optics.py), so that the drawing itself needs none.
+"""
+
+from functools import cache
+
+import numpy as np
+
+from tactip_model.errors import TactipError
+from tactip_model.opengl import install_hint
+from tactip_model.optics import LedRing, Lens, inner_skin, tip_radii
+from tactip_model.raster import finish
+
+_SIDES = 24
+"""Sides of the polygon that stands for a pin's round tip: 1 % of its area is missing, made up in its radius."""
+
+
+@cache
+def _renderer():
+    """The process's pyrender renderer. There can be only one: a second one's end takes the first one's display away.
+
+    Raises TactipError where OpenGL cannot be used.
+    """
+    try:
+        import pyrender
+
+        return pyrender, pyrender.OffscreenRenderer(16, 16)
+    # What a missing or broken OpenGL raises depends on which part is missing: import errors, attribute errors of absent
+    # functions, EGL's own errors and value errors come through pyrender and PyOpenGL alike.
+    except (ImportError, AttributeError, OSError, RuntimeError, ValueError, TypeError, *_gl_error()) as error:
+        raise TactipError(
+            f"OpenGL cannot be used here ({type(error).__name__}: {_first_line(error)}): on Debian install it with "
+            f"'{install_hint()}', or draw without it by --renderer raster"
+        ) from error
+
+
+def check_opengl():
+    """Draw off screen. Raises TactipError where OpenGL cannot be used."""
+    canvas = Canvas(16, 16)
+    corners = np.array([[-1, -1, 1.0], [40, -1, 1.0], [-1, 40, 1.0]])
+    drawn = canvas.draw(canvas.mesh(corners, np.array([[0, 1, 2]]), np.full(3, 255.0)))
+    if drawn.min() < 255:
+        raise TactipError(
+            f"OpenGL draws wrongly here: a white square came out {drawn.min():.0f} of 255; draw without it by "
+            "--renderer raster"
+        )
+
+
+class Canvas:
+    """An off-screen OpenGL drawing in pixel coordinates."""
+
+    def __init__(self, width, height):
+        """width, height: int, px. Raises TactipError where OpenGL cannot be used."""
+        self._pyrender, self._renderer = _renderer()
+        self._size = width, height
+        self._scene = self._pyrender.Scene(bg_color=[0, 0, 0, 0], ambient_light=[1.0, 1.0, 1.0])
+        camera = self._pyrender.OrthographicCamera(xmag=width / 2, ymag=height / 2, znear=0.01, zfar=10.0)
+        # Pixels count from the top left pixel's centre, y down; OpenGL's camera looks along -z with y up.
+        pose = np.diag([1.0, -1.0, -1.0, 1.0])
+        pose[:3, 3] = (width - 1) / 2, (height - 1) / 2, 0.0
+        self._scene.add(camera, pose=pose)
+
+    def mesh(self, vertices, triangles, grey):
+        """A mesh of vertices (n, 3): pixels x, y and depth 0.01 to 10; triangles (m, 3); grey levels (n,), 0 to 255."""
+        colour = np.ones((len(vertices), 4), np.float32)
+        colour[:, :3] = grey[:, None] / 255
+        material = self._pyrender.MetallicRoughnessMaterial(doubleSided=True, baseColorFactor=[1.0, 1.0, 1.0, 1.0])
+        primitive = self._pyrender.Primitive(
+            positions=vertices.astype(np.float32), indices=triangles, color_0=colour, material=material
+        )
+        return self._pyrender.Mesh([primitive])
+
+    def add(self, mesh):
+        """Keep a mesh in every drawing."""
+        self._scene.add(mesh)
+
+    def draw(self, mesh):
+        """Draw what was added and `mesh`: image (h, w) float, 0 to 255."""
+        self._renderer.viewport_width, self._renderer.viewport_height = self._size
+        node = self._scene.add(mesh)
+        colour, _ = self._renderer.render(self._scene, flags=self._pyrender.RenderFlags.FLAT)
+        self._scene.remove_node(node)
+        return colour[..., 0].astype(np.float64)
+
+
+def _gl_error():
+    """PyOpenGL's error class in a tuple, or an empty one where PyOpenGL itself cannot be imported."""
+    try:
+        from OpenGL.error import Error
+    except (ImportError, AttributeError, OSError):
+        return ()
+    return (Error,)
+
+
+def _first_line(error):
+    return (str(error).strip().splitlines() or ["no message"])[0].rstrip(":")
+
+
+class PinCamera:
+    """Draws the grey frame of a design from pin records by pyrender. Cheap to use, dear to make: keep it."""
+
+    def __init__(self, design):
+        """design: Design. Raises TactipError where OpenGL cannot be used."""
+        self._design = design
+        self._lens = Lens(design)
+        self._leds = LedRing(design)
+        angle = 2 * np.pi * np.arange(_SIDES) / _SIDES
+        # A polygon of the disc's area.
+        radius = np.sqrt(np.pi / (_SIDES / 2 * np.sin(2 * np.pi / _SIDES)))
+        self._rim = radius * np.stack([np.cos(angle), np.sin(angle)], 1)
+        self._radii = tip_radii(design)
+        fan = np.stack([np.zeros(_SIDES, int), 1 + np.arange(_SIDES), 1 + (np.arange(_SIDES) + 1) % _SIDES], 1)
+        self._fans = (fan + (_SIDES + 1) * np.arange(len(self._radii))[:, None, None]).reshape(-1, 3)
+        self._canvas = Canvas(self._lens.width, self._lens.width)
+        self._canvas.add(self._skin())
+
+    def render(self, tips, directions):
+        """Grey frame (h, w) uint8 of pins with tips (p, 3) m and directions (p, 3), sensor frame."""
+        tips, directions = np.asarray(tips, float), np.asarray(directions, float)
+        other = np.where(np.abs(directions[:, :1]) < 0.9, [[1.0, 0, 0]], [[0, 1.0, 0]])
+        u = np.cross(directions, other)
+        u /= np.linalg.norm(u, axis=1, keepdims=True)
+        v = np.cross(directions, u)
+        plane = np.einsum("sk,kpj->psj", self._rim, np.stack([u, v]))
+        discs = np.concatenate([tips[:, None], tips[:, None] + self._radii[:, None, None] * plane], 1)
+        grey = self._leds.grey(tips, directions, self._design.optics.pin_albedo)
+        mesh = self._canvas.mesh(self._seen(discs.reshape(-1, 3)), self._fans, np.repeat(grey, _SIDES + 1))
+        return finish(self._canvas.draw(mesh), self._design.optics)
+
+    def _seen(self, points):
+        """Pixels and depth (n, 3) of points (n, 3)."""
+        depth = np.linalg.norm(points - self._lens.position, axis=1)
+        # Depth in units of 10 mm, inside the canvas's range.
+        return np.concatenate([self._lens.project(points), depth[:, None] * 100], 1)
+
+    def _skin(self):
+        """The undeformed inner skin as a mesh: a backdrop for the pins."""
+        rings, sides = 40, 96
+        polar, azimuth = np.meshgrid(
+            np.linspace(0, np.pi / 2, rings + 1), 2 * np.pi * np.arange(sides) / sides, indexing="ij"
+        )
+        points, normals = inner_skin(self._design, polar.ravel(), azimuth.ravel())
+        grey = self._leds.grey(points, normals, self._design.optics.skin_albedo)
+        i, j = (a.ravel() for a in np.meshgrid(np.arange(rings), np.arange(sides), indexing="ij"))
+        a, b, c, d = i * sides + j, i * sides + (j + 1) % sides, (i + 1) * sides + j, (i + 1) * sides + (j + 1) % sides
+        triangles = np.concatenate([np.stack([a, c, b], 1), np.stack([b, c, d], 1)])
+        return self._canvas.mesh(self._seen(points), triangles, grey)

@@ -1,0 +1,140 @@
+"""What a TacTip is: dimensions, materials, pins, optics. Data only; presets in `DESIGNS`.
+
+Sources, here and below: [P] Lepora & Lloyd, RAM 2020; [M] measured on public images of real sensors (Tac-VGNN);
+[R] read in a public source; [?] disputed, a prior to calibrate.
+"""
+
+from dataclasses import dataclass, field
+
+from tactip_model.errors import choose
+
+
+@dataclass(frozen=True)
+class Shape:
+    """Dimensions of the soft tip. A hemisphere, its rim bonded to the housing."""
+
+    radius_m: float = 20e-3
+    """Outer radius of the dome, m. 40 mm across [R: RAM Dec 2021, p. 49]."""
+    cylinder_m: float = 0.0
+    """Height of gel behind the rim, m; at most about 5e-3 by the 20 ml of gel in a tip [R]. The measured depth response
+    of the 127-pin tip is met as well without it (docs/architecture.md), so that it is left out."""
+
+
+@dataclass(frozen=True)
+class Materials:
+    """What the tip is made of."""
+
+    skin_thickness_m: float = 1e-3
+    """Thickness of the rubber skin, m [?]."""
+    skin_young_pa: float = 0.6e6
+    """Young's modulus of the skin, Pa; 0.4e6 to 0.8e6 for TangoBlack+ and Agilus30 [?]."""
+    skin_poisson: float = 0.45
+    """Poisson's ratio of the skin, - [?]."""
+    gel_young_pa: float = 2e4
+    """Young's modulus of the gel, Pa; 1e4 to 5e4 [?]. 2e4 meets the measured force [R: load cell] and depth response [M]."""
+    gel_poisson: float = 0.49
+    """Poisson's ratio of the gel, - [?]. The mesh may use less than this: see `mesh.Resolution`."""
+    density_kg_m3: float = 1050.0
+    """Density of skin and gel, kg/m^3 (silicone rubber)."""
+    friction: float = 0.3
+    """Coulomb friction of skin on the stimulus, -. 0.3 gives the slip plateaus of the measured tip [M]; 0.55 to 0.7 was
+    seen under a load cell [R]."""
+    damping_s: float = 0.01
+    """Rayleigh damping of gel and skin, s: stress per strain rate over stiffness. Motions are quasi-static, so that it
+    sets how fast the tip comes to rest and not where."""
+
+
+@dataclass(frozen=True)
+class Pins:
+    """The white pins inside the skin."""
+
+    layout: str = "hexagonal"
+    """`hexagonal`: a hexagon of a triangular lattice; `circular`: rings of 6k pins. Both round a centre pin [R]."""
+    rings: int = 6
+    """Rings round the centre pin; 6 hexagonal rings make 127 pins, 10 circular ones 331 [R]."""
+    pitch_m: float = 3.0e-3
+    """Distance of neighbours in plan view, m; 2.8e-3 to 3.1e-3 by the neutral images [M]."""
+    length_m: float = 2.0e-3
+    """Depth of the pin's tip below the outer surface, m [?]."""
+    diameter_m: float = 0.90e-3
+    """Diameter of the white tip at the centre, m; fitted to the blobs of the neutral image [M], which the threshold
+    makes larger than the pins (about 1.2e-3 was remembered [?])."""
+    rim_diameter_m: float = 0.78e-3
+    """The same as it appears at the outermost ring, m: light and focus differ there; fitted [M]. It goes from
+    `diameter_m` with the square of the distance from the axis."""
+    rotation_deg: float = 0.0
+    """Turn of the lattice from the image's x axis towards its y axis (down), degrees."""
+
+
+@dataclass(frozen=True)
+class Optics:
+    """Camera, lens and light inside the sensor."""
+
+    camera_height_m: float = 8e-3
+    """Distance of the camera's pinhole behind the plane of the rim, m; fitted to the depth response [M]."""
+    neutral_radius: tuple[float, float, float] = (11.31, 0.0516, 0.00235)
+    """The neutral image: distance of a pin from the image centre is c1 u + c3 u^3 + c5 u^5 pixels (256 px wide), u its
+    distance from the axis in pitches. The lens is derived from it (optics.py)."""
+    centre: tuple[float, float] = (0.5, 0.5)
+    """Image of the tip's axis, in image widths from the left and from the top."""
+    frame_px: int = 360
+    """Width and height of the square grey frame, px: the part of a real 640×480 frame that sees the pins is about 360."""
+    leds: int = 6
+    """LEDs in the ring [R: a ring; six reflections in the neutral image, M]."""
+    led_ring_radius_m: float = 15e-3
+    """Radius of the ring of LEDs, m [?]."""
+    led_height_m: float = 10e-3
+    """Distance of the LEDs behind the plane of the rim, m [?]."""
+    pin_albedo: float = 0.9
+    """Diffuse reflectance of the pins' tips, - [?]."""
+    skin_albedo: float = 0.06
+    """Diffuse reflectance of the black inner skin, - [?]."""
+    exposure: float = 0.4
+    """Brightness of the neutral centre pin, of full white."""
+    blur_px: float = 0.5
+    """Standard deviation of the lens's blur, px of the grey frame [?]."""
+
+
+@dataclass(frozen=True)
+class TactileImage:
+    """From a grey frame to the binary tactile image. The same settings and code take a real frame (image.py)."""
+
+    crop: tuple[int, int, int, int] | None = None
+    """Left, top, right, bottom of the part of the frame that is used, px; all of it if None."""
+    threshold: tuple[int, float] | None = (61, -5.0)
+    """Block (odd, px of the frame) and constant (grey levels) of the mean adaptive threshold: a pixel is white when it
+    is brighter than its block's mean minus the constant. (61, -5) is the setting used on real frames [R]. None for
+    frames that are binary already."""
+    size_px: int = 128
+    """Width and height of the tactile image, px [P]."""
+
+
+@dataclass(frozen=True)
+class Design:
+    """A tactile fingertip."""
+
+    name: str
+    shape: Shape = field(default_factory=Shape)
+    materials: Materials = field(default_factory=Materials)
+    pins: Pins = field(default_factory=Pins)
+    optics: Optics = field(default_factory=Optics)
+    image: TactileImage = field(default_factory=TactileImage)
+
+
+DESIGNS = {
+    # The first ring of the real 127-pin tip is turned by about 29 degrees, its centre at (126.2, 129.8) of 256 px [M].
+    "tactip-127": Design(
+        "tactip-127", pins=Pins(rotation_deg=29.0), optics=Optics(centre=(126.2 / 256, 129.8 / 256))
+    ),
+    "tactip-331": Design(
+        "tactip-331",
+        # Fitted to the 331 blobs of its neutral image (rms 0.5 of 360 px) [M]; pitch by the same extent as the other's.
+        pins=Pins("circular", rings=10, pitch_m=1.8e-3, diameter_m=0.76e-3, rim_diameter_m=1.34e-3, rotation_deg=-2.0),
+        optics=Optics(neutral_radius=(7.946, 0.0200, -3.18e-5), centre=(177.6 / 360, 175.5 / 360)),
+    ),
+}
+
+
+def design_named(name):
+    """Return the preset Design called `name`; raise TactipError that lists the presets where there is none."""
+    return choose("design", name, DESIGNS)

@@ -1,0 +1,126 @@
+"""The lens and the light: where a point inside the sensor appears in the frame, and how bright.
+
+Both renderers (camera.py, raster.py) stand on these functions, so that they can only differ in how they draw.
+The camera looks along +z of the sensor frame, x to the right and y down in the image.
+"""
+
+import numpy as np
+
+from tactip_model.pins import neutral_pins
+
+REFERENCE_PX = 256
+"""Image width, px, in which `Optics.neutral_radius` is given."""
+
+
+class Lens:
+    """A rotationally symmetric wide-angle lens: image radius k1 a + k3 a³ + k5 a⁵ of a ray at angle a to the axis.
+
+    The coefficients are those that put the design's undeformed pins where its neutral image has them (least squares);
+    `residual_px` is what remains (rms, px of a 256 px image). Beyond the outermost pin by 10 degrees the radius goes on
+    in a straight line: a polynomial is not to be trusted there.
+    """
+
+    def __init__(self, design):
+        """design: Design."""
+        optics, pins = design.optics, design.pins
+        self.width = optics.frame_px
+        self.centre = np.array(optics.centre) * self.width
+        self.position = np.array([0.0, 0.0, -design.shape.radius_m - optics.camera_height_m])
+        tips, directions = neutral_pins(design)
+        pitches = np.linalg.norm(directions[:, :2], axis=1) * design.shape.radius_m / pins.pitch_m
+        wanted = _odd(pitches) @ optics.neutral_radius
+        angle = self._angle(tips - self.position)
+        self.coefficients = np.linalg.lstsq(_odd(angle), wanted, rcond=None)[0]
+        self._straight = angle.max() + np.radians(10)
+        self.residual_px = float(np.sqrt(np.mean((self._polynomial(angle) - wanted) ** 2)))
+
+    @staticmethod
+    def _angle(rays):
+        return np.arctan2(np.hypot(rays[..., 0], rays[..., 1]), rays[..., 2])
+
+    def _polynomial(self, angle):
+        return _odd(angle) @ self.coefficients
+
+    def radius(self, angle):
+        """Distance from the image centre, px of the frame, of rays at `angle` (rad, array)."""
+        near = np.minimum(angle, self._straight)
+        slope = (self._polynomial(np.array(self._straight)) - self._polynomial(np.array(self._straight - 1e-6))) / 1e-6
+        return (self._polynomial(near) + slope * (angle - near)) * self.width / REFERENCE_PX
+
+    def angle(self, radius):
+        """Angle (rad) of the rays seen at `radius` px of the frame from the image centre: the inverse of `radius`."""
+        table = np.linspace(0, np.pi / 2, 2000)
+        return np.interp(radius, self.radius(table), table)
+
+    def project(self, points):
+        """Pixels (..., 2) of points (..., 3), m, sensor frame. The centre of the top left pixel is (0, 0)."""
+        rays = points - self.position
+        plan = np.hypot(rays[..., 0], rays[..., 1])
+        scale = self.radius(self._angle(rays)) / np.maximum(plan, 1e-12)
+        return self.centre - 0.5 + rays[..., :2] * scale[..., None]
+
+
+def _odd(x):
+    x = np.asarray(x)
+    return np.stack([x, x**3, x**5], -1)
+
+
+class LedRing:
+    """Brightness of matt surfaces under the ring of LEDs: Lambert's cosine law, inverse squares."""
+
+    def __init__(self, design):
+        """design: Design."""
+        optics = design.optics
+        azimuth = 2 * np.pi * np.arange(optics.leds) / optics.leds
+        self._lamps = np.stack(
+            [
+                optics.led_ring_radius_m * np.cos(azimuth),
+                optics.led_ring_radius_m * np.sin(azimuth),
+                np.full(optics.leds, -design.shape.radius_m - optics.led_height_m),
+            ],
+            1,
+        )
+        apex = np.array([0.0, 0.0, -design.pins.length_m])
+        self._scale = 255 * optics.exposure / (optics.pin_albedo * self._irradiance(apex, np.array([0.0, 0.0, -1.0])))
+
+    def _irradiance(self, points, normals):
+        total = np.zeros(points.shape[:-1])
+        for lamp in self._lamps:
+            to_lamp = lamp - points
+            distance2 = (to_lamp**2).sum(-1)
+            total += np.maximum((to_lamp * normals).sum(-1), 0) / distance2**1.5
+        return total
+
+    def grey(self, points, normals, albedo):
+        """Grey levels (...), 0 to 255, of surface points (..., 3) m with unit normals (..., 3) towards the camera."""
+        return np.minimum(self._scale * albedo * self._irradiance(points, normals), 255.0)
+
+
+def tip_radii(design):
+    """Radius (p,) of each pin's white tip as it appears, m: see design.Pins.diameter_m."""
+    _, directions = neutral_pins(design)
+    plan = np.linalg.norm(directions[:, :2], axis=1)
+    share = (plan / plan.max()) ** 2
+    return 0.5 * (design.pins.diameter_m + share * (design.pins.rim_diameter_m - design.pins.diameter_m))
+
+
+def inner_skin(design, polar, azimuth):
+    """Points and inward unit normals (..., 3) of the undeformed inner skin at polar angle and azimuth (arrays, rad)."""
+    outward = np.stack(
+        [np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar) + 0 * azimuth], -1
+    )
+    centre = np.array([0, 0, -design.shape.radius_m])
+    return centre + (design.shape.radius_m - design.materials.skin_thickness_m) * outward, -outward
+
+
+def backdrop(design, lens, leds):
+    """Grey image (frame_px, frame_px) float of the undeformed inner skin without pins; black outside the rim."""
+    px = np.arange(lens.width) + 0.5
+    offset = np.stack(np.meshgrid(px - lens.centre[0], px - lens.centre[1]), -1)
+    angle = lens.angle(np.linalg.norm(offset, axis=-1))
+    azimuth = np.arctan2(offset[..., 1], offset[..., 0])
+    polar = np.linspace(0, np.pi / 2, 1000)
+    points, _ = inner_skin(design, polar, np.zeros_like(polar))
+    seen = lens._angle(points - lens.position)
+    grey = leds.grey(*inner_skin(design, np.interp(angle, seen, polar), azimuth), design.optics.skin_albedo)
+    return np.where(angle <= seen[-1], grey, 0.0)
