@@ -103,8 +103,9 @@ def make(jobs, workers, say=print):
 def _work_through(jobs, folders, todo, workers, say):
     """Have `workers` processes make the samples `todo` (list of (job number, index)), in order."""
     queue = list(reversed(todo))
-    crew, killed, begun = {}, {}, time.perf_counter()
-    bar = tqdm(total=len(todo), unit="sample", file=sys.stderr, disable=None, smoothing=0.1)
+    crew, killed, estimated = {}, {}, False
+    # On a terminal the bar is redrawn at leisure; a log file gets a line now and then.
+    bar = tqdm(total=len(todo), unit="sample", file=sys.stderr, mininterval=0.5 if sys.stderr.isatty() else 15)
     try:
         for _ in range(workers):
             _hire(crew, jobs, queue)
@@ -121,10 +122,13 @@ def _work_through(jobs, folders, todo, workers, say):
                 if reply["error"]:
                     raise TactipError(reply["error"])
                 folders[worker.task[0]].seconds.append(reply["seconds"])
+                worker.made += 1
                 bar.update()
-                if bar.n == workers:
-                    share = (time.perf_counter() - begun) / workers
-                    say(f"{len(todo)} samples on {workers} worker(s): about {_duration(share * len(todo))} in all")
+                if worker.made == 2 and not estimated:  # its first was slowed by its start
+                    estimated = True
+                    left = reply["seconds"] * len(todo) / workers
+                    text = f"{len(todo)} samples on {workers} worker(s): about {_duration(left)} in all"
+                    bar.write(text, file=sys.stderr)
                 _assign(crew, conn, queue)
     except KeyboardInterrupt:
         raise Stopped(f"{bar.n} of {len(todo)} samples made and kept: the same command goes on from there") from None
@@ -136,7 +140,8 @@ def _work_through(jobs, folders, todo, workers, say):
 @dataclass
 class _Worker:
     process: object
-    task: tuple[int, int]
+    task: tuple[int, int] | None = None
+    made: int = 0
 
 
 def _hire(crew, jobs, queue):
@@ -147,7 +152,7 @@ def _hire(crew, jobs, queue):
     with _one_thread_each():
         process.start()
     theirs.close()  # so that the worker's end is the worker's alone, and its death closes it
-    crew[ours] = _Worker(process, None)
+    crew[ours] = _Worker(process)
     _assign(crew, ours, queue)
 
 

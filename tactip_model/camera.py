@@ -17,6 +17,9 @@ from tactip_model.raster import finish
 _SIDES = 24
 """Sides of the polygon that stands for a pin's round tip: 1 % of its area is missing, made up in its radius."""
 
+_BACKDROP_DEPTH = 9.0
+"""Depth of the backdrop, in the canvas's range and beyond every pin's."""
+
 
 @cache
 def _renderer():
@@ -137,14 +140,19 @@ class PinCamera:
         return np.concatenate([self._lens.project(points), depth[:, None] * 100], 1)
 
     def _skin(self):
-        """The undeformed inner skin as a mesh: a backdrop for the pins."""
+        """The undeformed inner skin as a mesh: a backdrop, behind all pins, since the real skin moves with them."""
         rings, sides = 40, 96
         polar, azimuth = np.meshgrid(
             np.linspace(0, np.pi / 2, rings + 1), 2 * np.pi * np.arange(sides) / sides, indexing="ij"
         )
         points, normals = inner_skin(self._design, polar.ravel(), azimuth.ravel())
         grey = self._leds.grey(points, normals, self._design.optics.skin_albedo)
-        i, j = (a.ravel() for a in np.meshgrid(np.arange(rings), np.arange(sides), indexing="ij"))
+        vertices = self._seen(points)
+        vertices[:, 2] = _BACKDROP_DEPTH
+        # One ring more, far outside the frame and as grey as the rim: there is no edge to be seen there.
+        rim = vertices[-sides:].copy()
+        rim[:, :2] = self._lens.centre + 10 * (rim[:, :2] - self._lens.centre)
+        i, j = (a.ravel() for a in np.meshgrid(np.arange(rings + 1), np.arange(sides), indexing="ij"))
         a, b, c, d = i * sides + j, i * sides + (j + 1) % sides, (i + 1) * sides + j, (i + 1) * sides + (j + 1) % sides
         triangles = np.concatenate([np.stack([a, c, b], 1), np.stack([b, c, d], 1)])
-        return self._canvas.mesh(self._seen(points), triangles, grey)
+        return self._canvas.mesh(np.concatenate([vertices, rim]), triangles, np.concatenate([grey, grey[-sides:]]))

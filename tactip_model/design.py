@@ -54,8 +54,9 @@ class Pins:
     """Rings round the centre pin; 6 hexagonal rings make 127 pins, 10 circular ones 331 [R]."""
     pitch_m: float = 3.0e-3
     """Distance of neighbours in plan view, m; 2.8e-3 to 3.1e-3 by the neutral images [M]."""
-    length_m: float = 2.0e-3
-    """Depth of the pin's tip below the outer surface, m [?]."""
+    length_m: float = 1.8e-3
+    """Depth of the pin's tip below the outer surface, m; about 2e-3 was remembered [?], 1.8e-3 fits the depth response
+    of the 127-pin tip best [M]."""
     diameter_m: float = 0.90e-3
     """Diameter of the white tip at the centre, m; fitted to the blobs of the neutral image [M], which the threshold
     makes larger than the pins (about 1.2e-3 was remembered [?])."""

@@ -29,13 +29,14 @@ class Lens:
         tips, directions = neutral_pins(design)
         pitches = np.linalg.norm(directions[:, :2], axis=1) * design.shape.radius_m / pins.pitch_m
         wanted = _odd(pitches) @ optics.neutral_radius
-        angle = self._angle(tips - self.position)
+        angle = self.angle_to(tips)
         self.coefficients = np.linalg.lstsq(_odd(angle), wanted, rcond=None)[0]
         self._straight = angle.max() + np.radians(10)
         self.residual_px = float(np.sqrt(np.mean((self._polynomial(angle) - wanted) ** 2)))
 
-    @staticmethod
-    def _angle(rays):
+    def angle_to(self, points):
+        """Angles (...) rad to the axis of the rays to points (..., 3), m, sensor frame."""
+        rays = points - self.position
         return np.arctan2(np.hypot(rays[..., 0], rays[..., 1]), rays[..., 2])
 
     def _polynomial(self, angle):
@@ -56,7 +57,7 @@ class Lens:
         """Pixels (..., 2) of points (..., 3), m, sensor frame. The centre of the top left pixel is (0, 0)."""
         rays = points - self.position
         plan = np.hypot(rays[..., 0], rays[..., 1])
-        scale = self.radius(self._angle(rays)) / np.maximum(plan, 1e-12)
+        scale = self.radius(self.angle_to(points)) / np.maximum(plan, 1e-12)
         return self.centre - 0.5 + rays[..., :2] * scale[..., None]
 
 
@@ -114,13 +115,12 @@ def inner_skin(design, polar, azimuth):
 
 
 def backdrop(design, lens, leds):
-    """Grey image (frame_px, frame_px) float of the undeformed inner skin without pins; black outside the rim."""
+    """Grey image (frame_px, frame_px) float of the undeformed inner skin without pins; as at the rim outside of it."""
     px = np.arange(lens.width) + 0.5
     offset = np.stack(np.meshgrid(px - lens.centre[0], px - lens.centre[1]), -1)
     angle = lens.angle(np.linalg.norm(offset, axis=-1))
     azimuth = np.arctan2(offset[..., 1], offset[..., 0])
     polar = np.linspace(0, np.pi / 2, 1000)
     points, _ = inner_skin(design, polar, np.zeros_like(polar))
-    seen = lens._angle(points - lens.position)
-    grey = leds.grey(*inner_skin(design, np.interp(angle, seen, polar), azimuth), design.optics.skin_albedo)
-    return np.where(angle <= seen[-1], grey, 0.0)
+    seen = lens.angle_to(points)
+    return leds.grey(*inner_skin(design, np.interp(angle, seen, polar), azimuth), design.optics.skin_albedo)
