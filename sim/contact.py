@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
+from scipy.special import betainc
 
 from sim.fidelity import finer
 from sim.pose import before_shear, inverse, path, sensor_in_contact, turn_between
@@ -125,6 +126,7 @@ class ContactPlayer:
     def _move(self, labels):
         """Carry the stimulus along labels (n, 6), one a step. Returns the steps taken."""
         h = self.scene.fidelity.motion.step_s
+        self.scene.model.opt.tolerance = self.scene.fidelity.solver.tolerance
         poses = [inverse(sensor_in_contact(label)) for label in labels]
         for T, T_next in zip(poses[:-1], poses[1:], strict=True):
             turn = Rotation.from_matrix(T[:3, :3].T @ T_next[:3, :3]).as_rotvec()
@@ -136,6 +138,7 @@ class ContactPlayer:
         """Hold the stimulus at `pose` (6,) until the tip is at rest. Returns the steps taken."""
         motion = self.scene.fidelity.motion
         T = inverse(sensor_in_contact(pose))
+        self.scene.model.opt.tolerance = self.scene.fidelity.solver.settle_tolerance
         for step in range(1, motion.settle_limit + 1):
             self._place(T)
             mujoco.mj_step(self.scene.model, self.scene.data)
@@ -193,6 +196,6 @@ class CarefulPlayer:
 
 
 def _shares(steps, motion):
-    """Shares (n + 1,) of a motion's way at its steps, slowing to its end (Motion.easing)."""
+    """Shares (n + 1,) of a motion's way at its steps: its pace (Motion.ease_in, ease_out) summed up."""
     n = max(motion.least_steps, int(np.ceil(steps)))
-    return 1 - (1 - np.arange(n + 1) / n) ** motion.easing
+    return betainc(motion.ease_in + 1, motion.ease_out + 1, np.arange(n + 1) / n)

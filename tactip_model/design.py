@@ -39,7 +39,7 @@ class Materials:
     friction: float = 0.3
     """Coulomb friction of skin on the stimulus, -. 0.3 gives the slip plateaus of the measured tip [M]; 0.55 to 0.7 was
     seen under a load cell [R]."""
-    damping_s: float = 0.01
+    damping_s: float = 0.005
     """Rayleigh damping of gel and skin, s: stress per strain rate over stiffness. Motions are quasi-static, so that it
     sets how fast the tip comes to rest and not where."""
 

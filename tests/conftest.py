@@ -1,0 +1,55 @@
+"""Things that several tests share and that take a while to make."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sim.contact import ContactPlayer
+from sim.fidelity import fidelity_named
+from sim.pose import from_mm_deg
+from tactip_model.design import design_named
+
+
+@pytest.fixture(scope="session")
+def design():
+    return design_named("tactip-127")
+
+
+@pytest.fixture(scope="session")
+def frictionless(design):
+    return replace(design, materials=replace(design.materials, friction=0.0))
+
+
+@pytest.fixture(scope="session")
+def standard():
+    return fidelity_named("standard")
+
+
+@pytest.fixture(scope="session")
+def on_surface(design, standard):
+    return Press(ContactPlayer(design, "surface", standard))
+
+
+@pytest.fixture(scope="session")
+def on_edge(design, standard):
+    return Press(ContactPlayer(design, "edge", standard))
+
+
+@pytest.fixture(scope="session")
+def on_ice(frictionless, standard):
+    return Press(ContactPlayer(frictionless, "surface", standard))
+
+
+class Press:
+    """A player that takes labels in mm and degrees."""
+
+    def __init__(self, player):
+        self.player = player
+
+    def __call__(self, pose, shear=(0, 0, 0, 0, 0, 0)):
+        return self.player.play(from_mm_deg(pose), from_mm_deg(shear))
+
+
+def rms(values):
+    return float(np.sqrt(np.mean(np.square(values))))
