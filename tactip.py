@@ -129,7 +129,9 @@ class Verify:
             print(f"{self.folder}: {len(problems)} problem(s)", file=sys.stderr)
             return 1
         samples = read_meta(self.folder).get("samples", {})
-        print(f"{self.folder}: whole; {samples.get('kept', 'some')} samples, {samples.get('failed', 0)} failed contacts")
+        print(
+            f"{self.folder}: whole; {samples.get('kept', 'some')} samples, {samples.get('failed', 0)} failed contacts"
+        )
         return 0
 
 

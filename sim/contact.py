@@ -68,7 +68,9 @@ class Contact:
             return ["the state is not finite"]
         faults = []
         if self.volume_ratio < bounds.volume_ratio:
-            faults.append(f"an element shrank to {self.volume_ratio:.3f} of its volume (allowed: {bounds.volume_ratio})")
+            faults.append(
+                f"an element shrank to {self.volume_ratio:.3f} of its volume (allowed: {bounds.volume_ratio})"
+            )
         if self.penetration_m > bounds.penetration_m:
             faults.append(
                 f"the object is {1e3 * self.penetration_m:.4f} mm inside the skin "
@@ -126,7 +128,7 @@ class ContactPlayer:
     def _move(self, labels):
         """Carry the stimulus along labels (n, 6), one a step. Returns the steps taken."""
         h = self.scene.fidelity.motion.step_s
-        self.scene.model.opt.tolerance = self.scene.fidelity.solver.tolerance
+        self.scene.stiffen(resting=False)
         poses = [inverse(sensor_in_contact(label)) for label in labels]
         for T, T_next in zip(poses[:-1], poses[1:], strict=True):
             turn = Rotation.from_matrix(T[:3, :3].T @ T_next[:3, :3]).as_rotvec()
@@ -138,7 +140,7 @@ class ContactPlayer:
         """Hold the stimulus at `pose` (6,) until the tip is at rest. Returns the steps taken."""
         motion = self.scene.fidelity.motion
         T = inverse(sensor_in_contact(pose))
-        self.scene.model.opt.tolerance = self.scene.fidelity.solver.settle_tolerance
+        self.scene.stiffen(resting=True)
         for step in range(1, motion.settle_limit + 1):
             self._place(T)
             mujoco.mj_step(self.scene.model, self.scene.data)

@@ -28,7 +28,7 @@ class Motion:
     """Powers with which a motion's pace grows from its start and falls to its end: pace ~ t^ease_in (1 - t)^ease_out, t
     from 0 to 1. 0 is a jerk: at the start it throws the tip off the surface, at the end the skin swings on and friction
     lets go. A steady pace has three times the error of these at the same cost."""
-    settle_steps: int = 3
+    settle_steps: int = 4
     """Fewest steps at rest before recording."""
     settle_speed_m_s: float = 2e-3
     """Settling goes on until no vertex moves faster, m/s ..."""
@@ -73,7 +73,14 @@ FIDELITIES = {
     "reference": Fidelity(
         "reference",
         mesh=Resolution(surface_m=1.5e-3, rim_m=3e-3),
-        motion=Motion(step_s=3e-3, press_step_m=0.1e-3, shear_step_m=0.1e-3, settle_steps=20, settle_limit=60, settle_speed_m_s=1e-4),
+        motion=Motion(
+            step_s=3e-3,
+            press_step_m=0.1e-3,
+            shear_step_m=0.1e-3,
+            settle_steps=20,
+            settle_limit=60,
+            settle_speed_m_s=1e-4,
+        ),
         solver=Solver(tolerance=1e-9, settle_tolerance=1e-11, iterations=3000),
     ),
 }

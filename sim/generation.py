@@ -37,8 +37,7 @@ from sim.dataset import (
     versions,
     write_file,
 )
-from sim.sampling import generator
-from sim.verification import seed_text
+from sim.sampling import generator, seed_text
 from tactip_model.errors import Stopped, TactipError, choose
 from tactip_model.image import tactile_image
 from tactip_model.pins import neutral_pins
@@ -447,4 +446,8 @@ def _first_difference(there, asked, name):
 def _duration(seconds):
     """Seconds as text for people."""
     seconds = round(seconds)
-    return f"{seconds // 3600} h {seconds % 3600 // 60} min" if seconds >= 3600 else f"{seconds // 60} min {seconds % 60} s"
+    return (
+        f"{seconds // 3600} h {seconds % 3600 // 60} min"
+        if seconds >= 3600
+        else f"{seconds // 60} min {seconds % 60} s"
+    )

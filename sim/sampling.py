@@ -67,3 +67,8 @@ def generator(seed, task, split, index):
     choose("split", split, dict.fromkeys(SPLITS))
     key = (TASKS.index(task), SPLITS.index(split), index)
     return np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=key)))
+
+
+def seed_text(seed, task, split, index):
+    """The seed (str) of a sample as its row names it: the arguments of `generator`."""
+    return f"{seed}:{task}:{split}:{index}"

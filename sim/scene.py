@@ -7,7 +7,7 @@ arm costs two to six times as much a step.
 import mujoco
 import numpy as np
 
-from sim.stimulus import add_stimulus
+from sim.stimulus import TASKS, add_stimulus
 from tactip_model.body import add_body
 from tactip_model.errors import TactipError, choose
 from tactip_model.mesh import build_mesh
@@ -21,6 +21,7 @@ class Scene:
 
     def __init__(self, design, task, fidelity):
         """design: Design. task: `surface` or `edge`. fidelity: Fidelity. Raises TactipError on what cannot be built."""
+        choose("task", task, dict.fromkeys(TASKS))
         self.design, self.task, self.fidelity = design, task, fidelity
         try:
             self.mesh = build_mesh(design.shape, fidelity.mesh)
@@ -59,6 +60,13 @@ class Scene:
         """Undeformed tip, nothing remembered: a contact depends on nothing that was played before."""
         mujoco.mj_resetData(self.model, self.data)
 
+    def stiffen(self, resting):
+        """Set contact and solver to those for a tip that comes to rest (True), or that is moved (False)."""
+        contact, solver = self.fidelity.contact, self.fidelity.solver
+        solref = -np.array(contact.resting if resting else contact.moving)
+        self.model.geom_solref[:], self.model.flex_solref[:] = solref, solref
+        self.model.opt.tolerance = solver.settle_tolerance if resting else solver.tolerance
+
     def place(self, position, quaternion, linear=(0, 0, 0), angular=(0, 0, 0)):
         """Set the stimulus: position (3,) m and quaternion (4,) in the sensor frame, velocity m/s, and rad/s in its own."""
         self.data.qpos[:3], self.data.qpos[3:_STIMULUS_QPOS] = position, quaternion
@@ -89,9 +97,3 @@ class Scene:
     def penetration(self):
         """Greatest depth (m) of a contact point inside the stimulus, at the last step; 0 without contact."""
         return max(0.0, -float(self.data.contact.dist.min())) if self.data.ncon else 0.0
-
-
-def scene_for(design, task, fidelity, tasks):
-    """A Scene, after a look at the task's name; raises TactipError that lists `tasks` where there is none."""
-    choose("task", task, dict.fromkeys(tasks))
-    return Scene(design, task, fidelity)

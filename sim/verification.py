@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 
 from sim.dataset import COLUMNS, LABELS, SHEARS, checksum, digest_of, image_name, read_meta, read_targets
+from sim.sampling import seed_text
 from tactip_model.errors import TactipError
 
 _ROUNDING = 1e-6
@@ -47,7 +48,9 @@ def _files(folder, meta):
 
 def _images(folder, meta, rows):
     named = [row["sensor_image"] for row in rows]
-    problems = [f"targets.csv: the image {n} has more than one row" for n in sorted({n for n in named if named.count(n) > 1})]
+    problems = [
+        f"targets.csv: the image {n} has more than one row" for n in sorted({n for n in named if named.count(n) > 1})
+    ]
     there = {path.name for path in (folder / "images").glob("*")}
     problems += [f"images/{name}: missing" for name in sorted(set(named) - there)]
     problems += [f"images/{name}: has no row in targets.csv" for name in sorted(there - set(named))]
@@ -98,7 +101,9 @@ def _rows(rows, meta):
                     "a row of another configuration"
                 )
         if configuration is not None and not _belongs(row, configuration):
-            problems.append(f"{where}: its seed {row.get('seed')!r} or its image is not of this set: a mixed configuration")
+            problems.append(
+                f"{where}: its seed {row.get('seed')!r} or its image is not of this set: a mixed configuration"
+            )
     return problems
 
 
@@ -109,11 +114,6 @@ def _belongs(row, configuration):
     index = int(row["index"])
     seed = seed_text(configuration["seed"], configuration["task"], configuration["split"], index)
     return index < configuration["samples"] and row["seed"] == seed and row["sensor_image"] == image_name(index)
-
-
-def seed_text(seed, task, split, index):
-    """The seed (str) of a sample as its row names it: what sim.sampling.generator takes."""
-    return f"{seed}:{task}:{split}:{index}"
 
 
 def _pins(folder, meta, rows):

@@ -33,11 +33,12 @@ TOUCHES_FACETS = 4
 class ContactModel:
     """How contact is enforced. Numerical: none of it is a property of the tip."""
 
-    stiffness: float = 2e7
-    """Direct `solref` stiffness, 1/s^2. The default contact scales with the vertices' tiny masses and lets objects
-    through the skin; this leaves less than 0.05 mm."""
-    damping: float = 8e4
-    """Direct `solref` damping, 1/s."""
+    moving: tuple[float, float] = (1e6, 4e3)
+    """Direct `solref` while the stimulus moves: stiffness, 1/s^2, and damping, 1/s. The default contact scales with the
+    vertices' tiny masses and lets objects through the skin. Stiffer than this, vertices bounce, sliding lets go of a
+    part of the shear, and the error of a sheared contact doubles."""
+    resting: tuple[float, float] = (3e7, 1e5)
+    """The same while the tip comes to rest: stiff enough to leave less than 0.05 mm of penetration."""
     impedance: float = 0.95
     """`solimp`: constant impedance, -."""
     vertex_mass_kg: float = 3e-5
@@ -73,9 +74,7 @@ def add_body(spec, parent, design, mesh, resolution, contact):
         if bonded:
             bodies.append(parent.name)
             continue
-        body = parent.add_body(
-            name=f"tip/{i}", pos=position, mass=mass[i], inertia=[1e-9] * 3, explicitinertial=True
-        )
+        body = parent.add_body(name=f"tip/{i}", pos=position, mass=mass[i], inertia=[1e-9] * 3, explicitinertial=True)
         for axis in np.eye(3):
             body.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
         if i < mesh.surface_count:
@@ -128,11 +127,11 @@ def add_body(spec, parent, design, mesh, resolution, contact):
 
 
 def contact_attributes(friction, contact):
-    """Attributes (dict) of a flex or geom that touches: friction (-) and a ContactModel."""
+    """Attributes (dict) of a flex or geom that touches, as while moving: friction (-) and a ContactModel."""
     return {
         # Without friction the contact must have one dimension: three with zero friction turned the dome inside out.
         "condim": 3 if friction > 0 else 1,
         "friction": [friction, 0, 0],
-        "solref": [-contact.stiffness, -contact.damping],
+        "solref": [-x for x in contact.moving],
         "solimp": [contact.impedance, contact.impedance, 1e-4, 0.5, 2],
     }

@@ -124,9 +124,7 @@ class Design:
 
 DESIGNS = {
     # The first ring of the real 127-pin tip is turned by about 29 degrees, its centre at (126.2, 129.8) of 256 px [M].
-    "tactip-127": Design(
-        "tactip-127", pins=Pins(rotation_deg=29.0), optics=Optics(centre=(126.2 / 256, 129.8 / 256))
-    ),
+    "tactip-127": Design("tactip-127", pins=Pins(rotation_deg=29.0), optics=Optics(centre=(126.2 / 256, 129.8 / 256))),
     "tactip-331": Design(
         "tactip-331",
         # Fitted to the 331 blobs of its neutral image (rms 0.5 of 360 px) [M]; pitch by the same extent as the other's.

@@ -16,8 +16,8 @@ class Lens:
     """A rotationally symmetric wide-angle lens: image radius k1 a + k3 a³ + k5 a⁵ of a ray at angle a to the axis.
 
     The coefficients are those that put the design's undeformed pins where its neutral image has them (least squares);
-    `residual_px` is what remains (rms, px of a 256 px image). Beyond the outermost pin by 10 degrees the radius goes on
-    in a straight line: a polynomial is not to be trusted there.
+    `residual_px` is what remains (rms, px of a 256 px image). Beyond the outermost undeformed pin the radius goes on in a
+    straight line: a polynomial is not to be trusted there.
     """
 
     def __init__(self, design):
@@ -31,7 +31,7 @@ class Lens:
         wanted = _odd(pitches) @ optics.neutral_radius
         angle = self.angle_to(tips)
         self.coefficients = np.linalg.lstsq(_odd(angle), wanted, rcond=None)[0]
-        self._straight = angle.max() + np.radians(10)
+        self._straight = angle.max()
         self.residual_px = float(np.sqrt(np.mean((self._polynomial(angle) - wanted) ** 2)))
 
     def angle_to(self, points):

@@ -119,8 +119,11 @@ class Dome:
         full[..., 0, 0], full[..., 0, 1], full[..., 1, 0], full[..., 1, 1] = g[..., 0], g[..., 1], g[..., 2], g[..., 3]
         swap[..., :4, :4] = np.einsum("egil,egkj->egijkl", full, full).reshape(*j.shape, 4, 4)
         swap[..., 4, 4] = g[..., 4] ** 2
-        tangent = (mu[..., None, None] * np.eye(5) + (mu - lam * (j - 1) * j)[..., None, None] * swap
-                   + (lam * (2 * j - 1) * j)[..., None, None] * np.einsum("egi,egj->egij", g, g))
+        tangent = (
+            mu[..., None, None] * np.eye(5)
+            + (mu - lam * (j - 1) * j)[..., None, None] * swap
+            + (lam * (2 * j - 1) * j)[..., None, None] * np.einsum("egi,egj->egij", g, g)
+        )
         force = np.einsum("egij,egi,eg->ej", self._b, p, self._w)
         stiffness = np.einsum("egik,egij,egjl,eg->ekl", self._b, tangent, self._b, self._w, optimize=True)
         total = np.zeros(u.size)

@@ -1,0 +1,55 @@
+# Everything sets itself up first. `make` alone says what there is.
+
+TASK ?= all
+SAMPLES ?= 200
+OUT ?= data
+WORKERS ?= auto
+FIDELITY ?= standard
+PYTHON ?=
+
+BIN := .venv/bin
+READY := .venv/.ready
+
+help:
+	@echo "make setup         .venv with pinned versions, and OpenGL"
+	@echo "make sim-dataset   simulated data sets  [TASK=all|surface|edge] [SAMPLES=200] [OUT=data] [WORKERS=auto] [FIDELITY=standard]"
+	@echo "make report        measure errors and costs; write docs/fidelity.md and the README's picture"
+	@echo "make test          all tests but the slow ones    make test-all   those too"
+	@echo "make lint          ruff and pyright"
+	@echo "make lock          write requirements.lock anew"
+	@echo "make clean         remove .venv and caches; data stay"
+
+setup: $(READY)
+
+$(READY): pyproject.toml requirements.lock scripts/setup.sh
+	@PYTHON="$(PYTHON)" sh scripts/setup.sh
+	@touch $@
+
+sim-dataset: $(READY)
+	@$(BIN)/tactip dataset make --task "$(TASK)" --split all --samples "$(SAMPLES)" --out "$(OUT)" \
+		--workers "$(WORKERS)" --fidelity "$(FIDELITY)"
+	@echo "The paper's sets have 2000 samples each: make sim-dataset SAMPLES=2000 OUT=data-2000"
+
+test: $(READY)
+	@$(BIN)/python -m pytest
+
+test-all: $(READY)
+	@$(BIN)/python -m pytest -m ""
+
+report: $(READY)
+	@$(BIN)/python -m benchmarks.contact_error
+	@$(BIN)/python -m benchmarks.real_comparison
+
+lint: $(READY)
+	@$(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/pyright
+
+lock:
+	@rm -rf .venv-lock && python3.11 -m venv .venv-lock
+	@.venv-lock/bin/pip install --quiet torch==2.13.0 && .venv-lock/bin/pip install --quiet '.[dev]'
+	@.venv-lock/bin/pip freeze --exclude tactip-twin | sed 's/+cpu$$//' > requirements.lock
+	@rm -rf .venv-lock build
+
+clean:
+	@rm -rf .venv build *.egg-info .pytest_cache .ruff_cache .hypothesis
+
+.PHONY: help setup sim-dataset test test-all report lint lock clean

@@ -1,0 +1,190 @@
+"""Lens, light, the two renderers, and the tactile image."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from conftest import rms
+
+from tactip_model.camera import PinCamera
+from tactip_model.design import DESIGNS, TactileImage, design_named
+from tactip_model.errors import TactipError
+from tactip_model.image import tactile_image
+from tactip_model.optics import LedRing, Lens
+from tactip_model.pins import neutral_pins
+from tactip_model.raster import Raster
+
+# Mean blob diameter (px of a 256 px image) by shell N = i² + ij + j² of the real 127-pin tip's neutral image.
+REAL_BLOBS = {1: 4.39, 3: 4.32, 4: 4.34, 7: 4.32, 9: 4.37, 12: 4.46, 13: 4.59, 16: 4.61, 19: 4.90, 21: 4.99, 25: 5.04}
+REAL_BLOBS |= {27: 5.18, 28: 5.35, 31: 5.45, 36: 5.50}
+
+
+@pytest.fixture(scope="module")
+def camera(design):
+    return PinCamera(design)
+
+
+@pytest.fixture(scope="module")
+def raster(design):
+    return Raster(design)
+
+
+def blobs(frame, settings):
+    """Centres (n, 2) and diameters (n,), px of a 256 px image, of the white blobs of a thresholded frame."""
+    block, constant = settings.threshold
+    binary = cv2.adaptiveThreshold(frame, 255, cv2.ADAPTIVE_THRESH_MEAN_C, cv2.THRESH_BINARY, block, constant)
+    _, _, stats, centres = cv2.connectedComponentsWithStats(binary)
+    scale = 256 / frame.shape[0]
+    return (centres[1:] + 0.5) * scale - 0.5, 2 * np.sqrt(stats[1:, cv2.CC_STAT_AREA] / np.pi) * scale
+
+
+@pytest.mark.parametrize("renderer", ["camera", "raster"])
+def test_neutral_image_of_the_127_pin_tip_is_the_real_ones(request, design, renderer):
+    """The real map: r = 11.31 ρ + 0.0516 ρ³ + 0.00235 ρ⁵ about (126.2, 129.8), first ring turned by 29 degrees."""
+    tips, directions = neutral_pins(design)
+    frame = request.getfixturevalue(renderer).render(tips, directions)
+    centres, diameters = blobs(frame, design.image)
+    assert len(centres) == 127
+    lattice = np.array([(i, j) for i in range(-6, 7) for j in range(-6, 7) if abs(i + j) <= 6])
+    flat = np.stack([lattice[:, 0] + lattice[:, 1] / 2, np.sqrt(3) / 2 * lattice[:, 1]], 1)
+    shell = (lattice**2).sum(1) + lattice.prod(1)
+    rho = np.sqrt(shell)
+    radius = 11.31 * rho + 0.0516 * rho**3 + 0.00235 * rho**5
+    azimuth = np.arctan2(flat[:, 1], flat[:, 0]) + np.radians(29)
+    real = np.array([126.2, 129.8]) + radius[:, None] * np.stack([np.cos(azimuth), np.sin(azimuth)], 1)
+    distance = np.linalg.norm(real[:, None] - centres[None], axis=2)
+    assert len(set(distance.argmin(1))) == 127
+    assert rms(distance.min(1)) < 1.0
+    for n, size in REAL_BLOBS.items():
+        mean = diameters[distance.argmin(1)[shell == n]].mean()
+        assert mean == pytest.approx(size, rel=0.1), f"shell {n}"
+
+
+def test_neutral_image_of_the_331_pin_tip_has_its_rings():
+    tip = design_named("tactip-331")
+    frame = Raster(tip).render(*neutral_pins(tip))
+    centres, _ = blobs(frame, tip.image)
+    radius = np.linalg.norm(centres - np.array(tip.optics.centre) * 256 + 0.5, axis=1)
+    rings = np.array([7.946 * k + 0.0200 * k**3 - 3.18e-5 * k**5 for k in range(11)])
+    nearest = np.abs(radius[:, None] - rings).argmin(1)
+    assert np.bincount(nearest).tolist() == [1, *(6 * k for k in range(1, 11))]
+    assert np.abs(radius - rings[nearest]).max() < 1.0
+
+
+@pytest.mark.parametrize("name", DESIGNS)
+def test_lens_is_monotonic_and_inverted(name):
+    lens = Lens(design_named(name))
+    angle = np.linspace(0, 1.4, 500)
+    radius = lens.radius(angle)
+    assert (np.diff(radius) > 0).all()
+    assert np.abs(lens.angle(radius) - angle).max() < 1e-4
+    assert lens.residual_px < 0.5
+
+
+def test_led_ring_falls_off_with_the_square_of_the_distance(design):
+    leds = LedRing(design)
+    facing = np.array([0, 0, -1.0])
+    far, further = (leds._irradiance(np.array([0, 0, z]), facing) for z in (10.0, 20.0))
+    assert far / further == pytest.approx(4, rel=0.02)
+    assert leds._irradiance(np.zeros(3), -facing) == 0
+
+
+def deformed(on_edge):
+    for pose, shear in (
+        ([0, 0, -5, 0, 0, 0], [0] * 6),
+        ([3, 0, -4, 12, -10, 40], [4, -4, 0, 3, 3, -5]),
+        ([-4, 0, -2, -15, 15, -45], [-5, 5, 0, -5, 5, 5]),
+    ):
+        yield on_edge(pose, shear)
+
+
+def test_raster_agrees_with_pyrender(camera, raster, on_edge, design):
+    """Deformed pins: grey within 1 level in the mean and 12 rms on the pins; 1.5 % of the tactile image's pixels."""
+    for contact in deformed(on_edge):
+        a = camera.render(contact.tips, contact.directions).astype(float)
+        b = raster.render(contact.tips, contact.directions).astype(float)
+        assert np.abs(a - b).mean() < 0.5
+        assert rms((a - b)[np.maximum(a, b) > 40]) < 12
+        binary = [tactile_image(x.astype(np.uint8), design.image) for x in (a, b)]
+        assert (binary[0] != binary[1]).mean() < 0.015
+
+
+def test_renderers_show_every_pin(camera, raster, on_edge, design):
+    for contact in deformed(on_edge):
+        for eye in (camera, raster):
+            centres, _ = blobs(eye.render(contact.tips, contact.directions), design.image)
+            assert len(centres) == 127
+
+
+def test_raster_draws_a_batch_as_it_draws_one(raster, on_edge):
+    contacts = list(deformed(on_edge))
+    tips = np.stack([c.tips for c in contacts])
+    directions = np.stack([c.directions for c in contacts])
+    batch = raster.render(tips, directions)
+    assert batch.shape == (3, 360, 360)
+    assert (batch[1] == raster.render(tips[1], directions[1])).all()
+
+
+def test_two_designs_can_be_drawn_in_one_process(camera, design):
+    other = design_named("tactip-331")
+    before = camera.render(*neutral_pins(design))
+    PinCamera(other).render(*neutral_pins(other))
+    assert (camera.render(*neutral_pins(design)) == before).all()
+
+
+def test_drawing_does_not_eat_memory(camera, design):
+    """200 images after the first ones: less than 10 MB more."""
+    import resource
+
+    pins = neutral_pins(design)
+    for _ in range(20):
+        camera.render(*pins)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    for _ in range(200):
+        camera.render(*pins)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 10_000
+
+
+def test_tactile_image_is_binary_and_128(raster, design):
+    image = tactile_image(raster.render(*neutral_pins(design)), design.image)
+    assert image.shape == (128, 128)
+    assert image.dtype == np.uint8
+    assert set(np.unique(image)) == {0, 255}
+
+
+def test_tactile_image_of_a_real_frames_size(raster, design):
+    """A 640×480 colour frame with the pins somewhere in it, cropped as the real rigs do: the same image."""
+    grey = raster.render(*neutral_pins(design))
+    frame = np.full((480, 640), grey[0, 0], np.uint8)
+    frame[60:420, 140:500] = grey
+    cropped = replace(design.image, crop=(140, 60, 500, 420))
+    colour = tactile_image(cv2.cvtColor(frame, cv2.COLOR_GRAY2BGR), cropped)
+    assert (colour != tactile_image(grey, design.image)).mean() < 0.002
+
+
+def test_tactile_image_of_a_binary_frame_keeps_it(design):
+    rng = np.random.default_rng(0)
+    small = np.where(rng.random((128, 128)) < 0.1, 255, 0).astype(np.uint8)
+    doubled = np.kron(small, np.ones((2, 2), np.uint8))
+    assert (tactile_image(doubled, replace(design.image, threshold=None)) == small).all()
+
+
+def test_threshold_does_not_depend_on_brightness(raster, design):
+    grey = raster.render(*neutral_pins(design))
+    brighter = np.clip(grey.astype(int) + 60, 0, 255).astype(np.uint8)
+    assert (tactile_image(grey, design.image) != tactile_image(brighter, design.image)).mean() < 0.001
+
+
+@pytest.mark.parametrize(
+    ("frame", "settings", "words"),
+    [
+        (np.zeros((10, 10)), TactileImage(), "uint8"),
+        (np.zeros((10, 10, 4), np.uint8), TactileImage(), "uint8"),
+        (np.zeros((100, 100), np.uint8), TactileImage(crop=(0, 0, 101, 50)), "crop"),
+        (np.zeros((100, 100), np.uint8), TactileImage(threshold=(60, 5.0)), "odd"),
+    ],
+)
+def test_unfit_frames_are_refused(frame, settings, words):
+    with pytest.raises(TactipError, match=words):
+        tactile_image(frame, settings)
