@@ -58,9 +58,10 @@ class Make:
     """Unlabelled perturbations."""
 
     def run(self):
-        from sim import generation
+        from sim.crew import worker_count
+        from sim.generation import make
 
-        results = generation.make(self._jobs(), generation.worker_count(self.workers))
+        results = make(self._jobs(), worker_count(self.workers))
         failed = 0
         for r in results:
             failed += r["failed"]
@@ -129,9 +130,7 @@ class Verify:
             print(f"{self.folder}: {len(problems)} problem(s)", file=sys.stderr)
             return 1
         samples = read_meta(self.folder).get("samples", {})
-        print(
-            f"{self.folder}: whole; {samples.get('kept', 'some')} samples, {samples.get('failed', 0)} failed contacts"
-        )
+        print(f"{self.folder}: whole; {samples.get('kept', 'some')} samples, {samples.get('failed', 0)} failed contacts")
         return 0
 
 
@@ -174,9 +173,7 @@ class Dataset:
 def main(arguments=None):
     """Run the command line. arguments: list of str, the process's own if None. Returns the exit status (int)."""
     about = "A digital twin of the TacTip, a soft optical fingertip."
-    command = tyro.extras.subcommand_cli_from_dict(
-        {"dataset": Dataset}, args=arguments, prog="tactip", description=about
-    )
+    command = tyro.extras.subcommand_cli_from_dict({"dataset": Dataset}, args=arguments, prog="tactip", description=about)
     try:
         return command.run()
     except TactipError as error:

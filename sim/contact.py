@@ -2,6 +2,7 @@
 
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import pairwise
 
 import mujoco
 import numpy as np
@@ -68,13 +69,10 @@ class Contact:
             return ["the state is not finite"]
         faults = []
         if self.volume_ratio < bounds.volume_ratio:
-            faults.append(
-                f"an element shrank to {self.volume_ratio:.3f} of its volume (allowed: {bounds.volume_ratio})"
-            )
+            faults.append(f"an element shrank to {self.volume_ratio:.3f} of its volume (allowed: {bounds.volume_ratio})")
         if self.penetration_m > bounds.penetration_m:
             faults.append(
-                f"the object is {1e3 * self.penetration_m:.4f} mm inside the skin "
-                f"(allowed: {1e3 * bounds.penetration_m} mm)"
+                f"the object is {1e3 * self.penetration_m:.4f} mm inside the skin (allowed: {1e3 * bounds.penetration_m} mm)"
             )
         if self.speed_m_s > bounds.speed_m_s:
             faults.append(
@@ -101,7 +99,9 @@ class ContactPlayer:
     def __init__(self, design, task, fidelity):
         """design: Design. task: `surface` or `edge`. fidelity: Fidelity. Raises TactipError on what cannot be built."""
         self.scene = Scene(design, task, fidelity)
-        self._reader = PinReader(design, self.scene.mesh)
+        """The scene, at the end of the last contact."""
+        self.reader = PinReader(design, self.scene.mesh)
+        """The design's pins on this scene's skin."""
 
     def play(self, pose, shear):
         """Press at `pose` minus `shear`, move to `pose`, settle. pose, shear: (6,), m and rad. Returns a Contact."""
@@ -119,7 +119,7 @@ class ContactPlayer:
         dome_centre = sensor_in_contact(start) @ [0, 0, -radius, 1]
         lift = height_to_clear(self.scene.task, dome_centre[:3], radius) + _CLEARANCE_M
         if lift > 0:
-            above = start + [0, 0, lift, 0, 0, 0]
+            above = start + np.array([0, 0, lift, 0, 0, 0])
             yield path(above, start, _shares(lift / motion.press_step_m, motion))
         travel = np.linalg.norm(shear[:3]) + _LEVER_M * turn_between(start, pose)
         if travel > 0:
@@ -130,7 +130,7 @@ class ContactPlayer:
         h = self.scene.fidelity.motion.step_s
         self.scene.stiffen(resting=False)
         poses = [inverse(sensor_in_contact(label)) for label in labels]
-        for T, T_next in zip(poses[:-1], poses[1:], strict=True):
+        for T, T_next in pairwise(poses):
             turn = Rotation.from_matrix(T[:3, :3].T @ T_next[:3, :3]).as_rotvec()
             self._place(T, (T_next[:3, 3] - T[:3, 3]) / h, turn / h)
             mujoco.mj_step(self.scene.model, self.scene.data)
@@ -155,7 +155,7 @@ class ContactPlayer:
     def _record(self, pose, shear, warnings, steps):
         scene = self.scene
         vertices = scene.vertices()
-        tips, directions = self._reader.read(vertices[: scene.mesh.surface_count])
+        tips, directions = self.reader.read(vertices[: scene.mesh.surface_count])
         force = sensor_in_contact(pose)[:3, :3] @ scene.contact_force()
         ratio = tetrahedron_volumes(vertices, scene.mesh.tetrahedra) / scene.mesh.volumes
         return Contact(

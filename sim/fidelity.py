@@ -105,7 +105,5 @@ def finer(fidelity):
             settle_steps=2 * motion.settle_steps,
             settle_limit=4 * motion.settle_limit,
         ),
-        solver=replace(
-            fidelity.solver, tolerance=fidelity.solver.tolerance / 10, iterations=3 * fidelity.solver.iterations
-        ),
+        solver=replace(fidelity.solver, tolerance=fidelity.solver.tolerance / 10, iterations=3 * fidelity.solver.iterations),
     )

@@ -12,18 +12,15 @@ import json
 import os
 import platform
 import shutil
-import signal
-import sys
 import time
 from dataclasses import dataclass
 from datetime import datetime, timezone
-from multiprocessing import connection, get_context
 from pathlib import Path
 
 import numpy as np
-from tqdm import tqdm
 
 from sim.contact import CarefulPlayer
+from sim.crew import Crew, disk_error
 from sim.dataset import (
     PARTIAL,
     Configuration,
@@ -38,7 +35,7 @@ from sim.dataset import (
     write_file,
 )
 from sim.sampling import generator, seed_text
-from tactip_model.errors import Stopped, TactipError, choose
+from tactip_model.errors import TactipError, choose
 from tactip_model.image import tactile_image
 from tactip_model.pins import neutral_pins
 
@@ -65,19 +62,6 @@ def check(configuration):
     configuration.shear.check("shear")
 
 
-def worker_count(asked):
-    """Number of workers (int) for `auto` or a number as str or int. Raises TactipError on anything else."""
-    if asked == "auto":
-        return len(os.sched_getaffinity(0))
-    try:
-        count = int(asked)
-    except ValueError:
-        count = 0
-    if count < 1:
-        raise TactipError(f"{asked!r} workers cannot work: ask for a number of at least 1, or auto")
-    return count
-
-
 def make(jobs, workers, say=print):
     """Make the sets of `jobs` (list of Job), or finish them where they were left.
 
@@ -94,159 +78,28 @@ def make(jobs, workers, say=print):
         if todo and len(todo) < total:
             say(f"{total - len(todo)} of {total} samples are there already")
         start = time.perf_counter()
+        workers = min(workers, max(1, len(todo)))
         if todo:
-            _work_through(jobs, folders, todo, min(workers, len(todo)), say)
-        return [folder.finish(time.perf_counter() - start, min(workers, max(1, len(todo)))) for folder in folders]
+            arguments = [job.configuration for job in jobs], [str(job.folder) for job in jobs]
+            crew = Crew(_Makers, arguments, todo, "sample", say)
+            crew.work(workers, lambda task, seconds: folders[task[0]].seconds.append(seconds))
+        return [folder.finish(time.perf_counter() - start, workers) for folder in folders]
 
 
-def _work_through(jobs, folders, todo, workers, say):
-    """Have `workers` processes make the samples `todo` (list of (job number, index)), in order."""
-    queue = list(reversed(todo))
-    crew, killed, estimated = {}, {}, False
-    # On a terminal the bar is redrawn at leisure; a log file gets a line now and then.
-    bar = tqdm(total=len(todo), unit="sample", file=sys.stderr, mininterval=0.5 if sys.stderr.isatty() else 15)
-    try:
-        for _ in range(workers):
-            _hire(crew, jobs, queue)
-        while crew:
-            waiting = [c for c in crew] + [w.process.sentinel for w in crew.values()]
-            ready = connection.wait(waiting)
-            for conn in [c for c in crew if c in ready or crew[c].process.sentinel in ready]:
-                worker = crew[conn]
-                try:
-                    reply = conn.recv()
-                except (EOFError, ConnectionResetError):
-                    _bury(crew, conn, killed, queue, jobs, say)
-                    continue
-                if reply["error"]:
-                    raise TactipError(reply["error"])
-                folders[worker.task[0]].seconds.append(reply["seconds"])
-                worker.made += 1
-                bar.update()
-                if worker.made == 2 and not estimated:  # its first was slowed by its start
-                    estimated = True
-                    left = reply["seconds"] * len(todo) / workers
-                    text = f"{len(todo)} samples on {workers} worker(s): about {_duration(left)} in all"
-                    bar.write(text, file=sys.stderr)
-                _assign(crew, conn, queue)
-    except KeyboardInterrupt:
-        raise Stopped(f"{bar.n} of {len(todo)} samples made and kept: the same command goes on from there") from None
-    finally:
-        bar.close()
-        _dismiss(crew)
+class _Makers:
+    """The sample makers of a worker, made as they are needed."""
 
+    def __init__(self, configurations, folders):
+        """configurations: list of Configuration. folders: list of str, theirs."""
+        self._configurations, self._folders, self._makers = configurations, folders, {}
 
-@dataclass
-class _Worker:
-    process: object
-    task: tuple[int, int] | None = None
-    made: int = 0
-
-
-def _hire(crew, jobs, queue):
-    """Start a worker on the next sample of the queue."""
-    context = get_context("spawn")
-    ours, theirs = context.Pipe()
-    process = context.Process(target=_serve, args=(theirs, [job.configuration for job in jobs], _paths(jobs)))
-    with _one_thread_each():
-        process.start()
-    theirs.close()  # so that the worker's end is the worker's alone, and its death closes it
-    crew[ours] = _Worker(process)
-    _assign(crew, ours, queue)
-
-
-def _paths(jobs):
-    return [str(job.folder) for job in jobs]
-
-
-@contextlib.contextmanager
-def _one_thread_each():
-    """Have processes started here use one thread each for numerics and for software OpenGL: workers fill the cores."""
-    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "LP_NUM_THREADS")
-    before = {name: os.environ.get(name) for name in names}
-    for name in names:
-        os.environ.setdefault(name, "1")
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-
-
-def _assign(crew, conn, queue):
-    """Give a worker the next sample, or its notice where there is none."""
-    if not queue:
-        conn.close()
-        crew.pop(conn).process.join()
-        return
-    crew[conn].task = queue.pop()
-    try:
-        conn.send(crew[conn].task)
-    except BrokenPipeError:
-        pass  # it is dead, and its sentinel says so at the next wait
-
-
-def _bury(crew, conn, killed, queue, jobs, say):
-    """A worker died: put its sample back and start another, unless that sample has killed one before."""
-    worker = crew.pop(conn)
-    conn.close()
-    worker.process.join()
-    job, index = worker.task
-    killed[worker.task] = killed.get(worker.task, 0) + 1
-    code = worker.process.exitcode
-    how = f"by signal {signal.Signals(-code).name}" if code < 0 else f"with exit code {code}"
-    if killed[worker.task] > 1:
-        raise TactipError(
-            f"sample {index} of {jobs[job].folder} has ended two workers (the last {how}): is memory short? Samples made "
-            "so far are kept, and the same command goes on from there"
-        )
-    say(f"a worker ended {how} at sample {index}: another takes over")
-    queue.append(worker.task)
-    _hire(crew, jobs, queue)
-
-
-def _dismiss(crew):
-    """Let workers finish what they hold, then make sure that they are gone."""
-    for conn in crew:
-        conn.close()
-    for worker in crew.values():
-        worker.process.join(timeout=10)
-        if worker.process.is_alive():
-            worker.process.kill()
-            worker.process.join()
-
-
-def _serve(conn, configurations, folders):
-    """A worker's life: samples in, records and images out, until the other end of the pipe is closed."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to answer
-    makers = {}
-    while True:
-        try:
-            job, index = conn.recv()
-        except EOFError:
-            return
-        began, error = time.perf_counter(), None
-        try:
-            if job not in makers:
-                makers[job] = _SampleMaker(configurations[job], Path(folders[job]), makers.values())
-            makers[job].make(index)
-        except TactipError as wrong:
-            error = str(wrong)
-        except OSError as wrong:
-            error = _sentence(wrong)
-        try:
-            conn.send({"error": error, "seconds": time.perf_counter() - began})
-        except BrokenPipeError:
-            return
-
-
-def _sentence(error):
-    """An OSError as a sentence."""
-    return (
-        f"cannot write {error.filename or 'the set'}: {error.strerror or error}; samples made so far are kept, and the "
-        "same command goes on from there"
-    )
+    def __call__(self, task):
+        """Make the sample `task` (job number, index)."""
+        job, index = task
+        if job not in self._makers:
+            folder = Path(self._folders[job])
+            self._makers[job] = _SampleMaker(self._configurations[job], folder, self._makers.values())
+        self._makers[job].make(index)
 
 
 class _SampleMaker:
@@ -376,7 +229,7 @@ class _Folder:
         try:
             rows, failures = self._assemble(workers, seconds)
         except OSError as error:
-            raise TactipError(_sentence(error)) from error
+            raise TactipError(disk_error(error)) from error
         return {
             "asked": self._configuration.samples,
             "kept": len(rows),
@@ -441,13 +294,3 @@ def _first_difference(there, asked, name):
                 return difference
         return None
     return None if there == asked else (name, json.dumps(there), json.dumps(asked))
-
-
-def _duration(seconds):
-    """Seconds as text for people."""
-    seconds = round(seconds)
-    return (
-        f"{seconds // 3600} h {seconds % 3600 // 60} min"
-        if seconds >= 3600
-        else f"{seconds // 60} min {seconds % 60} s"
-    )

@@ -31,9 +31,7 @@ def add_stimulus(spec, task, friction, contact):
     if task == "edge":
         spec.add_mesh(name="edge", uservert=_edge_vertices().ravel())
         both = TOUCHES_VERTICES | TOUCHES_FACETS
-        body.add_geom(
-            name="edge", type=mujoco.mjtGeom.mjGEOM_MESH, meshname="edge", contype=both, conaffinity=both, **touch
-        )
+        body.add_geom(name="edge", type=mujoco.mjtGeom.mjGEOM_MESH, meshname="edge", contype=both, conaffinity=both, **touch)
     else:
         a = HALF_SIZE_M
         body.add_geom(

@@ -101,9 +101,7 @@ def _rows(rows, meta):
                     "a row of another configuration"
                 )
         if configuration is not None and not _belongs(row, configuration):
-            problems.append(
-                f"{where}: its seed {row.get('seed')!r} or its image is not of this set: a mixed configuration"
-            )
+            problems.append(f"{where}: its seed {row.get('seed')!r} or its image is not of this set: a mixed configuration")
     return problems
 
 

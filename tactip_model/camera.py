@@ -22,7 +22,7 @@ _BACKDROP_DEPTH = 9.0
 
 
 @cache
-def _renderer():
+def _process_renderer():
     """The process's pyrender renderer. There can be only one: a second one's end takes the first one's display away.
 
     Raises TactipError where OpenGL cannot be used.
@@ -30,7 +30,7 @@ def _renderer():
     try:
         import pyrender
 
-        return pyrender, pyrender.OffscreenRenderer(16, 16)
+        renderer = pyrender.OffscreenRenderer(16, 16)
     # What a missing or broken OpenGL raises depends on which part is missing: import errors, attribute errors of absent
     # functions, EGL's own errors and value errors come through pyrender and PyOpenGL alike.
     except (ImportError, AttributeError, OSError, RuntimeError, ValueError, TypeError, *_gl_error()) as error:
@@ -38,6 +38,7 @@ def _renderer():
             f"OpenGL cannot be used here ({type(error).__name__}: {_first_line(error)}): on Debian install it with "
             f"'{install_hint()}', or draw without it by --renderer raster"
         ) from error
+    return pyrender, renderer
 
 
 def check_opengl():
@@ -57,7 +58,7 @@ class Canvas:
 
     def __init__(self, width, height):
         """width, height: int, px. Raises TactipError where OpenGL cannot be used."""
-        self._pyrender, self._renderer = _renderer()
+        self._pyrender, self._renderer = _process_renderer()
         self._size = width, height
         self._scene = self._pyrender.Scene(bg_color=[0, 0, 0, 0], ambient_light=[1.0, 1.0, 1.0])
         camera = self._pyrender.OrthographicCamera(xmag=width / 2, ymag=height / 2, znear=0.01, zfar=10.0)

@@ -123,13 +123,14 @@ class Design:
 
 
 DESIGNS = {
-    # The first ring of the real 127-pin tip is turned by about 29 degrees, its centre at (126.2, 129.8) of 256 px [M].
-    "tactip-127": Design("tactip-127", pins=Pins(rotation_deg=29.0), optics=Optics(centre=(126.2 / 256, 129.8 / 256))),
+    # Fitted to the blobs of its neutral image (rms 0.7 of 256 px): the first ring is turned by 29.5 degrees; the centre is
+    # at (126.2, 129.8), counted from the middle of the first pixel [M].
+    "tactip-127": Design("tactip-127", pins=Pins(rotation_deg=29.5), optics=Optics(centre=(126.7 / 256, 130.3 / 256))),
     "tactip-331": Design(
         "tactip-331",
         # Fitted to the 331 blobs of its neutral image (rms 0.5 of 360 px) [M]; pitch by the same extent as the other's.
-        pins=Pins("circular", rings=10, pitch_m=1.8e-3, diameter_m=0.76e-3, rim_diameter_m=1.34e-3, rotation_deg=-2.0),
-        optics=Optics(neutral_radius=(7.946, 0.0200, -3.18e-5), centre=(177.6 / 360, 175.5 / 360)),
+        pins=Pins("circular", rings=10, pitch_m=1.8e-3, diameter_m=0.76e-3, rim_diameter_m=1.34e-3, rotation_deg=-2.05),
+        optics=Optics(neutral_radius=(7.946, 0.0200, -3.18e-5), centre=(178.4 / 360, 175.5 / 360)),
     ),
 }
 

@@ -157,8 +157,12 @@ def build_mesh(shape, resolution):
     """Mesh the tip.
 
     shape: design.Shape. resolution: Resolution. Returns a Mesh.
-    Raises ValueError where the resolution is too coarse for the shape to be meshed.
+    Raises ValueError where a spacing does not suit the shape.
     """
+    for name in ("surface_m", "rim_m"):
+        spacing = getattr(resolution, name)
+        if not 0 < spacing <= shape.radius_m / 2:
+            raise ValueError(f"a mesh's {name} of {spacing} m does not do: above 0 and at most half the dome's radius")
     radius = shape.radius_m - CONTACT_RADIUS_M
     sets = _layers(radius, resolution)
     surface_count = len(sets[0])
@@ -169,7 +173,7 @@ def build_mesh(shape, resolution):
         for k in range(1, levels + 1):
             z = base * k / levels
             inner = np.concatenate([s[s[:, 2] == 0] for s in sets[1:]])
-            extra += [_circle(radius, resolution.rim_m, z, k % 2), inner + [0, 0, z], [[0.0, 0.0, z]]]
+            extra += [_circle(radius, resolution.rim_m, z, k % 2), inner + np.array([0, 0, z]), np.array([[0.0, 0.0, z]])]
     points = np.concatenate(sets + extra)
     on_rim = np.hypot(points[:, 0], points[:, 1]) > radius * (1 - 1e-9)
     bonded = (points[:, 2] <= base + 1e-12) | (on_rim & (points[:, 2] <= 1e-12))
@@ -187,8 +191,6 @@ def build_mesh(shape, resolution):
     tetrahedra = _tetrahedralise(points)
     triangles = _skin_triangles(points, tetrahedra, surface_count, bonded)
     if len(np.unique(triangles)) != surface_count or len(np.unique(tetrahedra)) != len(points):
-        raise ValueError(
-            f"a surface spacing of {resolution.surface_m} m does not mesh a dome of {shape.radius_m} m: take a finer one"
-        )
+        raise ValueError(f"spacings of {resolution.surface_m} and {resolution.rim_m} m leave points outside the mesh")
     centre = np.array([0.0, 0.0, -shape.radius_m])
     return Mesh(points + centre, surface_count, tetrahedra, triangles, bonded, centre)

@@ -107,9 +107,7 @@ def tip_radii(design):
 
 def inner_skin(design, polar, azimuth):
     """Points and inward unit normals (..., 3) of the undeformed inner skin at polar angle and azimuth (arrays, rad)."""
-    outward = np.stack(
-        [np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar) + 0 * azimuth], -1
-    )
+    outward = np.stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar) + 0 * azimuth], -1)
     centre = np.array([0, 0, -design.shape.radius_m])
     return centre + (design.shape.radius_m - design.materials.skin_thickness_m) * outward, -outward
 

@@ -59,6 +59,9 @@ class PinReader:
         self._rest = mesh.vertices[: mesh.surface_count]
         self._lever = design.pins.length_m - CONTACT_RADIUS_M
         self._weights = _interpolation(self._rest - mesh.centre, mesh.triangles, -self.directions)
+        rows, columns = mesh.triangles.ravel(), np.repeat(np.arange(len(mesh.triangles)), 3)
+        shape = (mesh.surface_count, len(mesh.triangles))
+        self._gather = coo_matrix((np.ones(rows.size), (rows, columns)), shape).tocsr()
         self._rest_normals = self._normals(self._rest)
 
     def read(self, skin):
@@ -70,18 +73,21 @@ class PinReader:
         directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
         return self.tips + moved - self._lever * turned, directions
 
+    @staticmethod
+    def _spread(values, matrix):
+        """A sparse matrix (b, a) times values (..., a, 3): (..., b, 3)."""
+        flat = values.reshape(-1, values.shape[-2], 3)
+        return np.stack([matrix @ v for v in flat]).reshape(*values.shape[:-2], -1, 3)
+
     def _at_roots(self, values):
         """Values (..., s, 3) at vertices to values (..., p, 3) at the pins' roots."""
-        flat = values.reshape(-1, values.shape[-2], 3)
-        return np.stack([self._weights @ v for v in flat]).reshape(*values.shape[:-2], -1, 3)
+        return self._spread(values, self._weights)
 
     def _normals(self, skin):
         """Outward unit normals (..., p, 3) at the roots: area-weighted at the vertices, interpolated."""
         corners = skin[..., self._triangles, :]
         face = np.cross(corners[..., 1, :] - corners[..., 0, :], corners[..., 2, :] - corners[..., 0, :])
-        vertex = np.zeros_like(skin)
-        for i in range(3):
-            np.add.at(vertex, (..., self._triangles[:, i], slice(None)), face)
+        vertex = self._spread(face, self._gather)
         vertex /= np.linalg.norm(vertex, axis=-1, keepdims=True)
         normals = self._at_roots(vertex)
         return normals / np.linalg.norm(normals, axis=-1, keepdims=True)

@@ -58,7 +58,7 @@ class Raster:
         r = self._radii[:, None]
         edge = [self._lens.project(tips + s * r * w) for w in (u, v) for s in (1, -1)]
         axes = np.stack([(edge[0] - edge[1]) / 2, (edge[2] - edge[3]) / 2], -1)
-        return sum(edge) / 4, axes
+        return np.mean(edge, axis=0), axes
 
 
 def finish(frame, optics):

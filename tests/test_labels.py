@@ -12,14 +12,14 @@ from tactip_model.raster import Raster
 def field(contact, press):
     """Image displacements (p, 2) px of the pins (256 px wide, x right, y down) and their neutral places (p, 2)."""
     lens = Lens(press.player.scene.design)
-    neutral = lens.project(press.player._reader.tips) - lens.centre + 0.5
+    neutral = lens.project(press.player.reader.tips) - lens.centre + 0.5
     return (lens.project(contact.tips) - lens.centre + 0.5 - neutral) * 256 / lens.width, neutral * 256 / lens.width
 
 
 def pressed_place(contact, press):
     """Where the pins have come nearest to the camera most: mean place (2,) px weighted by their way inward."""
     _, neutral = field(contact, press)
-    inward = np.maximum(press.player._reader.tips[:, 2] - contact.tips[:, 2], 0) ** 2
+    inward = np.maximum(press.player.reader.tips[:, 2] - contact.tips[:, 2], 0) ** 2
     return (inward[:, None] * neutral).sum(0) / inward.sum()
 
 
@@ -70,7 +70,7 @@ def test_yaw_turns_the_edge_clockwise(on_edge):
 def test_far_off_the_edge_there_is_nothing(on_edge):
     contact = on_edge([25, 0, -3, 0, 0, 0])
     assert contact.normal_force_n == 0
-    assert np.abs(contact.tips - on_edge.player._reader.tips).max() < 5e-6
+    assert np.abs(contact.tips - on_edge.player.reader.tips).max() < 5e-6
 
 
 @pytest.mark.parametrize("direction_deg", [0, 90, 200])

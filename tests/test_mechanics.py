@@ -121,8 +121,8 @@ def matched(tips, neutral, images, neutral_images):
 def test_centred_press_has_the_symmetry_of_the_pins(on_surface, depth_mm):
     """Turned by 60 degrees, and mirrored in a line of pins, the pin field is itself."""
     tips = on_surface([0, 0, -depth_mm, 0, 0, 0]).tips
-    neutral = on_surface.player._reader.tips
-    axis = np.radians(29.0)
+    neutral = on_surface.player.reader.tips
+    axis = np.radians(29.5)
     mirror = np.diag([1.0, -1.0, 1.0])
     for image in (
         lambda x: turned(x, np.pi / 3),

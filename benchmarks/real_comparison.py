@@ -1,0 +1,138 @@
+"""The simulated 127-pin tip beside the real one: `python -m benchmarks.real_comparison`.
+
+The real sensor enters by what was measured on its public images (Tac-VGNN's 127-pin surface set): the map of its
+neutral image, and the outward displacement of its pins at five depths. Its frames themselves are not ours to keep; with
+--real DIR (a folder with init_0.png) the picture is made with that frame instead of its measured map, for your eyes.
+Writes docs/real_and_simulated.png and prints the errors.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import matplotlib
+import numpy as np
+import tyro
+
+from sim.contact import ContactPlayer
+from sim.fidelity import fidelity_named
+from sim.pose import from_mm_deg
+from tactip_model.camera import PinCamera
+from tactip_model.design import design_named
+from tactip_model.image import tactile_image
+from tactip_model.optics import REFERENCE_PX, Lens
+from tactip_model.pins import neutral_pins
+
+DEPTHS_MM = (1.25, 2.25, 3.25, 4.25, 4.75)
+SHELLS = (1, 3, 4, 7, 9, 12, 13, 16, 19, 21, 25, 27, 28, 31, 36)
+"""N = i² + ij + j² of the hexagonal lattice."""
+
+REAL_OUTWARD_PX = np.array(
+    [
+        [1.39, 1.51, 1.37, 1.29, 1.18, 1.00, 0.89, 1.04, 1.04, 0.94, 0.94, 0.99, 1.00, 1.02, 1.04],
+        [2.04, 3.11, 3.22, 3.13, 2.80, 2.40, 2.26, 2.14, 2.00, 1.87, 1.73, 1.76, 1.72, 1.67, 1.47],
+        [2.60, 4.17, 4.58, 5.32, 5.13, 4.49, 4.23, 3.93, 3.55, 3.29, 3.00, 2.90, 2.88, 2.68, 2.13],
+        [3.13, 5.09, 5.69, 7.09, 7.36, 7.01, 6.75, 6.22, 5.62, 5.21, 4.58, 4.45, 4.40, 3.97, 3.01],
+        [3.47, 5.61, 6.30, 7.97, 8.54, 8.55, 8.32, 7.68, 6.98, 6.46, 5.72, 5.50, 5.41, 4.86, 3.61],
+    ]
+)
+"""Measured: outward displacement, px of a 256 px image, of each shell's pins at each depth (its zero known to 0.5 mm)."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """Draw the comparison."""
+
+    out: Path = Path("docs/real_and_simulated.png")
+    """Picture to write."""
+    real: Path | None = None
+    """Folder with the real neutral frame init_0.png; not needed."""
+    fidelity: str = "standard"
+    """draft, standard or reference."""
+
+
+def shells(player):
+    """N of each pin (p,) of a player's hexagonal design."""
+    pins = player.scene.design.pins
+    tips, radius = player.reader.directions, player.scene.design.shape.radius_m
+    return np.rint((np.linalg.norm(tips[:, :2], axis=1) * radius / pins.pitch_m) ** 2).astype(int)
+
+
+def simulated_outward_px(player):
+    """The table above as simulated, (5, 15) px, and the contacts."""
+    lens = Lens(player.scene.design)
+
+    def radius(tips):
+        return np.linalg.norm(lens.project(tips) - lens.centre + 0.5, axis=1) * REFERENCE_PX / lens.width
+
+    contacts = [player.play(from_mm_deg([0, 0, -d, 0, 0, 0]), np.zeros(6)) for d in DEPTHS_MM]
+    n, neutral = shells(player), radius(player.reader.tips)
+    moved = [radius(c.tips) - neutral for c in contacts]
+    return np.array([[m[n == s].mean() for s in SHELLS] for m in moved]), contacts
+
+
+def measured_neutral(design, size=384):
+    """The real neutral image drawn from its measured map and blob sizes: (size, size) uint8."""
+    _, directions = neutral_pins(design)
+    rho = np.linalg.norm(directions[:, :2], axis=1) * design.shape.radius_m / design.pins.pitch_m
+    c1, c3, c5 = design.optics.neutral_radius
+    radius = (c1 * rho + c3 * rho**3 + c5 * rho**5) * size / REFERENCE_PX
+    centre = np.array(design.optics.centre) * size
+    azimuth = np.arctan2(directions[:, 1], directions[:, 0]) + np.pi
+    diameter = np.interp(rho, [0, 3, 4, 5, 6], [4.35, 4.37, 4.61, 5.04, 5.50]) * size / REFERENCE_PX
+    image = np.zeros((size, size), np.uint8)
+    for r, a, d in zip(radius, azimuth, diameter, strict=True):
+        x, y = centre + r * np.array([np.cos(a), np.sin(a)])
+        cv2.circle(image, (round(x * 16), round(y * 16)), round(d * 8), 255, -1, cv2.LINE_AA, 4)
+    return image
+
+
+def main(options: Options):
+    """Measure, print, draw."""
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    design = design_named("tactip-127")
+    player = ContactPlayer(design, "surface", fidelity_named(options.fidelity))
+    simulated, contacts = simulated_outward_px(player)
+    error = simulated - REAL_OUTWARD_PX
+    for depth, row, contact in zip(DEPTHS_MM, error, contacts, strict=True):
+        print(f"{depth:.2f} mm: {np.sqrt((row**2).mean()):.2f} px rms off; {contact.normal_force_n:.2f} N")
+    print(f"all depths: {np.sqrt((error**2).mean()):.2f} px rms (256 px image), zero of depth as measured")
+
+    camera = PinCamera(design)
+    neutral = tactile_image(camera.render(player.reader.tips, player.reader.directions), design.image)
+    sheared = player.play(from_mm_deg([0, 0, -4, 8, -6, 0]), from_mm_deg([3, 2, 0, 0, 0, 0]))
+    pressed = tactile_image(camera.render(sheared.tips, sheared.directions), design.image)
+    if options.real is None:
+        real, title = measured_neutral(design), "real tip, at rest\n(drawn from its measured pin map)"
+    else:
+        real, title = cv2.imread(str(options.real / "init_0.png"), cv2.IMREAD_GRAYSCALE), "real tip, at rest"
+
+    figure, axes = plt.subplots(1, 4, figsize=(15, 4.2), width_ratios=[1, 1, 1, 1.35])
+    pictures = (
+        (real, title),
+        (neutral, "simulated, at rest"),
+        (pressed, "simulated, pressed 4 mm,\ntilted and sheared"),
+    )
+    for axis, (image, text) in zip(axes, pictures, strict=False):
+        axis.imshow(image, cmap="gray", interpolation="nearest")
+        axis.set_title(text, fontsize=10)
+        axis.axis("off")
+    for k, depth in enumerate(DEPTHS_MM):
+        colour = plt.cm.viridis(k / len(DEPTHS_MM))
+        axes[3].plot(np.sqrt(SHELLS), REAL_OUTWARD_PX[k], "o", color=colour, ms=4)
+        axes[3].plot(np.sqrt(SHELLS), simulated[k], "-", color=colour, label=f"{depth} mm")
+    axes[3].set_xlabel("distance of the pin from the axis, pitches")
+    axes[3].set_ylabel("outward displacement, px of 256")
+    axes[3].set_title("pins under a flat press: real (dots), simulated (lines)", fontsize=10)
+    axes[3].legend(fontsize=8, frameon=False)
+    axes[3].spines[["top", "right"]].set_visible(False)
+    figure.tight_layout()
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(options.out, dpi=80)
+    print(f"{options.out} written")
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Options))

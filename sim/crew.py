@@ -1,0 +1,191 @@
+"""Worker processes that do tasks one at a time, outlive each other, and leave nothing behind.
+
+Each worker has a pipe of its own. A worker that dies is seen by its pipe, its task goes to another; a worker whose parent
+dies sees its pipe close and ends. Ctrl-C is the parent's to answer: it lets workers finish what they hold.
+"""
+
+import contextlib
+import os
+import signal
+import sys
+import time
+from dataclasses import dataclass
+from multiprocessing import connection, get_context
+from multiprocessing.process import BaseProcess
+from typing import Any
+
+from tqdm import tqdm
+
+from tactip_model.errors import Stopped, TactipError
+
+GOES_ON = "what is done so far is kept, and the same command goes on from there"
+
+
+def worker_count(asked):
+    """Number of workers (int) for `auto` or a number as str or int. Raises TactipError on anything else."""
+    if asked == "auto":
+        return len(os.sched_getaffinity(0))
+    try:
+        count = int(asked)
+    except ValueError:
+        count = 0
+    if count < 1:
+        raise TactipError(f"{asked!r} workers cannot work: ask for a number of at least 1, or auto")
+    return count
+
+
+@dataclass
+class _Worker:
+    process: BaseProcess
+    task: Any = None
+    done: int = 0
+
+
+class Crew:
+    """Does a list of tasks on worker processes."""
+
+    def __init__(self, begin, arguments, tasks, unit, say):
+        """begin: module-level function that a worker calls with `arguments` (tuple) and that returns the function to
+        call with each task. tasks: list of picklable things, done in order. unit: str, what a task makes. say: called
+        with lines for the user.
+        """
+        self._begin, self._arguments, self._unit, self._say = begin, arguments, unit, say
+        self._queue, self._count = list(reversed(tasks)), len(tasks)
+        self._workers, self._killed = {}, {}
+
+    def work(self, workers, done):
+        """Do all tasks with `workers` processes; call done(task, seconds) after each, in the order they end.
+
+        Raises TactipError where a task cannot be done, and Stopped at Ctrl-C.
+        """
+        # On a terminal the bar is redrawn at leisure; a log file gets a line now and then.
+        interval = 0.5 if sys.stderr.isatty() else 15
+        with tqdm(total=self._count, unit=self._unit, file=sys.stderr, mininterval=interval) as bar:
+            try:
+                for _ in range(workers):
+                    self._hire()
+                estimated = False
+                while self._workers:
+                    for task, seconds, repeated in self._replies():
+                        done(task, seconds)
+                        bar.update()
+                        if repeated and not estimated:  # a worker's first task was slowed by its start
+                            estimated = True
+                            about = _duration(seconds * self._count / workers)
+                            text = f"{self._count} {self._unit}s on {workers} worker(s): about {about} in all"
+                            bar.write(text, file=sys.stderr)
+            except KeyboardInterrupt:
+                raise Stopped(f"{bar.n} of {self._count} {self._unit}s made: {GOES_ON}") from None
+            finally:
+                self._dismiss()
+
+    def _replies(self):
+        """Wait for workers; yield (task, seconds, whether it was not the worker's first) of each that is done."""
+        ready = connection.wait([*self._workers, *(w.process.sentinel for w in self._workers.values())])
+        for pipe, worker in list(self._workers.items()):
+            if pipe not in ready and worker.process.sentinel not in ready:
+                continue
+            try:
+                reply = pipe.recv()
+            except (EOFError, ConnectionResetError):
+                self._bury(pipe)
+                continue
+            if reply["error"]:
+                raise TactipError(reply["error"])
+            worker.done += 1
+            yield worker.task, reply["seconds"], worker.done > 1
+            self._assign(pipe)
+
+    def _hire(self):
+        context = get_context("spawn")
+        ours, theirs = context.Pipe()
+        process = context.Process(target=_serve, args=(theirs, self._begin, self._arguments))
+        with _one_thread_each():
+            process.start()
+        theirs.close()  # so that the worker's end is the worker's alone, and its death closes it
+        self._workers[ours] = _Worker(process)
+        self._assign(ours)
+
+    def _assign(self, pipe):
+        """Give a worker the next task, or its notice where there is none."""
+        if not self._queue:
+            pipe.close()
+            self._workers.pop(pipe).process.join()
+            return
+        self._workers[pipe].task = self._queue.pop()
+        with contextlib.suppress(BrokenPipeError):  # then it is dead, and the next wait says so
+            pipe.send(self._workers[pipe].task)
+
+    def _bury(self, pipe):
+        """A worker died: give its task to a new one, unless that task has ended one before."""
+        worker = self._workers.pop(pipe)
+        pipe.close()
+        worker.process.join()
+        self._killed[worker.task] = self._killed.get(worker.task, 0) + 1
+        code = worker.process.exitcode or 0
+        how = f"by signal {signal.Signals(-code).name}" if code < 0 else f"with exit code {code}"
+        what = f"{self._unit} {worker.task}"
+        if self._killed[worker.task] > 1:
+            raise TactipError(f"{what} has ended two workers (the last {how}): is memory short? {GOES_ON}")
+        self._say(f"a worker ended {how} at {what}: another takes over")
+        self._queue.append(worker.task)
+        self._hire()
+
+    def _dismiss(self):
+        """Let workers finish what they hold, then make sure that they are gone."""
+        for pipe in self._workers:
+            pipe.close()
+        for worker in self._workers.values():
+            worker.process.join(timeout=10)
+            if worker.process.is_alive():
+                worker.process.kill()
+                worker.process.join()
+        self._workers.clear()
+
+
+def disk_error(error):
+    """An OSError in writing as a sentence for the user."""
+    return f"cannot write {error.filename or 'the set'}: {error.strerror or error}; {GOES_ON}"
+
+
+def _serve(pipe, begin, arguments):
+    """A worker's life: tasks in, replies out, until the other end of the pipe is closed."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    do = begin(*arguments)
+    while True:
+        try:
+            task = pipe.recv()
+        except EOFError:
+            return
+        start, error = time.perf_counter(), None
+        try:
+            do(task)
+        except TactipError as wrong:
+            error = str(wrong)
+        except OSError as wrong:
+            error = disk_error(wrong)
+        try:
+            pipe.send({"error": error, "seconds": time.perf_counter() - start})
+        except BrokenPipeError:
+            return
+
+
+@contextlib.contextmanager
+def _one_thread_each():
+    """Have processes started here use one thread each for numerics and for software OpenGL: workers fill the cores."""
+    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "LP_NUM_THREADS")
+    before = {name: os.environ.get(name) for name in names}
+    for name in names:
+        os.environ.setdefault(name, "1")
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+
+
+def _duration(seconds):
+    """Seconds as text for people."""
+    minutes, seconds = divmod(round(seconds), 60)
+    return f"{minutes // 60} h {minutes % 60} min" if minutes >= 60 else f"{minutes} min {seconds} s"
