@@ -6,6 +6,7 @@ dies sees its pipe close and ends. Ctrl-C is the parent's to answer: it lets wor
 
 import contextlib
 import os
+import resource
 import signal
 import sys
 import time
@@ -54,7 +55,8 @@ class Crew:
         self._workers, self._killed = {}, {}
 
     def work(self, workers, done):
-        """Do all tasks with `workers` processes; call done(task, seconds) after each, in the order they end.
+        """Do all tasks with `workers` processes; call done(task, seconds, peak memory of the worker in MiB)
+        after each, in the order they end.
 
         Raises TactipError where a task cannot be done, and Stopped at Ctrl-C.
         """
@@ -66,8 +68,8 @@ class Crew:
                     self._hire()
                 estimated = False
                 while self._workers:
-                    for task, seconds, repeated in self._replies():
-                        done(task, seconds)
+                    for task, seconds, peak_mib, repeated in self._replies():
+                        done(task, seconds, peak_mib)
                         bar.update()
                         if repeated and not estimated:  # a worker's first task was slowed by its start
                             estimated = True
@@ -80,7 +82,7 @@ class Crew:
                 self._dismiss()
 
     def _replies(self):
-        """Wait for workers; yield (task, seconds, whether it was not the worker's first) of each that is done."""
+        """Wait for workers; yield (task, seconds, the worker's peak memory in MiB, whether it had done one before)."""
         ready = connection.wait([*self._workers, *(w.process.sentinel for w in self._workers.values())])
         for pipe, worker in list(self._workers.items()):
             if pipe not in ready and worker.process.sentinel not in ready:
@@ -93,7 +95,7 @@ class Crew:
             if reply["error"]:
                 raise TactipError(reply["error"])
             worker.done += 1
-            yield worker.task, reply["seconds"], worker.done > 1
+            yield worker.task, reply["seconds"], reply["peak_mib"], worker.done > 1
             self._assign(pipe)
 
     def _hire(self):
@@ -165,7 +167,8 @@ def _serve(pipe, begin, arguments):
         except OSError as wrong:
             error = disk_error(wrong)
         try:
-            pipe.send({"error": error, "seconds": time.perf_counter() - start})
+            peak_mib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+            pipe.send({"error": error, "seconds": time.perf_counter() - start, "peak_mib": peak_mib})
         except BrokenPipeError:
             return
 

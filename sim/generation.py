@@ -82,7 +82,7 @@ def make(jobs, workers, say=print):
         if todo:
             arguments = [job.configuration for job in jobs], [str(job.folder) for job in jobs]
             crew = Crew(_Makers, arguments, todo, "sample", say)
-            crew.work(workers, lambda task, seconds: folders[task[0]].seconds.append(seconds))
+            crew.work(workers, lambda task, *cost: folders[task[0]].costs.append(cost))
         return [folder.finish(time.perf_counter() - start, workers) for folder in folders]
 
 
@@ -165,7 +165,8 @@ class _Folder:
         self._partial = job.folder / PARTIAL
         self._lock = None
         self._complete = False
-        self.seconds = []
+        self.costs = []
+        """(seconds, peak memory of the worker in MiB) of each sample made now."""
 
     def __enter__(self):
         try:
@@ -234,7 +235,7 @@ class _Folder:
             "asked": self._configuration.samples,
             "kept": len(rows),
             "failed": len(failures),
-            "made": len(self.seconds),
+            "made": len(self.costs),
             "seconds": seconds,
             "folder": str(self._path),
         }
@@ -278,10 +279,12 @@ class _Folder:
             "finished": datetime.now(timezone.utc).isoformat(timespec="seconds"),
             "machine": {"system": platform.platform(), "processor": platform.machine(), "cores": os.cpu_count()},
             "workers": workers,
-            "samples_made_by_the_last_command": len(self.seconds),
+            "samples_made_by_the_last_command": len(self.costs),
             "seconds_of_the_last_command_all_its_sets": round(seconds, 3),
-            "seconds_a_sample_and_worker_median": round(float(np.median(self.seconds)), 4) if self.seconds else None,
         }
+        if self.costs:  # none if a kill came just before the end
+            run["seconds_a_sample_and_worker_median"] = round(float(np.median([c[0] for c in self.costs])), 4)
+            run["peak_memory_of_a_worker_MiB"] = round(max(c[1] for c in self.costs))
         return (json.dumps(run, indent=1) + "\n").encode()
 
 

@@ -3,9 +3,13 @@
 pyrender has no wide-angle lens. Each vertex is put where the lens sees it, in pixels, with its distance as depth, and
 drawn by an orthographic camera: the lens is exact at every vertex, and the edges between them are shorter than pixels
 are wide. Light is by vertex, from the LED ring (optics.py), so that the drawing itself needs none.
+
+Run as a program (`python -m tactip_model.camera`) it draws a square and exits with 0 or, with one sentence, 1.
 """
 
+import sys
 from functools import cache
+from typing import Any
 
 import numpy as np
 
@@ -22,7 +26,7 @@ _BACKDROP_DEPTH = 9.0
 
 
 @cache
-def _process_renderer():
+def _process_renderer() -> tuple[Any, Any]:
     """The process's pyrender renderer. There can be only one: a second one's end takes the first one's display away.
 
     Raises TactipError where OpenGL cannot be used.
@@ -157,3 +161,10 @@ class PinCamera:
         a, b, c, d = i * sides + j, i * sides + (j + 1) % sides, (i + 1) * sides + j, (i + 1) * sides + (j + 1) % sides
         triangles = np.concatenate([np.stack([a, c, b], 1), np.stack([b, c, d], 1)])
         return self._canvas.mesh(np.concatenate([vertices, rim]), triangles, np.concatenate([grey, grey[-sides:]]))
+
+
+if __name__ == "__main__":
+    try:
+        check_opengl()
+    except TactipError as error:
+        sys.exit(str(error))
