@@ -156,7 +156,13 @@ def test_resuming_makes_only_what_is_missing(whole, tmp_path):
 def test_ctrl_c_keeps_what_is_done(tmp_path):
     folder = tmp_path / "stopped"
     process = subprocess.Popen(
-        make(folder, samples=60), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, start_new_session=True
+        make(folder, samples=60),
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        # Where the tests run in the background of a shell, Ctrl-C is ignored, and children inherit that.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # noqa: PLW1509
     )
     wait_for(lambda: len(records(folder)) >= 3)
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to parent and workers alike
