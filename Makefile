@@ -13,7 +13,7 @@ READY := .venv/.ready
 help:
 	@echo "make setup         .venv with pinned versions, and OpenGL"
 	@echo "make sim-dataset   simulated data sets  [TASK=all|surface|edge] [SAMPLES=200] [OUT=data] [WORKERS=auto] [FIDELITY=standard]"
-	@echo "make report        measure errors and costs; write docs/fidelity.md and the README's picture"
+	@echo "make report        measure errors and costs (10 min); write docs/*.md and the README's picture"
 	@echo "make test          all tests but the slow ones    make test-all   those too"
 	@echo "make lint          ruff and pyright"
 	@echo "make lock          write requirements.lock anew"
@@ -37,6 +37,7 @@ test-all: $(READY)
 	@$(BIN)/python -m pytest -m ""
 
 report: $(READY)
+	@$(BIN)/python -m benchmarks.mechanics
 	@$(BIN)/python -m benchmarks.contact_error
 	@$(BIN)/python -m benchmarks.real_comparison
 

@@ -2,8 +2,8 @@
 
 Each preset plays the first contacts of the surface and edge training sets of seed 0. Two references: the same mesh
 played with small steps and tight tolerances (what steps and solver cost in error), and the `reference` preset (the mesh
-too). Errors are distances of pin tips; costs, seconds a contact on one core. Writes docs/fidelity.md and
-docs/fidelity.json.
+too). Errors are distances of pin tips; costs, seconds a contact on one core. Then `standard` again with one of its choices
+undone at a time. Writes docs/fidelity.md and docs/fidelity.json.
 """
 
 import json
@@ -32,6 +32,19 @@ class Options:
     """Folder for fidelity.md and fidelity.json."""
 
 
+def undone():
+    """`standard` with one choice undone: dict of what it is to Fidelity."""
+    standard = FIDELITIES["standard"]
+    contact, motion, solver = standard.contact, standard.motion, standard.solver
+    return {
+        "as it is": standard,
+        "steady pace": replace(standard, motion=replace(motion, ease_in=0.0, ease_out=0.0)),
+        "contact stiff all along": replace(standard, contact=replace(contact, moving=contact.resting)),
+        "contact soft all along": replace(standard, contact=replace(contact, resting=contact.moving)),
+        "tolerance at rest as in motion": replace(standard, solver=replace(solver, settle_tolerance=solver.tolerance)),
+    }
+
+
 def converged(fidelity):
     """The Fidelity with the same mesh and its steps and tolerances taken so fine that halving them does not matter."""
     fine = FIDELITIES["reference"]
@@ -40,13 +53,14 @@ def converged(fidelity):
 
 
 def played(fidelity: Fidelity, task: str, contacts: int):
-    """Play the contacts. Returns tips (n, p, 3) m, seconds a contact, and the model's degrees of freedom."""
+    """Play the contacts. Returns tips (n, p, 3) m, seconds a contact, the records, and the model's degrees of freedom."""
     player = ContactPlayer(design_named("tactip-127"), task, fidelity)
-    tips, start = [], time.perf_counter()
+    records, start = [], time.perf_counter()
     for index in range(contacts):
         draw = generator(0, task, "train", index)
-        tips.append(player.play(POSE_RANGES[task].draw(draw), SHEAR_RANGES.draw(draw)).tips)
-    return np.array(tips), (time.perf_counter() - start) / contacts, player.scene.model.nv
+        records.append(player.play(POSE_RANGES[task].draw(draw), SHEAR_RANGES.draw(draw)))
+    seconds = (time.perf_counter() - start) / contacts
+    return np.array([r.tips for r in records]), seconds, records, player.scene.model.nv
 
 
 def errors(tips, expected):
@@ -57,20 +71,32 @@ def errors(tips, expected):
 
 def main(options: Options):
     """Measure, print, and write the page."""
-    rows = []
+    rows, choices = [], []
     for task in TASKS:
-        best, _, _ = played(FIDELITIES["reference"], task, options.contacts)
+        best, *_ = played(FIDELITIES["reference"], task, options.contacts)
         for name, fidelity in FIDELITIES.items():
-            tips, seconds, freedom = played(fidelity, task, options.contacts)
-            slow, _, _ = played(converged(fidelity), task, options.contacts)
+            tips, seconds, _, freedom = played(fidelity, task, options.contacts)
+            slow, *_ = played(converged(fidelity), task, options.contacts)
             row = {"task": task, "preset": name, "degrees_of_freedom": freedom, "seconds": round(seconds, 4)}
             row |= {"steps_mm": errors(tips, slow), "all_mm": errors(tips, best)}
             rows.append(row)
             print(json.dumps(row), flush=True)
-    result = {"contacts_a_task": options.contacts, "machine": machine(), "rows": rows}
+            if name == "standard":
+                choices += [undoing(task, what, other, slow, options) for what, other in undone().items()]
+    result = {"contacts_a_task": options.contacts, "machine": machine(), "rows": rows, "choices": choices}
     options.out.mkdir(parents=True, exist_ok=True)
     (options.out / "fidelity.json").write_text(json.dumps(result, indent=1) + "\n")
     (options.out / "fidelity.md").write_text(page(result))
+
+
+def undoing(task, what, fidelity, slow, options):
+    """What it costs to undo a choice: a dict. slow: tips (n, p, 3) m of the converged motion."""
+    tips, seconds, records, _ = played(fidelity, task, options.contacts)
+    row = {"task": task, "standard": what, "seconds": round(seconds, 4), "steps_mm": errors(tips, slow)}
+    row["penetration_mm"] = 1e3 * max(r.penetration_m for r in records)
+    row["speed_mm_s"] = 1e3 * float(np.median([r.speed_m_s for r in records]))
+    print(json.dumps(row), flush=True)
+    return row
 
 
 def page(result):
@@ -97,6 +123,19 @@ def page(result):
         lines.append(
             f"| {r['task']} | {r['preset']} | {r['degrees_of_freedom']} | {texts[0]} | {texts[1]} | {cost:.2f} | "
             f"{r['seconds']:.3f} |"
+        )
+    lines += [
+        "",
+        "`standard` with one of its choices undone, against the same mesh played with small steps:",
+        "",
+        "| task | standard, but | steps and solver, mm | greatest penetration, mm | residual speed, mm/s (median) | cost |",
+        "|---|---|---|---|---|---|",
+    ]
+    for r in result["choices"]:
+        text = " / ".join(f"{e:.3f}" for e in r["steps_mm"])
+        lines.append(
+            f"| {r['task']} | {r['standard']} | {text} | {r['penetration_mm']:.3f} | {r['speed_mm_s']:.2f} | "
+            f"{r['seconds'] / standard[r['task']]:.2f} |"
         )
     return "\n".join(lines) + "\n"
 

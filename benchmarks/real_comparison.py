@@ -6,7 +6,7 @@ neutral image, and the outward displacement of its pins at five depths. Its fram
 Writes docs/real_and_simulated.png and prints the errors.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -37,6 +37,20 @@ REAL_OUTWARD_PX = np.array(
     ]
 )
 """Measured: outward displacement, px of a 256 px image, of each shell's pins at each depth (its zero known to 0.5 mm)."""
+
+
+SHEARS_MM = (0.5, 1.5, 2.5, 3.5, 4.5)
+
+REAL_SHIFT_PX = np.array(
+    [
+        [0.1, 0.4, 0.5, 0.5, 0.5],
+        [0.1, 0.5, 1.1, 1.2, 1.3],
+        [0.5, 1.2, 1.9, 1.7, 1.8],
+        [1.0, 2.4, 3.3, 3.2, 2.3],
+        [0.4, 3.0, 3.6, 4.2, 4.2],
+    ]
+)
+"""Measured: mean shift of the pin field along the shear, px of 256, at each depth for shears of 0–1, 1–2, … 4–5 mm."""
 
 
 @dataclass(frozen=True)
@@ -71,6 +85,17 @@ def simulated_outward_px(player):
     return np.array([[m[n == s].mean() for s in SHELLS] for m in moved]), contacts
 
 
+def simulated_shift_px(player):
+    """The shift of the pin field as simulated, (5, 5) px: depths by shears."""
+    lens = Lens(player.scene.design)
+
+    def mean_x(depth, shear):
+        contact = player.play(from_mm_deg([0, 0, -depth, 0, 0, 0]), from_mm_deg([shear, 0, 0, 0, 0, 0]))
+        return lens.project(contact.tips)[:, 0].mean() * REFERENCE_PX / lens.width
+
+    return np.array([[mean_x(d, 0) - mean_x(d, s) for s in SHEARS_MM] for d in DEPTHS_MM])
+
+
 def measured_neutral(design, size=384):
     """The real neutral image drawn from its measured map and blob sizes: (size, size) uint8."""
     _, directions = neutral_pins(design)
@@ -99,6 +124,12 @@ def main(options: Options):
     for depth, row, contact in zip(DEPTHS_MM, error, contacts, strict=True):
         print(f"{depth:.2f} mm: {np.sqrt((row**2).mean()):.2f} px rms off; {contact.normal_force_n:.2f} N")
     print(f"all depths: {np.sqrt((error**2).mean()):.2f} px rms (256 px image), zero of depth as measured")
+    column = replace(design, shape=replace(design.shape, cylinder_m=5e-3))
+    behind, _ = simulated_outward_px(ContactPlayer(column, "surface", fidelity_named(options.fidelity)))
+    print(f"with 5 mm of gel behind the rim: {np.sqrt(((behind - REAL_OUTWARD_PX) ** 2).mean()):.2f} px rms")
+    print("shift of the pin field under shears of 0.5, 1.5, 2.5, 3.5, 4.5 mm, px: simulated | real")
+    for depth, mine, real in zip(DEPTHS_MM, simulated_shift_px(player), REAL_SHIFT_PX, strict=True):
+        print(f"{depth:.2f} mm: {' '.join(f'{x:.1f}' for x in mine)} | {' '.join(f'{x:.1f}' for x in real)}")
 
     camera = PinCamera(design)
     neutral = tactile_image(camera.render(player.reader.tips, player.reader.directions), design.image)

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from axisymmetric import Dome, Layer
 
+from benchmarks.axisymmetric import Dome, Layer
 from sim.contact import ContactPlayer
 from sim.pose import from_mm_deg
 from tactip_model.mesh import Resolution, tetrahedron_volumes
