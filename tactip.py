@@ -83,6 +83,8 @@ class Make:
         from tactip_model.design import design_named
         from tactip_model.errors import choose
 
+        choose("task", self.task, dict.fromkeys([*TASKS, "all"]))
+        choose("split", self.split, dict.fromkeys([*SPLITS, "all"]))
         tasks = TASKS if self.task == "all" else (self.task,)
         splits = SPLITS if self.split == "all" else (self.split,)
         several = "all" in (self.task, self.split)
@@ -97,7 +99,7 @@ class Make:
                     renderer=self.renderer,
                     design=design_named(self.design),
                     fidelity=fidelity_named(self.fidelity),
-                    pose=_with_options(choose("task", task, POSE_RANGES), self.pose),
+                    pose=_with_options(POSE_RANGES[task], self.pose),
                     shear=_with_options(SHEAR_RANGES, self.shear),
                 )
                 jobs.append(Job(configuration, self.out / task / split if several else self.out))

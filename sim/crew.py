@@ -11,7 +11,7 @@ import signal
 import sys
 import time
 from dataclasses import dataclass
-from multiprocessing import connection, get_context
+from multiprocessing import connection, get_context, resource_tracker
 from multiprocessing.process import BaseProcess
 from typing import Any
 
@@ -102,7 +102,7 @@ class Crew:
         context = get_context("spawn")
         ours, theirs = context.Pipe()
         process = context.Process(target=_serve, args=(theirs, self._begin, self._arguments))
-        with _one_thread_each():
+        with _for_children():
             process.start()
         theirs.close()  # so that the worker's end is the worker's alone, and its death closes it
         self._workers[ours] = _Worker(process)
@@ -152,7 +152,6 @@ def disk_error(error):
 
 def _serve(pipe, begin, arguments):
     """A worker's life: tasks in, replies out, until the other end of the pipe is closed."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
     do = begin(*arguments)
     while True:
         try:
@@ -174,15 +173,20 @@ def _serve(pipe, begin, arguments):
 
 
 @contextlib.contextmanager
-def _one_thread_each():
-    """Have processes started here use one thread each for numerics and for software OpenGL: workers fill the cores."""
+def _for_children():
+    """What processes started here inherit: one thread each for numerics and for software OpenGL, since workers fill the
+    cores; and deafness to Ctrl-C from their first instant, while this process hears it a moment later.
+    """
     names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "LP_NUM_THREADS")
     before = {name: os.environ.get(name) for name in names}
     for name in names:
         os.environ.setdefault(name, "1")
+    resource_tracker.ensure_running()  # its own start, left to the first process, would lift the mask
+    heard = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, heard)
         for name, value in before.items():
             if value is None:
                 os.environ.pop(name, None)

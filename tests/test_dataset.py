@@ -153,7 +153,9 @@ def test_resuming_makes_only_what_is_missing(whole, tmp_path):
     assert contents(folder) == contents(whole)
 
 
-def test_ctrl_c_keeps_what_is_done(tmp_path):
+@pytest.mark.parametrize("after", [0, 3])
+def test_ctrl_c_keeps_what_is_done(tmp_path, after):
+    """While the workers are starting, and in the middle of the work."""
     folder = tmp_path / "stopped"
     process = subprocess.Popen(
         make(folder, samples=60),
@@ -164,13 +166,14 @@ def test_ctrl_c_keeps_what_is_done(tmp_path):
         # Where the tests run in the background of a shell, Ctrl-C is ignored, and children inherit that.
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # noqa: PLW1509
     )
-    wait_for(lambda: len(records(folder)) >= 3)
+    wait_for(lambda: (folder / ".partial" / "configuration.json").exists() and len(records(folder)) >= after)
+    time.sleep(0.3)  # into the start of the workers
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to parent and workers alike
     _, told = process.communicate(timeout=60)
     assert process.returncode == 130
     assert "the same command goes on from there" in told
     assert "Traceback" not in told
-    assert 3 <= len(records(folder)) < 60
+    assert after <= len(records(folder)) < 60
 
 
 def test_a_dead_worker_is_replaced(whole, tmp_path):
