@@ -184,8 +184,8 @@ def main(arguments=None):
     except OSError as error:
         print(f"tactip: {error.filename or 'a file'}: {error.strerror or error}", file=sys.stderr)
         return 1
-    except Stopped as stopped:
-        print(f"tactip: stopped; {stopped}", file=sys.stderr)
+    except (Stopped, KeyboardInterrupt) as stopped:
+        print(f"tactip: stopped; {stopped or 'nothing was begun'}", file=sys.stderr)
         return 130
 
 

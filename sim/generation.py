@@ -157,6 +157,12 @@ def _pack(record, contact):
     return data.getvalue()
 
 
+def _read_record(path):
+    """What _pack put beside the pins: a dict."""
+    with np.load(path, allow_pickle=False) as data:
+        return json.loads(str(data["record"]))
+
+
 class _Folder:
     """A set's folder while it is made: whose it is, what is done, and the step from records to a finished set."""
 
@@ -220,7 +226,8 @@ class _Folder:
         return [i for i in range(self._configuration.samples) if not self._done(i)]
 
     def _done(self, index):
-        return _record_path(self._path, index).exists()
+        record = _record_path(self._path, index)
+        return record.exists() and ((self._path / "images" / image_name(index)).exists() or _read_record(record)["failed"])
 
     def finish(self, seconds, workers):
         """Turn records into a finished set. Returns a dict: kept, failed, made, seconds. Raises TactipError."""

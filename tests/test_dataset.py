@@ -144,6 +144,17 @@ def test_a_killed_run_is_resumed_to_the_same_bytes(whole, tmp_path, workers):
     assert contents(folder) == contents(whole)
 
 
+def test_an_image_lost_before_the_end_is_made_again(whole, tmp_path):
+    folder = tmp_path / "holed"
+    process = subprocess.Popen(make(folder), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    wait_for(lambda: len(records(folder)) >= 3)
+    process.kill()
+    process.wait()
+    (folder / "images" / "image_00000.png").unlink()
+    assert run(make(folder)).returncode == 0
+    assert contents(folder) == contents(whole)
+
+
 def test_resuming_makes_only_what_is_missing(whole, tmp_path):
     folder = tmp_path / "resumed"
     assert run(make(folder)).returncode == 0
