@@ -1,6 +1,6 @@
 """One contact: approach, shear, settle, record. And the judgement whether the record can be trusted."""
 
-from contextlib import contextmanager
+import contextlib
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -81,7 +81,11 @@ class Contact:
         return faults
 
 
-@contextmanager
+class _Diverged(Exception):
+    """The state of a contact is no longer finite."""
+
+
+@contextlib.contextmanager
 def _counted_warnings():
     """MuJoCo's warnings counted in a list instead of shown: they are part of the record."""
     messages = []
@@ -102,15 +106,19 @@ class ContactPlayer:
         """The scene, at the end of the last contact."""
         self.reader = PinReader(design, self.scene.mesh)
         """The design's pins on this scene's skin."""
+        self._steps = 0
 
     def play(self, pose, shear):
         """Press at `pose` minus `shear`, move to `pose`, settle. pose, shear: (6,), m and rad. Returns a Contact."""
         pose, shear = np.asarray(pose, float), np.asarray(shear, float)
         self.scene.reset()
-        with _counted_warnings() as messages:
-            steps = sum(self._move(labels) for labels in self._motions(pose, shear))
-            steps += self._settle(pose)
-        return self._record(pose, shear, len(messages), steps)
+        self._steps = 0
+        # A state that is lost stays lost: the record shows it, and steps from it would only take long.
+        with _counted_warnings() as messages, contextlib.suppress(_Diverged):
+            for labels in self._motions(pose, shear):
+                self._move(labels)
+            self._settle(pose)
+        return self._record(pose, shear, len(messages))
 
     def _motions(self, pose, shear):
         """The labels (n, 6) of each motion, first to last."""
@@ -126,33 +134,38 @@ class ContactPlayer:
             yield path(start, pose, _shares(travel / motion.shear_step_m, motion))
 
     def _move(self, labels):
-        """Carry the stimulus along labels (n, 6), one a step. Returns the steps taken."""
+        """Carry the stimulus along labels (n, 6), one a step."""
         h = self.scene.fidelity.motion.step_s
         self.scene.stiffen(resting=False)
         poses = [inverse(sensor_in_contact(label)) for label in labels]
         for T, T_next in pairwise(poses):
             turn = Rotation.from_matrix(T[:3, :3].T @ T_next[:3, :3]).as_rotvec()
             self._place(T, (T_next[:3, 3] - T[:3, 3]) / h, turn / h)
-            mujoco.mj_step(self.scene.model, self.scene.data)
-        return len(poses) - 1
+            self._step()
 
     def _settle(self, pose):
-        """Hold the stimulus at `pose` (6,) until the tip is at rest. Returns the steps taken."""
+        """Hold the stimulus at `pose` (6,) until the tip is at rest."""
         motion = self.scene.fidelity.motion
         T = inverse(sensor_in_contact(pose))
         self.scene.stiffen(resting=True)
         for step in range(1, motion.settle_limit + 1):
             self._place(T)
-            mujoco.mj_step(self.scene.model, self.scene.data)
+            self._step()
             if step >= motion.settle_steps and self.scene.greatest_speed() < motion.settle_speed_m_s:
                 break
-        return step
+
+    def _step(self):
+        """One time step. Raises _Diverged where the state is no longer finite."""
+        mujoco.mj_step(self.scene.model, self.scene.data)
+        self._steps += 1
+        if not np.isfinite(self.scene.greatest_speed()):
+            raise _Diverged
 
     def _place(self, T, linear=(0, 0, 0), angular=(0, 0, 0)):
         quaternion = Rotation.from_matrix(T[:3, :3]).as_quat(scalar_first=True)
         self.scene.place(T[:3, 3], quaternion, linear, angular)
 
-    def _record(self, pose, shear, warnings, steps):
+    def _record(self, pose, shear, warnings):
         scene = self.scene
         vertices = scene.vertices()
         tips, directions = self.reader.read(vertices[: scene.mesh.surface_count])
@@ -169,7 +182,7 @@ class ContactPlayer:
             volume_ratio=float(ratio.min()),
             speed_m_s=scene.greatest_speed(),
             warnings=warnings,
-            steps=steps,
+            steps=self._steps,
         )
 
 

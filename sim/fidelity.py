@@ -1,7 +1,7 @@
 """Named points on the curve of error against run time.
 
-Errors and costs are those of the sheared press on the flat that `python -m benchmarks.contact_error` measures, and
-stand in docs/fidelity.md with the machine they were taken on.
+Their errors and costs are measured by `python -m benchmarks.contact_error` and stand in docs/fidelity.md, with the machine
+they were taken on.
 """
 
 from dataclasses import dataclass, field, replace

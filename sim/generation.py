@@ -79,10 +79,16 @@ def make(jobs, workers, say=print):
             say(f"{total - len(todo)} of {total} samples are there already")
         start = time.perf_counter()
         workers = min(workers, max(1, len(todo)))
+
+        def done(task, *cost):
+            folder = folders[task[0]]
+            folder.costs.append(cost)
+            if len(folder.costs) == sum(job == task[0] for job, _ in todo):
+                folder.finish(time.perf_counter() - start, workers)
+
         if todo:
             arguments = [job.configuration for job in jobs], [str(job.folder) for job in jobs]
-            crew = Crew(_Makers, arguments, todo, "sample", say)
-            crew.work(workers, lambda task, *cost: folders[task[0]].costs.append(cost))
+            Crew(_Makers, arguments, todo, "sample", say).work(workers, done)
         return [folder.finish(time.perf_counter() - start, workers) for folder in folders]
 
 
@@ -170,7 +176,8 @@ class _Folder:
         self._configuration, self._path = job.configuration, job.folder
         self._partial = job.folder / PARTIAL
         self._lock = None
-        self._complete = False
+        self._samples = None
+        """The counts in meta.json, once there is one."""
         self.costs = []
         """(seconds, peak memory of the worker in MiB) of each sample made now."""
 
@@ -190,7 +197,7 @@ class _Folder:
         if (self._path / "meta.json").exists():
             meta = read_meta(self._path)
             self._refuse_other({k: meta.get(k) for k in identity}, identity)
-            self._complete = True
+            self._samples = meta["samples"]
             shutil.rmtree(self._partial, ignore_errors=True)  # a kill came between the last two steps
             return
         if self._path.exists() and not self._partial.exists() and any(self._path.iterdir()):
@@ -221,7 +228,7 @@ class _Folder:
 
     def missing(self):
         """Indices (list of int) of the samples that are still to be made."""
-        if self._complete:
+        if self._samples:
             return []
         return [i for i in range(self._configuration.samples) if not self._done(i)]
 
@@ -230,22 +237,16 @@ class _Folder:
         return record.exists() and ((self._path / "images" / image_name(index)).exists() or _read_record(record)["failed"])
 
     def finish(self, seconds, workers):
-        """Turn records into a finished set. Returns a dict: kept, failed, made, seconds. Raises TactipError."""
-        if self._complete:
-            samples = read_meta(self._path)["samples"]
-            return {**samples, "made": 0, "seconds": 0.0, "folder": str(self._path)}
-        try:
-            rows, failures = self._assemble(workers, seconds)
-        except OSError as error:
-            raise TactipError(disk_error(error)) from error
-        return {
-            "asked": self._configuration.samples,
-            "kept": len(rows),
-            "failed": len(failures),
-            "made": len(self.costs),
-            "seconds": seconds,
-            "folder": str(self._path),
-        }
+        """Turn records into a finished set, if it is not one. Returns a dict: folder, asked, kept, failed, made, seconds.
+
+        seconds: float, since the command began. workers: int. Raises TactipError where the disk is full.
+        """
+        if not self._samples:
+            try:
+                self._samples = self._assemble(workers, seconds)
+            except OSError as error:
+                raise TactipError(disk_error(error)) from error
+        return {"folder": str(self._path), **self._samples, "made": len(self.costs), "seconds": seconds}
 
     def _assemble(self, workers, seconds):
         rows, failures, images, tips, directions = [], [], {}, [], []
@@ -278,7 +279,7 @@ class _Folder:
         sums = {name: checksum(data) for name, data in files.items()}
         write_file(self._path / "meta.json", meta_json(self._configuration, rows, failures, sums, images))
         shutil.rmtree(self._partial)
-        return rows, failures
+        return {"asked": self._configuration.samples, "kept": len(rows), "failed": len(failures)}
 
     def _run_json(self, workers, seconds):
         """The facts of this very run, which are not the same in the next."""
@@ -287,7 +288,7 @@ class _Folder:
             "machine": {"system": platform.platform(), "processor": platform.machine(), "cores": os.cpu_count()},
             "workers": workers,
             "samples_made_by_the_last_command": len(self.costs),
-            "seconds_of_the_last_command_all_its_sets": round(seconds, 3),
+            "seconds_from_the_commands_start": round(seconds, 3),
         }
         if self.costs:  # none if a kill came just before the end
             run["seconds_a_sample_and_worker_median"] = round(float(np.median([c[0] for c in self.costs])), 4)

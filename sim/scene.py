@@ -47,6 +47,8 @@ class Scene:
         spec.option.impratio = solver.impratio
         # Contact springs are stiffer than the step resolves; clamping them would let the stimulus sink in.
         spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_REFSAFE
+        # A diverged state must stay to be seen: MuJoCo would start again from the undeformed tip, and say nothing.
+        spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         friction = self.design.materials.friction
         add_stimulus(spec, self.task, friction, self.fidelity.contact)
         tip = spec.worldbody.add_body(name="tip")

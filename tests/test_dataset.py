@@ -269,6 +269,24 @@ def test_a_diverged_state_is_a_fault(on_surface):
     assert "mm/s" in replace(contact, speed_m_s=1.0).faults(Bounds())[0]
 
 
+def test_a_state_that_blows_up_is_seen(design, monkeypatch):
+    """Not a number in one vertex in mid-press: the record must say so, not start again from the undeformed tip."""
+    player = CarefulPlayer(design, "surface", fidelity_named("draft"), Bounds())
+    scene = player._first.scene
+    place, steps = scene.place, []
+
+    def poisoned(*where):
+        place(*where)
+        steps.append(where)
+        if len(steps) == 4:
+            scene.data.qpos[100] = np.nan
+
+    monkeypatch.setattr(scene, "place", poisoned)
+    contact, faults = player.play(from_mm_deg([0, 0, -3, 0, 0, 0]), np.zeros(6))
+    assert faults == [["the state is not finite"]]
+    assert contact.faults(Bounds()) == []  # the second try is another scene, and good
+
+
 def test_pyrender_sets_are_made_and_show(tmp_path, design):
     folder = tmp_path / "drawn"
     assert run(make(folder, samples=2, renderer="pyrender")).returncode == 0
