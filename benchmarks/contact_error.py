@@ -53,7 +53,7 @@ def converged(fidelity):
 
 
 def played(fidelity: Fidelity, task: str, contacts: int):
-    """Play the contacts. Returns tips (n, p, 3) m, seconds a contact (median), the records, and the model's degrees of freedom."""
+    """Play the contacts. Returns tips (n, p, 3) m, median seconds a contact, the records, and the degrees of freedom."""
     player = ContactPlayer(design_named("tactip-127"), task, fidelity)
     records, took = [], []
     for index in range(contacts):

@@ -27,7 +27,7 @@ class Motion:
     ease_out: float = 1.5
     """Powers with which a motion's pace grows from its start and falls to its end: pace ~ t^ease_in (1 - t)^ease_out, t
     from 0 to 1. 0 is a jerk: at the start it throws the tip off the surface, at the end the skin swings on and friction
-    lets go. A steady pace has three times the error of these at the same cost."""
+    lets go. A steady pace has up to twice the error of these at the same cost (docs/fidelity.md)."""
     settle_steps: int = 4
     """Fewest steps at rest before recording."""
     settle_speed_m_s: float = 2e-3

@@ -36,7 +36,7 @@ class Resolution:
     """Rounds of averaging of the inner points."""
     poisson_limit: float = 0.47
     """Largest Poisson's ratio that the elements are given, -. Linear tetrahedra lock near incompressibility: a gel of
-    0.49 meshed as 0.49 is 30 to 50 % too stiff, as 0.47 it is best in shape (tests hold it to a code that does not
+    0.49 meshed as 0.49 is 30 to 60 % too stiff, as 0.47 it is best in shape (tests hold it to a code that does not
     lock). Not a property of the material."""
     locked_stiffness: float = 0.88
     """Factor on the gel's modulus where the limit above acts, -: takes back the rest of the locking's excess force."""
