@@ -202,8 +202,9 @@ class _Folder:
             return
         if self._path.exists() and not self._partial.exists() and any(self._path.iterdir()):
             raise TactipError(f"the folder {self._path} is not empty and holds no data set: name another one")
-        (self._path / "images").mkdir(parents=True, exist_ok=True)
-        self._partial.mkdir(exist_ok=True)
+        # First of all what makes the folder ours, so that a kill before the next line does not make it a stranger's.
+        self._partial.mkdir(parents=True, exist_ok=True)
+        (self._path / "images").mkdir(exist_ok=True)
         self._lock = (self._partial / "lock").open("w")
         try:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -214,8 +215,9 @@ class _Folder:
             self._refuse_other(json.loads(known.read_text()), identity)
         else:
             write_file(known, json.dumps(identity, indent=1).encode())
-        for leftover in [*self._partial.glob(".*.tmp"), *(self._path / "images").glob(".*.tmp")]:
-            leftover.unlink()
+        for place in (self._path, self._partial, self._path / "images"):
+            for leftover in place.glob(".*.tmp"):
+                leftover.unlink()
 
     def _refuse_other(self, there, asked):
         difference = _first_difference(there, asked, "")

@@ -21,17 +21,17 @@ TASKS = ("surface", "edge")
 def add_stimulus(spec, task, friction, contact):
     """Add a block whose body frame is the contact frame (sim/pose.py).
 
-    spec: mujoco.MjSpec. task: one of TASKS. friction: float, -. contact: body.ContactModel. Returns the joint's name.
+    spec: mujoco.MjSpec. task: one of TASKS. friction: float, -. contact: body.ContactModel.
 
     The block is 1000 kg: its motion is set at every step, and no contact force is to change it within one.
     """
     body = spec.worldbody.add_body(name="stimulus", mass=1000.0, inertia=[10.0] * 3, explicitinertial=True)
-    joint = body.add_freejoint(name="stimulus")
+    body.add_freejoint(name="stimulus")
     touch = contact_attributes(friction, contact)
     if task == "edge":
         spec.add_mesh(name="edge", uservert=_edge_vertices().ravel())
         both = TOUCHES_VERTICES | TOUCHES_FACETS
-        body.add_geom(name="edge", type=mujoco.mjtGeom.mjGEOM_MESH, meshname="edge", contype=both, conaffinity=both, **touch)
+        body.add_geom(name="edge", type=mujoco.mjtGeom.mjGEOM_MESH, meshname="edge", contype=0, conaffinity=both, **touch)
     else:
         a = HALF_SIZE_M
         body.add_geom(
@@ -39,11 +39,10 @@ def add_stimulus(spec, task, friction, contact):
             type=mujoco.mjtGeom.mjGEOM_BOX,
             size=[a, a, a / 2],
             pos=[0, 0, -a / 2],
-            contype=TOUCHES_VERTICES,
+            contype=0,
             conaffinity=TOUCHES_VERTICES,
             **touch,
         )
-    return joint.name
 
 
 def _edge_vertices():

@@ -1,6 +1,7 @@
 """Is a data set whole? Every promise of its format, checked; every breach, a sentence."""
 
-import json
+import zipfile
+from collections import Counter
 from pathlib import Path
 
 import cv2
@@ -48,9 +49,7 @@ def _files(folder, meta):
 
 def _images(folder, meta, rows):
     named = [row["sensor_image"] for row in rows]
-    problems = [
-        f"targets.csv: the image {n} has more than one row" for n in sorted({n for n in named if named.count(n) > 1})
-    ]
+    problems = [f"targets.csv: the image {n} has more than one row" for n, k in sorted(Counter(named).items()) if k > 1]
     there = {path.name for path in (folder / "images").glob("*")}
     problems += [f"images/{name}: missing" for name in sorted(set(named) - there)]
     problems += [f"images/{name}: has no row in targets.csv" for name in sorted(there - set(named))]
@@ -119,10 +118,10 @@ def _pins(folder, meta, rows):
     if not path.exists():
         return []  # reported by its checksum
     try:
-        with np.load(path, allow_pickle=False) as pins:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as pins:
             digest, tips = str(pins["digest"]), pins["tips"]
             finite = all(np.isfinite(pins[k]).all() for k in ("tips", "directions"))
-    except (OSError, ValueError, KeyError, json.JSONDecodeError) as error:
+    except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile) as error:
         return [f"pins.npz: it cannot be read: {error}"]
     problems = []
     if digest != meta["digest"]:

@@ -26,7 +26,8 @@ STRETCHING_AND_BENDING = 3
 
 TOUCHES_VERTICES = 2
 TOUCHES_FACETS = 4
-"""Contact bits (contype and conaffinity) of what meets the skin's vertices, and of what meets its facets."""
+"""Contact bits: `contype` of the skin's vertices and of its facets, `conaffinity` of what is to meet them. The skin has no
+affinity of its own, so that it never meets itself."""
 
 
 @dataclass(frozen=True)
@@ -46,21 +47,12 @@ class ContactModel:
     more iterations. Motions are quasi-static, so that mass does not change where the tip comes to rest."""
 
 
-@dataclass(frozen=True)
-class SoftBody:
-    """What was added to the model: names of flexes and of the vertices' bodies."""
-
-    skin: str
-    gel: str
-    vertex_bodies: tuple[str, ...]
-
-
 def add_body(spec, parent, design, mesh, resolution, contact):
     """Add the soft tip to a model.
 
     spec: mujoco.MjSpec. parent: MjsBody whose frame is the sensor frame; bonded vertices move with it. design: Design.
     mesh: mesh.Mesh. resolution: mesh.Resolution, that the mesh was built with. contact: ContactModel.
-    Returns a SoftBody. The integrator must be `discrete` (see sim/scene.py).
+    The integrator must be `discrete` (see sim/scene.py).
     """
     materials = design.materials
     mass = np.zeros(len(mesh.vertices))
@@ -83,7 +75,7 @@ def add_body(spec, parent, design, mesh, resolution, contact):
                 type=mujoco.mjtGeom.mjGEOM_SPHERE,
                 size=[CONTACT_RADIUS_M, 0, 0],
                 contype=TOUCHES_VERTICES,
-                conaffinity=TOUCHES_VERTICES,
+                conaffinity=0,
                 **touch,
             )
         bodies.append(body.name)
@@ -104,7 +96,7 @@ def add_body(spec, parent, design, mesh, resolution, contact):
         damping=materials.damping_s,
         selfcollide=mujoco.mjtFlexSelf.mjFLEXSELF_NONE,
         contype=TOUCHES_FACETS,
-        conaffinity=TOUCHES_FACETS,
+        conaffinity=0,
         **touch,
     )
     locked = materials.gel_poisson > resolution.poisson_limit
@@ -123,7 +115,6 @@ def add_body(spec, parent, design, mesh, resolution, contact):
         contype=0,
         conaffinity=0,
     )
-    return SoftBody("tip/skin", "tip/gel", tuple(bodies))
 
 
 def contact_attributes(friction, contact):

@@ -15,7 +15,7 @@ import numpy as np
 
 from tactip_model.errors import TactipError
 from tactip_model.opengl import install_hint
-from tactip_model.optics import LedRing, Lens, inner_skin, tip_radii
+from tactip_model.optics import LedRing, Lens, across, inner_skin, tip_radii
 from tactip_model.raster import finish
 
 _SIDES = 24
@@ -128,11 +128,7 @@ class PinCamera:
     def render(self, tips, directions):
         """Grey frame (h, w) uint8 of pins with tips (p, 3) m and directions (p, 3), sensor frame."""
         tips, directions = np.asarray(tips, float), np.asarray(directions, float)
-        other = np.where(np.abs(directions[:, :1]) < 0.9, [[1.0, 0, 0]], [[0, 1.0, 0]])
-        u = np.cross(directions, other)
-        u /= np.linalg.norm(u, axis=1, keepdims=True)
-        v = np.cross(directions, u)
-        plane = np.einsum("sk,kpj->psj", self._rim, np.stack([u, v]))
+        plane = np.einsum("sk,kpj->psj", self._rim, across(directions))
         discs = np.concatenate([tips[:, None], tips[:, None] + self._radii[:, None, None] * plane], 1)
         grey = self._leds.grey(tips, directions, self._design.optics.pin_albedo)
         mesh = self._canvas.mesh(self._seen(discs.reshape(-1, 3)), self._fans, np.repeat(grey, _SIDES + 1))

@@ -105,6 +105,14 @@ def tip_radii(design):
     return 0.5 * (design.pins.diameter_m + share * (design.pins.rim_diameter_m - design.pins.diameter_m))
 
 
+def across(directions):
+    """Two unit vectors (2, p, 3) that span the discs square to directions (p, 3)."""
+    other = np.where(np.abs(directions[:, :1]) < 0.9, [[1.0, 0, 0]], [[0, 1.0, 0]])
+    u = np.cross(directions, other)
+    u /= np.linalg.norm(u, axis=1, keepdims=True)
+    return np.stack([u, np.cross(directions, u)])
+
+
 def inner_skin(design, polar, azimuth):
     """Points and inward unit normals (..., 3) of the undeformed inner skin at polar angle and azimuth (arrays, rad)."""
     outward = np.stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar) + 0 * azimuth], -1)

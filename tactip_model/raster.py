@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 
-from tactip_model.optics import LedRing, Lens, backdrop, tip_radii
+from tactip_model.optics import LedRing, Lens, across, backdrop, tip_radii
 
 
 class Raster:
@@ -51,12 +51,8 @@ class Raster:
 
     def _ellipses(self, tips, directions):
         """Image centres (p, 2) px and half-axes (p, 2, 2) px, columns, of the pins' discs."""
-        other = np.where(np.abs(directions[:, :1]) < 0.9, [[1.0, 0, 0]], [[0, 1.0, 0]])
-        u = np.cross(directions, other)
-        u /= np.linalg.norm(u, axis=1, keepdims=True)
-        v = np.cross(directions, u)
         r = self._radii[:, None]
-        edge = [self._lens.project(tips + s * r * w) for w in (u, v) for s in (1, -1)]
+        edge = [self._lens.project(tips + s * r * w) for w in across(directions) for s in (1, -1)]
         axes = np.stack([(edge[0] - edge[1]) / 2, (edge[2] - edge[3]) / 2], -1)
         return np.mean(edge, axis=0), axes
 

@@ -213,6 +213,17 @@ def test_two_commands_do_not_make_one_set(tmp_path):
         first.wait()
 
 
+@pytest.mark.parametrize("begun", [".partial", ".partial/lock", ".targets.csv.7.tmp"])
+def test_a_kill_in_the_very_first_or_last_writes_is_mended(whole, tmp_path, begun):
+    """Folders and lock made and nothing else; half a table beside them."""
+    folder = tmp_path / "begun"
+    (folder / ".partial").mkdir(parents=True)
+    if begun != ".partial":
+        (folder / begun).write_text("")
+    assert run(make(folder)).returncode == 0
+    assert contents(folder) == contents(whole)
+
+
 def test_a_kill_between_the_last_two_steps_is_mended(copy, whole):
     (copy / ".partial").mkdir()
     (copy / ".partial" / "000000.npz").write_bytes(b"")
@@ -362,6 +373,15 @@ def damage_pins_of_another_set(folder):
     np.savez(folder / "pins.npz", **{**arrays, "digest": np.array("0" * 64)})
 
 
+def damage_truncated_pins(folder):
+    path = folder / "pins.npz"
+    path.write_bytes(path.read_bytes()[:500])
+
+
+def damage_emptied_pins(folder):
+    (folder / "pins.npz").write_bytes(b"")
+
+
 def damage_configuration(folder):
     path = folder / "meta.json"
     meta = json.loads(path.read_text())
@@ -391,6 +411,8 @@ DAMAGES = {
     damage_foreign_row: "a mixed configuration",
     damage_missing_pins: "pins.npz: missing",
     damage_pins_of_another_set: "pins.npz: it belongs to a set of another configuration",
+    damage_truncated_pins: "pins.npz: it cannot be read",
+    damage_emptied_pins: "pins.npz: it cannot be read",
     damage_configuration: "its configuration was altered",
 }
 
