@@ -38,6 +38,9 @@ test-all: $(READY)
 
 report: $(READY)
 	@$(BIN)/python -m benchmarks.mechanics
+	@$(BIN)/python -m benchmarks.materials
+	@$(BIN)/python -m benchmarks.second_code
+	@$(BIN)/python -m benchmarks.friction
 	@$(BIN)/python -m benchmarks.contact_error
 	@$(BIN)/python -m benchmarks.real_comparison
 

@@ -49,7 +49,7 @@ class Make:
     fidelity: str = "standard"
     """draft, standard or reference (sim/fidelity.py)."""
     design: str = "tactip-127"
-    """tactip-127 or tactip-331 (tactip_model/design.py)."""
+    """tactip-127, tactip-331, or a design file (.json) as `tactip calibrate` writes it."""
     renderer: str = "pyrender"
     """pyrender, or raster: the same image without OpenGL."""
     pose: RangeOptions = field(default_factory=RangeOptions)
@@ -71,7 +71,7 @@ class Make:
         if made:
             print(f"{made} samples in {seconds:.1f} s: {made / seconds:.2f} samples/s")
         if failed:
-            print(f"{failed} contacts failed twice and were left out: meta.json names them and says why")
+            print(f"{failed} contacts failed each try and were left out: meta.json names them and says why")
         return 0
 
     def _jobs(self):
@@ -80,7 +80,7 @@ class Make:
         from sim.generation import Job
         from sim.sampling import POSE_RANGES, SHEAR_RANGES, SPLITS
         from sim.stimulus import TASKS
-        from tactip_model.design import design_named
+        from tactip_model.design_file import find_design
         from tactip_model.errors import choose
 
         choose("task", self.task, dict.fromkeys([*TASKS, "all"]))
@@ -97,7 +97,7 @@ class Make:
                     samples=self.samples,
                     seed=self.seed,
                     renderer=self.renderer,
-                    design=design_named(self.design),
+                    design=find_design(self.design),
                     fidelity=fidelity_named(self.fidelity),
                     pose=_with_options(POSE_RANGES[task], self.pose),
                     shear=_with_options(SHEAR_RANGES, self.shear),
@@ -172,10 +172,85 @@ class Dataset:
         return self.action.run()
 
 
+@dataclass(frozen=True)
+class Stability:
+    """Map where contacts converge and where they are refused. Run again, it goes on where it stopped."""
+
+    out: Path = Path("docs")
+    """Folder for stability.json, stability.md and stability.png."""
+    quick: bool = False
+    """Every seventh cell: about a minute and a half on two cores."""
+    workers: str = "auto"
+    """Worker processes; auto is one a core."""
+
+    def run(self):
+        from benchmarks.stability import run
+        from sim.crew import worker_count
+
+        result = run(self.out, worker_count(self.workers), self.quick)
+        print(f"{self.out / 'stability.md'} written")
+        return 1 if result["counts"]["wrong"] else 0
+
+
+@dataclass(frozen=True)
+class Calibrate:
+    """Fit the sensor to real frames: lens, pins, materials, friction, rig. Run again, it goes on where it stopped."""
+
+    real: tyro.conf.Positional[Path]
+    """Folder of the real set: a neutral image init*.png, frames, targets.csv and meta.json (sim/real_set.py)."""
+    design: str = "tactip-127"
+    """Design to start from: tactip-127, tactip-331, or a design file (.json)."""
+    out: Path = Path("design.json")
+    """Design file to write; --design of other commands takes it."""
+    report: Path | None = None
+    """Folder for the report; the design file's name with _calibration if not given."""
+    frames: int = 60
+    """Frames to fit, of one half of the set."""
+    judged: int = 150
+    """Frames to judge, of the other half."""
+    seed: int = 0
+    """Seed of the draws of frames."""
+
+    def run(self):
+        from sim.calibration import Settings, calibrate
+        from sim.calibration_report import write_report
+        from tactip_model.design_file import find_design
+
+        if self.out.suffix != ".json":
+            raise TactipError(f"the design file {self.out} must end in .json")
+        if self.frames < 10 or self.judged < 10:
+            raise TactipError(f"{self.frames} frames to fit and {self.judged} to judge: each must be at least 10")
+        report = self.report or self.out.with_name(f"{self.out.stem}_calibration")
+        report.mkdir(parents=True, exist_ok=True)
+        settings = Settings(frames=self.frames, judged=self.judged, seed=self.seed)
+        result = calibrate(self.real, find_design(self.design), settings, report / "state.json")
+        figures = write_report(result, self.real.resolve().name, settings, self.out, report)
+        judged = figures["frames_px"]["share_of_move_found"]
+        print(f"judged frames: {judged['rms']:.2f} px rms, median {judged['median']:.2f} px (256 px image)")
+        print(f"{self.out} and {report / 'calibration.md'} written")
+        return 0
+
+
+_Benches = tyro.extras.subcommand_type_from_defaults({"stability": Stability()})
+"""The measurements by name. (A union of types would do if there were more than one.)"""
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Measure the simulation."""
+
+    action: Annotated[_Benches, tyro.conf.arg(name="")]  # pyright: ignore[reportInvalidTypeForm]
+
+    def run(self):
+        return self.action.run()
+
+
 def main(arguments=None):
     """Run the command line. arguments: list of str, the process's own if None. Returns the exit status (int)."""
     about = "A digital twin of the TacTip, a soft optical fingertip."
-    command = tyro.extras.subcommand_cli_from_dict({"dataset": Dataset}, args=arguments, prog="tactip", description=about)
+    command = tyro.extras.subcommand_cli_from_dict(
+        {"dataset": Dataset, "calibrate": Calibrate, "bench": Bench}, args=arguments, prog="tactip", description=about
+    )
     try:
         return command.run()
     except TactipError as error:

@@ -1,7 +1,7 @@
 """One contact: approach, shear, settle, record. And the judgement whether the record can be trusted."""
 
 import contextlib
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from itertools import pairwise
 
 import mujoco
@@ -10,17 +10,76 @@ from scipy.spatial.transform import Rotation
 from scipy.special import betainc
 
 from sim.fidelity import finer
-from sim.pose import before_shear, inverse, path, sensor_in_contact, turn_between
+from sim.pose import before_shear, from_mm_deg, inverse, path, sensor_in_contact, shear_between, turn_between
 from sim.scene import Scene
-from sim.stimulus import height_to_clear
+from tactip_model.bounds import require
 from tactip_model.mesh import tetrahedron_volumes
 from tactip_model.pins import PinReader
 
 _CLEARANCE_M = 0.05e-3
 """Gap from which an approach starts, m."""
 
-_LEVER_M = 10e-3
+LEVER_M = 10e-3
 """Distance from the apex at which a turn counts as travel of the skin, m: half the dome's radius."""
+
+_STEPS_ACROSS = 4
+"""Least steps in which the skin passes something thin: in fewer it would come out on the other side."""
+
+EASY_FRICTION = 0.3
+"""Friction up to which the fidelity's steps of a slide are kept, -."""
+
+LEAST_STICKINESS = 0.25
+"""Least share of them that is left at high friction, -."""
+
+HEAVIEST_KG_M3 = 1050.0
+"""Density up to which the fidelity's pace is kept, kg/m^3: that of silicone."""
+
+_LEAST_FORCE_N = 1e-2
+"""Contact force below which a drift of energy is not weighed against it, N: a hundredth of a light press."""
+
+TRIES = 3
+"""Times that a contact is played, each with finer steps, before it is refused."""
+
+
+DEEPEST_M = 8e-3
+"""Deepest press, m: as far as docs/stability.md has been."""
+
+STEEPEST_RAD = np.radians(30.0)
+"""Greatest tilt of the tip to the normal, rad: beyond it the contact reaches the rim, where the mesh is coarse and held."""
+
+FARTHEST_M = 20e-3
+"""Longest slide, m."""
+
+
+def check_motion(pose, shear, deepest=DEEPEST_M):
+    """Raise TactipError where a pose and a shear (6,), m and rad, cannot be played, deeper than `deepest` (m) or so."""
+    numbers = np.concatenate([pose, shear])
+    require(np.isfinite(numbers).all(), "a pose or shear", numbers.tolist(), "finite in all components")
+    start = before_shear(pose, shear)
+    for label, which in ((pose, "pose"), (start, "pose before the shear")):
+        tilt = np.arccos(np.clip(-sensor_in_contact(label)[2, 2], -1, 1))
+        _check_reach(-label[2], deepest, tilt, which)
+    slide = float(np.linalg.norm(shear[:3]))
+    require(slide <= FARTHEST_M, "the shear", f"{1e3 * slide:g} mm long", f"at most {1e3 * FARTHEST_M:g} mm")
+
+
+def check_ranges(pose, shear):
+    """Raise TactipError where some draw from two sampling.Ranges might be one that check_motion refuses."""
+    pose, shear = (from_mm_deg(ranges.bounds().T).T for ranges in (pose, shear))
+    tilt, turn = (np.linalg.norm(np.abs(r[3:5]).max(1)) for r in (pose, shear))
+    deepest = -pose[2, 0] + max(0.0, shear[2, 1])
+    _check_reach(deepest, DEEPEST_M, tilt + turn, "deepest and steepest pose of the ranges")
+    slide = float(np.linalg.norm(np.abs(shear[:3]).max(1)))
+    require(
+        slide <= FARTHEST_M, "the longest shear of the ranges", f"{1e3 * slide:g} mm", f"at most {1e3 * FARTHEST_M:g} mm"
+    )
+
+
+def _check_reach(depth, deepest, tilt, which):
+    """depth, deepest: m. tilt: rad. which: str, whose they are."""
+    require(depth <= deepest + 1e-12, f"the depth of the {which}", f"{1e3 * depth:g} mm", f"at most {1e3 * deepest:g} mm")
+    degrees, most = np.degrees([tilt, STEEPEST_RAD])
+    require(tilt <= STEEPEST_RAD + 1e-9, f"the tilt of the {which}", f"{degrees:g} degrees", f"at most {most:g} degrees")
 
 
 @dataclass(frozen=True)
@@ -33,6 +92,18 @@ class Bounds:
     """Smallest ratio of an element's volume to its undeformed one, -. Below 0 it is inside out."""
     speed_m_s: float = 20e-3
     """Greatest residual speed of a vertex, m/s."""
+    overlap_m: float = 0.1e-3
+    """Greatest overlap of skin and object by their shapes, m."""
+    imbalance: float = 0.5
+    """Greatest force left over, of the contact force, -."""
+    creep_m_s: float = 3e-3
+    """Greatest rate at which stored energy changes, over the contact force, m/s."""
+    area_ratio: float = 0.1
+    """Smallest ratio of a facet's area to its undeformed one, -."""
+    fold_rad: float = np.radians(160)
+    """Greatest angle between the normals of neighbouring facets, rad. At 180 degrees the skin is folded on itself."""
+    unsolved: float = 0.1
+    """Greatest share of the steps in which the solver ran out of iterations, -."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +128,20 @@ class Contact:
     """Smallest ratio of an element's volume to its undeformed one, -."""
     speed_m_s: float
     """Speed of the fastest vertex, m/s."""
+    overlap_m: float
+    """Greatest depth of the skin's facets inside the object, by its true shape: what contacts that were missed do not
+    show, m."""
+    imbalance: float
+    """Norm of the force left over on the vertices over that of the contact force on them, -: zero at rest."""
+    creep_m_s: float
+    """Rate at which the energy stored in the tip changes, over the contact force: the speed of a stimulus that would do
+    as much work, m/s."""
+    area_ratio: float
+    """Smallest ratio of a facet's area to its undeformed one, -."""
+    fold_rad: float
+    """Greatest angle between the normals of neighbouring facets, rad."""
+    unsolved: float
+    """Share of the steps in which the solver ran out of iterations, -."""
     warnings: int
     """MuJoCo's warnings on the way."""
     steps: int
@@ -64,21 +149,51 @@ class Contact:
 
     def faults(self, bounds):
         """What is wrong with the record: a list of sentences, empty if it can be trusted. bounds: Bounds."""
-        numbers = np.concatenate([self.tips.ravel(), self.directions.ravel(), [self.normal_force_n, self.speed_m_s]])
-        if not np.isfinite(numbers).all() or not np.isfinite(self.volume_ratio):
+        measures = [getattr(self, f.name) for f in fields(self)]
+        if not all(np.isfinite(m).all() for m in measures):
             return ["the state is not finite"]
-        faults = []
-        if self.volume_ratio < bounds.volume_ratio:
-            faults.append(f"an element shrank to {self.volume_ratio:.3f} of its volume (allowed: {bounds.volume_ratio})")
-        if self.penetration_m > bounds.penetration_m:
-            faults.append(
-                f"the object is {1e3 * self.penetration_m:.4f} mm inside the skin (allowed: {1e3 * bounds.penetration_m} mm)"
-            )
-        if self.speed_m_s > bounds.speed_m_s:
-            faults.append(
-                f"the skin still moves at {1e3 * self.speed_m_s:.1f} mm/s (allowed: {1e3 * bounds.speed_m_s} mm/s)"
-            )
-        return faults
+        mm, degrees = 1e3, np.degrees(1.0)
+        checks = [
+            (
+                self.volume_ratio >= bounds.volume_ratio,
+                f"an element shrank to {self.volume_ratio:.3f} of its volume (allowed: {bounds.volume_ratio})",
+            ),
+            (
+                self.penetration_m <= bounds.penetration_m,
+                f"the object is {mm * self.penetration_m:.4f} mm inside the skin (allowed: {mm * bounds.penetration_m} mm)",
+            ),
+            (
+                self.speed_m_s <= bounds.speed_m_s,
+                f"the skin still moves at {mm * self.speed_m_s:.1f} mm/s (allowed: {mm * bounds.speed_m_s} mm/s)",
+            ),
+            (
+                self.overlap_m <= bounds.overlap_m,
+                f"skin and object overlap by {mm * self.overlap_m:.4f} mm (allowed: {mm * bounds.overlap_m} mm)",
+            ),
+            (
+                self.imbalance <= bounds.imbalance,
+                f"{100 * self.imbalance:.1f} % of the contact force is not balanced (allowed: {100 * bounds.imbalance} %)",
+            ),
+            (
+                self.creep_m_s <= bounds.creep_m_s,
+                f"the stored energy drifts like a press at {mm * self.creep_m_s:.1f} mm/s "
+                f"(allowed: {mm * bounds.creep_m_s} mm/s)",
+            ),
+            (
+                self.area_ratio >= bounds.area_ratio,
+                f"a facet of the skin shrank to {self.area_ratio:.3f} of its area (allowed: {bounds.area_ratio})",
+            ),
+            (
+                self.fold_rad <= bounds.fold_rad,
+                f"the skin is folded by {degrees * self.fold_rad:.0f} degrees (allowed: {degrees * bounds.fold_rad:.0f})",
+            ),
+            (
+                self.unsolved <= bounds.unsolved,
+                f"the solver ran out of iterations in {100 * self.unsolved:.0f} % of the steps "
+                f"(allowed: {100 * bounds.unsolved:.0f} %)",
+            ),
+        ]
+        return [sentence for good, sentence in checks if not good]
 
 
 class _Diverged(Exception):
@@ -100,38 +215,77 @@ def _counted_warnings():
 class ContactPlayer:
     """Plays contacts in one scene. Each is independent of those before it."""
 
-    def __init__(self, design, task, fidelity):
-        """design: Design. task: `surface` or `edge`. fidelity: Fidelity. Raises TactipError on what cannot be built."""
-        self.scene = Scene(design, task, fidelity)
+    def __init__(self, design, stimulus, fidelity):
+        """design: Design. stimulus: str, a name in stimulus.STIMULI. fidelity: Fidelity.
+
+        Raises TactipError on what cannot be built.
+        """
+        self.scene = Scene(design, stimulus, fidelity)
         """The scene, at the end of the last contact."""
         self.reader = PinReader(design, self.scene.mesh)
         """The design's pins on this scene's skin."""
-        self._steps = 0
+        self._steps = self._unsolved = 0
+        # A heavy tip's waves are slow: the stimulus is to stay slow against them.
+        self._slowness = min(1.0, float(np.sqrt(HEAVIEST_KG_M3 / design.materials.density_kg_m3)))
+        # What is left of a slide is friction's work: the higher it is, the finer the steps of the slide must be.
+        self._stickiness = np.clip(EASY_FRICTION / max(design.materials.friction, EASY_FRICTION), LEAST_STICKINESS, 1.0)
+        self._longest_step = self.scene.stimulus.width_m / _STEPS_ACROSS
 
-    def play(self, pose, shear):
-        """Press at `pose` minus `shear`, move to `pose`, settle. pose, shear: (6,), m and rad. Returns a Contact."""
+    def play(self, pose, shear, approach=True):
+        """Press at `pose` minus `shear`, move to `pose`, settle. pose, shear: (6,), m and rad. Returns a Contact.
+
+        approach: False begins where the press would end, with the stimulus inside the skin as it may be.
+        Raises TactipError on a pose or shear out of reach (check_motion), and on a start inside of something thin: to which
+        side of it the skin gives way would be chance.
+        """
         pose, shear = np.asarray(pose, float), np.asarray(shear, float)
+        check_motion(pose, shear, min(DEEPEST_M, self.scene.stimulus.deepest_m))
+        thin = np.isfinite(self.scene.stimulus.width_m)
+        require(approach or not thin, "approach", approach, "True with a stimulus that could come through the skin")
         self.scene.reset()
-        self._steps = 0
+        self._steps = self._unsolved = 0
         # A state that is lost stays lost: the record shows it, and steps from it would only take long.
         with _counted_warnings() as messages, contextlib.suppress(_Diverged):
-            for labels in self._motions(pose, shear):
+            for labels in self._motions(pose, shear, approach):
                 self._move(labels)
             self._settle(pose)
         return self._record(pose, shear, len(messages))
 
-    def _motions(self, pose, shear):
+    def stages(self, pose, shear, shares):
+        """One contact looked at on its way: at rest at each of `shares` (increasing, 0 to 1) of the shear.
+
+        pose, shear: as for `play`. Yields a Contact for each share, with the shear that it has had so far; the scene is then
+        in that state.
+        """
+        pose, shear = np.asarray(pose, float), np.asarray(shear, float)
+        check_motion(pose, shear, min(DEEPEST_M, self.scene.stimulus.deepest_m))
+        self.scene.reset()
+        self._steps = self._unsolved = warnings = 0
+        start = before_shear(pose, shear)
+        here, approach = start, True
+        for label in path(start, pose, shares):
+            with _counted_warnings() as messages, contextlib.suppress(_Diverged):
+                for labels in self._motions(label, shear_between(here, label), approach):
+                    self._move(labels)
+                self._settle(label)
+            warnings += len(messages)
+            yield self._record(label, shear_between(start, label), warnings)
+            here, approach = label, False
+
+    def _motions(self, pose, shear, approach):
         """The labels (n, 6) of each motion, first to last."""
         motion, radius = self.scene.fidelity.motion, self.scene.design.shape.radius_m
         start = before_shear(pose, shear)
         dome_centre = sensor_in_contact(start) @ [0, 0, -radius, 1]
-        lift = height_to_clear(self.scene.task, dome_centre[:3], radius) + _CLEARANCE_M
-        if lift > 0:
+        lift = self.scene.stimulus.height_to_clear(dome_centre[:3], radius) + _CLEARANCE_M
+        steps = motion.press_step_m * self._slowness, motion.shear_step_m * self._slowness * self._stickiness
+        press_step, shear_step = (min(step, self._longest_step) for step in steps)
+        if approach and lift > 0:
             above = start + np.array([0, 0, lift, 0, 0, 0])
-            yield path(above, start, _shares(lift / motion.press_step_m, motion))
-        travel = np.linalg.norm(shear[:3]) + _LEVER_M * turn_between(start, pose)
+            yield path(above, start, _shares(lift / press_step, motion))
+        travel = np.linalg.norm(shear[:3]) + LEVER_M * turn_between(start, pose)
         if travel > 0:
-            yield path(start, pose, _shares(travel / motion.shear_step_m, motion))
+            yield path(start, pose, _shares(travel / shear_step, motion))
 
     def _move(self, labels):
         """Carry the stimulus along labels (n, 6), one a step."""
@@ -158,6 +312,7 @@ class ContactPlayer:
         """One time step. Raises _Diverged where the state is no longer finite."""
         mujoco.mj_step(self.scene.model, self.scene.data)
         self._steps += 1
+        self._unsolved += self.scene.ran_out()
         if not np.isfinite(self.scene.greatest_speed()):
             raise _Diverged
 
@@ -170,6 +325,7 @@ class ContactPlayer:
         vertices = scene.vertices()
         tips, directions = self.reader.read(vertices[: scene.mesh.surface_count])
         force = sensor_in_contact(pose)[:3, :3] @ scene.contact_force()
+        area_ratio, fold = scene.skin_shape(vertices)
         ratio = tetrahedron_volumes(vertices, scene.mesh.tetrahedra) / scene.mesh.volumes
         return Contact(
             pose=pose,
@@ -181,33 +337,45 @@ class ContactPlayer:
             penetration_m=scene.penetration(),
             volume_ratio=float(ratio.min()),
             speed_m_s=scene.greatest_speed(),
+            overlap_m=scene.overlap(sensor_in_contact(pose)),
+            imbalance=scene.imbalance(),
+            creep_m_s=scene.stored_power() / max(float(np.linalg.norm(force)), _LEAST_FORCE_N),
+            area_ratio=area_ratio,
+            fold_rad=fold,
+            unsolved=self._unsolved / self._steps,
             warnings=warnings,
             steps=self._steps,
         )
 
 
 class CarefulPlayer:
-    """Plays contacts, and plays one that went wrong again with finer steps, once."""
+    """Plays contacts, and plays one that went wrong again with finer steps, TRIES times in all."""
 
-    def __init__(self, design, task, fidelity, bounds):
-        """design: Design. task: `surface` or `edge`. fidelity: Fidelity. bounds: Bounds."""
-        self._first = ContactPlayer(design, task, fidelity)
-        self._again = None
-        self._design, self._task, self._fidelity, self._bounds = design, task, fidelity, bounds
+    def __init__(self, design, stimulus, fidelity, bounds):
+        """design: Design. stimulus: str, a name in stimulus.STIMULI. fidelity: Fidelity. bounds: Bounds."""
+        self._players = [ContactPlayer(design, stimulus, fidelity)]
+        self._design, self._stimulus, self._bounds = design, stimulus, bounds
 
-    def play(self, pose, shear):
+    def play(self, pose, shear, approach=True):
         """As ContactPlayer.play. Returns the last Contact tried and the faults (a list of str) of each try but a good one.
 
-        One fault list means that the contact was played again and is good; two, that it failed.
+        Fewer fault lists than TRIES mean that the last Contact is good; TRIES, that it failed.
         """
-        contact = self._first.play(pose, shear)
-        tries = [contact.faults(self._bounds)]
-        if tries[0]:
-            if self._again is None:
-                self._again = ContactPlayer(self._design, self._task, finer(self._fidelity))
-            contact = self._again.play(pose, shear)
-            tries.append(contact.faults(self._bounds))
-        return contact, [faults for faults in tries if faults]
+        faults = []
+        for attempt in range(TRIES):
+            contact = self._player(attempt).play(pose, shear, approach)
+            found = contact.faults(self._bounds)
+            if not found:
+                break
+            faults.append(found)
+        return contact, faults
+
+    def _player(self, attempt):
+        """The ContactPlayer of a try, built when first it is needed."""
+        if attempt == len(self._players):
+            fidelity = finer(self._players[-1].scene.fidelity)
+            self._players.append(ContactPlayer(self._design, self._stimulus, fidelity))
+        return self._players[attempt]
 
 
 def _shares(steps, motion):

@@ -7,48 +7,68 @@ they were taken on.
 from dataclasses import dataclass, field, replace
 
 from tactip_model.body import ContactModel
+from tactip_model.bounds import check, require, within
 from tactip_model.errors import choose
 from tactip_model.mesh import Resolution
+
+SHORTEST_STEP_S = 0.05e-3
+"""Shortest time step, s: 0.2 ms is the shortest that docs/stability.md holds to account, and it is refined twice."""
+
+TIGHTEST = 1e-14
+"""Tightest relative tolerance of the solver, -: below it is rounding."""
+
+FASTEST_M_S = 0.5
+"""Fastest mean motion of the stimulus, m/s."""
 
 
 @dataclass(frozen=True)
 class Motion:
     """How a contact is played: steps, pace, and when the tip counts as at rest."""
 
-    step_s: float = 0.007
+    step_s: float = within(SHORTEST_STEP_S, 20e-3, default=0.007)
     """Time step, s. Implicit; stable from 0.2 ms to 20 ms."""
-    press_step_m: float = 0.8e-3
+    press_step_m: float = within(1e-6, 10e-3, default=0.8e-3)
     """Approach per step, m (mean)."""
-    shear_step_m: float = 0.4e-3
+    shear_step_m: float = within(1e-6, 10e-3, default=0.4e-3)
     """Travel of the skin per step of the shear, m (mean)."""
-    least_steps: int = 4
+    least_steps: int = within(1, 100000, default=4)
     """Fewest steps of a motion."""
-    ease_in: float = 0.5
-    ease_out: float = 1.5
+    ease_in: float = within(0, 5, default=0.5)
+    ease_out: float = within(0, 5, default=1.5)
     """Powers with which a motion's pace grows from its start and falls to its end: pace ~ t^ease_in (1 - t)^ease_out, t
     from 0 to 1. 0 is a jerk: at the start it throws the tip off the surface, at the end the skin swings on and friction
     lets go. A steady pace has up to twice the error of these at the same cost (docs/fidelity.md)."""
-    settle_steps: int = 4
+    settle_steps: int = within(1, 100000, default=4)
     """Fewest steps at rest before recording."""
-    settle_speed_m_s: float = 2e-3
+    settle_speed_m_s: float = within(1e-6, 20e-3, default=2e-3)
     """Settling goes on until no vertex moves faster, m/s ..."""
-    settle_limit: int = 20
+    settle_limit: int = within(1, 100000, default=20)
     """... or for so many steps in all."""
+
+    def __post_init__(self):
+        check(self)
+        for name in ("press_step_m", "shear_step_m"):
+            step, most = getattr(self, name), FASTEST_M_S * self.step_s
+            require(step <= most, f"Motion.{name}", step, f"at most {FASTEST_M_S} m/s times step_s, {most:g} m")
+        require(self.settle_limit >= self.settle_steps, "Motion.settle_limit", self.settle_limit, "at least settle_steps")
 
 
 @dataclass(frozen=True)
 class Solver:
     """MuJoCo's conjugate gradients."""
 
-    iterations: int = 1000
+    iterations: int = within(100, 1000000, default=1000)
     """Most iterations a step."""
-    tolerance: float = 1e-7
+    tolerance: float = within(TIGHTEST, 1e-5, default=1e-7)
     """Relative tolerance, -, while the stimulus moves; scaled by the vertices' mass alone (sim/scene.py)."""
-    settle_tolerance: float = 1e-9
+    settle_tolerance: float = within(TIGHTEST, 1e-5, default=1e-9)
     """The same at rest. Looser, the tip trembles without end and its force with it (3 % at 0.5 mm of depth at 1e-7, 0.3 %
     at 1e-9); few iterations are needed there, so that it costs next to nothing."""
-    impratio: float = 10.0
+    impratio: float = within(0.1, 1000, default=10.0)
     """Ratio of frictional to normal impedance, -; more lets less creep."""
+
+    def __post_init__(self):
+        check(self)
 
 
 @dataclass(frozen=True)
@@ -93,17 +113,17 @@ def fidelity_named(name):
 
 def finer(fidelity):
     """The Fidelity with which a contact that went wrong is tried again: half the steps' length, twice as many."""
-    motion = fidelity.motion
+    motion, solver = fidelity.motion, fidelity.solver
     return replace(
         fidelity,
         motion=replace(
             motion,
-            step_s=motion.step_s / 2,
+            step_s=max(motion.step_s / 2, SHORTEST_STEP_S),
             press_step_m=motion.press_step_m / 2,
             shear_step_m=motion.shear_step_m / 2,
             least_steps=2 * motion.least_steps,
             settle_steps=2 * motion.settle_steps,
             settle_limit=4 * motion.settle_limit,
         ),
-        solver=replace(fidelity.solver, tolerance=fidelity.solver.tolerance / 10, iterations=3 * fidelity.solver.iterations),
+        solver=replace(solver, tolerance=max(solver.tolerance / 10, TIGHTEST), iterations=3 * solver.iterations),
     )

@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sim.contact import CarefulPlayer
+from sim.contact import TRIES, CarefulPlayer, check_ranges
 from sim.crew import Crew, disk_error
 from sim.dataset import (
     PARTIAL,
@@ -60,6 +60,7 @@ def check(configuration):
     generator(configuration.seed, configuration.task, configuration.split, 0)
     configuration.pose.check("pose")
     configuration.shear.check("shear")
+    check_ranges(configuration.pose, configuration.shear)
 
 
 def make(jobs, workers, say=print):
@@ -126,7 +127,7 @@ class _SampleMaker:
         draw = generator(c.seed, c.task, c.split, index)
         contact, faults = self._player.play(c.pose.draw(draw), c.shear.draw(draw))
         row = row_of(contact, index, len(faults) + 1, seed_text(c.seed, c.task, c.split, index))
-        failed = len(faults) > 1
+        failed = len(faults) == TRIES
         record = {"row": row, "faults": faults, "failed": failed}
         if not failed:
             image = tactile_image(self._render(contact.tips, contact.directions), c.design.image)

@@ -80,6 +80,13 @@ def before_shear(pose, shear):
     return np.concatenate([pose[:3] - shear[:3], turn.as_rotvec()])
 
 
+def shear_between(start, pose):
+    """The shear (6,) that leads from label `start` to label `pose`: the inverse of `before_shear`."""
+    start, pose = np.asarray(start, float), np.asarray(pose, float)
+    turn = Rotation.from_rotvec(pose[3:]) * Rotation.from_rotvec(start[3:]).inv()
+    return np.concatenate([pose[:3] - start[:3], turn.as_rotvec()])
+
+
 def path(start, end, shares):
     """Labels (n, 6) at `shares` (n,), 0 to 1, of the way from label `start` to label `end`: straight, at a steady turn."""
     shares = np.asarray(shares, float)[:, None]

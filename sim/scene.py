@@ -4,25 +4,33 @@ The world frame is the sensor frame. The arm, object meshes and MuJoCo's rendere
 arm costs two to six times as much a step.
 """
 
+import functools
+
 import mujoco
 import numpy as np
 
-from sim.stimulus import TASKS, add_stimulus
-from tactip_model.body import add_body
-from tactip_model.errors import TactipError, choose
-from tactip_model.mesh import build_mesh
+from sim.stimulus import add_stimulus, stimulus_named
+from tactip_model.body import STEP_OF_RESTING_S, STIFFENED, add_body
+from tactip_model.errors import TactipError
+from tactip_model.mesh import CONTACT_RADIUS_M, build_mesh
 
 _STIMULUS_QPOS = 7
 _STIMULUS_QVEL = 6
+
+OVERLAP_ERROR_M = 5e-6
+"""What sampling may miss of an overlap, m: a tenth of what is allowed."""
 
 
 class Scene:
     """A compiled contact scene: the MuJoCo model, the mesh, and where things are in the state."""
 
-    def __init__(self, design, task, fidelity):
-        """design: Design. task: `surface` or `edge`. fidelity: Fidelity. Raises TactipError on what cannot be built."""
-        choose("task", task, dict.fromkeys(TASKS))
-        self.design, self.task, self.fidelity = design, task, fidelity
+    def __init__(self, design, stimulus, fidelity):
+        """design: Design. stimulus: str, a name in stimulus.STIMULI. fidelity: Fidelity.
+
+        Raises TactipError on what cannot be built.
+        """
+        self.stimulus = stimulus_named(stimulus)
+        self.design, self.fidelity = design, fidelity
         try:
             self.mesh = build_mesh(design.shape, fidelity.mesh)
             self.model = self._compile()
@@ -30,7 +38,9 @@ class Scene:
             raise TactipError(f"the tip {design.name!r} cannot be built: {error}") from error
         self.data = mujoco.MjData(self.model)
         self._free = ~self.mesh.bonded
-        self._stimulus = self.model.body("stimulus").id
+        self._neighbours = _neighbours(self.mesh.triangles)
+        self._areas = np.linalg.norm(_area_normals(self.mesh.vertices, self.mesh.triangles), axis=1)
+        self._stimulus_body = self.model.body("stimulus").id
 
     def _compile(self):
         motion, solver = self.fidelity.motion, self.fidelity.solver
@@ -50,7 +60,7 @@ class Scene:
         # A diverged state must stay to be seen: MuJoCo would start again from the undeformed tip, and say nothing.
         spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         friction = self.design.materials.friction
-        add_stimulus(spec, self.task, friction, self.fidelity.contact)
+        add_stimulus(spec, self.stimulus, friction, self.fidelity.contact)
         tip = spec.worldbody.add_body(name="tip")
         add_body(spec, tip, self.design, self.mesh, self.fidelity.mesh, self.fidelity.contact)
         model = spec.compile()
@@ -63,9 +73,15 @@ class Scene:
         mujoco.mj_resetData(self.model, self.data)
 
     def stiffen(self, resting):
-        """Set contact and solver to those for a tip that comes to rest (True), or that is moved (False)."""
+        """Set contact and solver to those for a tip that comes to rest (True), or that is moved (False).
+
+        What could come through the skin presses on few points: it is held off all along, as stiffly as the step allows.
+        """
         contact, solver = self.fidelity.contact, self.fidelity.solver
         solref = -np.array(contact.resting if resting else contact.moving)
+        if np.isfinite(self.stimulus.width_m):
+            share = np.clip(STEP_OF_RESTING_S / self.fidelity.motion.step_s, 1.0, STIFFENED)
+            solref = -np.array(contact.resting) * [share**2, share]
         self.model.geom_solref[:], self.model.flex_solref[:] = solref, solref
         self.model.opt.tolerance = solver.settle_tolerance if resting else solver.tolerance
 
@@ -86,16 +102,86 @@ class Scene:
 
     def contact_force(self):
         """Force (3,) N of the stimulus on the tip in the sensor frame, at the last step."""
-        total, wrench = np.zeros(3), np.zeros(6)
-        contacts = self.data.contact
-        for i in range(self.data.ncon):
-            mujoco.mj_contactForce(self.model, self.data, i, wrench)
-            # The frame points from the first to the second in contact.
-            first = contacts.geom[i, 0]
-            sign = 1.0 if first >= 0 and self.model.geom_bodyid[first] == self._stimulus else -1.0
-            total += sign * wrench[:3] @ contacts.frame[i].reshape(3, 3)
-        return total
+        contacts, forces = self.data.contact, self.data.efc_force
+        acting = contacts.efc_address >= 0
+        if not acting.any():
+            return np.zeros(3)
+        # With elliptic cones, the force along each axis of the contact's frame; without friction, along the first alone.
+        rows = contacts.efc_address[acting, None] + np.arange(contacts.dim[acting][0])
+        # The frame points from the first to the second in contact.
+        first = contacts.geom[acting, 0]
+        sign = np.where((first >= 0) & (self.model.geom_bodyid[first] == self._stimulus_body), 1.0, -1.0)
+        axes = contacts.frame[acting].reshape(-1, 3, 3)[:, : rows.shape[1]]
+        return np.add.accumulate(np.matmul((sign[:, None] * forces[rows])[:, None], axes)[:, 0])[-1]
 
     def penetration(self):
         """Greatest depth (m) of a contact point inside the stimulus, at the last step; 0 without contact."""
         return max(0.0, -float(self.data.contact.dist.min())) if self.data.ncon else 0.0
+
+    def ran_out(self):
+        """Whether the solver ran out of iterations at the last step."""
+        return bool(self.data.solver_niter.max() >= self.model.opt.iterations)
+
+    def overlap(self, T_contact_sensor):
+        """Greatest depth (m) of the skin's facets, as thick as it is in contact, inside the stimulus's true shape.
+
+        T_contact_sensor: (4, 4). Facets that may touch are sampled so closely that OVERLAP_ERROR_M is missed at most.
+        """
+        skin = self.vertices()[: self.mesh.surface_count] @ T_contact_sensor[:3, :3].T + T_contact_sensor[:3, 3]
+        if not np.isfinite(skin).all():
+            return np.inf
+        depth = CONTACT_RADIUS_M - self.stimulus.distance(skin)
+        greatest = max(0.0, float(depth.max()))
+        corners = skin[self.mesh.triangles]
+        side = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(1)
+        # No point of a facet is further than this from a corner, and a distance cannot change faster than the place.
+        near = depth[self.mesh.triangles].max(1) + side / np.sqrt(3) > greatest
+        spacing = np.sqrt(6 * OVERLAP_ERROR_M * (self.stimulus.sharpest_m + CONTACT_RADIUS_M))
+        if np.isinf(spacing) or not near.any():
+            return greatest
+        samples = _barycentric(int(np.ceil(side[near].max() / spacing))) @ corners[near]
+        return max(greatest, CONTACT_RADIUS_M - float(self.stimulus.distance(samples).min()))
+
+    def imbalance(self):
+        """Force left over on the free vertices at the last step over the contact force on them (norms), -; 0 without."""
+        contact = self.data.qfrc_constraint[_STIMULUS_QVEL:]
+        size = float(np.linalg.norm(contact))
+        return float(np.linalg.norm(self.data.qfrc_smooth[_STIMULUS_QVEL:] + contact)) / size if size else 0.0
+
+    def stored_power(self):
+        """Size of the rate (W) at which the elastic energy of gel and skin changes."""
+        return abs(float(self.data.qfrc_spring[_STIMULUS_QVEL:] @ self.data.qvel[_STIMULUS_QVEL:]))
+
+    def skin_shape(self, vertices):
+        """Smallest ratio of a facet's area to its undeformed one (-), and greatest angle (rad) between the normals of
+        neighbouring facets, for vertices (n, 3) m.
+        """
+        normals = _area_normals(vertices, self.mesh.triangles)
+        area = np.linalg.norm(normals, axis=1)
+        normals /= np.maximum(area, 1e-300)[:, None]
+        a, b = normals[self._neighbours].transpose(1, 0, 2)
+        return float((area / self._areas).min()), float(np.arccos(np.clip((a * b).sum(1).min(), -1, 1)))
+
+
+def _area_normals(vertices, triangles):
+    """Outward normals (k, 3) of triangles (k, 3) over vertices (n, 3), twice as long as their area, m^2."""
+    a, b, c = (vertices[triangles[:, i]] for i in range(3))
+    return np.cross(b - a, c - a)
+
+
+def _neighbours(triangles):
+    """Pairs (e, 2) of triangles (k, 3) that share an edge."""
+    edges = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
+    owner = np.tile(np.arange(len(triangles)), 3)
+    order = np.lexsort(edges.T)
+    edges, owner = edges[order], owner[order]
+    same = (edges[1:] == edges[:-1]).all(1)
+    return np.stack([owner[:-1][same], owner[1:][same]], 1)
+
+
+@functools.cache
+def _barycentric(n):
+    """Barycentric coordinates (s, 3) of the points of a triangle's grid with n intervals a side."""
+    i, j = np.meshgrid(np.arange(n + 1), np.arange(n + 1))
+    inside = i + j <= n
+    return np.stack([i[inside], j[inside], n - i[inside] - j[inside]], 1) / n

@@ -14,6 +14,8 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from tactip_model.bounds import check, within
+from tactip_model.design import Materials
 from tactip_model.mesh import CONTACT_RADIUS_M
 
 STABLE_NEO_HOOKEAN = 1
@@ -30,21 +32,42 @@ TOUCHES_FACETS = 4
 affinity of its own, so that it never meets itself."""
 
 
+_REFERENCE = Materials()
+"""The materials for which the contact model's numbers are chosen."""
+
+_SKIN_SHARE = 0.46
+"""Force of the default skin over that of the default gel, pressed 3 mm deep, -."""
+
+
+STIFFEST = (1e9, 1e7)
+"""Stiffest contact, 1/s^2 and 1/s: beyond it the solver's conditioning is its own."""
+
+
+STEP_OF_RESTING_S = 7e-3
+"""Time step for which `ContactModel.resting` is chosen, s: it is as stiff as that step resolves."""
+
+STIFFENED = 4.0
+"""Most by which a shorter step's contact is stiffer (its square) and more damped, -."""
+
+
 @dataclass(frozen=True)
 class ContactModel:
     """How contact is enforced. Numerical: none of it is a property of the tip."""
 
-    moving: tuple[float, float] = (1e6, 4e3)
+    moving: tuple[float, float] = within((1e4, 1e2), STIFFEST, default=(1e6, 4e3))
     """Direct `solref` while the stimulus moves: stiffness, 1/s^2, and damping, 1/s. The default contact scales with the
     vertices' tiny masses and lets objects through the skin. Stiffer than this, vertices bounce, sliding lets go of a
     part of the shear, and the error of a sheared contact doubles."""
-    resting: tuple[float, float] = (3e7, 1e5)
+    resting: tuple[float, float] = within((1e4, 1e2), STIFFEST, default=(3e7, 1e5))
     """The same while the tip comes to rest: stiff enough to leave less than 0.05 mm of penetration."""
-    impedance: float = 0.95
+    impedance: float = within(0.1, 0.9999, default=0.95)
     """`solimp`: constant impedance, -."""
-    vertex_mass_kg: float = 3e-5
+    vertex_mass_kg: float = within(1e-7, 1e-2, default=3e-5)
     """Mass of a skin vertex, kg. Contact pushes against it: half of it leaves twice the penetration, twice of it costs
     more iterations. Motions are quasi-static, so that mass does not change where the tip comes to rest."""
+
+    def __post_init__(self):
+        check(self)
 
 
 def add_body(spec, parent, design, mesh, resolution, contact):
@@ -58,7 +81,8 @@ def add_body(spec, parent, design, mesh, resolution, contact):
     mass = np.zeros(len(mesh.vertices))
     for corner in mesh.tetrahedra.T:
         np.add.at(mass, corner, mesh.volumes * materials.density_kg_m3 / 4)
-    mass[: mesh.surface_count] = contact.vertex_mass_kg
+    mass *= materials.gel_young_pa / _REFERENCE.gel_young_pa
+    mass[: mesh.surface_count] = contact.vertex_mass_kg * relative_stiffness(materials)
 
     touch = contact_attributes(materials.friction, contact)
     bodies = []
@@ -89,17 +113,11 @@ def add_body(spec, parent, design, mesh, resolution, contact):
         vertbody=bodies[:surface],
         vert=local[:surface].ravel(),
         elem=mesh.triangles.ravel(),
-        young=materials.skin_young_pa,
-        poisson=materials.skin_poisson,
-        thickness=materials.skin_thickness_m,
-        elastic2d=STRETCHING_AND_BENDING,
-        damping=materials.damping_s,
-        selfcollide=mujoco.mjtFlexSelf.mjFLEXSELF_NONE,
+        **skin_attributes(materials),
         contype=TOUCHES_FACETS,
         conaffinity=0,
         **touch,
     )
-    locked = materials.gel_poisson > resolution.poisson_limit
     spec.add_flex(
         name="tip/gel",
         dim=3,
@@ -107,14 +125,45 @@ def add_body(spec, parent, design, mesh, resolution, contact):
         vertbody=bodies,
         vert=local.ravel(),
         elem=mesh.tetrahedra.ravel(),
-        young=materials.gel_young_pa * (resolution.locked_stiffness if locked else 1.0),
-        poisson=min(materials.gel_poisson, resolution.poisson_limit),
-        elastic3d=STABLE_NEO_HOOKEAN,
-        damping=materials.damping_s,
-        selfcollide=mujoco.mjtFlexSelf.mjFLEXSELF_NONE,
+        **gel_attributes(materials, resolution),
         contype=0,
         conaffinity=0,
     )
+
+
+def relative_stiffness(materials):
+    """Force (-) of a tip of materials (design.Materials) over that of the default ones, about, at the same depth."""
+    gel = materials.gel_young_pa / _REFERENCE.gel_young_pa
+    skin = materials.skin_young_pa * materials.skin_thickness_m
+    skin /= _REFERENCE.skin_young_pa * _REFERENCE.skin_thickness_m
+    return (gel + _SKIN_SHARE * skin) / (1 + _SKIN_SHARE)
+
+
+def gel_attributes(materials, resolution):
+    """Attributes (dict) of the gel's flex that make its material.
+
+    materials: design.Materials. resolution: mesh.Resolution.
+    """
+    locked = materials.gel_poisson > resolution.poisson_limit
+    return {
+        "young": materials.gel_young_pa * (resolution.locked_stiffness if locked else 1.0),
+        "poisson": min(materials.gel_poisson, resolution.poisson_limit),
+        "elastic3d": STABLE_NEO_HOOKEAN,
+        "damping": materials.damping_s,
+        "selfcollide": mujoco.mjtFlexSelf.mjFLEXSELF_NONE,
+    }
+
+
+def skin_attributes(materials):
+    """Material of the skin's flex, a dict of attributes. materials: design.Materials."""
+    return {
+        "young": materials.skin_young_pa,
+        "poisson": materials.skin_poisson,
+        "thickness": materials.skin_thickness_m,
+        "elastic2d": STRETCHING_AND_BENDING,
+        "damping": materials.damping_s,
+        "selfcollide": mujoco.mjtFlexSelf.mjFLEXSELF_NONE,
+    }
 
 
 def contact_attributes(friction, contact):

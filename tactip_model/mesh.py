@@ -12,6 +12,8 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial import Delaunay
 
+from tactip_model.bounds import check, within
+
 GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
 
 CONTACT_RADIUS_M = 0.25e-3
@@ -22,24 +24,27 @@ CONTACT_RADIUS_M = 0.25e-3
 class Resolution:
     """How finely the tip is meshed. Lengths in m, spacing being the edge of an equilateral triangle."""
 
-    surface_m: float = 2.5e-3
+    surface_m: float = within(0.5e-3, 5e-3, default=2.5e-3)
     """Spacing on the surface where contact is made, m."""
-    rim_m: float = 4.5e-3
+    rim_m: float = within(0.5e-3, 10e-3, default=4.5e-3)
     """Spacing at the rim, m."""
-    fine_angle_deg: float = 40.0
+    fine_angle_deg: float = within(5, 90, default=40.0)
     """Polar angle up to which the surface is at its finest, degrees: depths of 5 mm at 20 degrees of tilt touch here."""
-    growth: float = 1.35
+    growth: float = within(1, 3, default=1.35)
     """Ratio of the spacing of one inner layer to that of the layer outside it, -."""
-    coarsest_m: float = 7e-3
+    coarsest_m: float = within(0.5e-3, 20e-3, default=7e-3)
     """Largest spacing inside, m."""
-    smoothing: int = 30
+    smoothing: int = within(0, 200, default=30)
     """Rounds of averaging of the inner points."""
-    poisson_limit: float = 0.47
+    poisson_limit: float = within(0, 0.5, default=0.47)
     """Largest Poisson's ratio that the elements are given, -. Linear tetrahedra lock near incompressibility: a gel of
     0.49 meshed as 0.49 is 30 to 60 % too stiff, as 0.47 it is best in shape (tests hold it to a code that does not
     lock). Not a property of the material."""
-    locked_stiffness: float = 0.88
+    locked_stiffness: float = within(0.1, 1, default=0.88)
     """Factor on the gel's modulus where the limit above acts, -: takes back the rest of the locking's excess force."""
+
+    def __post_init__(self):
+        check(self)
 
 
 @dataclass(frozen=True)

@@ -4,9 +4,11 @@ Both renderers (camera.py, raster.py) stand on these functions, so that they can
 The camera looks along +z of the sensor frame, x to the right and y down in the image.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
-from tactip_model.pins import neutral_pins
+from tactip_model.pins import neutral_pins, plan_positions
 
 REFERENCE_PX = 256
 """Image width, px, in which `Optics.neutral_radius` is given."""
@@ -22,13 +24,15 @@ class Lens:
 
     def __init__(self, design):
         """design: Design."""
-        optics, pins = design.optics, design.pins
+        optics = design.optics
+        lattice = replace(design, pins=replace(design.pins, as_built_m=()))
         self.width = optics.frame_px
-        self.centre = np.array(optics.centre) * self.width
-        self.position = np.array([0.0, 0.0, -design.shape.radius_m - optics.camera_height_m])
-        tips, directions = neutral_pins(design)
-        pitches = np.linalg.norm(directions[:, :2], axis=1) * design.shape.radius_m / pins.pitch_m
-        wanted = _odd(pitches) @ optics.neutral_radius
+        self.centre = (np.array(optics.centre) + optics.drift) * self.width
+        self.position = np.array([*optics.camera_offset_m, -design.shape.radius_m - optics.camera_height_m])
+        self._scale = optics.zoom * self.width / REFERENCE_PX
+        tips, _ = neutral_pins(lattice)
+        off_axis = np.linalg.norm(plan_positions(lattice.pins) - optics.camera_offset_m, axis=1)
+        wanted = _odd(off_axis / design.pins.pitch_m) @ optics.neutral_radius
         angle = self.angle_to(tips)
         self.coefficients = np.linalg.lstsq(_odd(angle), wanted, rcond=None)[0]
         self._straight = angle.max()
@@ -46,7 +50,7 @@ class Lens:
         """Distance from the image centre, px of the frame, of rays at `angle` (rad, array)."""
         near = np.minimum(angle, self._straight)
         slope = (self._polynomial(np.array(self._straight)) - self._polynomial(np.array(self._straight - 1e-6))) / 1e-6
-        return (self._polynomial(near) + slope * (angle - near)) * self.width / REFERENCE_PX
+        return (self._polynomial(near) + slope * (angle - near)) * self._scale
 
     def angle(self, radius):
         """Angle (rad) of the rays seen at `radius` px of the frame from the image centre: the inverse of `radius`."""
@@ -113,11 +117,15 @@ def across(directions):
     return np.stack([u, np.cross(directions, u)])
 
 
+def dome_centre(design):
+    """Centre (3,) of the dome, m."""
+    return np.array([0.0, 0.0, -design.shape.radius_m])
+
+
 def inner_skin(design, polar, azimuth):
     """Points and inward unit normals (..., 3) of the undeformed inner skin at polar angle and azimuth (arrays, rad)."""
     outward = np.stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar) + 0 * azimuth], -1)
-    centre = np.array([0, 0, -design.shape.radius_m])
-    return centre + (design.shape.radius_m - design.materials.skin_thickness_m) * outward, -outward
+    return dome_centre(design) + (design.shape.radius_m - design.materials.skin_thickness_m) * outward, -outward
 
 
 def backdrop(design, lens, leds):
@@ -125,8 +133,13 @@ def backdrop(design, lens, leds):
     px = np.arange(lens.width) + 0.5
     offset = np.stack(np.meshgrid(px - lens.centre[0], px - lens.centre[1]), -1)
     angle = lens.angle(np.linalg.norm(offset, axis=-1))
-    azimuth = np.arctan2(offset[..., 1], offset[..., 0])
-    polar = np.linspace(0, np.pi / 2, 1000)
-    points, _ = inner_skin(design, polar, np.zeros_like(polar))
-    seen = lens.angle_to(points)
-    return leds.grey(*inner_skin(design, np.interp(angle, seen, polar), azimuth), design.optics.skin_albedo)
+    around = np.arctan2(offset[..., 1], offset[..., 0])
+    rays = np.stack([np.sin(angle) * np.cos(around), np.sin(angle) * np.sin(around), np.cos(angle)], -1)
+    # Where each ray leaves the sphere of the inner skin, that the camera may be in or behind.
+    radius = design.shape.radius_m - design.materials.skin_thickness_m
+    start = lens.position - dome_centre(design)
+    along = -rays @ start
+    met = start + rays * (along + np.sqrt(np.maximum(along**2 - start @ start + radius**2, 0)))[..., None]
+    polar = np.minimum(np.arctan2(np.hypot(met[..., 0], met[..., 1]), met[..., 2]), np.pi / 2)
+    azimuth = np.arctan2(met[..., 1], met[..., 0])
+    return leds.grey(*inner_skin(design, polar, azimuth), design.optics.skin_albedo)

@@ -3,6 +3,7 @@
 import numpy as np
 from scipy.sparse import coo_matrix
 
+from tactip_model.bounds import require
 from tactip_model.errors import choose
 from tactip_model.mesh import CONTACT_RADIUS_M
 
@@ -29,11 +30,14 @@ LAYOUTS = {"hexagonal": hexagonal, "circular": circular}
 def plan_positions(pins):
     """Plan positions of the pins, (p, 2) float, m, x and y of the sensor frame. pins: design.Pins.
 
-    Raises TactipError on an unknown layout.
+    Raises TactipError on an unknown layout, and where `as_built_m` has not one offset a pin.
     """
     points = pins.pitch_m * choose("pin layout", pins.layout, LAYOUTS)(pins.rings)
     c, s = np.cos(np.radians(pins.rotation_deg)), np.sin(np.radians(pins.rotation_deg))
-    return points @ np.array([[c, s], [-s, c]])
+    points = points @ np.array([[c, s], [-s, c]])
+    count = len(pins.as_built_m)
+    require(count in (0, len(points)), "the number of Pins.as_built_m", count, f"{len(points)}, one a pin, or 0")
+    return points + np.reshape(pins.as_built_m, (-1, 2)) if count else points
 
 
 def neutral_pins(design):

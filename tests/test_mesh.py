@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from tactip_model.design import Shape, design_named
+from tactip_model.errors import TactipError
 from tactip_model.mesh import CONTACT_RADIUS_M, Resolution, build_mesh, tetrahedron_quality
 from tactip_model.pins import PinReader, neutral_pins
 
@@ -67,8 +68,13 @@ def test_a_column_behind_the_rim_is_bonded_all_round():
 
 @pytest.mark.parametrize("spacing", [0.0, -1e-3, 15e-3, float("nan")])
 def test_unfit_spacings_are_refused(spacing):
-    with pytest.raises(ValueError, match="surface_m"):
+    with pytest.raises(TactipError, match="surface_m"):
         build_mesh(Shape(), Resolution(surface_m=spacing))
+
+
+def test_a_spacing_too_wide_for_the_dome_is_refused():
+    with pytest.raises(ValueError, match="rim_m"):
+        build_mesh(Shape(radius_m=10e-3), Resolution(rim_m=6e-3))
 
 
 @pytest.fixture(params=["tactip-127", "tactip-331"])

@@ -1,0 +1,68 @@
+"""Designs as JSON files: what a calibration writes and every command takes in place of a preset's name."""
+
+import json
+from dataclasses import MISSING, asdict, fields, is_dataclass
+from pathlib import Path
+from typing import get_type_hints
+
+from tactip_model.design import DESIGNS, Design, design_named
+from tactip_model.errors import TactipError
+
+FORMAT = "tactip-design 1"
+
+
+def find_design(name):
+    """The Design of a preset's name, or of a JSON file's path (anything that ends in .json).
+
+    Raises TactipError where there is neither, and where a file is no design: it names the field and what is allowed.
+    """
+    name = str(name)
+    return read_design(Path(name)) if name.endswith(".json") else design_named(name)
+
+
+def write_design(path, design, provenance):
+    """Write a Design to a JSON file. provenance: dict, how it came about; kept for people and not read back."""
+    content = {"format": FORMAT, "provenance": provenance, "design": asdict(design)}
+    Path(path).write_text(json.dumps(content, indent=1) + "\n")
+
+
+def read_design(path):
+    """The Design in a JSON file. Raises TactipError where it is missing, no JSON, or not a design."""
+    path = Path(path)
+    try:
+        content = json.loads(path.read_text())
+    except FileNotFoundError:
+        raise TactipError(f"the design file {path} does not exist; presets are {', '.join(sorted(DESIGNS))}") from None
+    except ValueError as error:
+        raise TactipError(f"the design file {path} is not JSON: {error}") from error
+    if not isinstance(content, dict) or content.get("format") != FORMAT:
+        raise TactipError(f"{path} is not a design file: its format must be {FORMAT!r}")
+    return _built(Design, content.get("design"), f"{path}: design")
+
+
+def _built(kind, value, where):
+    """A dataclass of type `kind` from a dict; TactipError names a field that is unknown, missing or of the wrong type."""
+    if not isinstance(value, dict):
+        raise TactipError(f"{where} must be an object with the fields {', '.join(f.name for f in fields(kind))}")
+    known = {f.name: f for f in fields(kind)}
+    for name in value:
+        if name not in known:
+            raise TactipError(f"{where} has no field {name!r}: it has {', '.join(known)}")
+    for name, f in known.items():
+        if name not in value and f.default is MISSING and f.default_factory is MISSING:
+            raise TactipError(f"{where} lacks the field {name!r}")
+    hints = get_type_hints(kind)
+    given = {}
+    for name, item in value.items():
+        if is_dataclass(hints[name]):
+            given[name] = _built(hints[name], item, f"{where}.{name}")
+        else:
+            given[name] = _tuples(item)
+            text = hints[name] is str
+            if text != isinstance(item, str) or isinstance(item, dict):
+                raise TactipError(f"{where}.{name} is {item!r}: it must be {'a text' if text else 'a number or numbers'}")
+    return kind(**given)
+
+
+def _tuples(item):
+    return tuple(_tuples(i) for i in item) if isinstance(item, list) else item

@@ -1,0 +1,103 @@
+"""Lens, camera and pins from a neutral image."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tactip_model.design import Optics, Pins, design_named
+from tactip_model.design_file import find_design, read_design, write_design
+from tactip_model.errors import TactipError
+from tactip_model.image import tactile_image
+from tactip_model.neutral import fit_neutral, neutral_px
+from tactip_model.optics import Lens
+from tactip_model.pins import neutral_pins
+from tactip_model.raster import Raster
+
+
+def neutral_image(design, size=360):
+    """The design's own neutral image, binary."""
+    design = replace(design, optics=replace(design.optics, frame_px=720), image=replace(design.image, size_px=size))
+    return tactile_image(Raster(design).render(*neutral_pins(design)), replace(design.image, threshold=(121, -5.0)))
+
+
+@pytest.fixture(scope="module")
+def hidden():
+    """A tip that nobody has described: another lens, a camera off its axis, a turned layout, pins where they came to be."""
+    offsets = np.random.default_rng(3).normal(0, 0.08e-3, (127, 2))
+    pins = Pins(rotation_deg=48.0, as_built_m=tuple(map(tuple, offsets.tolist())))
+    optics = Optics(neutral_radius=(10.4, 0.06, 0.002), centre=(0.47, 0.53), camera_offset_m=(0.4e-3, -0.3e-3))
+    return replace(design_named("tactip-127"), pins=pins, optics=optics)
+
+
+def test_a_hidden_tip_is_found_from_its_image(hidden):
+    fitted, fit = fit_neutral(design_named("tactip-127"), neutral_image(hidden))
+    assert fit.before_px > 3 and fit.after_px < 0.01
+    # 0.11 mm of scatter is 0.4 px in the middle.
+    assert fit.after_px < fit.lattice_px < 0.75
+    assert np.sqrt(((neutral_px(fitted) - neutral_px(hidden)) ** 2).sum(1).mean()) < 0.25
+    # The layout looks the same every 60 degrees.
+    assert abs((fitted.pins.rotation_deg - 48.0 + 30) % 60 - 30) < 0.5
+    assert np.allclose(fitted.optics.neutral_radius[0], 10.4, rtol=0.02)
+
+
+def test_a_perfect_tip_is_left_as_it_is():
+    design = design_named("tactip-331")
+    fitted, fit = fit_neutral(design, neutral_image(design))
+    assert fit.before_px < 0.35 and fit.lattice_px < 0.3
+    assert abs(fitted.pins.rotation_deg - design.pins.rotation_deg) < 0.2
+
+
+def test_another_tip_is_refused(hidden):
+    with pytest.raises(TactipError, match=r"127 pins.*has 331"):
+        fit_neutral(design_named("tactip-331"), neutral_image(hidden))
+    with pytest.raises(TactipError, match="square"):
+        fit_neutral(design_named("tactip-127"), np.zeros((200, 300), np.uint8))
+
+
+def test_zoom_and_drift_move_the_image_and_nothing_else(hidden):
+    moved = replace(hidden, optics=replace(hidden.optics, zoom=1.02, drift=(0.01, -0.005)))
+    centre = np.array(hidden.optics.centre) * 256 - 0.5
+    expected = centre + 1.02 * (neutral_px(hidden) - centre) + np.array([0.01, -0.005]) * 256
+    assert np.allclose(neutral_px(moved), expected, atol=1e-9)
+    assert np.allclose(Lens(moved).coefficients, Lens(hidden).coefficients)
+
+
+def test_a_design_survives_its_file(hidden, tmp_path):
+    write_design(tmp_path / "d.json", hidden, {"by": "a test"})
+    assert read_design(tmp_path / "d.json") == hidden == find_design(tmp_path / "d.json")
+    assert find_design("tactip-331") == design_named("tactip-331")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('"format": "tactip-design 1"', '"format": "other"', "is not a design file"),
+        ('"friction": 0', '"fricton": 0', "has no field 'fricton'"),
+        ('"name": "tactip-127"', '"name": 3', "must be a text"),
+        ('"friction": 0', '"friction": -1e', "not JSON"),
+        ('"pitch_m": 0.003', '"pitch_m": 0.3', "Pins.pitch_m is 0.3"),
+        ('"pitch_m": 0.003', '"pitch_m": "wide"', "pitch_m is 'wide'"),
+    ],
+)
+def test_a_broken_design_file_is_refused_by_name(tmp_path, old, new, words):
+    path = tmp_path / "d.json"
+    write_design(path, design_named("tactip-127"), {})
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+    with pytest.raises(TactipError, match=words):
+        read_design(path)
+
+
+def test_a_missing_design_file_lists_the_presets(tmp_path):
+    with pytest.raises(TactipError, match="presets are tactip-127, tactip-331"):
+        find_design(tmp_path / "none.json")
+
+
+def test_as_built_pins_are_one_a_pin():
+    design = design_named("tactip-127")
+    with pytest.raises(TactipError, match="127, one a pin"):
+        neutral_pins(replace(design, pins=replace(design.pins, as_built_m=((0.0, 0.0),))))
+    with pytest.raises(TactipError, match="as_built_m"):
+        Pins(as_built_m=((0.01, 0.0),))

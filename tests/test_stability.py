@@ -1,0 +1,420 @@
+"""The corners of the map: good records or refusals with a reason, and every check able to fail."""
+
+import json
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+import tactip
+from benchmarks import stability
+from sim import stimulus as stimuli
+from sim.contact import TRIES, Bounds, CarefulPlayer, ContactPlayer, check_ranges
+from sim.fidelity import SHORTEST_STEP_S, Fidelity, Motion, Solver, fidelity_named, finer
+from sim.pose import from_mm_deg, inverse, sensor_in_contact
+from sim.sampling import POSE_RANGES, SHEAR_RANGES, Ranges
+from sim.scene import Scene
+from sim.stimulus import STIMULI, TASKS, stimulus_named
+from tactip_model.body import ContactModel
+from tactip_model.design import Design, Materials, Optics, Pins, Shape, TactileImage
+from tactip_model.errors import TactipError
+from tactip_model.mesh import CONTACT_RADIUS_M, Resolution
+from tactip_model.pins import neutral_pins
+
+DOME_M = 20e-3
+
+
+def press(player, depth_mm, slide_mm=0.0, **options):
+    return player.play(from_mm_deg([0, 0, -depth_mm, 0, 0, 0]), from_mm_deg([slide_mm, 0, 0, 0, 0, 0]), **options)
+
+
+@pytest.fixture(scope="module")
+def good(on_surface):
+    contact = on_surface([0, 0, -3, 0, 0, 0], [1, 0, 0, 0, 0, 0])
+    assert contact.faults(Bounds()) == []
+    return contact
+
+
+# Stimuli: their shape, and how far the tip must rise to clear them.
+
+
+class Probe:
+    """Distance of a sphere to a stimulus by MuJoCo's own collision functions."""
+
+    def __init__(self, name, radius):
+        spec = mujoco.MjSpec()
+        stimuli.add_stimulus(spec, stimulus_named(name), 0.3, ContactModel())
+        ball = spec.worldbody.add_body(name="probe", mocap=True)
+        ball.add_geom(name="probe", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0, 0], contype=0, conaffinity=0)
+        self.model = spec.compile()
+        self.data = mujoco.MjData(self.model)
+        self.probe = self.model.geom("probe").id
+
+    def __call__(self, centre):
+        self.data.mocap_pos[0] = centre
+        mujoco.mj_forward(self.model, self.data)
+        others = (g for g in range(self.model.ngeom) if g != self.probe)
+        return min(mujoco.mj_geomDistance(self.model, self.data, self.probe, g, 1.0, None) for g in others)
+
+
+@pytest.mark.parametrize("name", STIMULI)
+def test_distance_is_that_of_the_shape(name):
+    """Outside: to a few µm, as coarse as the rounding's facets are. And the highest point is at zero."""
+    probe, thing, rng = Probe(name, 0.2e-3), stimulus_named(name), np.random.default_rng(0)
+    points = rng.uniform([-8e-3, -8e-3, -8e-3], [8e-3, 8e-3, 4e-3], (60, 3))
+    distance = thing.distance(points)
+    outside = distance > 0.3e-3
+    assert outside.sum() > 10
+    measured = np.array([probe(p) + 0.2e-3 for p in points[outside]])
+    assert np.abs(measured - distance[outside]).max() < 15e-6
+    grid = np.stack(np.meshgrid(*[np.linspace(-9e-3, 9e-3, 181)] * 2), -1).reshape(-1, 2)
+    top = thing.distance(np.column_stack([grid, np.zeros(len(grid))]))
+    assert abs(top.min()) < 1e-9
+
+
+@pytest.mark.parametrize("name", STIMULI)
+def test_height_to_clear_against_brute_force(name):
+    probe, thing, rng = Probe(name, DOME_M), stimulus_named(name), np.random.default_rng(1)
+    more_than_needed = stimuli.EDGE_RADIUS_M if name == "edge" else 20e-6
+    for centre in rng.uniform([-25e-3, -10e-3, 5e-3], [25e-3, 10e-3, 30e-3], (8, 3)):
+        lift = thing.height_to_clear(centre, DOME_M)
+        if np.isinf(lift):
+            heights = np.linspace(-30e-3, 0, 7) - centre[2]
+            assert all(probe(centre + [0, 0, h]) > -20e-6 for h in heights)
+            continue
+        heights = lift + np.array([0.0, 0.5e-3, 2e-3, 10e-3])
+        assert all(probe(centre + [0, 0, h]) > -20e-6 for h in heights)  # clear from there on up
+        if name != "edge" or centre[0] < DOME_M - 1e-3:
+            slack = probe(centre + [0, 0, lift])
+            assert slack < more_than_needed + 1e-6
+
+
+def test_unknown_stimuli_are_refused_with_a_list(design, standard):
+    with pytest.raises(TactipError, match=r"unknown stimulus 'banana': choose one of surface, edge, sphere"):
+        ContactPlayer(design, "banana", standard)
+    assert set(TASKS) < set(STIMULI)
+
+
+@pytest.fixture(scope="module")
+def pressed(design, standard):
+    """The 3 mm press of every stimulus: dict of name to Contact and its fault lists."""
+    return {name: press(CarefulPlayer(design, name, standard, Bounds()), 3) for name in STIMULI}
+
+
+def test_every_stimulus_gives_a_good_record(pressed):
+    for name, (contact, faults) in pressed.items():
+        assert len(faults) < TRIES, name
+        assert contact.faults(Bounds()) == [], name
+        assert contact.penetration_m < Bounds().penetration_m, name
+
+
+def test_blunter_things_press_harder(pressed):
+    forces = [pressed[name][0].normal_force_n for name in ("needle", "point", "sphere", "knife", "edge", "surface")]
+    assert (np.diff(forces) > 0).all()
+    assert 0.5 < forces[0] < 1.0
+
+
+@pytest.mark.parametrize("name", ["surface", "sphere", "point", "needle", "hole"])
+def test_round_things_press_evenly(pressed, design, name, on_surface):
+    """No side force, and no pin field that drifts to a side."""
+    contact, _ = pressed[name]
+    assert contact.tangential_force_n < 0.05 * contact.normal_force_n
+    moved = contact.tips - on_surface.player.reader.tips
+    assert np.linalg.norm(moved.mean(0)[:2]) < 0.03 * np.linalg.norm(moved, axis=1).max()
+
+
+def test_what_comes_through_between_the_vertices_is_seen(design, standard, monkeypatch):
+    """Played as if it were not thin, the needle comes through a facet: no contact is left to tell, the shape does."""
+    monkeypatch.setattr(stimuli.Rod, "width_m", np.inf)
+    contact = press(ContactPlayer(design, "needle", standard), 3)
+    assert contact.penetration_m == 0.0
+    assert contact.normal_force_n == 0.0
+    assert any("overlap" in fault for fault in contact.faults(Bounds()))
+
+
+# Records: each check can fail, and measures what it says.
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        ({"normal_force_n": float("nan")}, "not finite"),
+        ({"overlap_m": float("inf")}, "not finite"),
+        ({"volume_ratio": -0.2}, "shrank"),
+        ({"penetration_m": 0.06e-3}, "inside the skin"),
+        ({"overlap_m": 0.2e-3}, "overlap"),
+        ({"speed_m_s": 0.03}, "still moves"),
+        ({"imbalance": 0.6}, "not balanced"),
+        ({"creep_m_s": 0.01}, "drifts"),
+        ({"area_ratio": 0.05}, "facet"),
+        ({"fold_rad": 3.0}, "folded"),
+        ({"unsolved": 0.5}, "iterations"),
+    ],
+)
+def test_a_spoiled_record_is_refused(good, change, word):
+    (fault,) = replace(good, **change).faults(Bounds())
+    assert word in fault
+
+
+@pytest.mark.parametrize("name", ["surface", "edge", "needle"])
+def test_overlap_is_that_of_the_shapes(design, standard, name):
+    """Undeformed, 2 mm inside: exactly 2 mm less what the mesh's facets lie inside the sphere."""
+    scene = Scene(design, name, standard)
+    overlap = scene.overlap(sensor_in_contact(from_mm_deg([0, 0, -2, 0, 0, 0])))
+    depth = {"surface": 2e-3, "edge": 2e-3, "needle": stimuli.NEEDLE_RADIUS_M + CONTACT_RADIUS_M}[name]
+    assert depth - 0.2e-3 < overlap < depth + 1e-6
+    assert scene.overlap(sensor_in_contact(from_mm_deg([0, 0, 1, 0, 0, 0]))) == 0.0
+
+
+def test_folds_and_shrunk_facets_are_measured(on_surface):
+    scene = on_surface.player.scene
+    rest = scene.mesh.vertices
+    area, fold = scene.skin_shape(rest)
+    assert area == pytest.approx(1.0)
+    assert fold < np.radians(30)
+    apex = int(rest[: scene.mesh.surface_count, 2].argmax())
+    around = np.unique(scene.mesh.triangles[(scene.mesh.triangles == apex).any(1)])
+    facet = scene.mesh.triangles[(scene.mesh.triangles == apex).any(1)][0]
+    opposite = rest[facet[facet != apex]].mean(0)
+    folded = rest.copy()
+    folded[apex] = 2 * opposite - rest[apex]  # over the edge, onto the next facet
+    assert scene.skin_shape(folded)[1] > Bounds().fold_rad
+    squashed = rest.copy()
+    squashed[around] = squashed[apex] + 0.1 * (squashed[around] - squashed[apex])
+    assert scene.skin_shape(squashed)[0] < 0.05
+
+
+def test_a_moving_tip_is_out_of_balance(design, standard):
+    """A press stopped in full motion: forces do not balance, energy drifts."""
+    hasty = replace(standard, motion=replace(standard.motion, settle_steps=1, settle_limit=1, ease_in=0.0, ease_out=0.0))
+    contact = press(ContactPlayer(design, "surface", hasty), 3)
+    assert any("drifts" in fault for fault in contact.faults(Bounds()))
+
+
+def test_a_starved_solver_is_seen(design, standard):
+    player = ContactPlayer(design, "surface", standard)
+    player.scene.model.opt.iterations = 10
+    contact = press(player, 3, 2)
+    assert contact.unsolved > 0.5
+    assert any("iterations" in fault for fault in contact.faults(Bounds()))
+
+
+# Materials and steps: what is similar comes out similar.
+
+
+@pytest.mark.parametrize("scale", [0.05, 50.0])
+def test_a_tip_stiffer_in_all_is_the_same_tip(design, standard, good, scale):
+    """Moduli times a number: the same shape under that many times the force. Contact goes with the moduli."""
+    m = design.materials
+    other = replace(m, skin_young_pa=scale * m.skin_young_pa, gel_young_pa=scale * m.gel_young_pa)
+    contact = press(ContactPlayer(replace(design, materials=other), "surface", standard), 3, 1)
+    assert contact.faults(Bounds()) == []
+    assert contact.normal_force_n == pytest.approx(scale * good.normal_force_n, rel=0.01)
+    assert np.linalg.norm(contact.tips - good.tips, axis=1).max() < 0.05e-3
+
+
+@pytest.mark.parametrize(
+    "materials",
+    [
+        {"skin_young_pa": 1e3, "gel_young_pa": 1e3},
+        {"skin_young_pa": 1e8, "gel_young_pa": 1e6},
+        {"skin_young_pa": 1e3, "gel_young_pa": 1e6},
+        {"gel_poisson": 0.499, "skin_poisson": 0.0},
+        {"density_kg_m3": 10500.0, "damping_s": 2e-3},
+    ],
+)
+def test_corners_of_the_materials(materials):
+    result = stability.judge(stability.Cell("", "", "", slide_mm=2, materials=materials), fidelity_named("standard"))
+    assert result["verdict"] in ("converged", "after refinement"), result["reasons"]
+
+
+def test_a_start_inside_something_thin_is_refused(design, standard):
+    with pytest.raises(TactipError, match="approach is False: it must be True"):
+        press(ContactPlayer(design, "needle", standard), 1, approach=False)
+
+
+@pytest.mark.parametrize("name", ["surface", "edge"])
+def test_a_stimulus_that_starts_inside(design, standard, name):
+    """It is pushed out, or it is refused; never kept inside in silence."""
+    contact, faults = press(CarefulPlayer(design, name, standard, Bounds()), 1, approach=False)
+    assert (len(faults) == TRIES) == bool(contact.faults(Bounds()))
+    if len(faults) < TRIES:
+        approached, _ = press(CarefulPlayer(design, name, standard, Bounds()), 1)
+        assert contact.normal_force_n == pytest.approx(approached.normal_force_n, rel=0.05)
+
+
+@settings(max_examples=4, suppress_health_check=[HealthCheck.too_slow])
+@given(
+    skin=st.floats(1, 8),
+    gel=st.floats(3, 6),
+    poisson=st.tuples(st.floats(0, 0.499), st.floats(0, 0.499)),
+    friction=st.floats(0, 1.1),
+    density=st.floats(105, 10500),
+    name=st.sampled_from(list(STIMULI)),
+    depth=st.floats(0.2, 8),
+    slide=st.floats(0, 3),
+)
+def test_any_configuration_is_refused_or_good(skin, gel, poisson, friction, density, name, depth, slide):
+    try:
+        materials = Materials(
+            skin_young_pa=10**skin,
+            gel_young_pa=10**gel,
+            skin_poisson=poisson[0],
+            gel_poisson=poisson[1],
+            friction=friction,
+            density_kg_m3=density,
+        )
+        player = CarefulPlayer(Design("any", materials=materials), name, fidelity_named("draft"), Bounds())
+    except TactipError as error:
+        assert "it must be" in str(error)
+        return
+    contact, faults = press(player, depth, slide)
+    if len(faults) == TRIES:
+        assert all(faults)
+        return
+    assert np.isfinite(contact.tips).all() and np.isfinite(contact.directions).all()
+    assert contact.volume_ratio > 0
+    assert contact.penetration_m <= Bounds().penetration_m
+    assert contact.normal_force_n > -1e-6
+
+
+# What is known beforehand.
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: Materials(gel_poisson=0.5), ["Materials.gel_poisson is 0.5", "from 0 to 0.499"]),
+        (lambda: Materials(skin_poisson=-0.1), ["Materials.skin_poisson is -0.1", "from 0 to 0.499"]),
+        (lambda: Materials(gel_young_pa=float("nan")), ["Materials.gel_young_pa is nan", "finite", "1000"]),
+        (lambda: Materials(skin_young_pa=float("inf")), ["Materials.skin_young_pa is inf", "1e+08"]),
+        (lambda: Materials(friction=2.5), ["Materials.friction is 2.5", "from 0 to 1"]),
+        (lambda: Materials(density_kg_m3="heavy"), ["Materials.density_kg_m3 is heavy", "number"]),
+        (lambda: Shape(radius_m=-20e-3), ["Shape.radius_m is -0.02"]),
+        (lambda: Shape(cylinder_m=0.1), ["Shape.cylinder_m is 0.1", "0.02"]),
+        (
+            lambda: Materials(skin_young_pa=1e8, gel_young_pa=1e4),
+            ["skin_young_pa is 1", "500 times gel", "buckles"],
+        ),
+        (lambda: Pins(rings=2.5), ["Pins.rings is 2.5", "whole number"]),
+        (lambda: Optics(neutral_radius=(11.0, float("nan"), 0.0)), ["Optics.neutral_radius", "finite"]),
+        (lambda: TactileImage(size_px=0), ["TactileImage.size_px is 0"]),
+        (lambda: Resolution(surface_m=0.0), ["Resolution.surface_m is 0.0"]),
+        (lambda: Motion(step_s=0.03), ["Motion.step_s is 0.03", "0.02"]),
+        (lambda: Motion(press_step_m=5e-3), ["Motion.press_step_m is 0.005", "0.5 m/s"]),
+        (lambda: Motion(settle_limit=2), ["Motion.settle_limit is 2", "settle_steps"]),
+        (lambda: Solver(iterations=0), ["Solver.iterations is 0"]),
+        (lambda: ContactModel(resting=(3e7, -1.0)), ["ContactModel.resting", "from 100 to"]),
+        (lambda: Design("x", pins=Pins(length_m=4.9e-3), shape=Shape(radius_m=15e-3)), ["Pins.length_m", "quarter"]),
+        (lambda: Design("x", pins=Pins(rings=7)), ["Pins.pitch_m is 0.003", "7 rings"]),
+        (lambda: Design("x", materials=Materials(skin_thickness_m=3e-3), shape=Shape(radius_m=15e-3)), ["skin_thickness_m"]),
+    ],
+)
+def test_what_cannot_do_is_refused_by_name_and_bound(make, words):
+    with pytest.raises(TactipError) as refused:
+        make()
+    for word in words:
+        assert word in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("pose", "shear", "words"),
+    [
+        ([0, 0, -8.5, 0, 0, 0], [0] * 6, ["8.5 mm", "at most 8 mm"]),
+        ([0, 0, -7, 0, 0, 0], [0, 0, 2, 0, 0, 0], ["before the shear", "9 mm"]),
+        ([0, 0, -3, 35, 0, 0], [0] * 6, ["tilt", "35 degrees", "at most 30"]),
+        ([0, 0, -3, 0, 0, 0], [21, 0, 0, 0, 0, 0], ["shear", "21 mm", "at most 20 mm"]),
+        ([0, 0, np.nan, 0, 0, 0], [0] * 6, ["finite"]),
+    ],
+)
+def test_poses_out_of_reach_are_refused(on_surface, pose, shear, words):
+    with pytest.raises(TactipError) as refused:
+        on_surface(pose, shear)
+    for word in words:
+        assert word in str(refused.value)
+
+
+def test_a_needle_is_not_pressed_deeper_than_it_holds(design, standard):
+    with pytest.raises(TactipError, match="6 mm: it must be at most 5 mm"):
+        press(ContactPlayer(design, "needle", standard), 6)
+
+
+def test_friction_too_high_for_a_stimulus_is_refused(design, standard):
+    rough = replace(design, materials=replace(design.materials, friction=0.7))
+    for name, bound in (("knife", 0.3), ("needle", 0.3), ("corner", 0.6)):
+        with pytest.raises(TactipError, match=f"Materials.friction is 0.7: it must be at most {bound} on this stimulus"):
+            ContactPlayer(rough, name, standard)
+
+
+def test_ranges_out_of_reach_are_refused():
+    for task in TASKS:
+        check_ranges(POSE_RANGES[task], SHEAR_RANGES)
+    with pytest.raises(TactipError, match="9 mm: it must be at most 8 mm"):
+        check_ranges(Ranges(depth_mm=(-9, -1)), SHEAR_RANGES)
+    with pytest.raises(TactipError, match="at most 20 mm"):
+        check_ranges(POSE_RANGES["edge"], Ranges(x_mm=(-15, 15), y_mm=(-15, 15)))
+    with pytest.raises(TactipError, match="at most 30 degrees"):
+        check_ranges(Ranges(depth_mm=(-3, -1), roll_deg=(-25, 25), pitch_deg=(-25, 25)), SHEAR_RANGES)
+
+
+def test_refinement_stays_within_bounds():
+    """From any allowed fidelity: the finer one is allowed, too."""
+    extreme = Fidelity("x", motion=Motion(step_s=SHORTEST_STEP_S, press_step_m=2e-5, shear_step_m=2e-5))
+    extreme = replace(extreme, contact=ContactModel(resting=(1e9, 1e7)), solver=Solver(tolerance=1e-14))
+    for _ in range(TRIES):
+        extreme = finer(extreme)
+    assert extreme.motion.step_s == SHORTEST_STEP_S
+
+
+# The map.
+
+
+def test_a_cell_that_is_not_confirmed_is_wrong(monkeypatch):
+    """Half the step with another result: the map must say so."""
+    monkeypatch.setattr(stability, "PINS_MM", 1e-6)
+    result = stability.judge(stability.Cell("", "", "", depth_mm=1.0), fidelity_named("draft"))
+    assert result["verdict"] == "wrong"
+    assert "half the step" in result["reasons"][0]
+
+
+def test_a_map_is_made_resumed_and_written(tmp_path, monkeypatch):
+    """Two cells here (workers choose their own from the whole map), a third known from an earlier run."""
+    monkeypatch.setattr(stability, "_chosen", lambda quick: stability.cells()[:1] + stability.cells()[-3:])
+    chosen = stability._chosen(True)
+    folder = tmp_path / ".stability-quick"
+    folder.mkdir()
+    for i, cell in enumerate(chosen):
+        record = stability.asdict(cell) | stability.judge(cell, fidelity_named("draft"))
+        (folder / f"{i:04d}.json").write_text(json.dumps(record))
+    result = stability.run(tmp_path, 1, quick=True, say=lambda line: None)
+    assert result["counts"]["refused beforehand"] == 3
+    assert "Shape.radius_m is 0.041" in (tmp_path / "stability.md").read_text()
+    assert (tmp_path / "stability.png").stat().st_size > 10_000
+    assert json.loads((tmp_path / "stability.json").read_text())["map"][0]["panel"].startswith("skin modulus")
+    assert not folder.exists()
+
+
+def test_cells_have_a_place_of_their_own():
+    places = [(c.panel, c.row, c.column) for c in stability.cells()]
+    assert len(set(places)) == len(places)
+    assert len(places) > 300
+
+
+@pytest.mark.slow
+def test_no_cell_of_the_quick_map_is_wrong(tmp_path):
+    assert tactip.main(["bench", "stability", "--quick", "--out", str(tmp_path)]) == 0
+
+
+def test_a_needle_beside_the_axis_is_met_where_it_is(design, standard):
+    """The pins nearest to the needle move most."""
+    player = CarefulPlayer(design, "needle", standard, Bounds())
+    contact, faults = player.play(from_mm_deg([3, 0, -2, 0, 0, 0]), np.zeros(6))
+    assert len(faults) < TRIES
+    neutral, _ = neutral_pins(design)
+    moved = np.linalg.norm(contact.tips - neutral, axis=1)
+    needle = inverse(sensor_in_contact(contact.pose))[:3, 3]
+    assert np.linalg.norm(neutral[moved.argmax(), :2] - needle[:2]) < 2.5e-3
