@@ -80,8 +80,8 @@ class Make:
         from sim.generation import Job
         from sim.sampling import POSE_RANGES, SHEAR_RANGES, SPLITS
         from sim.stimulus import TASKS
-        from tactip_model.design_file import find_design
         from tactip_model.errors import choose
+        from tactip_model.presets import find_design
 
         choose("task", self.task, dict.fromkeys([*TASKS, "all"]))
         choose("split", self.split, dict.fromkeys([*SPLITS, "all"]))
@@ -214,7 +214,7 @@ class Calibrate:
     def run(self):
         from sim.calibration import Settings, calibrate
         from sim.calibration_report import write_report
-        from tactip_model.design_file import find_design
+        from tactip_model.presets import find_design
 
         if self.out.suffix != ".json":
             raise TactipError(f"the design file {self.out} must end in .json")

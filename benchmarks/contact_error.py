@@ -19,7 +19,7 @@ from sim.contact import ContactPlayer
 from sim.fidelity import FIDELITIES, Fidelity
 from sim.sampling import POSE_RANGES, SHEAR_RANGES, generator
 from sim.stimulus import TASKS
-from tactip_model.design import design_named
+from tactip_model.presets import design_named
 
 
 @dataclass(frozen=True)

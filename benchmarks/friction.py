@@ -16,7 +16,7 @@ import tyro
 from sim.contact import ContactPlayer, _shares
 from sim.fidelity import FIDELITIES
 from sim.pose import from_mm_deg, path
-from tactip_model.design import design_named
+from tactip_model.presets import design_named
 
 DEPTHS_MM = (2.0, 3.0, 4.0)
 FRICTIONS = (0.3, 0.6)

@@ -17,8 +17,8 @@ from benchmarks.axisymmetric import Dome, Layer
 from sim.contact import ContactPlayer
 from sim.fidelity import FIDELITIES
 from sim.pose import from_mm_deg
-from tactip_model.design import design_named
 from tactip_model.mesh import CONTACT_RADIUS_M, tetrahedron_volumes
+from tactip_model.presets import design_named
 
 DEPTHS_MM = (0.5, 1.0, 2.0, 3.0, 4.0, 5.0)
 LOCKING_DEPTHS_MM = (1.0, 3.0, 5.0)

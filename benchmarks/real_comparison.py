@@ -18,10 +18,10 @@ from sim.contact import ContactPlayer
 from sim.fidelity import fidelity_named
 from sim.pose import from_mm_deg
 from tactip_model.camera import PinCamera
-from tactip_model.design import design_named
 from tactip_model.image import tactile_image
 from tactip_model.optics import REFERENCE_PX, Lens
 from tactip_model.pins import neutral_pins
+from tactip_model.presets import design_named
 
 DEPTHS_MM = (1.25, 2.25, 3.25, 4.25, 4.75)
 SHELLS = (1, 3, 4, 7, 9, 12, 13, 16, 19, 21, 25, 27, 28, 31, 36)

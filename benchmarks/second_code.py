@@ -21,7 +21,7 @@ from sim.contact import ContactPlayer
 from sim.fidelity import FIDELITIES
 from sim.pose import from_mm_deg
 from tactip_model.body import gel_attributes
-from tactip_model.design import design_named
+from tactip_model.presets import design_named
 
 DEPTHS_MM = (1.0, 2.0, 3.0, 5.0)
 PLAIN_POISSON = 0.3

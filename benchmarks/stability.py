@@ -20,8 +20,8 @@ from sim.dataset import write_file
 from sim.fidelity import FASTEST_M_S, Fidelity, fidelity_named, finer
 from sim.pose import from_mm_deg
 from sim.stimulus import STIMULI
-from tactip_model.design import design_named
 from tactip_model.errors import TactipError
+from tactip_model.presets import design_named
 
 DESIGN = "tactip-127"
 

@@ -1,4 +1,4 @@
-"""What a TacTip is: dimensions, materials, pins, optics. Data only; presets in `DESIGNS`.
+"""What a TacTip is: dimensions, materials, pins, optics. Data only; presets are in presets.py.
 
 Sources, here and below: [P] Lepora & Lloyd, RAM 2020; [M] measured on public images of real sensors (Tac-VGNN);
 [R] read in a public source; [?] disputed, a prior to calibrate.
@@ -7,7 +7,6 @@ Sources, here and below: [P] Lepora & Lloyd, RAM 2020; [M] measured on public im
 from dataclasses import dataclass, field
 
 from tactip_model.bounds import check, require, within
-from tactip_model.errors import choose
 
 STIFFEST_SKIN = 500.0
 """Greatest ratio of the skin's modulus to the gel's, -; that of the sensor is about 30. At 500 every depth to 8 mm and
@@ -182,21 +181,3 @@ class Design:
         for name in ("diameter_m", "rim_diameter_m"):
             value = getattr(pins, name)
             require(value <= pins.pitch_m, f"Pins.{name}", value, f"at most the pitch, {pins.pitch_m:g} m")
-
-
-DESIGNS = {
-    # Fitted to the blobs of its neutral image (rms 0.7 of 256 px): the first ring is turned by 29.5 degrees; the centre is
-    # at (126.2, 129.8), counted from the middle of the first pixel [M].
-    "tactip-127": Design("tactip-127", pins=Pins(rotation_deg=29.5), optics=Optics(centre=(126.7 / 256, 130.3 / 256))),
-    "tactip-331": Design(
-        "tactip-331",
-        # Fitted to the 331 blobs of its neutral image (rms 0.5 of 360 px) [M]; pitch by the same extent as the other's.
-        pins=Pins("circular", rings=10, pitch_m=1.8e-3, diameter_m=0.76e-3, rim_diameter_m=1.34e-3, rotation_deg=-2.05),
-        optics=Optics(neutral_radius=(7.946, 0.0200, -3.18e-5), centre=(178.4 / 360, 175.5 / 360)),
-    ),
-}
-
-
-def design_named(name):
-    """Return the preset Design called `name`; raise TactipError that lists the presets where there is none."""
-    return choose("design", name, DESIGNS)

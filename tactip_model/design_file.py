@@ -5,19 +5,10 @@ from dataclasses import MISSING, asdict, fields, is_dataclass
 from pathlib import Path
 from typing import get_type_hints
 
-from tactip_model.design import DESIGNS, Design, design_named
+from tactip_model.design import Design
 from tactip_model.errors import TactipError
 
 FORMAT = "tactip-design 1"
-
-
-def find_design(name):
-    """The Design of a preset's name, or of a JSON file's path (anything that ends in .json).
-
-    Raises TactipError where there is neither, and where a file is no design: it names the field and what is allowed.
-    """
-    name = str(name)
-    return read_design(Path(name)) if name.endswith(".json") else design_named(name)
 
 
 def write_design(path, design, provenance):
@@ -32,7 +23,7 @@ def read_design(path):
     try:
         content = json.loads(path.read_text())
     except FileNotFoundError:
-        raise TactipError(f"the design file {path} does not exist; presets are {', '.join(sorted(DESIGNS))}") from None
+        raise TactipError(f"the design file {path} does not exist") from None
     except ValueError as error:
         raise TactipError(f"the design file {path} is not JSON: {error}") from error
     if not isinstance(content, dict) or content.get("format") != FORMAT:

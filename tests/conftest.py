@@ -9,7 +9,7 @@ import pytest
 from sim.contact import ContactPlayer
 from sim.fidelity import fidelity_named
 from sim.pose import from_mm_deg
-from tactip_model.design import design_named
+from tactip_model.presets import design_named
 
 # No deadline: the first call of a cold library is slow, and timings are not tested here. The same examples every time.
 hypothesis.settings.register_profile("steady", deadline=None, derandomize=True, database=None)

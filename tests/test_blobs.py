@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from tactip_model.blobs import PinMatcher, find_blobs
-from tactip_model.design import design_named
 from tactip_model.neutral import neutral_px
+from tactip_model.presets import design_named
 
 
 def discs(centres, radius, size=256):

@@ -10,11 +10,12 @@ import pytest
 from conftest import rms
 
 from tactip_model.camera import PinCamera
-from tactip_model.design import DESIGNS, TactileImage, design_named
+from tactip_model.design import TactileImage
 from tactip_model.errors import TactipError
 from tactip_model.image import tactile_image
 from tactip_model.optics import LedRing, Lens
 from tactip_model.pins import neutral_pins
+from tactip_model.presets import DESIGNS, design_named
 from tactip_model.raster import Raster
 
 # Mean blob diameter (px of a 256 px image) by shell N = i² + ij + j² of the real 127-pin tip's neutral image.

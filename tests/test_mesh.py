@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from tactip_model.design import Shape, design_named
+from tactip_model.design import Shape
 from tactip_model.errors import TactipError
 from tactip_model.mesh import CONTACT_RADIUS_M, Resolution, build_mesh, tetrahedron_quality
 from tactip_model.pins import PinReader, neutral_pins
+from tactip_model.presets import design_named
 
 FINE = Resolution(surface_m=1.5e-3, rim_m=3e-3)
 

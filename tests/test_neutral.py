@@ -5,13 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tactip_model.design import Optics, Pins, design_named
-from tactip_model.design_file import find_design, read_design, write_design
+from tactip_model.design import Optics, Pins
+from tactip_model.design_file import read_design, write_design
 from tactip_model.errors import TactipError
 from tactip_model.image import tactile_image
 from tactip_model.neutral import fit_neutral, neutral_px
 from tactip_model.optics import Lens
 from tactip_model.pins import neutral_pins
+from tactip_model.presets import design_named, find_design
 from tactip_model.raster import Raster
 
 
@@ -91,7 +92,7 @@ def test_a_broken_design_file_is_refused_by_name(tmp_path, old, new, words):
 
 
 def test_a_missing_design_file_lists_the_presets(tmp_path):
-    with pytest.raises(TactipError, match="presets are tactip-127, tactip-331"):
+    with pytest.raises(TactipError, match="presets are tactip-127, tactip-331, nominal-127, nominal-331"):
         find_design(tmp_path / "none.json")
 
 
