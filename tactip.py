@@ -198,8 +198,8 @@ class Calibrate:
 
     real: tyro.conf.Positional[Path]
     """Folder of the real set: a neutral image init*.png, frames, targets.csv and meta.json (sim/real_set.py)."""
-    design: str = "tactip-127"
-    """Design to start from: tactip-127, tactip-331, or a design file (.json)."""
+    design: str = "nominal-127"
+    """Design to start from: nominal-127, nominal-331, another preset, or a design file (.json)."""
     out: Path = Path("design.json")
     """Design file to write; --design of other commands takes it."""
     report: Path | None = None
@@ -212,6 +212,8 @@ class Calibrate:
     """Seed of the draws of frames."""
 
     def run(self):
+        from dataclasses import replace
+
         from sim.calibration import Settings, calibrate
         from sim.calibration_report import write_report
         from tactip_model.presets import find_design
@@ -223,7 +225,8 @@ class Calibrate:
         report = self.report or self.out.with_name(f"{self.out.stem}_calibration")
         report.mkdir(parents=True, exist_ok=True)
         settings = Settings(frames=self.frames, judged=self.judged, seed=self.seed)
-        result = calibrate(self.real, find_design(self.design), settings, report / "state.json")
+        design = replace(find_design(self.design), name=self.out.stem)
+        result = calibrate(self.real, design, settings, report / "state.json")
         figures = write_report(result, self.real.resolve().name, settings, self.out, report)
         judged = figures["frames_px"]["share_of_move_found"]
         print(f"judged frames: {judged['rms']:.2f} px rms, median {judged['median']:.2f} px (256 px image)")

@@ -25,7 +25,7 @@ LEVER_M = 10e-3
 _STEPS_ACROSS = 4
 """Least steps in which the skin passes something thin: in fewer it would come out on the other side."""
 
-EASY_FRICTION = 0.3
+EASY_FRICTION = 0.6
 """Friction up to which the fidelity's steps of a slide are kept, -."""
 
 LEAST_STICKINESS = 0.25
@@ -310,7 +310,7 @@ class ContactPlayer:
 
     def _step(self):
         """One time step. Raises _Diverged where the state is no longer finite."""
-        mujoco.mj_step(self.scene.model, self.scene.data)
+        self.scene.step()
         self._steps += 1
         self._unsolved += self.scene.ran_out()
         if not np.isfinite(self.scene.greatest_speed()):

@@ -27,9 +27,9 @@ class Motion:
 
     step_s: float = within(SHORTEST_STEP_S, 20e-3, default=0.007)
     """Time step, s. Implicit; stable from 0.2 ms to 20 ms."""
-    press_step_m: float = within(1e-6, 10e-3, default=0.8e-3)
+    press_step_m: float = within(1e-6, 10e-3, default=1.2e-3)
     """Approach per step, m (mean)."""
-    shear_step_m: float = within(1e-6, 10e-3, default=0.4e-3)
+    shear_step_m: float = within(1e-6, 10e-3, default=0.6e-3)
     """Travel of the skin per step of the shear, m (mean)."""
     least_steps: int = within(1, 100000, default=4)
     """Fewest steps of a motion."""
@@ -85,21 +85,23 @@ class Fidelity:
 FIDELITIES = {
     "draft": Fidelity(
         "draft",
-        mesh=Resolution(surface_m=3.2e-3, rim_m=5e-3),
-        motion=Motion(press_step_m=1.2e-3, shear_step_m=1e-3, settle_steps=2),
+        mesh=Resolution(surface_m=3.2e-3, rim_m=5e-3, fine_angle_deg=40.0, growth=1.35, locked_stiffness=0.87),
+        contact=ContactModel(vertex_mass_kg=5e-5),
+        motion=Motion(press_step_m=1.6e-3, shear_step_m=1e-3, settle_steps=3),
         solver=Solver(tolerance=1e-6, settle_tolerance=1e-8),
     ),
     "standard": Fidelity("standard"),
     "reference": Fidelity(
         "reference",
-        mesh=Resolution(surface_m=1.5e-3, rim_m=3e-3),
+        mesh=Resolution(surface_m=1.2e-3, rim_m=3e-3, fine_angle_deg=40.0, growth=1.35, locked_stiffness=1.0),
+        contact=ContactModel(moving=(1e7, 4e3)),
         motion=Motion(
-            step_s=3e-3,
-            press_step_m=0.1e-3,
-            shear_step_m=0.1e-3,
-            settle_steps=20,
-            settle_limit=60,
-            settle_speed_m_s=1e-4,
+            step_s=4e-3,
+            press_step_m=0.3e-3,
+            shear_step_m=0.12e-3,
+            settle_steps=10,
+            settle_limit=40,
+            settle_speed_m_s=3e-4,
         ),
         solver=Solver(tolerance=1e-9, settle_tolerance=1e-11, iterations=3000),
     ),

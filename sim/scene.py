@@ -17,6 +17,9 @@ from tactip_model.mesh import CONTACT_RADIUS_M, build_mesh
 _STIMULUS_QPOS = 7
 _STIMULUS_QVEL = 6
 
+_UNSOLVED = 1e30
+"""A solver's tolerance that any start meets, -."""
+
 OVERLAP_ERROR_M = 5e-6
 """What sampling may miss of an overlap, m: a tenth of what is allowed."""
 
@@ -84,6 +87,50 @@ class Scene:
             solref = -np.array(contact.resting) * [share**2, share]
         self.model.geom_solref[:], self.model.flex_solref[:] = solref, solref
         self.model.opt.tolerance = solver.settle_tolerance if resting else solver.tolerance
+
+    def step(self):
+        """One time step: mujoco.mj_step, with three differences.
+
+        Contacts begin before they touch (ContactModel.margin_m), with their force at the surface all the same: the margin
+        is taken out of their rows.
+
+        MuJoCo's friction cone is convex: what slides at v is lifted by friction * v * (step + damping / stiffness). The
+        surface is lowered by as much (De Saxcé's correction, with the speed of the last step), so that sliding skin stays
+        where it would be at rest.
+
+        The motion without contacts, that MuJoCo solves for first, is not needed where there are contacts: it would only be
+        one of two places to start from. It is left unsolved, which saves a third of the time; the result is the same to the
+        solver's tolerance.
+        """
+        model, data = self.model, self.data
+        tolerance, before = model.opt.tolerance, data.qacc_warmstart.copy()
+        mujoco.mj_fwdPosition(model, data)
+        touching = data.nefc > 0
+        if touching:
+            data.efc_margin[:] = self._lowered()
+            model.opt.tolerance = _UNSOLVED
+        mujoco.mj_forwardSkip(model, data, mujoco.mjtStage.mjSTAGE_POS, 1)
+        if touching:
+            model.opt.tolerance = tolerance
+            data.qacc_warmstart[:] = before
+            mujoco.mj_fwdConstraint(model, data)
+        data.qacc_warmstart[:] = data.qacc
+        data.qvel[:] += model.opt.timestep * data.qacc
+        mujoco.mj_integratePos(model, data.qpos, data.qvel, model.opt.timestep)
+        data.time += model.opt.timestep
+
+    def _lowered(self):
+        """What each row's surface is moved by, (nefc,) m: see `step`."""
+        data, contacts = self.data, self.data.contact
+        lowered = np.zeros(data.nefc)
+        if contacts.dim[0] > 1:
+            row = contacts.efc_address[contacts.efc_address >= 0]
+            speed = np.zeros(data.nefc)
+            mujoco.mj_mulJacVec(self.model, data, speed, data.qvel)
+            stiffness, damping = -contacts.solref[0]
+            lag = self.model.opt.timestep + damping / stiffness
+            lowered[row] = -contacts.friction[0, 0] * lag * np.hypot(speed[row + 1], speed[row + 2])
+        return lowered
 
     def place(self, position, quaternion, linear=(0, 0, 0), angular=(0, 0, 0)):
         """Set the stimulus: position (3,) m and quaternion (4,) in the sensor frame, velocity m/s, and rad/s in its own."""

@@ -43,9 +43,9 @@ class Materials:
     """Poisson's ratio of the gel, - [?]. The mesh may use less than this: see `mesh.Resolution`."""
     density_kg_m3: float = within(105, 10500, default=1050.0)
     """Density of skin and gel, kg/m^3 (silicone rubber)."""
-    friction: float = within(0, 1, default=0.3)
-    """Coulomb friction of skin on the stimulus, -. 0.3 gives the slip plateaus of the measured tip [M]; 0.55 to 0.7 was
-    seen under a load cell [R]."""
+    friction: float = within(0, 1, default=0.6)
+    """Coulomb friction of skin on the stimulus, -; 0.55 to 0.7 was seen under a load cell [R], and frames of real tips are
+    met with about as much [M]."""
     damping_s: float = within(0.5e-3, 50e-3, default=0.005)
     """Rayleigh damping of gel and skin, s: stress per strain rate over stiffness. Motions are quasi-static, so that it
     sets how fast the tip comes to rest and not where."""
