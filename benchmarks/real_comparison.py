@@ -19,8 +19,9 @@ from sim.fidelity import fidelity_named
 from sim.pose import from_mm_deg
 from tactip_model.camera import PinCamera
 from tactip_model.image import tactile_image
+from tactip_model.neutral import neutral_px, reference_pixels
 from tactip_model.optics import REFERENCE_PX, Lens
-from tactip_model.pins import neutral_pins
+from tactip_model.pins import LAYOUTS, neutral_pins
 from tactip_model.presets import design_named
 
 DEPTHS_MM = (1.25, 2.25, 3.25, 4.25, 4.75)
@@ -65,51 +66,72 @@ class Options:
     """draft, standard or reference."""
 
 
-def shells(player):
-    """N of each pin (p,) of a player's hexagonal design."""
-    pins = player.scene.design.pins
-    tips, radius = player.reader.directions, player.scene.design.shape.radius_m
-    return np.rint((np.linalg.norm(tips[:, :2], axis=1) * radius / pins.pitch_m) ** 2).astype(int)
+DONE = np.linspace(0, 1, 6)
+"""Shares of its move at which a frame was taken: the real frames lag behind their rows, by anything from nothing to all of
+the move alike (docs/your_own_sensor.md)."""
+
+ZEROS_MM = np.arange(-0.5, 0.51, 0.25)
+"""Zeros of depth that are tried: it is known to 0.5 mm."""
 
 
-def simulated_outward_px(player):
-    """The table above as simulated, (5, 15) px, and the contacts."""
-    lens = Lens(player.scene.design)
+def shells(pins):
+    """N of each pin (p,) of design.Pins in a hexagonal layout."""
+    return np.rint((LAYOUTS[pins.layout](pins.rings) ** 2).sum(1)).astype(int)
 
-    def radius(tips):
-        return np.linalg.norm(lens.project(tips) - lens.centre + 0.5, axis=1) * REFERENCE_PX / lens.width
 
-    contacts = [player.play(from_mm_deg([0, 0, -d, 0, 0, 0]), np.zeros(6)) for d in DEPTHS_MM]
-    n, neutral = shells(player), radius(player.reader.tips)
-    moved = [radius(c.tips) - neutral for c in contacts]
+def at_rest(design):
+    """The Design with the camera as it was when the neutral image was taken."""
+    return replace(design, optics=replace(design.optics, zoom=1.0, drift=(0.0, 0.0)))
+
+
+def simulated_outward_px(player, depths_mm):
+    """The table above as simulated at depths (n,) mm: (n, 15) px, and the contacts."""
+    design = player.scene.design
+    lens, n, neutral = Lens(design), shells(design.pins), neutral_px(at_rest(design))
+    outward = neutral - neutral[n == 0]
+    outward /= np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-9)
+    contacts = [player.play(from_mm_deg([0, 0, -d, 0, 0, 0]), np.zeros(6)) for d in depths_mm]
+    moved = [((reference_pixels(lens.project(c.tips), lens.width) - neutral) * outward).sum(1) for c in contacts]
     return np.array([[m[n == s].mean() for s in SHELLS] for m in moved]), contacts
 
 
+def best_zero(player):
+    """The zero of depth, mm, that fits the table best, what is left (5, 15) px there, and what is left without it."""
+    depths = np.add.outer(np.array(DEPTHS_MM), ZEROS_MM)
+    table = simulated_outward_px(player, depths.ravel())[0].reshape(*depths.shape, len(SHELLS))
+    left = table - REAL_OUTWARD_PX[:, None]
+    fine = np.linspace(ZEROS_MM[0], ZEROS_MM[-1], 101)
+    between = np.array([[np.interp(fine, ZEROS_MM, column) for column in row.T] for row in left])
+    best = (between**2).mean((0, 1)).argmin()
+    return float(fine[best]), between[:, :, best], left[:, len(ZEROS_MM) // 2]
+
+
 def simulated_shift_px(player):
-    """The shift of the pin field as simulated, (5, 5) px: depths by shears."""
+    """The shift of the pin field as simulated, (5, 5) px, depths by shears: of moves that are over, and as frames lag."""
     lens = Lens(player.scene.design)
 
-    def mean_x(depth, shear):
-        contact = player.play(from_mm_deg([0, 0, -depth, 0, 0, 0]), from_mm_deg([shear, 0, 0, 0, 0, 0]))
-        return lens.project(contact.tips)[:, 0].mean() * REFERENCE_PX / lens.width
+    def shifts(depth, shear):
+        stages = player.stages(from_mm_deg([0, 0, -depth, 0, 0, 0]), from_mm_deg([shear, 0, 0, 0, 0, 0]), DONE)
+        x = [reference_pixels(lens.project(c.tips), lens.width)[:, 0].mean() for c in stages]
+        return x[0] - np.array(x)
 
-    return np.array([[mean_x(d, 0) - mean_x(d, s) for s in SHEARS_MM] for d in DEPTHS_MM])
+    table = np.array([[shifts(d, s) for s in SHEARS_MM] for d in DEPTHS_MM])
+    return table[..., -1], table.mean(-1)
 
 
 def measured_neutral(design, size=384):
-    """The real neutral image drawn from its measured map and blob sizes: (size, size) uint8."""
-    _, directions = neutral_pins(design)
-    rho = np.linalg.norm(directions[:, :2], axis=1) * design.shape.radius_m / design.pins.pitch_m
-    c1, c3, c5 = design.optics.neutral_radius
-    radius = (c1 * rho + c3 * rho**3 + c5 * rho**5) * size / REFERENCE_PX
-    centre = np.array(design.optics.centre) * size
-    azimuth = np.arctan2(directions[:, 1], directions[:, 0]) + np.pi
+    """The real neutral image drawn from its measured pin map and blob sizes: (size, size) uint8."""
+    rho = np.sqrt(shells(design.pins))
     diameter = np.interp(rho, [0, 3, 4, 5, 6], [4.35, 4.37, 4.61, 5.04, 5.50]) * size / REFERENCE_PX
     image = np.zeros((size, size), np.uint8)
-    for r, a, d in zip(radius, azimuth, diameter, strict=True):
-        x, y = centre + r * np.array([np.cos(a), np.sin(a)])
+    for (x, y), d in zip((neutral_px(at_rest(design)) + 0.5) * size / REFERENCE_PX - 0.5, diameter, strict=True):
         cv2.circle(image, (round(x * 16), round(y * 16)), round(d * 8), 255, -1, cv2.LINE_AA, 4)
     return image
+
+
+def rms(values):
+    """Root mean square (float) of an array."""
+    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def main(options: Options):
@@ -119,20 +141,24 @@ def main(options: Options):
 
     design = design_named("tactip-127")
     player = ContactPlayer(design, "surface", fidelity_named(options.fidelity))
-    simulated, contacts = simulated_outward_px(player)
-    error = simulated - REAL_OUTWARD_PX
-    for depth, row, contact in zip(DEPTHS_MM, error, contacts, strict=True):
-        print(f"{depth:.2f} mm: {np.sqrt((row**2).mean()):.2f} px rms off; {contact.normal_force_n:.2f} N")
-    print(f"all depths: {np.sqrt((error**2).mean()):.2f} px rms (256 px image), zero of depth as measured")
-    column = replace(design, shape=replace(design.shape, cylinder_m=5e-3))
-    behind, _ = simulated_outward_px(ContactPlayer(column, "surface", fidelity_named(options.fidelity)))
-    print(f"with 5 mm of gel behind the rim: {np.sqrt(((behind - REAL_OUTWARD_PX) ** 2).mean()):.2f} px rms")
-    print("shift of the pin field under shears of 0.5, 1.5, 2.5, 3.5, 4.5 mm, px: simulated | real")
-    for depth, mine, real in zip(DEPTHS_MM, simulated_shift_px(player), REAL_SHIFT_PX, strict=True):
-        print(f"{depth:.2f} mm: {' '.join(f'{x:.1f}' for x in mine)} | {' '.join(f'{x:.1f}' for x in real)}")
+    zero, left, without = best_zero(player)
+    simulated, contacts = simulated_outward_px(player, np.array(DEPTHS_MM) + zero)
+    for depth, row, contact in zip(DEPTHS_MM, left, contacts, strict=True):
+        print(f"{depth:.2f} mm: {rms(row):.2f} px rms off; {contact.normal_force_n:.2f} N")
+    print(f"all depths: {rms(left):.2f} px rms of 256 with a zero of depth of {zero:.2f} mm, {rms(without):.2f} px with 0")
+    over, lagging = simulated_shift_px(player)
+    print("shift of the pin field under shears of 0.5, 1.5, 2.5, 3.5, 4.5 mm, px: move over | as frames lag | real")
+    for depth, *rows in zip(DEPTHS_MM, over, lagging, REAL_SHIFT_PX, strict=True):
+        print(f"{depth:.2f} mm: " + " | ".join(" ".join(f"{x:.1f}" for x in row) for row in rows))
+    print(
+        f"as frames lag: {rms(lagging - REAL_SHIFT_PX):.2f} px rms; all moves over: {rms(over - REAL_SHIFT_PX):.2f} px rms"
+    )
+    for depth in (1, 2, 3):
+        force = player.play(from_mm_deg([0, 0, -depth, 0, 0, 0]), np.zeros(6)).normal_force_n
+        print(f"normal force at {depth} mm: {force:.2f} N")
 
     camera = PinCamera(design)
-    neutral = tactile_image(camera.render(player.reader.tips, player.reader.directions), design.image)
+    neutral = tactile_image(camera.render(*neutral_pins(design)), design.image)
     sheared = player.play(from_mm_deg([0, 0, -4, 8, -6, 0]), from_mm_deg([3, 2, 0, 0, 0, 0]))
     pressed = tactile_image(camera.render(sheared.tips, sheared.directions), design.image)
     if options.real is None:

@@ -25,7 +25,7 @@ from sim.fidelity import fidelity_named
 from sim.real_set import read_real_set
 from sim.rig import Rig, RigMotion
 from tactip_model.blobs import PinMatcher, find_blobs
-from tactip_model.design import Design
+from tactip_model.design import WIDEST_LAYOUT, Design
 from tactip_model.errors import Stopped, TactipError
 from tactip_model.mesh import build_mesh
 from tactip_model.neutral import as_built, camera_change, fit_neutral, reference_pixels
@@ -125,9 +125,14 @@ _CAMERA_SPREAD = np.array([0.0005, 0.001, 0.001])
 """Least standard deviations of what reflections tell of them."""
 
 
-def parameters(camera=_UNKNOWN_CAMERA):
-    """The Parameters that pressed frames tell. camera: what is believed of zoom and drift and its deviation, (3,) each."""
+def parameters(design, camera=_UNKNOWN_CAMERA):
+    """The Parameters that pressed frames tell.
+
+    design: Design to start from. camera: what is believed of zoom and drift and its deviation, (3,) each.
+    """
     zoom, x, y = zip(*camera, strict=True)
+    pitch = design.pins.pitch_m
+    widest = WIDEST_LAYOUT * design.shape.radius_m / design.pins.rings
     return (
         Parameter("azimuth", "deg", -360, 360, 2.0, None, "rig", "azimuth_deg"),
         Parameter("depth_zero", "m", -2e-3, 2e-3, 0.1e-3, (0.0, 0.5e-3), "rig", "depth_zero_m"),
@@ -138,6 +143,9 @@ def parameters(camera=_UNKNOWN_CAMERA):
         Parameter("skin_young", "Pa", 1e5, 5e6, 0.25, (0.6e6, 0.4), "materials", "skin_young_pa", logarithmic=True),
         Parameter("gel_young", "Pa", 3e3, 2e5, 0.25, (2e4, 0.4), "materials", "gel_young_pa", logarithmic=True),
         Parameter("pin_length", "m", 0.8e-3, 4e-3, 0.1e-3, (2e-3, 0.5e-3), "pins", "length_m", mechanical=False),
+        Parameter(
+            "pitch", "m", 0.7 * pitch, widest, 0.02, (pitch, 0.05), "pins", "pitch_m", logarithmic=True, mechanical=False
+        ),
         Parameter("camera_height", "m", 2e-3, 40e-3, 0.5e-3, (8e-3, 4e-3), "optics", "camera_height_m", mechanical=False),
         Parameter("zoom", "-", 0.95, 1.05, 0.001, zoom, "optics", "zoom", mechanical=False),
         Parameter("drift_x", "widths", -0.02, 0.02, 0.001, x, "optics", "drift", 0, mechanical=False),
@@ -383,12 +391,13 @@ def calibrate(real_dir, design, settings, state_path, say=print):
     else:
         say(f"reflections at the rim: the image is {camera[0][0]:.4f} times the neutral one ({camera[1][0]:.4f} a frame)")
         camera = camera[0], np.maximum(camera[1], _CAMERA_SPREAD)
-    chosen = parameters(camera)
+    chosen = parameters(design, camera)
     press = real.tap[:3] / np.linalg.norm(real.tap[:3])
     twin = Twin(started, Rig(press_axis=tuple(float(x) for x in press)))
     for p in chosen:
         twin = p.write(twin, p.believed[0]) if p.part == "optics" and p.believed else twin
     identity = {"real": str(Path(real_dir).name), "design": asdict(design), "settings": asdict(settings)}
+    identity["parameters"] = [p.name for p in chosen]
     identity = json.loads(json.dumps(identity))
     rounds, deviations = [], None
     if Path(state_path).exists():
@@ -437,7 +446,7 @@ class Result:
 
 def first_azimuth(calibrator, twin, fidelity):
     """The Twin with the best of _TURNS azimuths: the fit itself only finds the nearest."""
-    azimuth = next(p for p in parameters() if p.name == "azimuth")
+    azimuth = next(p for p in parameters(twin.design) if p.name == "azimuth")
     candidates = [azimuth.write(twin, 360 * k / _TURNS - 180) for k in range(_TURNS)]
     return min(candidates, key=lambda candidate: calibrator.misfit(candidate, fidelity))
 

@@ -8,6 +8,9 @@ from dataclasses import dataclass, field
 
 from tactip_model.bounds import check, require, within
 
+WIDEST_LAYOUT = 0.95
+"""Farthest that the outermost pins may be from the axis, in radii of the dome: beyond, there is no skin to root in."""
+
 STIFFEST_SKIN = 500.0
 """Greatest ratio of the skin's modulus to the gel's, -; that of the sensor is about 30. At 500 every depth to 8 mm and
 thickness of 0.2 to 2 mm converges; at 1000 the skin buckles like a shell on a soft bed, and in which shape is chance."""
@@ -171,12 +174,12 @@ class Design:
             f"at most 0.15 of the dome's radius, {thickest:g} m",
         )
         require(pins.length_m <= radius / 4, "Pins.length_m", pins.length_m, "at most a quarter of the dome's radius")
-        widest = 0.95 * radius
+        widest = WIDEST_LAYOUT * radius
         require(
             pins.rings * pins.pitch_m <= widest,
             "Pins.pitch_m",
             pins.pitch_m,
-            f"at most {widest / pins.rings:g} m with {pins.rings} rings, which then stay within 0.95 of the dome's radius",
+            f"at most {widest / pins.rings:g} m with {pins.rings} rings, within {WIDEST_LAYOUT} of the dome's radius",
         )
         for name in ("diameter_m", "rim_diameter_m"):
             value = getattr(pins, name)

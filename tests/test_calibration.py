@@ -84,11 +84,11 @@ def start():
 
 def test_a_parameter_reads_what_it_writes_and_keeps_its_bounds():
     twin = Twin(start(), RIG)
-    for p in parameters():
+    for p in parameters(start()):
         assert p.low <= p.read(twin) <= p.high
         moved = p.moved(twin, 0.5)
         assert p.read(moved) != p.read(twin)
-        assert sum(q.read(moved) != q.read(twin) for q in parameters()) == 1
+        assert sum(q.read(moved) != q.read(twin) for q in parameters(start())) == 1
         assert p.read(p.write(twin, 1e9)) == p.high and p.read(p.write(twin, -1e9)) == p.low, p.name
 
 
@@ -134,7 +134,7 @@ def test_a_hidden_twin_is_found(real, tmp_path):
     assert figures["depth"]["rms_px"] < 0.2
     close = {"azimuth": 1.5, "depth_zero": 0.12e-3, "tcp_behind_apex": 3e-3, "tilt_zero_x": 0.6, "tilt_zero_y": 0.6}
     close |= {"friction": 0.12, "pin_length": 0.25e-3, "zoom": 0.003}
-    for p in parameters():
+    for p in parameters(start()):
         if p.name in close:
             difference = p.read(found) - p.read(hidden)
             if p.name == "azimuth":
