@@ -23,7 +23,7 @@ from sim.stimulus import STIMULI
 from tactip_model.errors import TactipError
 from tactip_model.presets import design_named
 
-DESIGN = "tactip-127"
+DESIGN = "nominal-127"
 
 PINS_MM = 0.1
 """A converged cell's pins are this near those of half the step, mm rms."""

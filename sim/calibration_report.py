@@ -8,7 +8,7 @@ import numpy as np
 
 from sim.calibration import LOAD_CELL_N, best_share, distances
 from sim.rig import RigMotion
-from tactip_model.design_file import write_design
+from tactip_model.design_file import write_fitted
 
 RINGS = 8
 """Rings of equally many pins, by their distance from the middle of the neutral image."""
@@ -141,7 +141,7 @@ def write_report(result, real_name, settings, out, folder):
     _draw_pins(result, folder / "pins.png")
     _draw_curves(figures, folder / "curves.png")
     kept = ("real", "settings", "parameters", "rig", "neutral_px", "judged_frames", "frames_px", "force_n")
-    write_design(out, result.twin.design, {"by": "tactip calibrate"} | {k: figures[k] for k in kept})
+    write_fitted(out, result.twin.design, {"by": "tactip calibrate"} | {k: figures[k] for k in kept})
     return figures
 
 

@@ -1,7 +1,7 @@
 """Designs as JSON files: what a calibration writes and every command takes in place of a preset's name."""
 
 import json
-from dataclasses import MISSING, asdict, fields, is_dataclass
+from dataclasses import MISSING, asdict, fields, is_dataclass, replace
 from pathlib import Path
 from typing import get_type_hints
 
@@ -17,6 +17,29 @@ def write_design(path, design, provenance):
     Path(path).write_text(json.dumps(content, indent=1) + "\n")
 
 
+def write_fitted(path, design, provenance):
+    """Write a Design that was fitted to frames, with the camera as it was when the neutral image was taken.
+
+    How the camera had changed when the frames were (Optics.zoom, drift) belongs to the recording and not to the sensor: it
+    goes into the provenance, where `read_in_use` finds it.
+    """
+    in_use = {"zoom": design.optics.zoom, "drift": design.optics.drift}
+    neutral = replace(design, optics=replace(design.optics, zoom=1.0, drift=(0.0, 0.0)))
+    write_design(path, neutral, provenance | {"camera_in_use": in_use})
+
+
+def read_in_use(path):
+    """The Design in a JSON file with its camera as it was when the frames were taken that it was fitted to.
+
+    Raises TactipError as read_design does, and where the file is not of a fitted design.
+    """
+    design, content = read_design(path), json.loads(Path(path).read_text())
+    camera = content["provenance"].get("camera_in_use")
+    if not isinstance(camera, dict) or set(camera) != {"zoom", "drift"}:
+        raise TactipError(f"the design file {path} does not say how the camera was in use: only fitted ones do")
+    return replace(design, optics=replace(design.optics, zoom=camera["zoom"], drift=_tuples(camera["drift"])))
+
+
 def read_design(path):
     """The Design in a JSON file. Raises TactipError where it is missing, no JSON, or not a design."""
     path = Path(path)
@@ -26,8 +49,8 @@ def read_design(path):
         raise TactipError(f"the design file {path} does not exist") from None
     except ValueError as error:
         raise TactipError(f"the design file {path} is not JSON: {error}") from error
-    if not isinstance(content, dict) or content.get("format") != FORMAT:
-        raise TactipError(f"{path} is not a design file: its format must be {FORMAT!r}")
+    if not isinstance(content, dict) or content.get("format") != FORMAT or not isinstance(content.get("provenance"), dict):
+        raise TactipError(f"{path} is not a design file: its format must be {FORMAT!r}, with a provenance")
     return _built(Design, content.get("design"), f"{path}: design")
 
 

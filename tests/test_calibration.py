@@ -14,7 +14,7 @@ from sim.contact import ContactPlayer
 from sim.fidelity import fidelity_named
 from sim.pose import from_mm_deg, to_mm_deg
 from sim.rig import Rig, RigMotion
-from tactip_model.design_file import read_design
+from tactip_model.design_file import read_design, read_in_use
 from tactip_model.errors import TactipError
 from tactip_model.image import tactile_image
 from tactip_model.pins import neutral_pins
@@ -143,7 +143,8 @@ def test_a_hidden_twin_is_found(real, tmp_path):
     ratio = [t.design.materials.skin_young_pa / t.design.materials.gel_young_pa for t in (found, hidden)]
     assert 0.6 < ratio[0] / ratio[1] < 1.6
     write_report(result, "hidden", settings, tmp_path / "d.json", tmp_path / "report")
-    assert read_design(tmp_path / "d.json") == found.design
+    assert read_in_use(tmp_path / "d.json") == found.design
+    assert read_design(tmp_path / "d.json").optics.zoom == 1
     assert {f.name for f in (tmp_path / "report").iterdir()} == {
         "calibration.json",
         "calibration.md",

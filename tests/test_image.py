@@ -13,9 +13,10 @@ from tactip_model.camera import PinCamera
 from tactip_model.design import TactileImage
 from tactip_model.errors import TactipError
 from tactip_model.image import tactile_image
+from tactip_model.neutral import neutral_px
 from tactip_model.optics import LedRing, Lens
 from tactip_model.pins import neutral_pins
-from tactip_model.presets import DESIGNS, design_named
+from tactip_model.presets import DESIGNS, FITTED, NOMINAL, design_named
 from tactip_model.raster import Raster
 
 # Mean blob diameter (px of a 256 px image) by shell N = i² + ij + j² of the real 127-pin tip's neutral image.
@@ -65,7 +66,7 @@ def test_neutral_image_of_the_127_pin_tip_is_the_real_ones(request, design, rend
 
 
 def test_neutral_image_of_the_331_pin_tip_has_its_rings():
-    tip = design_named("tactip-331")
+    tip = design_named("nominal-331")
     frame = Raster(tip).render(*neutral_pins(tip))
     centres, _ = blobs(frame, tip.image)
     radius = np.linalg.norm(centres - np.array(tip.optics.centre) * 256 + 0.5, axis=1)
@@ -82,7 +83,21 @@ def test_lens_is_monotonic_and_inverted(name):
     radius = lens.radius(angle)
     assert (np.diff(radius) > 0).all()
     assert np.abs(lens.angle(radius) - angle).max() < 1e-4
-    assert lens.residual_px < 0.5
+    # A lens about the camera's axis cannot meet a map about it exactly where the dome is not: as-built pins take that up.
+    assert lens.residual_px < (0.5 if name in NOMINAL else 1.0)
+
+
+@pytest.mark.parametrize("name", FITTED)
+def test_pins_of_a_fitted_tip_stay_near_their_lattice_and_come_out_in_its_image(name):
+    """As they were built: a tenth of a millimetre off the lattice, all seen, where the lens puts them."""
+    tip = design_named(name)
+    offsets = np.array(tip.pins.as_built_m)
+    assert rms(offsets) > 0.02e-3 and np.abs(offsets).max() < 0.3 * tip.pins.pitch_m
+    assert tip.optics.zoom == 1 and tip.optics.drift == (0, 0)
+    centres, _ = blobs(Raster(tip).render(*neutral_pins(tip)), tip.image)
+    distance = np.linalg.norm(neutral_px(tip)[:, None] - centres[None], axis=2)
+    assert len(centres) == len(offsets) and len(set(distance.argmin(1))) == len(offsets)
+    assert rms(distance.min(1)) < 0.5
 
 
 def test_led_ring_falls_off_with_the_square_of_the_distance(design):

@@ -98,7 +98,8 @@ def test_shear_saturates_as_the_skin_slides(on_surface):
     assert shift[0] < shift[1] < shift[2]
     plateau = np.mean(shift[3:])
     assert np.abs(np.array(shift[3:]) / plateau - 1).max() < 0.15
-    assert plateau < 0.2 * 5 / 0.25 * shift[0]
+    # Skin that sticks all along would go on to 5 / 0.25 of the first.
+    assert plateau < 0.3 * 5 / 0.25 * shift[0]
 
 
 def test_without_friction_there_is_no_shear(on_ice):

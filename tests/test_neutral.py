@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tactip_model.design import Optics, Pins
-from tactip_model.design_file import read_design, write_design
+from tactip_model.design_file import read_design, read_in_use, write_design, write_fitted
 from tactip_model.errors import TactipError
 from tactip_model.image import tactile_image
 from tactip_model.neutral import fit_neutral, neutral_px
@@ -43,7 +43,7 @@ def test_a_hidden_tip_is_found_from_its_image(hidden):
 
 
 def test_a_perfect_tip_is_left_as_it_is():
-    design = design_named("tactip-331")
+    design = design_named("nominal-331")
     fitted, fit = fit_neutral(design, neutral_image(design))
     assert fit.before_px < 0.35 and fit.lattice_px < 0.3
     assert abs(fitted.pins.rotation_deg - design.pins.rotation_deg) < 0.2
@@ -68,6 +68,16 @@ def test_a_design_survives_its_file(hidden, tmp_path):
     write_design(tmp_path / "d.json", hidden, {"by": "a test"})
     assert read_design(tmp_path / "d.json") == hidden == find_design(tmp_path / "d.json")
     assert find_design("tactip-331") == design_named("tactip-331")
+
+
+def test_a_fitted_design_is_as_at_rest_and_knows_its_camera_in_use(hidden, tmp_path):
+    warm = replace(hidden, optics=replace(hidden.optics, zoom=1.01, drift=(0.001, -0.002)))
+    write_fitted(tmp_path / "d.json", warm, {"by": "a test"})
+    assert read_design(tmp_path / "d.json") == hidden
+    assert read_in_use(tmp_path / "d.json") == warm
+    write_design(tmp_path / "e.json", hidden, {})
+    with pytest.raises(TactipError, match="only fitted ones"):
+        read_in_use(tmp_path / "e.json")
 
 
 @pytest.mark.parametrize(
