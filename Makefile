@@ -13,7 +13,7 @@ READY := .venv/.ready
 help:
 	@echo "make setup         .venv with pinned versions, and OpenGL"
 	@echo "make sim-dataset   simulated data sets  [TASK=all|surface|edge] [SAMPLES=200] [OUT=data] [WORKERS=auto] [FIDELITY=standard]"
-	@echo "make report        measure errors and costs (10 min); write docs/*.md and the README's picture"
+	@echo "make report        measure errors and costs (30 min); write docs/*.md and the README's picture"
 	@echo "make test          all tests but the slow ones    make test-all   those too"
 	@echo "make lint          ruff and pyright"
 	@echo "make lock          write requirements.lock anew"
@@ -41,7 +41,8 @@ report: $(READY)
 	@$(BIN)/python -m benchmarks.materials
 	@$(BIN)/python -m benchmarks.second_code
 	@$(BIN)/python -m benchmarks.friction
-	@$(BIN)/python -m benchmarks.contact_error
+	@$(BIN)/tactip bench error
+	@$(BIN)/tactip bench parts
 	@$(BIN)/python -m benchmarks.real_comparison
 
 lint: $(READY)

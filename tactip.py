@@ -234,15 +234,54 @@ class Calibrate:
         return 0
 
 
-_Benches = tyro.extras.subcommand_type_from_defaults({"stability": Stability()})
-"""The measurements by name. (A union of types would do if there were more than one.)"""
+@dataclass(frozen=True)
+class Error:
+    """Measure errors and costs of contacts over presets and numbers. Run again, it goes on where it stopped."""
+
+    out: Path = Path("docs")
+    """Folder for fidelity.json, fidelity.md and fidelity.png."""
+    contacts: int = 10
+    """Contacts of each training set for the presets."""
+    swept: int = 5
+    """Contacts of each training set for numbers changed one at a time."""
+    redraw: bool = False
+    """Only write page and figure anew from fidelity.json."""
+
+    def run(self):
+        from benchmarks.error_against_time import Options, run
+
+        run(Options(contacts=self.contacts, swept=self.swept, out=self.out, redraw=self.redraw))
+        print(f"{self.out / 'fidelity.md'} written")
+        return 0
+
+
+@dataclass(frozen=True)
+class Parts:
+    """Measure what each part of the data-set scene costs, and count what it holds."""
+
+    out: Path = Path("docs")
+    """Folder for parts.json and parts.md."""
+    contacts: int = 6
+    """Contacts of each training set."""
+
+    def run(self):
+        from benchmarks.scene_parts import Options, run
+
+        run(Options(contacts=self.contacts, out=self.out))
+        print(f"{self.out / 'parts.md'} written")
+        return 0
 
 
 @dataclass(frozen=True)
 class Bench:
-    """Measure the simulation."""
+    """Measure the simulation: its errors, its costs, and where it can be trusted."""
 
-    action: Annotated[_Benches, tyro.conf.arg(name="")]  # pyright: ignore[reportInvalidTypeForm]
+    action: Annotated[
+        Annotated[Stability, tyro.conf.subcommand("stability")]
+        | Annotated[Error, tyro.conf.subcommand("error")]
+        | Annotated[Parts, tyro.conf.subcommand("parts")],
+        tyro.conf.arg(name=""),
+    ]
 
     def run(self):
         return self.action.run()

@@ -37,7 +37,7 @@ class Walker(ContactPlayer):
 
     def __init__(self, friction, fidelity=FIDELITIES["standard"]):
         """friction: of the 127-pin tip on the flat, -. fidelity: Fidelity."""
-        design = design_named("tactip-127")
+        design = design_named("nominal-127")
         super().__init__(replace(design, materials=replace(design.materials, friction=friction)), "surface", fidelity)
         self.steps = []
         """Of each step since `begin`: force on the tip (3,) N and place of the stimulus (3,) m, in the sensor frame."""

@@ -91,7 +91,7 @@ def press(player, depth_mm):
 
 def frictionless(what, poisson=None):
     """The 127-pin tip without friction, `gel` alone or the whole `sensor`, its gel of a Poisson's ratio: a Design."""
-    design = design_named("tactip-127")
+    design = design_named("nominal-127")
     m = replace(design.materials, friction=0.0)
     if what == "gel":
         m = replace(m, skin_young_pa=1.0)  # a skin of 1 Pa is none
@@ -127,10 +127,10 @@ def against_depth(expected):
 
 def locking(known):
     """Force and shape over POISSONS and meshes: a list of dict. known: dict of what to the Expected of the design's gel."""
-    rows, own = [], design_named("tactip-127").materials.gel_poisson
+    rows, own = [], design_named("nominal-127").materials.gel_poisson
     for what in ("gel", "sensor"):
         for poisson in POISSONS:
-            expected = known[what] if poisson == own else Expected(design_named("tactip-127"), what, poisson)
+            expected = known[what] if poisson == own else Expected(design_named("nominal-127"), what, poisson)
             for name, fidelity in meshes().items():
                 cures = {"as it is": as_it_is(fidelity)}
                 if poisson > fidelity.mesh.poisson_limit:
@@ -165,7 +165,7 @@ def bending(expected):
 
 def ripple():
     """Greatest distance (relative) of the forces every 0.1 mm from a smooth curve, `standard`, with friction."""
-    player = ContactPlayer(design_named("tactip-127"), "surface", FIDELITIES["standard"])
+    player = ContactPlayer(design_named("nominal-127"), "surface", FIDELITIES["standard"])
     depth = np.arange(0.5, 5.01, 0.1)
     force = np.array([press(player, d).normal_force_n for d in depth])
     smooth = np.exp(np.polyval(np.polyfit(np.log(depth), np.log(force), 3), np.log(depth)))
@@ -174,7 +174,7 @@ def ripple():
 
 def main(options: Options):
     """Measure, print, and write the page."""
-    design = design_named("tactip-127")
+    design = design_named("nominal-127")
     expected = {what: Expected(design, what, design.materials.gel_poisson) for what in ("gel", "sensor")}
     result = {
         "depths_mm": DEPTHS_MM,

@@ -18,11 +18,12 @@ from sim.contact import ContactPlayer
 from sim.fidelity import fidelity_named
 from sim.pose import from_mm_deg
 from tactip_model.camera import PinCamera
+from tactip_model.design_file import read_in_use
 from tactip_model.image import tactile_image
 from tactip_model.neutral import neutral_px, reference_pixels
 from tactip_model.optics import REFERENCE_PX, Lens
 from tactip_model.pins import LAYOUTS, neutral_pins
-from tactip_model.presets import design_named
+from tactip_model.presets import FITTED
 
 DEPTHS_MM = (1.25, 2.25, 3.25, 4.25, 4.75)
 SHELLS = (1, 3, 4, 7, 9, 12, 13, 16, 19, 21, 25, 27, 28, 31, 36)
@@ -139,7 +140,7 @@ def main(options: Options):
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    design = design_named("tactip-127")
+    design = read_in_use(FITTED["tactip-127"])
     player = ContactPlayer(design, "surface", fidelity_named(options.fidelity))
     zero, left, without = best_zero(player)
     simulated, contacts = simulated_outward_px(player, np.array(DEPTHS_MM) + zero)

@@ -77,7 +77,7 @@ def pressed_gel(depth_mm, fidelity="standard"):
     Returns its mesh.Mesh, the flex's law constants (young Pa, poisson), held (n, 3) bool, displacements (n, 3) m, and the
     force, N. Held are bonded vertices, and the height of those that touch the plate.
     """
-    design = design_named("tactip-127")
+    design = design_named("nominal-127")
     materials = replace(design.materials, friction=0.0, skin_young_pa=1.0)  # a skin of 1 Pa is none
     fidelity = FIDELITIES[fidelity]
     player = ContactPlayer(replace(design, materials=materials), "surface", fidelity)
@@ -112,7 +112,7 @@ def compare_simulator(depth_mm):
 def compare_codes(depth_mm, law, folder):
     """The same gel of PLAIN_POISSON in CalculiX and in the others that know the law: a list of dict."""
     mesh, _, held, places, _ = pressed_gel(depth_mm)
-    young, surface = design_named("tactip-127").materials.gel_young_pa, np.arange(len(places)) < mesh.surface_count
+    young, surface = design_named("nominal-127").materials.gel_young_pa, np.arange(len(places)) < mesh.surface_count
     free, touching = surface & ~mesh.bonded, held[:, 2] & ~mesh.bonded
     problem = mesh.vertices, mesh.tetrahedra, law, young, PLAIN_POISSON
     expected, reaction = solve_with_calculix(*problem, held, places, folder)

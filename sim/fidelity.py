@@ -29,7 +29,7 @@ class Motion:
     """Time step, s. Implicit; stable from 0.2 ms to 20 ms."""
     press_step_m: float = within(1e-6, 10e-3, default=1.2e-3)
     """Approach per step, m (mean)."""
-    shear_step_m: float = within(1e-6, 10e-3, default=0.6e-3)
+    shear_step_m: float = within(1e-6, 10e-3, default=0.4e-3)
     """Travel of the skin per step of the shear, m (mean)."""
     least_steps: int = within(1, 100000, default=4)
     """Fewest steps of a motion."""
@@ -64,7 +64,7 @@ class Solver:
     settle_tolerance: float = within(TIGHTEST, 1e-5, default=1e-9)
     """The same at rest. Looser, the tip trembles without end and its force with it (3 % at 0.5 mm of depth at 1e-7, 0.3 %
     at 1e-9); few iterations are needed there, so that it costs next to nothing."""
-    impratio: float = within(0.1, 1000, default=10.0)
+    impratio: float = within(0.1, 1000, default=3.0)
     """Ratio of frictional to normal impedance, -; more lets less creep."""
 
     def __post_init__(self):

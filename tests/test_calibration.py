@@ -32,7 +32,7 @@ RIG = Rig(
 
 
 def hidden_twin():
-    plain = design_named("tactip-127")
+    plain = design_named("nominal-127")
     return Twin(
         replace(
             plain,
@@ -79,7 +79,7 @@ def real(tmp_path_factory):
 
 
 def start():
-    return replace(design_named("tactip-127"), name="mine")
+    return replace(design_named("nominal-127"), name="mine")
 
 
 def test_a_parameter_reads_what_it_writes_and_keeps_its_bounds():

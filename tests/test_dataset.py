@@ -31,7 +31,7 @@ TACTIP = [str(Path(sys.executable).parent / "tactip"), "dataset"]
 
 def make(out, *options, task="edge", samples=6, workers=2, renderer="raster"):
     return [*TACTIP, "make", "--task", task, "--samples", str(samples), "--out", str(out), "--workers", str(workers)] + [
-        "--fidelity", "draft", "--renderer", renderer, *options
+        "--fidelity", "draft", "--design", "nominal-127", "--renderer", renderer, *options
     ]  # fmt: skip
 
 
@@ -456,7 +456,7 @@ def test_bad_options_give_one_sentence(tmp_path, capsys, case):
 def test_a_folder_of_another_configuration_is_refused_and_left_alone(copy, capsys):
     before = contents(copy)
     options = ["--task", "edge", "--samples", "6", "--fidelity", "draft", "--renderer", "raster"]
-    assert tactip.main(["dataset", "make", "--out", str(copy), *options, "--seed", "1"]) == 1
+    assert tactip.main(["dataset", "make", "--out", str(copy), *options, "--design", "nominal-127", "--seed", "1"]) == 1
     told = capsys.readouterr().err
     assert "another configuration" in told
     assert "seed is 0 there and 1 here" in told

@@ -28,11 +28,11 @@ def hidden():
     offsets = np.random.default_rng(3).normal(0, 0.08e-3, (127, 2))
     pins = Pins(rotation_deg=48.0, as_built_m=tuple(map(tuple, offsets.tolist())))
     optics = Optics(neutral_radius=(10.4, 0.06, 0.002), centre=(0.47, 0.53), camera_offset_m=(0.4e-3, -0.3e-3))
-    return replace(design_named("tactip-127"), pins=pins, optics=optics)
+    return replace(design_named("nominal-127"), pins=pins, optics=optics)
 
 
 def test_a_hidden_tip_is_found_from_its_image(hidden):
-    fitted, fit = fit_neutral(design_named("tactip-127"), neutral_image(hidden))
+    fitted, fit = fit_neutral(design_named("nominal-127"), neutral_image(hidden))
     assert fit.before_px > 3 and fit.after_px < 0.01
     # 0.11 mm of scatter is 0.4 px in the middle.
     assert fit.after_px < fit.lattice_px < 0.75
@@ -53,7 +53,7 @@ def test_another_tip_is_refused(hidden):
     with pytest.raises(TactipError, match=r"127 pins.*has 331"):
         fit_neutral(design_named("tactip-331"), neutral_image(hidden))
     with pytest.raises(TactipError, match="square"):
-        fit_neutral(design_named("tactip-127"), np.zeros((200, 300), np.uint8))
+        fit_neutral(design_named("nominal-127"), np.zeros((200, 300), np.uint8))
 
 
 def test_zoom_and_drift_move_the_image_and_nothing_else(hidden):
@@ -85,7 +85,7 @@ def test_a_fitted_design_is_as_at_rest_and_knows_its_camera_in_use(hidden, tmp_p
     [
         ('"format": "tactip-design 1"', '"format": "other"', "is not a design file"),
         ('"friction": 0', '"fricton": 0', "has no field 'fricton'"),
-        ('"name": "tactip-127"', '"name": 3', "must be a text"),
+        ('"name": "nominal-127"', '"name": 3', "must be a text"),
         ('"friction": 0', '"friction": -1e', "not JSON"),
         ('"pitch_m": 0.003', '"pitch_m": 0.3', "Pins.pitch_m is 0.3"),
         ('"pitch_m": 0.003', '"pitch_m": "wide"', "pitch_m is 'wide'"),
@@ -93,7 +93,7 @@ def test_a_fitted_design_is_as_at_rest_and_knows_its_camera_in_use(hidden, tmp_p
 )
 def test_a_broken_design_file_is_refused_by_name(tmp_path, old, new, words):
     path = tmp_path / "d.json"
-    write_design(path, design_named("tactip-127"), {})
+    write_design(path, design_named("nominal-127"), {})
     text = path.read_text()
     assert old in text
     path.write_text(text.replace(old, new))
@@ -107,7 +107,7 @@ def test_a_missing_design_file_lists_the_presets(tmp_path):
 
 
 def test_as_built_pins_are_one_a_pin():
-    design = design_named("tactip-127")
+    design = design_named("nominal-127")
     with pytest.raises(TactipError, match="127, one a pin"):
         neutral_pins(replace(design, pins=replace(design.pins, as_built_m=((0.0, 0.0),))))
     with pytest.raises(TactipError, match="as_built_m"):
