@@ -158,7 +158,7 @@ def block(cells, size, jitter=0.2):
 def gel(poisson, law="stable neo-Hooke", young=2e4):
     """Attributes of a gel's flex as tactip_model/body.py makes them, of any Poisson's ratio and either law."""
     materials = replace(Materials(), gel_young_pa=young, gel_poisson=poisson)
-    return gel_attributes(materials, Resolution(poisson_limit=0.5)) | {"elastic3d": LAWS[law]}
+    return gel_attributes(materials, Resolution(poisson_limit=0.5, locked_stiffness=1.0)) | {"elastic3d": LAWS[law]}
 
 
 def patch_error(law, gradient, poisson=0.45):

@@ -214,7 +214,8 @@ def page(result):
         "## Locking, and what is done about it",
         "",
         "Linear tetrahedra are too stiff near incompressibility. *As it is*: elements of the gel's own Poisson's ratio. "
-        f"*Cured*: as `mesh.Resolution` has it, of {mesh.poisson_limit} with {mesh.locked_stiffness} of the modulus. Force "
+        f"*Cured*: as `mesh.Resolution` has it, of {mesh.poisson_limit} with the factor on the modulus that "
+        "belongs to the mesh (0.87, 0.90, 1). Force "
         "over that of the independent code, and distance of surface vertices from it at "
         f"{SHAPE_DEPTH_MM:g} mm, rms / greatest:",
         "",

@@ -23,6 +23,7 @@ from tactip_model.design import Design, Materials, Optics, Pins, Shape, TactileI
 from tactip_model.errors import TactipError
 from tactip_model.mesh import CONTACT_RADIUS_M, Resolution
 from tactip_model.pins import neutral_pins
+from tactip_model.presets import design_named
 
 DOME_M = 20e-3
 
@@ -90,6 +91,13 @@ def test_height_to_clear_against_brute_force(name):
         if name != "edge" or centre[0] < DOME_M - 1e-3:
             slack = probe(centre + [0, 0, lift])
             assert slack < more_than_needed + 1e-6
+
+
+@pytest.fixture(scope="session")
+def design():
+    """A perfect tip of little friction: a knife and a needle are refused with more."""
+    nominal = design_named("nominal-127")
+    return replace(nominal, materials=replace(nominal.materials, friction=0.3))
 
 
 def test_unknown_stimuli_are_refused_with_a_list(design, standard):
@@ -187,11 +195,13 @@ def test_folds_and_shrunk_facets_are_measured(on_surface):
     assert scene.skin_shape(squashed)[0] < 0.05
 
 
-def test_a_moving_tip_is_out_of_balance(design, standard):
-    """A press stopped in full motion: forces do not balance, energy drifts."""
-    hasty = replace(standard, motion=replace(standard.motion, settle_steps=1, settle_limit=1, ease_in=0.0, ease_out=0.0))
-    contact = press(ContactPlayer(design, "surface", hasty), 3)
-    assert any("drifts" in fault for fault in contact.faults(Bounds()))
+def test_a_moving_tip_is_out_of_balance(design, standard, monkeypatch):
+    """A press looked at in full motion: energy goes on being stored."""
+    jerky = replace(standard, motion=replace(standard.motion, ease_in=0.0, ease_out=0.0))
+    player = ContactPlayer(design, "surface", jerky)
+    assert not press(player, 3).faults(Bounds())
+    monkeypatch.setattr(ContactPlayer, "_settle", lambda self, pose: None)
+    assert any("drifts" in fault for fault in press(player, 3).faults(Bounds()))
 
 
 def test_a_starved_solver_is_seen(design, standard):
