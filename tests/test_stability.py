@@ -6,6 +6,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
+from conftest import Press
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -30,6 +31,12 @@ DOME_M = 20e-3
 
 def press(player, depth_mm, slide_mm=0.0, **options):
     return player.play(from_mm_deg([0, 0, -depth_mm, 0, 0, 0]), from_mm_deg([slide_mm, 0, 0, 0, 0, 0]), **options)
+
+
+@pytest.fixture(scope="session")
+def on_surface(design, standard):
+    """This module's own: its tip has less friction than the others'."""
+    return Press(ContactPlayer(design, "surface", standard))
 
 
 @pytest.fixture(scope="module")
