@@ -13,7 +13,7 @@ READY := .venv/.ready
 help:
 	@echo "make setup         .venv with pinned versions, and OpenGL"
 	@echo "make sim-dataset   simulated data sets  [TASK=all|surface|edge] [SAMPLES=200] [OUT=data] [WORKERS=auto] [FIDELITY=standard]"
-	@echo "make report        measure errors and costs (30 min); write docs/*.md and the README's picture"
+	@echo "make report        measure errors and costs (45 min); write docs/*.md and the README's picture"
 	@echo "make test          all tests but the slow ones    make test-all   those too"
 	@echo "make lint          ruff and pyright"
 	@echo "make lock          write requirements.lock anew"
@@ -43,6 +43,7 @@ report: $(READY)
 	@$(BIN)/python -m benchmarks.friction
 	@$(BIN)/tactip bench error
 	@$(BIN)/tactip bench parts
+	@$(BIN)/tactip bench stability
 	@$(BIN)/python -m benchmarks.real_comparison
 
 lint: $(READY)

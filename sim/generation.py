@@ -218,7 +218,7 @@ class _Folder:
             write_file(known, json.dumps(identity, indent=1).encode())
         for place in (self._path, self._partial, self._path / "images"):
             for leftover in place.glob(".*.tmp"):
-                leftover.unlink()
+                leftover.unlink(missing_ok=True)  # a worker that outlived its command may just have renamed it
 
     def _refuse_other(self, there, asked):
         difference = _first_difference(there, asked, "")

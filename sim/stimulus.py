@@ -5,6 +5,7 @@ Every one has its highest point at z = 0 and its true shape as a signed distance
 checked against the shape itself.
 """
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import mujoco
@@ -62,7 +63,7 @@ MOST_FRICTION_OF_A_CORNER = 0.6
 _BOTH = TOUCHES_VERTICES | TOUCHES_FACETS
 
 
-class Stimulus:
+class Stimulus(ABC):
     """A rigid thing to press the tip on."""
 
     @property
@@ -85,16 +86,16 @@ class Stimulus:
         """Friction up to which its contacts hold, -: beyond, a slid skin catches on it by chance."""
         return np.inf
 
+    @abstractmethod
     def add_geoms(self, spec, body, touch):
         """Add what is met. spec: mujoco.MjSpec. body: its frame is the contact frame. touch: body.contact_attributes."""
-        raise NotImplementedError
 
-    def distance(self, points):
+    @abstractmethod
+    def distance(self, points) -> np.ndarray:
         """Signed distance (...) m of points (..., 3) m in the contact frame to the true shape; negative inside.
 
         What is far beyond the tip's reach (HALF_SIZE_M) is taken for endless.
         """
-        raise NotImplementedError
 
     def height_to_clear(self, centre, radius):
         """How far (m) a sphere must rise along z to leave the thing; negative if it is clear by more.
