@@ -148,7 +148,7 @@ def test_an_image_lost_before_the_end_is_made_again(whole, tmp_path):
     folder = tmp_path / "holed"
     process = subprocess.Popen(make(folder), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     # Which worker is the first is chance: with three records, image 0 may still be on its way.
-    wait_for(lambda: (folder / ".partial" / "000000.npz").exists())
+    wait_for((folder / ".partial" / "000000.npz").exists)
     process.kill()
     process.wait()
     (folder / "images" / "image_00000.png").unlink()
