@@ -67,7 +67,7 @@ class UnloweredPlayer(ContactPlayer):
     def __init__(self, design, stimulus, fidelity):
         """As ContactPlayer."""
         super().__init__(design, stimulus, fidelity)
-        self.scene._lowered = lambda: np.zeros(self.scene.data.nefc)
+        self.scene._lift = np.zeros_like
 
 
 @dataclass(frozen=True)

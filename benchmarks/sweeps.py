@@ -66,7 +66,6 @@ def sweeps():
         (1.5, 1.5): "1.5, 1.5",
         (0.5, 3.0): "0.5, 3",
     }
-    lengths = (0.15, 0.3, 0.6, 1.2, 2.4)
     mesh = {
         "spacing on the surface, mm": _row("mesh", "surface_m", (1.2, 1.5, 1.7, 2.2, 2.6, 3.2), 1e-3),
         "spacing at the rim, mm": _row("mesh", "rim_m", (2.5, 3.5, 4.5, 6.0), 1e-3),
@@ -75,9 +74,9 @@ def sweeps():
         "layers: largest spacing, mm": _row("mesh", "coarsest_m", (5.0, 10.0), 1e-3),
     }
     rest = {
-        "time step, ms": _row("motion", "step_s", (2.5, 4.0, 10.0, 14.0), 1e-3),
-        "approach a step, mm": _row("motion", "press_step_m", (*lengths[1:3], lengths[4]), 1e-3),
-        "travel of the skin a step of the shear, mm": _row("motion", "shear_step_m", (*lengths[:2], *lengths[3:]), 1e-3),
+        "time step, ms": _row("motion", "step_s", (3.0, 4.0, 10.0, 14.0), 1e-3),
+        "approach a step, mm": _row("motion", "press_step_m", (0.3, 0.6, 2.4), 1e-3),
+        "travel of the skin a step of the shear, mm": _row("motion", "shear_step_m", (0.1, 0.2, 0.6, 1.0), 1e-3),
         "fewest steps of a motion": _row("motion", "least_steps", (2, 8, 16)),
         "steps at rest, at least": _row("motion", "settle_steps", (1, 2, 8, 16)),
         "settled below, mm/s": _row("motion", "settle_speed_m_s", (0.2, 0.7, 6.0, 20.0), 1e-3),

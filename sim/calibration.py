@@ -14,7 +14,7 @@ import os
 import signal
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, field, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -47,6 +47,9 @@ _PIXEL_SPREAD = 0.5
 
 _INDEPENDENT = 10
 """Pins of a frame err together: it counts for so many independent numbers."""
+
+_OUTLIER_PX = 1.0
+"""A frame farther off than this, px of 256, is not explained by the model: it pulls no harder than one at this distance."""
 
 _TURNS = 12
 """Azimuths that are tried first."""
@@ -84,6 +87,8 @@ class Parameter:
     logarithmic: bool = False
     mechanical: bool = True
     """Whether a contact must be played anew when it changes."""
+    searched: bool = False
+    """Whether it is found by trying: skin sticks or slips, and a frame's share then jumps, so that slopes lead astray."""
 
     def read(self, twin):
         """Its value (float) in a Twin."""
@@ -130,6 +135,10 @@ def parameters(design, camera=_UNKNOWN_CAMERA):
 
     design: Design to start from. camera: what is believed of zoom and drift and its deviation, (3,) each.
     """
+    # Where a frame lags, its lag explains what friction would: frames alone hardly tell the three numbers of friction. They
+    # are believed from a load cell (0.55 to 0.7) and from the mean shifts of 25 kinds of shear of a real tip, to which a
+    # share of 0.5 to 0.6 after 1 mm comes nearest (benchmarks/real_comparison.py).
+    searched = partial(Parameter, logarithmic=True, searched=True)
     zoom, x, y = zip(*camera, strict=True)
     pitch = design.pins.pitch_m
     widest = WIDEST_LAYOUT * design.shape.radius_m / design.pins.rings
@@ -139,7 +148,9 @@ def parameters(design, camera=_UNKNOWN_CAMERA):
         Parameter("tcp_behind_apex", "m", -0.06, 0.06, 1.5e-3, (0.0, 20e-3), "rig", "tcp_behind_apex_m"),
         Parameter("tilt_zero_x", "deg", -5, 5, 0.8, (0.0, 2.0), "rig", "tilt_zero_deg", 0),
         Parameter("tilt_zero_y", "deg", -5, 5, 0.8, (0.0, 2.0), "rig", "tilt_zero_deg", 1),
-        Parameter("friction", "-", 0.1, 1.0, 0.15, (0.6, 0.3), "materials", "friction", logarithmic=True),
+        searched("friction", "-", 0.1, 1.0, 0.15, (0.6, 0.1), "materials", "friction"),
+        searched("kinetic_share", "-", 0.2, 1.0, 0.15, (0.55, 0.15), "materials", "kinetic_share"),
+        searched("kinetic_after", "m", 0.3e-3, 10e-3, 0.25, (1e-3, 0.3), "materials", "kinetic_after_m"),
         Parameter("skin_young", "Pa", 1e5, 5e6, 0.25, (0.6e6, 0.4), "materials", "skin_young_pa", logarithmic=True),
         Parameter("gel_young", "Pa", 3e3, 2e5, 0.25, (2e4, 0.4), "materials", "gel_young_pa", logarithmic=True),
         Parameter("pin_length", "m", 0.8e-3, 4e-3, 0.1e-3, (2e-3, 0.5e-3), "pins", "length_m", mechanical=False),
@@ -269,16 +280,27 @@ def distances(predicted, seen):
 
 
 def best_share(stages, seen):
-    """Shares done (n,) and pins (n, p, 2) where pins at each stage (n, DONE, p, 2) come nearest to those seen (n, p, 2)."""
+    """Where pins at each stage (n, DONE, p, 2) come nearest to those seen (n, p, 2).
+
+    Returns the shares done (n,), the pins there (n, p, 2), and how they change with the share (n, p, 2), px; no change
+    where the share is at one of its ends, and cannot give way.
+    """
     fine = np.linspace(0, 1, 51)
     left = np.minimum((fine * (len(DONE) - 1)).astype(int), len(DONE) - 2)
     weight = (fine * (len(DONE) - 1) - left)[:, None, None]
-    shares, pins = np.empty(len(seen)), np.empty_like(seen)
+    shares, pins, tangents = np.empty(len(seen)), np.empty_like(seen), np.zeros_like(seen)
     for i, stage in enumerate(stages):
         between = (1 - weight) * stage[left] + weight * stage[left + 1]
         best = distances(between, seen[i]).argmin()
         shares[i], pins[i] = fine[best], between[best]
-    return shares, pins
+        if 0 < best < len(fine) - 1:
+            tangents[i] = stage[left[best] + 1] - stage[left[best]]
+    return shares, pins, tangents
+
+
+def robust(rms):
+    """Huber's cost (float) of frames' rms distances (n,) px: squares up to _OUTLIER_PX, straight beyond."""
+    return float(np.where(rms < _OUTLIER_PX, rms**2, _OUTLIER_PX * (2 * rms - _OUTLIER_PX)).mean())
 
 
 class Calibrator:
@@ -309,11 +331,33 @@ class Calibrator:
         """Normal forces (3,) N at the depths of LOAD_CELL_N."""
         return next(iter(self._executor.map(_forces, [(twin.design, fidelity)])))
 
+    def cost(self, twin, chosen, fidelity):
+        """The cost (float), px², of a Twin, and its pins (n, DONE, p, 2) px at each share of each frame's move.
+
+        The frames' robust cost and, in its unit, what forces and the Parameters `chosen` are off what is believed.
+        """
+        stages = self.stages(twin, fidelity)
+        frames = robust(distances(best_share(stages, self._frames.pins_px)[1], self._frames.pins_px))
+        strange = np.concatenate([self._force_misfit(twin, fidelity), [p.surprise(twin) for p in chosen]])
+        return frames + float((strange**2).sum()) * 2 * _PIXEL_SPREAD**2 / (_INDEPENDENT * len(stages)), stages
+
+    def _force_misfit(self, twin, fidelity):
+        """How far (3,), in standard deviations, forces are from LOAD_CELL_N."""
+        return np.log(self.forces(twin, fidelity) / list(LOAD_CELL_N.values())) / _FORCE_SPREAD
+
     def round(self, twin, chosen, fidelity):
-        """One step of Gauss and Newton. chosen: Parameters. Returns the new Twin, deviations (k,) and a dict of figures."""
+        """One step of Gauss and Newton. chosen: Parameters. Returns the new Twin, deviations (k,) and a dict of figures.
+
+        Parameters that are searched stay, with the deviations that they are believed to have.
+
+        The share of its move belongs to each frame alone: it is taken out of residuals and slopes (variable projection), so
+        that no parameter is moved for what a share can do as well. A step that does not lower the cost is halved.
+        """
         seen = self._frames.pins_px
-        done, _ = best_share(self.stages(twin, fidelity), seen)
-        mechanical = [p for p in chosen if p.mechanical]
+        smooth = [p for p in chosen if not p.searched]
+        cost, stages = self.cost(twin, chosen, fidelity)
+        done, _, tangents = best_share(stages, seen)
+        mechanical = [p for p in smooth if p.mechanical]
         twins = [twin] + [p.moved(twin, 1.0) for p in mechanical]
         jobs = [(t.design, t.rig, fidelity, self._frames.commands, self._frames.tap, done) for t in twins]
         skins = dict(zip([None] + [p.name for p in mechanical], self._progress(_play, jobs, "slopes"), strict=True))
@@ -322,25 +366,27 @@ class Calibrator:
 
         here = pixels(twin.design, fidelity, skins[None])
         rms = distances(here, seen)
-        # A frame that the model does not explain is to have no more say than one that is at the limit of the explained.
-        weight = np.minimum(1, 2 * np.median(rms) / np.maximum(rms, 1e-9)) / _PIXEL_SPREAD
+        weight = np.sqrt(np.minimum(1, _OUTLIER_PX / np.maximum(rms, 1e-9))) / _PIXEL_SPREAD
         weight = weight * np.sqrt(_INDEPENDENT / (2 * np.isfinite(seen[..., 0]).sum(1)))
         expected = np.array(list(LOAD_CELL_N.values()))
+        along = np.where(np.isfinite(seen), tangents, 0.0).reshape(len(seen), -1)
+        along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
 
         def residual(pins):
-            return np.nan_to_num(pins - seen) * weight[:, None, None]
+            wrong = (np.nan_to_num(pins - seen) * weight[:, None, None]).reshape(len(seen), -1)
+            return wrong - (wrong * along).sum(1, keepdims=True) * along
 
         slopes, force_slopes = [], []
-        for p in chosen:
+        for p in smooth:
             moved = p.moved(twin, 1.0)
             design = self._rebuilt(moved).design if not p.mechanical else twin.design
             pins = pixels(design, fidelity, skins[p.name if p.mechanical else None])
-            slopes.append((residual(pins) - residual(here)).reshape(len(seen), -1))
+            slopes.append(residual(pins) - residual(here))
             force_slopes.append(np.log(forces[p.name if p.mechanical else None] / forces[None]) / _FORCE_SPREAD)
         slopes, force_slopes = np.array(slopes), np.array(force_slopes)
-        by_frame = np.einsum("kni,ni->nk", slopes, residual(here).reshape(len(seen), -1))
-        surprise = np.array([p.surprise(twin) for p in chosen])
-        belief = np.array([0.0 if p.believed is None else p.step / p.believed[1] for p in chosen])
+        by_frame = np.einsum("kni,ni->nk", slopes, residual(here))
+        surprise = np.array([p.surprise(twin) for p in smooth])
+        belief = np.array([0.0 if p.believed is None else p.step / p.believed[1] for p in smooth])
         misfit = np.log(forces[None] / expected) / _FORCE_SPREAD
         curvature = np.einsum("kni,lni->kl", slopes, slopes) + force_slopes @ force_slopes.T + np.diag(belief**2)
         gradient = by_frame.sum(0) + force_slopes @ misfit + belief * surprise
@@ -349,11 +395,47 @@ class Calibrator:
         inverse = np.linalg.inv(curvature)
         spread = by_frame.T @ by_frame + force_slopes @ force_slopes.T + np.diag(belief**2)
         deviations = np.sqrt(np.diag(inverse @ spread @ inverse))
-        new = twin
-        for p, amount in zip(chosen, np.clip(change, -8, 8), strict=True):
-            new = p.moved(new, amount)
+        found = dict(zip([p.name for p in smooth], deviations, strict=True))
+        deviations = np.array([found.get(p.name, p.believed[1] / p.step if p.believed else np.inf) for p in chosen])
+        changes = dict(zip(smooth, np.clip(change, -8, 8), strict=True))
+        new, after, share = self._lowest(twin, chosen, changes, fidelity, cost)
         figures = {"fidelity": fidelity, "rms_px": float(np.sqrt((rms**2).mean())), "median_px": float(np.median(rms))}
-        return self._rebuilt(new), deviations, figures | {"forces_n": forces[None].tolist()}
+        figures |= {"cost_before": cost, "cost_after": after, "share_of_step": share, "forces_n": forces[None].tolist()}
+        return new, deviations, figures
+
+    def _lowest(self, twin, chosen, changes, fidelity, cost):
+        """The first Twin along `changes` (dict of Parameter to steps) below `cost`, its cost, and the share taken."""
+        for share in (1.0, 0.5, 0.25):
+            new = twin
+            for p, amount in changes.items():
+                new = p.moved(new, share * amount)
+            new = self._rebuilt(new)
+            after, _ = self.cost(new, chosen, fidelity)
+            if after < cost:
+                return new, after, share
+        return twin, cost, 0.0
+
+    def search(self, twin, chosen, deviations, fidelity):
+        """Try each searched Parameter of `chosen` a step up and down, and keep what lowers the cost.
+
+        Returns the new Twin, the deviations (k,), with those of the searched by a parabola through three costs, and a dict
+        of figures.
+        """
+        before, _ = self.cost(twin, chosen, fidelity)
+        here, deviations = before, deviations.copy()
+        strange = _INDEPENDENT * len(self._frames.commands) / (2 * _PIXEL_SPREAD**2)
+        for k, p in enumerate(chosen):
+            if not p.searched:
+                continue
+            tried = {amount: p.moved(twin, amount) for amount in (-1.0, 1.0)}
+            costs = {amount: self.cost(t, chosen, fidelity)[0] for amount, t in tried.items()}
+            bend = strange * ((costs[-1.0] + costs[1.0]) / 2 - here)
+            if bend > 0:
+                deviations[k] = min(deviations[k], 1 / np.sqrt(bend))
+            best = min(costs, key=costs.__getitem__)
+            if costs[best] < here:
+                twin, here = tried[best], costs[best]
+        return twin, deviations, {"fidelity": fidelity, "searched": True, "cost_before": before, "cost_after": here}
 
     def _rebuilt(self, twin):
         """The Twin with its pins where the neutral image has them, as it was when that was taken."""
@@ -395,7 +477,9 @@ def calibrate(real_dir, design, settings, state_path, say=print):
     press = real.tap[:3] / np.linalg.norm(real.tap[:3])
     twin = Twin(started, Rig(press_axis=tuple(float(x) for x in press)))
     for p in chosen:
-        twin = p.write(twin, p.believed[0]) if p.part == "optics" and p.believed else twin
+        # What the neutral image does not tell, and what a perfect sensor has at its bound.
+        if p.believed and (p.part == "optics" or p.name.startswith("kinetic")):
+            twin = p.write(twin, p.believed[0])
     identity = {"real": str(Path(real_dir).name), "design": asdict(design), "settings": asdict(settings)}
     identity["parameters"] = [p.name for p in chosen]
     identity = json.loads(json.dumps(identity))
@@ -410,12 +494,14 @@ def calibrate(real_dir, design, settings, state_path, say=print):
                 twin = first_azimuth(calibrator, twin, settings.rounds[0])
             for fidelity in settings.rounds[len(rounds) :]:
                 twin, deviations, figures = calibrator.round(twin, chosen, fidelity)
+                text = _round_text(figures)
+                if fidelity == settings.judging:
+                    twin, deviations, searched = calibrator.search(twin, chosen, deviations, fidelity)
+                    figures["search"] = searched
+                    text += f"; friction searched, to {searched['cost_after']:.3f} px²"
                 rounds.append(figures)
                 _write_state(state_path, identity, twin, deviations, rounds, chosen)
-                say(
-                    f"round {len(rounds)} of {len(settings.rounds)} ({fidelity}): began at {figures['rms_px']:.2f} px rms, "
-                    f"median frame {figures['median_px']:.2f} px"
-                )
+                say(f"round {len(rounds)} of {len(settings.rounds)} ({fidelity}): {text}")
             judged = chosen_frames(real, matcher, True, settings.judged, draws[1])
             stages = calibrator.stages(twin, settings.judging, judged)
             forces = calibrator.forces(twin, settings.judging)
@@ -423,6 +509,14 @@ def calibrate(real_dir, design, settings, state_path, say=print):
             executor.shutdown(wait=False, cancel_futures=True)
             raise Stopped("the same command goes on after the last round") from None
     return Result(twin, chosen, deviations, neutral, rounds, judged, stages, forces)
+
+
+def _round_text(figures):
+    """A round's figures (dict) as text for people."""
+    return (
+        f"began at {figures['rms_px']:.2f} px rms, median frame {figures['median_px']:.2f} px; cost "
+        f"{figures['cost_before']:.3f} to {figures['cost_after']:.3f} px² by {figures['share_of_step']:g} of the step"
+    )
 
 
 @dataclass(frozen=True)

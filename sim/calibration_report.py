@@ -23,7 +23,7 @@ def judge(result):
     """Figures (dict, JSON) of a calibration.Result on its judged frames. Distances in px of a 256 px image."""
     frames, stages = result.judged, result.stages
     seen = frames.pins_px
-    share, pins = best_share(stages, seen)
+    share, pins, _ = best_share(stages, seen)
     commanded, before = distances(stages[:, -1], seen), distances(stages[:, 0], seen)
     fitted = distances(pins, seen)
     depths, slides, tilts, directions = _commands(result)
@@ -202,7 +202,7 @@ def _draw_pins(result, path):
     """Pins seen (rings) and simulated (dots) of six judged frames, what is left as arrows three times their length."""
     plt = _pyplot()
     seen = result.judged.pins_px
-    share, pins = best_share(result.stages, seen)
+    share, pins, _ = best_share(result.stages, seen)
     rms = distances(pins, seen)
     shown = np.argsort(rms)[(np.linspace(0.05, 0.95, 6) * len(rms)).astype(int)]
     depths, slides, tilts, _ = _commands(result)

@@ -28,6 +28,9 @@ _STEPS_ACROSS = 4
 EASY_FRICTION = 0.6
 """Friction up to which the fidelity's steps of a slide are kept, -."""
 
+STICKY_FRICTION = 1.0
+"""Friction above which a slid skin may catch by chance, on the flat too, -."""
+
 LEAST_STICKINESS = 0.25
 """Least share of them that is left at high friction, -."""
 
@@ -40,6 +43,8 @@ _LEAST_FORCE_N = 1e-2
 TRIES = 3
 """Times that a contact is played, each with finer steps, before it is refused."""
 
+UNPROVEN = "twice the step has not been seen to give the same"
+"""The fault of a first good record on a stimulus that the skin may catch on."""
 
 DEEPEST_M = 8e-3
 """Deepest press, m: as far as docs/stability.md has been."""
@@ -104,6 +109,8 @@ class Bounds:
     """Greatest angle between the normals of neighbouring facets, rad. At 180 degrees the skin is folded on itself."""
     unsolved: float = 0.1
     """Greatest share of the steps in which the solver ran out of iterations, -."""
+    disagreement_m: float = 0.05e-3
+    """Greatest distance of the pins from those of twice the step, rms, where skin may catch by chance, m."""
 
 
 @dataclass(frozen=True)
@@ -235,13 +242,13 @@ class ContactPlayer:
         """Press at `pose` minus `shear`, move to `pose`, settle. pose, shear: (6,), m and rad. Returns a Contact.
 
         approach: False begins where the press would end, with the stimulus inside the skin as it may be.
-        Raises TactipError on a pose or shear out of reach (check_motion), and on a start inside of something thin: to which
-        side of it the skin gives way would be chance.
+        Raises TactipError on a pose or shear out of reach (check_motion), and on a start inside of what has an edge: to
+        which side of it the skin gives way would be chance.
         """
         pose, shear = np.asarray(pose, float), np.asarray(shear, float)
         check_motion(pose, shear, min(DEEPEST_M, self.scene.stimulus.deepest_m))
-        thin = np.isfinite(self.scene.stimulus.width_m)
-        require(approach or not thin, "approach", approach, "True with a stimulus that could come through the skin")
+        flat = np.isinf(self.scene.stimulus.sharpest_m)
+        require(approach or flat, "approach", approach, "True with a stimulus that is not flat")
         self.scene.reset()
         self._steps = self._unsolved = 0
         # A state that is lost stays lost: the record shows it, and steps from it would only take long.
@@ -349,26 +356,52 @@ class ContactPlayer:
 
 
 class CarefulPlayer:
-    """Plays contacts, and plays one that went wrong again with finer steps, TRIES times in all."""
+    """Plays contacts, and plays one that went wrong again with finer steps.
+
+    Where a skin may catch on the stimulus by chance (Stimulus.catches, or friction above STICKY_FRICTION), no record tells
+    that it did. There, two records that keep their bounds must agree, the second with half the step of the first.
+    """
 
     def __init__(self, design, stimulus, fidelity, bounds):
         """design: Design. stimulus: str, a name in stimulus.STIMULI. fidelity: Fidelity. bounds: Bounds."""
         self._players = [ContactPlayer(design, stimulus, fidelity)]
+        self._last = self._players[0]
         self._design, self._stimulus, self._bounds = design, stimulus, bounds
+        self._catches = self._players[0].scene.stimulus.catches or design.materials.friction > STICKY_FRICTION
+        self.tries = TRIES + self._catches
+        """Times that a contact is played before it is refused, int."""
 
     def play(self, pose, shear, approach=True):
         """As ContactPlayer.play. Returns the last Contact tried and the faults (a list of str) of each try but a good one.
 
-        Fewer fault lists than TRIES mean that the last Contact is good; TRIES, that it failed.
+        Fewer fault lists than `tries` mean that the last Contact is good; `tries`, that it failed.
         """
-        faults = []
-        for attempt in range(TRIES):
-            contact = self._player(attempt).play(pose, shear, approach)
+        faults, good = [], None
+        for attempt in range(self.tries):
+            self._last = self._player(attempt)
+            contact = self._last.play(pose, shear, approach)
             found = contact.faults(self._bounds)
+            if self._catches and not found:
+                found, good = self._unproven(contact, good), contact
             if not found:
                 break
             faults.append(found)
         return contact, faults
+
+    def skin(self):
+        """Vertices (s, 3) m of the skin at the end of the last contact, sensor frame; and the mesh.Mesh that they are of."""
+        scene = self._last.scene
+        return scene.vertices()[: scene.mesh.surface_count], scene.mesh
+
+    def _unproven(self, contact, coarser):
+        """Faults (list of str) of a good Contact beside the one before, or None where that was not good."""
+        if coarser is None:
+            return [UNPROVEN]
+        apart = float(np.sqrt(np.mean(((contact.tips - coarser.tips) ** 2).sum(1))))
+        most = self._bounds.disagreement_m
+        if apart <= most:
+            return []
+        return [f"the pins are {1e3 * apart:.3f} mm (rms) from where twice the step has them (allowed: {1e3 * most} mm)"]
 
     def _player(self, attempt):
         """The ContactPlayer of a try, built when first it is needed."""

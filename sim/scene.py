@@ -9,6 +9,7 @@ import functools
 import mujoco
 import numpy as np
 
+from sim.slip import SlipMemory
 from sim.stimulus import add_stimulus, stimulus_named
 from tactip_model.body import STEP_OF_RESTING_S, STIFFENED, add_body
 from tactip_model.errors import TactipError
@@ -44,6 +45,8 @@ class Scene:
         self._neighbours = _neighbours(self.mesh.triangles)
         self._areas = np.linalg.norm(_area_normals(self.mesh.vertices, self.mesh.triangles), axis=1)
         self._stimulus_body = self.model.body("stimulus").id
+        weakens = self._rubs() and design.materials.kinetic_share < 1
+        self._slip = SlipMemory(self.model, self._stimulus_body, design.materials) if weakens else None
 
     def _compile(self):
         motion, solver = self.fidelity.motion, self.fidelity.solver
@@ -74,6 +77,8 @@ class Scene:
     def reset(self):
         """Undeformed tip, nothing remembered: a contact depends on nothing that was played before."""
         mujoco.mj_resetData(self.model, self.data)
+        if self._slip:
+            self._slip.reset()
 
     def stiffen(self, resting):
         """Set contact and solver to those for a tip that comes to rest (True), or that is moved (False).
@@ -89,7 +94,7 @@ class Scene:
         self.model.opt.tolerance = solver.settle_tolerance if resting else solver.tolerance
 
     def step(self):
-        """One time step: mujoco.mj_step, with three differences.
+        """One time step: mujoco.mj_step, with four differences.
 
         Contacts begin before they touch (ContactModel.margin_m), with their force at the surface all the same: the margin
         is taken out of their rows.
@@ -97,6 +102,8 @@ class Scene:
         MuJoCo's friction cone is convex: what slides at v is lifted by friction * v * (step + damping / stiffness). The
         surface is lowered by as much (De Saxcé's correction, with the speed of the last step), so that sliding skin stays
         where it would be at rest.
+
+        Friction falls where the skin has slid, if the materials say so (sim/slip.py).
 
         The motion without contacts, that MuJoCo solves for first, is not needed where there are contacts: it would only be
         one of two places to start from. It is left unsolved, which saves a third of the time; the result is the same to the
@@ -107,30 +114,44 @@ class Scene:
         mujoco.mj_fwdPosition(model, data)
         touching = data.nefc > 0
         if touching:
-            data.efc_margin[:] = self._lowered()
+            data.efc_margin[:] = 0.0
+            if self._rubs():
+                self._rub()
             model.opt.tolerance = _UNSOLVED
         mujoco.mj_forwardSkip(model, data, mujoco.mjtStage.mjSTAGE_POS, 1)
         if touching:
             model.opt.tolerance = tolerance
             data.qacc_warmstart[:] = before
             mujoco.mj_fwdConstraint(model, data)
+            if self._slip:
+                self._slip.remember(data)
         data.qacc_warmstart[:] = data.qacc
         data.qvel[:] += model.opt.timestep * data.qacc
         mujoco.mj_integratePos(model, data.qpos, data.qvel, model.opt.timestep)
         data.time += model.opt.timestep
 
-    def _lowered(self):
-        """What each row's surface is moved by, (nefc,) m: see `step`."""
-        data, contacts = self.data, self.data.contact
-        lowered = np.zeros(data.nefc)
-        if contacts.dim[0] > 1:
-            row = contacts.efc_address[contacts.efc_address >= 0]
-            speed = np.zeros(data.nefc)
-            mujoco.mj_mulJacVec(self.model, data, speed, data.qvel)
-            stiffness, damping = -contacts.solref[0]
-            lag = self.model.opt.timestep + damping / stiffness
-            lowered[row] = -contacts.friction[0, 0] * lag * np.hypot(speed[row + 1], speed[row + 2])
-        return lowered
+    def _rubs(self):
+        """Whether there is friction."""
+        return self.design.materials.friction > 0
+
+    def _rub(self):
+        """Weaken the contacts' friction, and lower their surface, by how fast they slide: see `step`."""
+        data, contacts, step = self.data, self.data.contact, self.model.opt.timestep
+        acting = contacts.efc_address >= 0
+        row = contacts.efc_address[acting]
+        rates = np.zeros(data.nefc)
+        mujoco.mj_mulJacVec(self.model, data, rates, data.qvel)
+        speed = np.zeros(data.ncon)
+        speed[acting] = np.hypot(rates[row + 1], rates[row + 2])
+        if self._slip:
+            self._slip.weaken(data, speed * step)
+        data.efc_margin[row] = -self._lift(speed)[acting]
+
+    def _lift(self, speed):
+        """How far (contacts,) m what slides at `speed` (contacts,) m/s is lifted."""
+        contacts = self.data.contact
+        stiffness, damping = -contacts.solref[0]
+        return contacts.friction[:, 0] * speed * (self.model.opt.timestep + damping / stiffness)
 
     def place(self, position, quaternion, linear=(0, 0, 0), angular=(0, 0, 0)):
         """Set the stimulus: position (3,) m and quaternion (4,) in the sensor frame, velocity m/s, and rad/s in its own."""

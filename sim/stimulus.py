@@ -13,7 +13,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tactip_model.body import TOUCHES_FACETS, TOUCHES_VERTICES, contact_attributes
-from tactip_model.bounds import require
 from tactip_model.errors import choose
 
 HALF_SIZE_M = 60e-3
@@ -52,14 +51,6 @@ _HOLE_SECTORS = 48
 _DEEPEST_OF_A_ROD = 20.0
 """Deepest press of a rod in its radii: beyond, the skin stands so steeply round it that its facets decide the force."""
 
-MOST_FRICTION_OF_A_BLADE = 0.3
-"""See Stimulus.most_friction, of a knife or needle, -. At 0.6, a knife slid by 3 mm, half the step gives other pins by half
-a millimetre.
-"""
-
-MOST_FRICTION_OF_A_CORNER = 0.6
-"""The same; at 1, by more than a millimetre."""
-
 _BOTH = TOUCHES_VERTICES | TOUCHES_FACETS
 
 
@@ -82,9 +73,9 @@ class Stimulus(ABC):
         return np.inf
 
     @property
-    def most_friction(self):
-        """Friction up to which its contacts hold, -: beyond, a slid skin catches on it by chance."""
-        return np.inf
+    def catches(self):
+        """Whether a slid skin catches on it by chance: which vertex or facet does is a matter of the last step."""
+        return False
 
     @abstractmethod
     def add_geoms(self, spec, body, touch):
@@ -224,9 +215,9 @@ class Rod(Stimulus):
         return _DEEPEST_OF_A_ROD * self.radius_m
 
     @property
-    def most_friction(self):
+    def catches(self):
         """See Stimulus."""
-        return MOST_FRICTION_OF_A_BLADE if self.radius_m <= KNIFE_RADIUS_M else np.inf
+        return self.radius_m <= KNIFE_RADIUS_M
 
     def add_geoms(self, spec, body, touch):
         """See Stimulus."""
@@ -260,9 +251,9 @@ class Knife(Stimulus):
         return 2 * self.radius_m
 
     @property
-    def most_friction(self):
+    def catches(self):
         """See Stimulus."""
-        return MOST_FRICTION_OF_A_BLADE
+        return True
 
     def add_geoms(self, spec, body, touch):
         """See Stimulus."""
@@ -301,9 +292,9 @@ class Corner(Stimulus):
         return 2 * self.radius_m
 
     @property
-    def most_friction(self):
+    def catches(self):
         """See Stimulus."""
-        return MOST_FRICTION_OF_A_CORNER
+        return True
 
     def add_geoms(self, spec, body, touch):
         """See Stimulus."""
@@ -400,11 +391,8 @@ def add_stimulus(spec, stimulus, friction, contact):
 
     spec: mujoco.MjSpec. stimulus: Stimulus. friction: float, -. contact: body.ContactModel.
 
-    It is 1000 kg: its motion is set at every step, and no contact force is to change it within one. Raises TactipError
-    where friction is higher than the stimulus's contacts hold.
+    It is 1000 kg: its motion is set at every step, and no contact force is to change it within one.
     """
-    most = stimulus.most_friction
-    require(friction <= most, "Materials.friction", friction, f"at most {most:g} on this stimulus")
     body = spec.worldbody.add_body(name="stimulus", mass=1000.0, inertia=[10.0] * 3, explicitinertial=True)
     body.add_freejoint(name="stimulus")
     stimulus.add_geoms(spec, body, contact_attributes(friction, contact))

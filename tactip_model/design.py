@@ -46,9 +46,15 @@ class Materials:
     """Poisson's ratio of the gel, - [?]. The mesh may use less than this: see `mesh.Resolution`."""
     density_kg_m3: float = within(105, 10500, default=1050.0)
     """Density of skin and gel, kg/m^3 (silicone rubber)."""
-    friction: float = within(0, 1, default=0.6)
+    friction: float = within(0, 2, default=0.6)
     """Coulomb friction of skin on the stimulus, -; 0.55 to 0.7 was seen under a load cell [R], and frames of real tips are
     met with about as much [M]."""
+    kinetic_share: float = within(0.1, 1, default=1.0)
+    """Share of that friction that is left where the skin has slid, -; 1 is Coulomb's law. The frames of two real tips are
+    met with about a half [M]."""
+    kinetic_after_m: float = within(0.1e-3, 20e-3, default=1e-3)
+    """Slide after which no more than that share is left, m: friction falls along the way. About 1e-3 by the frames of a real
+    tip [M]; without effect if the share is 1."""
     damping_s: float = within(0.5e-3, 50e-3, default=0.005)
     """Rayleigh damping of gel and skin, s: stress per strain rate over stiffness. Motions are quasi-static, so that it
     sets how fast the tip comes to rest and not where."""

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from sim.calibration import DONE, LOAD_CELL_N, Settings, Twin, best_share, calibrate, distances, parameters
+from sim.calibration import DONE, LOAD_CELL_N, Settings, Twin, best_share, calibrate, distances, parameters, robust
 from sim.calibration_report import judge, write_report
 from sim.contact import ContactPlayer
 from sim.fidelity import fidelity_named
@@ -36,7 +36,7 @@ def hidden_twin():
     return Twin(
         replace(
             plain,
-            materials=replace(plain.materials, friction=0.5, skin_young_pa=0.9e6, gel_young_pa=1.6e4),
+            materials=replace(plain.materials, friction=0.65, kinetic_share=0.6, skin_young_pa=0.9e6, gel_young_pa=1.6e4),
             pins=replace(plain.pins, length_m=2.2e-3, rotation_deg=31.0),
             optics=replace(plain.optics, camera_height_m=9e-3, zoom=1.012, drift=(0.002, -0.001), frame_px=512),
         ),
@@ -84,6 +84,7 @@ def start():
 
 def test_a_parameter_reads_what_it_writes_and_keeps_its_bounds():
     twin = Twin(start(), RIG)
+    twin = next(p for p in parameters(start()) if p.name == "kinetic_share").write(twin, 0.6)
     for p in parameters(start()):
         assert p.low <= p.read(twin) <= p.high
         moved = p.moved(twin, 0.5)
@@ -97,9 +98,25 @@ def test_the_share_done_is_where_the_stages_say():
     stages[0, :, :, 0] = 10 * DONE[:, None] ** 2
     seen = np.full((1, 5, 2), np.nan)
     seen[0, :3] = [[4.4, 0.0]] * 3  # between 0.6 (3.6) and 0.8 (6.4)
-    share, pins = best_share(stages, seen)
+    share, pins, tangents = best_share(stages, seen)
     assert share[0] == pytest.approx(0.66, abs=0.011)
+    assert np.allclose(tangents[0, :, 0], 6.4 - 3.6)
     assert distances(pins, seen)[0] < 0.15
+
+
+def test_a_share_at_its_end_gives_no_way():
+    stages = np.zeros((1, len(DONE), 5, 2))
+    stages[0, :, :, 0] = 10 * DONE[:, None]
+    share, _, tangents = best_share(stages, np.full((1, 5, 2), 11.0))
+    assert share[0] == 1
+    assert not tangents.any()
+
+
+def test_the_cost_of_outliers_is_straight():
+    assert robust(np.array([0.5, 0.5])) == pytest.approx(0.25)
+    assert robust(np.array([3.0])) - robust(np.array([2.0])) == pytest.approx(
+        robust(np.array([4.0])) - robust(np.array([3.0]))
+    )
 
 
 def test_one_round_comes_nearer(real, tmp_path):
@@ -108,6 +125,9 @@ def test_one_round_comes_nearer(real, tmp_path):
     settings = Settings(frames=10, judged=10, rounds=("draft", "draft"), judging="draft")
     result = calibrate(real, start(), settings, tmp_path / "state.json", say.append)
     assert result.rounds[1]["rms_px"] < 0.7 * result.rounds[0]["rms_px"]
+    for figures in result.rounds:
+        assert figures["cost_after"] <= figures["cost_before"]
+        assert figures["search"]["cost_after"] <= figures["search"]["cost_before"] <= figures["cost_after"] * (1 + 1e-9)
     assert abs((result.twin.rig.azimuth_deg - RIG.azimuth_deg + 180) % 360 - 180) < 4
     # Stopped after the first round and begun again, it ends in the same place.
     state = json.loads((tmp_path / "state.json").read_text())

@@ -50,7 +50,7 @@ def test_standards_steps_cost_little_error(plays):
     assert mean < 0.012
     assert greatest < 0.05
     # The bound can fail: a jerk of few steps is worse.
-    jerk = replace(STANDARD.fidelity, motion=Motion(press_step_m=3.5e-3, shear_step_m=3.5e-3, least_steps=1, settle_limit=4))
+    jerk = replace(STANDARD.fidelity, motion=Motion(press_step_m=3.5e-3, shear_step_m=1e-3, least_steps=1, settle_limit=4))
     assert spread([plays(case, Variant(jerk)).tips for case in CHEAP], tips[1])[0] > 2 * mean
 
 
@@ -160,8 +160,8 @@ def small(monkeypatch, tmp_path):
         "CONVERGING": (CASES[0].name,),
         "PRESETS": presets,
         "REFERENCE": presets["reference"],
-        "small_steps": lambda f: replace(f, motion=replace(f.motion, step_s=6e-3)),
-        "finer": lambda f: replace(f, motion=replace(f.motion, step_s=6e-3)),
+        "small_steps": lambda f: replace(f, motion=replace(f.motion, step_s=6.9e-3)),
+        "finer": lambda f: replace(f, motion=replace(f.motion, step_s=6.9e-3)),
         "refined_steps": lambda: paced,
         "refined_meshes": lambda: paced,
         "sweeps": lambda: {"approach a step, mm": (False, {"1": paced[1.0]})},

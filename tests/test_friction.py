@@ -1,9 +1,13 @@
 """What friction must do along a path, and what must not happen without it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from benchmarks import friction
+from sim.contact import Bounds, ContactPlayer
+from sim.pose import from_mm_deg
 
 MU = 0.3
 
@@ -74,3 +78,71 @@ def test_force_while_sliding_obeys_coulomb():
     assert (tangential <= MU * normal * (1 + 1e-6)).all()
     steady = travel > friction.SLIDE_MM / 2
     assert tangential[steady].mean() == pytest.approx(MU * normal[steady].mean(), rel=0.02)
+
+
+# Friction that falls where the skin has slid.
+
+WAYS = np.array([0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 9.0])
+"""Shear, mm, at which the force is looked at; at the end all of the skin has slid by more than a millimetre."""
+
+
+def slippery(design, share):
+    """The design with that share of 0.6 left after a slide of 1 mm."""
+    return replace(design, materials=replace(design.materials, friction=0.6, kinetic_share=share, kinetic_after_m=1e-3))
+
+
+def held(design, stimulus, fidelity, depth_mm=2.0):
+    """Tangential over normal force at each of WAYS, and the last Contact."""
+    player = ContactPlayer(design, stimulus, fidelity)
+    pose, shear = from_mm_deg([0, 0, -depth_mm, 0, 0, 0]), from_mm_deg([WAYS[-1], 0, 0, 0, 0, 0])
+    contacts = list(player.stages(pose, shear, WAYS / WAYS[-1]))
+    assert all(c.faults(Bounds()) == [] for c in contacts)
+    return np.array([c.tangential_force_n / c.normal_force_n for c in contacts]), contacts[-1]
+
+
+@pytest.mark.parametrize("share", [0.4, 0.7])
+def test_skin_that_has_slid_holds_less(design, standard, share):
+    """It sticks up to more than kinetic friction can hold; once all of it has slid, kinetic friction is what is left."""
+    ratio, _ = held(slippery(design, share), "surface", standard)
+    assert ratio.max() > 1.2 * 0.6 * share
+    assert ratio.max() <= 0.6 * (1 + 1e-6)
+    assert (ratio[-2:] <= 0.6 * share * (1 + 1e-6)).all()
+    assert (ratio[-2:] > 0.85 * 0.6 * share).all()
+
+
+def test_a_share_of_one_is_coulomb(design, standard):
+    """Whether slides are remembered or not."""
+    almost, plain = (held(slippery(design, share), "surface", standard) for share in (1 - 1e-12, 1.0))
+    # A slide doubles rounding errors at each step: it is the same to what its steps are worth.
+    assert np.allclose(almost[0], plain[0], atol=5e-3)
+    assert almost[0][-1] > 0.85 * 0.6
+    assert np.linalg.norm(almost[1].tips - plain[1].tips, axis=1).mean() < 0.03e-3
+
+
+def test_facets_slide_like_vertices(design, standard):
+    """A small ball is met by facets, too: there is no part of the skin that keeps its static friction."""
+    ratio, _ = held(slippery(design, 0.4), "sphere", standard)
+    whole, _ = held(slippery(design, 1.0), "sphere", standard)
+    # What enters the contact along the way is fresh, and the ball's flank pushes: less is lost than on the flat.
+    assert ratio[-1] < whole[-1] - 0.1
+    player = ContactPlayer(slippery(design, 0.4), "sphere", standard)
+    player.play(from_mm_deg([0, 0, -2, 0, 0, 0]), from_mm_deg([4, 0, 0, 0, 0, 0]))
+    contacts = player.scene.data.contact
+    facets = (contacts.elem >= 0).any(1) & (contacts.dist < 0)
+    assert facets.any()
+    assert contacts.friction[facets, 0].min() < 0.9 * 0.6
+
+
+def test_slides_are_forgotten_between_contacts(design, standard):
+    player = ContactPlayer(slippery(design, 0.5), "surface", standard)
+    pose, shear = from_mm_deg([0, 0, -2, 0, 0, 0]), from_mm_deg([1, 0, 0, 0, 0, 0])
+    first = player.play(pose, shear)
+    player.play(pose, 5 * shear)
+    assert np.array_equal(player.play(pose, shear).tips, first.tips)
+
+
+def test_what_a_slide_leaves_does_not_depend_on_its_steps(design, standard):
+    """It depends on ways, so that half the steps give the same."""
+    half = replace(standard, motion=replace(standard.motion, shear_step_m=standard.motion.shear_step_m / 2))
+    coarse, fine = (held(slippery(design, 0.5), "surface", f)[1] for f in (standard, half))
+    assert np.linalg.norm(coarse.tips - fine.tips, axis=1).mean() < 0.05e-3

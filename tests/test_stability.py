@@ -6,14 +6,13 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
-from conftest import Press
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import tactip
 from benchmarks import stability
 from sim import stimulus as stimuli
-from sim.contact import TRIES, Bounds, CarefulPlayer, ContactPlayer, check_ranges
+from sim.contact import TRIES, UNPROVEN, Bounds, CarefulPlayer, ContactPlayer, check_ranges
 from sim.fidelity import SHORTEST_STEP_S, Fidelity, Motion, Solver, fidelity_named, finer
 from sim.pose import from_mm_deg, inverse, sensor_in_contact
 from sim.sampling import POSE_RANGES, SHEAR_RANGES, Ranges
@@ -24,19 +23,12 @@ from tactip_model.design import Design, Materials, Optics, Pins, Shape, TactileI
 from tactip_model.errors import TactipError
 from tactip_model.mesh import CONTACT_RADIUS_M, Resolution
 from tactip_model.pins import neutral_pins
-from tactip_model.presets import design_named
 
 DOME_M = 20e-3
 
 
 def press(player, depth_mm, slide_mm=0.0, **options):
     return player.play(from_mm_deg([0, 0, -depth_mm, 0, 0, 0]), from_mm_deg([slide_mm, 0, 0, 0, 0, 0]), **options)
-
-
-@pytest.fixture(scope="session")
-def on_surface(design, standard):
-    """This module's own: its tip has less friction than the others'."""
-    return Press(ContactPlayer(design, "surface", standard))
 
 
 @pytest.fixture(scope="module")
@@ -100,13 +92,6 @@ def test_height_to_clear_against_brute_force(name):
             assert slack < more_than_needed + 1e-6
 
 
-@pytest.fixture(scope="session")
-def design():
-    """A perfect tip of little friction: a knife and a needle are refused with more."""
-    nominal = design_named("nominal-127")
-    return replace(nominal, materials=replace(nominal.materials, friction=0.3))
-
-
 def test_unknown_stimuli_are_refused_with_a_list(design, standard):
     with pytest.raises(TactipError, match=r"unknown stimulus 'banana': choose one of surface, edge, sphere"):
         ContactPlayer(design, "banana", standard)
@@ -115,27 +100,30 @@ def test_unknown_stimuli_are_refused_with_a_list(design, standard):
 
 @pytest.fixture(scope="module")
 def pressed(design, standard):
-    """The 3 mm press of every stimulus: dict of name to Contact and its fault lists."""
-    return {name: press(CarefulPlayer(design, name, standard, Bounds()), 3) for name in STIMULI}
+    """The 3 mm press of every stimulus: dict of name to Contact, its fault lists and the tries that were allowed."""
+    players = {name: CarefulPlayer(design, name, standard, Bounds()) for name in STIMULI}
+    return {name: (*press(player, 3), player.tries) for name, player in players.items()}
 
 
 def test_every_stimulus_gives_a_good_record(pressed):
-    for name, (contact, faults) in pressed.items():
-        assert len(faults) < TRIES, name
+    for name, (contact, faults, tries) in pressed.items():
+        assert len(faults) < tries, name
         assert contact.faults(Bounds()) == [], name
         assert contact.penetration_m < Bounds().penetration_m, name
 
 
 def test_blunter_things_press_harder(pressed):
     forces = [pressed[name][0].normal_force_n for name in ("needle", "point", "sphere", "knife", "edge", "surface")]
-    assert (np.diff(forces) > 0).all()
+    assert (np.diff(forces[1:]) > 0).all()
+    # Between vertices 2 mm apart, a needle is as blunt as a point.
+    assert forces[0] == pytest.approx(forces[1], rel=0.02)
     assert 0.5 < forces[0] < 1.0
 
 
 @pytest.mark.parametrize("name", ["surface", "sphere", "point", "needle", "hole"])
 def test_round_things_press_evenly(pressed, design, name, on_surface):
     """No side force, and no pin field that drifts to a side."""
-    contact, _ = pressed[name]
+    contact = pressed[name][0]
     assert contact.tangential_force_n < 0.05 * contact.normal_force_n
     moved = contact.tips - on_surface.player.reader.tips
     assert np.linalg.norm(moved.mean(0)[:2]) < 0.03 * np.linalg.norm(moved, axis=1).max()
@@ -248,19 +236,38 @@ def test_corners_of_the_materials(materials):
     assert result["verdict"] in ("converged", "after refinement"), result["reasons"]
 
 
-def test_a_start_inside_something_thin_is_refused(design, standard):
+@pytest.mark.parametrize("name", ["needle", "edge", "hole", "sphere"])
+def test_a_start_inside_something_that_is_not_flat_is_refused(design, standard, name):
     with pytest.raises(TactipError, match="approach is False: it must be True"):
-        press(ContactPlayer(design, "needle", standard), 1, approach=False)
+        press(ContactPlayer(design, name, standard), 1, approach=False)
 
 
-@pytest.mark.parametrize("name", ["surface", "edge"])
-def test_a_stimulus_that_starts_inside(design, standard, name):
-    """It is pushed out, or it is refused; never kept inside in silence."""
-    contact, faults = press(CarefulPlayer(design, name, standard, Bounds()), 1, approach=False)
-    assert (len(faults) == TRIES) == bool(contact.faults(Bounds()))
-    if len(faults) < TRIES:
-        approached, _ = press(CarefulPlayer(design, name, standard, Bounds()), 1)
-        assert contact.normal_force_n == pytest.approx(approached.normal_force_n, rel=0.05)
+def test_a_plane_that_starts_inside_pushes_the_skin_out(design, standard):
+    player = CarefulPlayer(design, "surface", standard, Bounds())
+    contact, faults = press(player, 1, approach=False)
+    assert len(faults) < player.tries
+    approached, _ = press(player, 1)
+    assert contact.normal_force_n == pytest.approx(approached.normal_force_n, rel=0.05)
+
+
+def test_where_skin_catches_two_steps_must_agree(design, standard):
+    """The first good record is not enough, nor are two that differ."""
+    player = CarefulPlayer(design, "knife", standard, Bounds())
+    contact, faults = press(player, 1, 3)
+    assert faults[-1] == [UNPROVEN]
+    assert len(faults) < player.tries
+    again = ContactPlayer(design, "knife", finer(player._player(len(faults)).scene.fidelity))
+    apart = np.linalg.norm(press(again, 1, 3).tips - contact.tips, axis=1)
+    assert np.sqrt(np.mean(apart**2)) < Bounds().disagreement_m
+    _, faults = press(CarefulPlayer(design, "knife", standard, Bounds(disagreement_m=1e-9)), 1, 3)
+    assert len(faults) == player.tries
+    assert "from where twice the step has them" in faults[-1][0]
+
+
+@pytest.mark.parametrize(("name", "friction", "tries"), [("surface", 1.0, 3), ("surface", 1.1, 4), ("corner", 0.3, 4)])
+def test_high_friction_and_sharp_things_must_be_proven(design, name, friction, tries):
+    rough = replace(design, materials=replace(design.materials, friction=friction))
+    assert CarefulPlayer(rough, name, fidelity_named("draft"), Bounds()).tries == tries
 
 
 @settings(max_examples=4, suppress_health_check=[HealthCheck.too_slow])
@@ -268,7 +275,7 @@ def test_a_stimulus_that_starts_inside(design, standard, name):
     skin=st.floats(1, 8),
     gel=st.floats(3, 6),
     poisson=st.tuples(st.floats(0, 0.499), st.floats(0, 0.499)),
-    friction=st.floats(0, 1.1),
+    friction=st.floats(0, 2.1),
     density=st.floats(105, 10500),
     name=st.sampled_from(list(STIMULI)),
     depth=st.floats(0.2, 8),
@@ -289,7 +296,7 @@ def test_any_configuration_is_refused_or_good(skin, gel, poisson, friction, dens
         assert "it must be" in str(error)
         return
     contact, faults = press(player, depth, slide)
-    if len(faults) == TRIES:
+    if len(faults) == player.tries:
         assert all(faults)
         return
     assert np.isfinite(contact.tips).all() and np.isfinite(contact.directions).all()
@@ -308,7 +315,7 @@ def test_any_configuration_is_refused_or_good(skin, gel, poisson, friction, dens
         (lambda: Materials(skin_poisson=-0.1), ["Materials.skin_poisson is -0.1", "from 0 to 0.499"]),
         (lambda: Materials(gel_young_pa=float("nan")), ["Materials.gel_young_pa is nan", "finite", "1000"]),
         (lambda: Materials(skin_young_pa=float("inf")), ["Materials.skin_young_pa is inf", "1e+08"]),
-        (lambda: Materials(friction=2.5), ["Materials.friction is 2.5", "from 0 to 1"]),
+        (lambda: Materials(friction=2.5), ["Materials.friction is 2.5", "from 0 to 2"]),
         (lambda: Materials(density_kg_m3="heavy"), ["Materials.density_kg_m3 is heavy", "number"]),
         (lambda: Shape(radius_m=-20e-3), ["Shape.radius_m is -0.02"]),
         (lambda: Shape(cylinder_m=0.1), ["Shape.cylinder_m is 0.1", "0.02"]),
@@ -360,13 +367,6 @@ def test_a_needle_is_not_pressed_deeper_than_it_holds(design, standard):
         press(ContactPlayer(design, "needle", standard), 6)
 
 
-def test_friction_too_high_for_a_stimulus_is_refused(design, standard):
-    rough = replace(design, materials=replace(design.materials, friction=0.7))
-    for name, bound in (("knife", 0.3), ("needle", 0.3), ("corner", 0.6)):
-        with pytest.raises(TactipError, match=f"Materials.friction is 0.7: it must be at most {bound} on this stimulus"):
-            ContactPlayer(rough, name, standard)
-
-
 def test_ranges_out_of_reach_are_refused():
     for task in TASKS:
         check_ranges(POSE_RANGES[task], SHEAR_RANGES)
@@ -380,7 +380,7 @@ def test_ranges_out_of_reach_are_refused():
 
 def test_refinement_stays_within_bounds():
     """From any allowed fidelity: the finer one is allowed, too."""
-    extreme = Fidelity("x", motion=Motion(step_s=SHORTEST_STEP_S, press_step_m=2e-5, shear_step_m=2e-5))
+    extreme = Fidelity("x", motion=Motion(step_s=SHORTEST_STEP_S, press_step_m=2e-5, shear_step_m=7e-6))
     extreme = replace(extreme, contact=ContactModel(resting=(1e9, 1e7)), solver=Solver(tolerance=1e-14))
     for _ in range(TRIES):
         extreme = finer(extreme)
@@ -430,7 +430,7 @@ def test_a_needle_beside_the_axis_is_met_where_it_is(design, standard):
     """The pins nearest to the needle move most."""
     player = CarefulPlayer(design, "needle", standard, Bounds())
     contact, faults = player.play(from_mm_deg([3, 0, -2, 0, 0, 0]), np.zeros(6))
-    assert len(faults) < TRIES
+    assert len(faults) < player.tries
     neutral, _ = neutral_pins(design)
     moved = np.linalg.norm(contact.tips - neutral, axis=1)
     needle = inverse(sensor_in_contact(contact.pose))[:3, 3]
