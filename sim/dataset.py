@@ -27,6 +27,7 @@ from sim.contact import Bounds
 from sim.fidelity import Fidelity
 from sim.pose import COMPONENTS, to_mm_deg
 from sim.sampling import Ranges
+from sim.symmetry import SYMMETRIES
 from tactip_model.design import Design
 from tactip_model.errors import TactipError
 
@@ -74,6 +75,13 @@ class Configuration:
     """Unlabelled perturbations."""
     bounds: Bounds = field(default_factory=Bounds)
     """What a record must keep to be trusted."""
+    symmetric: bool = False
+    """Whether each contact is a sample for every symmetry of its task (sim/symmetry.py), or one alone."""
+
+    @property
+    def symmetries(self):
+        """The symmetries (tuple of Symmetry) that make samples of each contact."""
+        return SYMMETRIES[self.task][: None if self.symmetric else 1]
 
     def as_json(self):
         """The configuration as a dict of JSON types."""

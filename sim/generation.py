@@ -1,8 +1,8 @@
 """Makes data sets: contacts on worker processes, images, and files that survive a kill at any moment.
 
-A sample is done when its record is in the set's `.partial` folder, after its image. Resuming makes what has no record;
-the same bytes come out, because a sample depends on nothing but the configuration and its index. When all are done the
-records become targets.csv, pins.npz and, last, meta.json.
+A contact, with the sample or the samples that it makes, is done when its record is in the set's `.partial` folder, after its
+images. Resuming makes what has no record; the same bytes come out, because a contact depends on nothing but the
+configuration and its number. When all are done the records become targets.csv, pins.npz and, last, meta.json.
 """
 
 import contextlib
@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sim.contact import TRIES, CarefulPlayer, check_ranges
+from sim.contact import CarefulPlayer, check_ranges
 from sim.crew import Crew, disk_error
 from sim.dataset import (
     PARTIAL,
@@ -35,6 +35,7 @@ from sim.dataset import (
     write_file,
 )
 from sim.sampling import generator, seed_text
+from sim.symmetry import SymmetricReader, keeps
 from tactip_model.errors import TactipError, choose
 from tactip_model.image import tactile_image
 from tactip_model.pins import neutral_pins
@@ -61,6 +62,12 @@ def check(configuration):
     configuration.pose.check("pose")
     configuration.shear.check("shear")
     check_ranges(configuration.pose, configuration.shear)
+    for name in ("pose", "shear"):
+        if not keeps(configuration.symmetries, getattr(configuration, name)):
+            raise TactipError(
+                f"the ranges of the {name} are not as wide to one side as to the other, and samples by symmetry would leave "
+                "them: leave --symmetric out, or make the ranges even"
+            )
 
 
 def make(jobs, workers, say=print):
@@ -74,10 +81,11 @@ def make(jobs, workers, say=print):
         check(job.configuration)
     with contextlib.ExitStack() as stack:
         folders = [stack.enter_context(_Folder(job)) for job in jobs]
-        todo = [(k, index) for k, folder in enumerate(folders) for index in folder.missing()]
+        todo = [(k, number) for k, folder in enumerate(folders) for number in folder.missing()]
         total = sum(job.configuration.samples for job in jobs)
-        if todo and len(todo) < total:
-            say(f"{total - len(todo)} of {total} samples are there already")
+        left = sum(len(_samples_of(jobs[k].configuration, number)) for k, number in todo)
+        if todo and left < total:
+            say(f"{total - left} of {total} samples are there already")
         start = time.perf_counter()
         workers = min(workers, max(1, len(todo)))
 
@@ -89,7 +97,8 @@ def make(jobs, workers, say=print):
 
         if todo:
             arguments = [job.configuration for job in jobs], [str(job.folder) for job in jobs]
-            Crew(_Makers, arguments, todo, "sample", say).work(workers, done)
+            unit = "contact" if any(job.configuration.symmetric for job in jobs) else "sample"
+            Crew(_Makers, arguments, todo, unit, say).work(workers, done)
         return [folder.finish(time.perf_counter() - start, workers) for folder in folders]
 
 
@@ -101,12 +110,12 @@ class _Makers:
         self._configurations, self._folders, self._makers = configurations, folders, {}
 
     def __call__(self, task):
-        """Make the sample `task` (job number, index)."""
-        job, index = task
+        """Make the samples of the contact `task` (job number, contact number)."""
+        job, number = task
         if job not in self._makers:
             folder = Path(self._folders[job])
             self._makers[job] = _SampleMaker(self._configurations[job], folder, self._makers.values())
-        self._makers[job].make(index)
+        self._makers[job].make(number)
 
 
 class _SampleMaker:
@@ -120,21 +129,37 @@ class _SampleMaker:
         self._render = alike[0]._render if alike else _renderer(c)
         played = [m for m in alike if _physics(m._configuration) == _physics(c)]
         self._player = played[0]._player if played else CarefulPlayer(c.design, c.task, c.fidelity, c.bounds)
+        self._reader = SymmetricReader(c.design, self._player.skin()[1], c.symmetries) if c.symmetric else None
 
-    def make(self, index):
-        """Write the image and the record of sample `index`. Raises OSError."""
+    def make(self, number):
+        """Write the images and the record of contact `number`. Raises OSError."""
         c = self._configuration
-        draw = generator(c.seed, c.task, c.split, index)
+        draw = generator(c.seed, c.task, c.split, number)
         contact, faults = self._player.play(c.pose.draw(draw), c.shear.draw(draw))
-        row = row_of(contact, index, len(faults) + 1, seed_text(c.seed, c.task, c.split, index))
-        failed = len(faults) == TRIES
-        record = {"row": row, "faults": faults, "failed": failed}
-        if not failed:
-            image = tactile_image(self._render(contact.tips, contact.directions), c.design.image)
-            data = encode_image(image)
-            write_file(self._folder / "images" / image_name(index), data)
-            record["image"] = checksum(data)
-        write_file(_record_path(self._folder, index), _pack(record, contact))
+        failed = len(faults) == self._player.tries
+        contacts = self._reader.read(contact, self._player.skin()[0]) if self._reader and not failed else [contact]
+        indices = _samples_of(c, number)
+        contacts, rows, images = contacts[: len(indices)], [], {}
+        for index, one in zip(indices, contacts, strict=False):
+            rows.append(row_of(one, index, len(faults) + 1, seed_text(c.seed, c.task, c.split, number)))
+            if not failed:
+                image = tactile_image(self._render(one.tips, one.directions), c.design.image)
+                data = encode_image(image)
+                write_file(self._folder / "images" / image_name(index), data)
+                images[image_name(index)] = checksum(data)
+        record = {"rows": rows, "faults": faults, "failed": failed, "images": images}
+        write_file(_record_path(self._folder, number), _pack(record, contacts))
+
+
+def _contacts(configuration):
+    """Contacts (int) that a set's samples take."""
+    return -(-configuration.samples // len(configuration.symmetries))
+
+
+def _samples_of(configuration, number):
+    """Indices (range) of the samples that contact `number` makes."""
+    each = len(configuration.symmetries)
+    return range(number * each, min((number + 1) * each, configuration.samples))
 
 
 def _physics(configuration):
@@ -152,14 +177,14 @@ def _renderer(configuration):
     return PinCamera(configuration.design).render
 
 
-def _record_path(folder, index):
-    return folder / PARTIAL / f"{index:06d}.npz"
+def _record_path(folder, number):
+    return folder / PARTIAL / f"{number:06d}.npz"
 
 
-def _pack(record, contact):
-    """The bytes of a sample's record: what its row and pins.npz are made of."""
+def _pack(record, contacts):
+    """The bytes of a contact's record: what its rows and pins.npz are made of."""
     data = io.BytesIO()
-    tips, directions = contact.tips.astype(np.float32), contact.directions.astype(np.float32)
+    tips, directions = (np.array([getattr(c, k) for c in contacts], np.float32) for k in ("tips", "directions"))
     np.savez(data, record=np.array(json.dumps(record)), tips=tips, directions=directions)
     return data.getvalue()
 
@@ -230,14 +255,17 @@ class _Folder:
             )
 
     def missing(self):
-        """Indices (list of int) of the samples that are still to be made."""
+        """Numbers (list of int) of the contacts that are still to be made."""
         if self._samples:
             return []
-        return [i for i in range(self._configuration.samples) if not self._done(i)]
+        return [n for n in range(_contacts(self._configuration)) if not self._done(n)]
 
-    def _done(self, index):
-        record = _record_path(self._path, index)
-        return record.exists() and ((self._path / "images" / image_name(index)).exists() or _read_record(record)["failed"])
+    def _done(self, number):
+        record = _record_path(self._path, number)
+        names = (image_name(i) for i in _samples_of(self._configuration, number))
+        return record.exists() and (
+            all((self._path / "images" / n).exists() for n in names) or _read_record(record)["failed"]
+        )
 
     def finish(self, seconds, workers):
         """Turn records into a finished set, if it is not one. Returns a dict: folder, asked, kept, failed, made, seconds.
@@ -249,21 +277,26 @@ class _Folder:
                 self._samples = self._assemble(workers, seconds)
             except OSError as error:
                 raise TactipError(disk_error(error)) from error
-        return {"folder": str(self._path), **self._samples, "made": len(self.costs), "seconds": seconds}
+        return {"folder": str(self._path), **self._samples, "made": self._made(), "seconds": seconds}
+
+    def _made(self):
+        """Samples made now; the last contact of a set may have been cut short."""
+        return min(len(self.costs) * len(self._configuration.symmetries), self._configuration.samples)
 
     def _assemble(self, workers, seconds):
         rows, failures, images, tips, directions = [], [], {}, [], []
-        for index in range(self._configuration.samples):
-            with np.load(_record_path(self._path, index), allow_pickle=False) as data:
+        for number in range(_contacts(self._configuration)):
+            with np.load(_record_path(self._path, number), allow_pickle=False) as data:
                 record = json.loads(str(data["record"]))
                 if record["failed"]:
-                    row = record["row"]
-                    failures.append({"index": index, "seed": row["seed"], "tries": record["faults"]})
+                    for index in _samples_of(self._configuration, number):
+                        seed = record["rows"][0]["seed"]
+                        failures.append({"index": index, "seed": seed, "tries": record["faults"]})
                     continue
-                rows.append(record["row"])
-                images[image_name(index)] = record["image"]
-                tips.append(data["tips"])
-                directions.append(data["directions"])
+                rows += record["rows"]
+                images |= record["images"]
+                tips += list(data["tips"])
+                directions += list(data["directions"])
         neutral_tips, neutral_directions = neutral_pins(self._configuration.design)
         pins = io.BytesIO()
         shape = (-1, len(neutral_tips), 3)
@@ -290,11 +323,11 @@ class _Folder:
             "finished": datetime.now(timezone.utc).isoformat(timespec="seconds"),
             "machine": {"system": platform.platform(), "processor": platform.machine(), "cores": os.cpu_count()},
             "workers": workers,
-            "samples_made_by_the_last_command": len(self.costs),
+            "samples_made_by_the_last_command": self._made(),
             "seconds_from_the_commands_start": round(seconds, 3),
         }
         if self.costs:  # none if a kill came just before the end
-            run["seconds_a_sample_and_worker_median"] = round(float(np.median([c[0] for c in self.costs])), 4)
+            run["seconds_a_contact_and_worker_median"] = round(float(np.median([c[0] for c in self.costs])), 4)
             run["peak_memory_of_a_worker_MiB"] = round(max(c[1] for c in self.costs))
         return (json.dumps(run, indent=1) + "\n").encode()
 

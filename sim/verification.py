@@ -9,6 +9,7 @@ import numpy as np
 
 from sim.dataset import COLUMNS, LABELS, SHEARS, checksum, digest_of, image_name, read_meta, read_targets
 from sim.sampling import seed_text
+from sim.symmetry import SYMMETRIES
 from tactip_model.errors import TactipError
 
 _ROUNDING = 1e-6
@@ -109,7 +110,8 @@ def _belongs(row, configuration):
     if any(row.get(c) is None for c in COLUMNS) or not row["index"].isdigit():
         return False
     index = int(row["index"])
-    seed = seed_text(configuration["seed"], configuration["task"], configuration["split"], index)
+    each = len(SYMMETRIES[configuration["task"]]) if configuration.get("symmetric") else 1
+    seed = seed_text(configuration["seed"], configuration["task"], configuration["split"], index // each)
     return index < configuration["samples"] and row["seed"] == seed and row["sensor_image"] == image_name(index)
 
 

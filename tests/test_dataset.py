@@ -22,6 +22,7 @@ from sim.fidelity import fidelity_named, finer
 from sim.generation import Job
 from sim.pose import from_mm_deg
 from sim.sampling import POSE_RANGES, SHEAR_RANGES, generator
+from sim.verification import verify
 from tactip_model.camera import PinCamera
 from tactip_model.errors import TactipError
 from tactip_model.image import tactile_image
@@ -142,6 +143,37 @@ def test_a_killed_run_is_resumed_to_the_same_bytes(whole, tmp_path, workers):
     assert resumed.returncode == 0
     assert int(resumed.stdout.split(" of 6 samples are there already")[0]) in (kept, kept + 1, kept + 2)
     assert contents(folder) == contents(whole)
+
+
+def test_samples_by_symmetry(tmp_path):
+    """Three contacts make six samples, a mirror each, and the last is cut short; killed, it is resumed to the same bytes."""
+    whole, killed = tmp_path / "whole", tmp_path / "killed"
+    result = run(make(whole, "--symmetric", samples=5, workers=1))
+    assert result.returncode == 0, result.stderr
+    assert "5 of 5 samples, 5 of them now" in result.stdout
+    assert verify(whole) == []
+    dataset, rows = read_dataset(whole), table(whole)
+    assert [row["seed"] for row in rows] == [f"0:edge:train:{k}" for k in (0, 0, 1, 1, 2)]
+    assert np.allclose(dataset.poses[1], dataset.poses[0] * [1, -1, 1, -1, 1, -1])
+    assert np.allclose(dataset.shears[3], dataset.shears[2] * [1, -1, 1, -1, 1, -1])
+    plain = tmp_path / "plain"
+    assert run(make(plain, samples=3)).returncode == 0
+    assert np.array_equal(read_dataset(plain).image(2), dataset.image(4))
+    process = subprocess.Popen(
+        make(killed, "--symmetric", samples=5, workers=1), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
+    wait_for(lambda: len(records(killed)) >= 1)
+    process.kill()
+    process.wait()
+    again = run(make(killed, "--symmetric", samples=5))
+    assert again.returncode == 0
+    assert contents(killed) == contents(whole)
+
+
+def test_uneven_ranges_have_no_symmetry(tmp_path):
+    result = run(make(tmp_path / "set", "--symmetric", "--pose.roll-deg", "-5", "10"))
+    assert result.returncode == 1
+    assert "the ranges of the pose are not as wide to one side as to the other" in result.stderr
 
 
 def test_an_image_lost_before_the_end_is_made_again(whole, tmp_path):
