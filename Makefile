@@ -5,6 +5,8 @@ SAMPLES ?= 200
 OUT ?= data
 WORKERS ?= auto
 FIDELITY ?= standard
+RECIPE ?= laptop
+TRIALS ?= 300
 PYTHON ?=
 
 BIN := .venv/bin
@@ -13,6 +15,8 @@ READY := .venv/.ready
 help:
 	@echo "make setup         .venv with pinned versions, and OpenGL"
 	@echo "make sim-dataset   simulated data sets  [TASK=all|surface|edge] [SAMPLES=200] [OUT=data] [WORKERS=auto] [FIDELITY=standard]"
+	@echo "make train         a PoseNet on OUT/TASK  [TASK=surface] [OUT=data] [RECIPE=laptop|paper]; into runs/TASK, with its evaluation"
+	@echo "make tune          search for a network  [TASK=surface] [OUT=data] [TRIALS=300]; into runs/tune-TASK"
 	@echo "make report        measure errors and costs (45 min); write docs/*.md and the README's picture"
 	@echo "make test          all tests but the slow ones    make test-all   those too"
 	@echo "make lint          ruff and pyright"
@@ -29,6 +33,16 @@ sim-dataset: $(READY)
 	@$(BIN)/tactip dataset make --task "$(TASK)" --split all --samples "$(SAMPLES)" --out "$(OUT)" \
 		--workers "$(WORKERS)" --fidelity "$(FIDELITY)"
 	@echo "The paper's sets have 2000 samples each: make sim-dataset SAMPLES=2000 OUT=data-2000"
+
+# One task at a time: `make train` alone is the surface.
+train tune: LEARNED = $(if $(filter all,$(TASK)),surface,$(TASK))
+
+train: $(READY)
+	@$(BIN)/tactip train --data "$(OUT)/$(LEARNED)" --out "runs/$(LEARNED)" --recipe "$(RECIPE)"
+	@$(BIN)/tactip evaluate --model "runs/$(LEARNED)" --data "$(OUT)/$(LEARNED)/test" --out "runs/$(LEARNED)/evaluation"
+
+tune: $(READY)
+	@$(BIN)/tactip tune --data "$(OUT)/$(LEARNED)" --out "runs/tune-$(LEARNED)" --trials "$(TRIALS)"
 
 test: $(READY)
 	@$(BIN)/python -m pytest
@@ -58,4 +72,4 @@ lock:
 clean:
 	@rm -rf .venv build *.egg-info .pytest_cache .ruff_cache .hypothesis
 
-.PHONY: help setup sim-dataset test test-all report lint lock clean
+.PHONY: help setup sim-dataset train tune test test-all report lint lock clean

@@ -1,6 +1,7 @@
 """The house: folders import along the flow, each file is one thing, and no setting is made at import."""
 
 import ast
+import re
 from pathlib import Path
 
 import pytest
@@ -41,4 +42,6 @@ def test_public_things_say_what_they_are(path):
 def test_nothing_is_unpickled_or_evaluated():
     for path in [*FILES, ROOT / "tactip.py"]:
         text = path.read_text()
-        assert not any(word in text for word in ("import pickle", "allow_pickle=True", "eval(", "shell=True")), path
+        words = ("import pickle", "allow_pickle=True", "weights_only=False", "shell=True")
+        assert not any(word in text for word in words), path
+        assert not re.search(r"(?<![\w.])eval\(", text), path  # a network's own eval() is another thing

@@ -1,0 +1,1 @@
+"""Tactile image to pose: PoseNet, its training, its search, its evaluation."""

@@ -1,0 +1,113 @@
+"""An evaluation as a page, tables and pictures."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from learning.evaluate import tables
+from sim.dataset import write_file
+
+_BAND = 0.08
+"""Standard deviation of the Gaussian that smooths errors along a label, of the label's range."""
+
+
+def write_evaluation(evaluation, samples, model, folder):
+    """Write evaluation.json, evaluation.md, errors.png and worst.png to a folder (path). Raises OSError."""
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    record = evaluation.figures | tables(evaluation, samples, model.labels)
+    record["data"] = {"folder": samples.folder.name, "digest": samples.dataset.meta.get("digest")}
+    write_file(folder / "evaluation.json", (json.dumps(record, indent=1) + "\n").encode())
+    write_file(folder / "evaluation.md", page(record, model.labels).encode())
+    _draw_errors(evaluation, samples, model.labels, folder / "errors.png")
+    _draw_worst(evaluation, samples, model.labels, folder / "worst.png")
+
+
+def page(record, labels):
+    """The Markdown (str) of evaluation.json's record."""
+    units = dict(zip(labels.names, labels.units, strict=True))
+    lines = [
+        f"# A {record['task']} model on {record['samples']} samples",
+        "",
+        f"{record['parameters']} parameters; {record['latency_ms']:.2f} ms an image with one thread of a CPU.",
+        "",
+        "| component | mean error | rms | bias | 95 % below | greatest |",
+        "|---|---|---|---|---|---|",
+    ]
+    for name, unit in units.items():
+        row = [f"{record[key][name]:.3f} {unit}" for key in ("mae", "rmse", "bias", "p95", "greatest")]
+        lines.append(f"| {name} | " + " | ".join(row) + " |")
+    lines += ["", "Prediction against label, with the error's smoothed mean and deviation; and mean errors by shear:", ""]
+    lines += ["![errors](errors.png)", "", "## By shear", ""]
+    for what, title in (("shear_mm", "length of the shear, mm"), ("shear_deg", "turn of the shear, degrees")):
+        rows = record["against"][what]
+        lines += [f"| {title} | " + " | ".join(f"{r['from']:.1f}–{r['to']:.1f}" for r in rows) + " |"]
+        lines += ["|" + "---|" * (len(rows) + 1)]
+        lines += [f"| {n}, {u} | " + " | ".join(f"{r['mae'][n]:.3f}" for r in rows) + " |" for n, u in units.items()]
+        lines.append("")
+    lines += ["## Worst samples", "", "| image | label | prediction | shear, mm and degrees |", "|---|---|---|---|"]
+    for w in record["worst"]:
+        cells = (" ".join(f"{x:.2f}" for x in w[key]) for key in ("label", "prediction", "shear"))
+        lines.append(f"| {w['image']} | " + " | ".join(cells) + " |")
+    lines += ["", "![worst](worst.png)"]
+    return "\n".join(lines) + "\n"
+
+
+def band(values, errors, at, width):
+    """Mean and standard deviation, (m,) each, at points (m,) of errors (n,) along values (n,), by a Gaussian kernel."""
+    weight = np.exp(-0.5 * ((at[:, None] - values) / width) ** 2)
+    weight /= weight.sum(1, keepdims=True)
+    mean = weight @ errors
+    return mean, np.sqrt(np.maximum(weight @ errors**2 - mean**2, 0))
+
+
+def _pyplot():
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    return plt
+
+
+def _draw_errors(evaluation, samples, labels, path):
+    plt = _pyplot()
+    k = len(labels.names)
+    figure, axes = plt.subplots(2, k, figsize=(3.6 * k, 6.6), squeeze=False)
+    slide = np.linalg.norm(samples.shears[:, :3], axis=1)
+    for i, (name, unit) in enumerate(zip(labels.names, labels.units, strict=True)):
+        target, error = samples.targets[:, i], evaluation.errors[:, i]
+        at = np.linspace(target.min(), target.max(), 60)
+        mean, deviation = band(target, error, at, _BAND * max(np.ptp(target), 1e-9))
+        axes[0, i].plot(target, target + error, ".", color="0.7", ms=2)
+        axes[0, i].fill_between(at, at + mean - deviation, at + mean + deviation, color="C0", alpha=0.4, lw=0)
+        axes[0, i].plot(at, at + mean, color="C0", lw=1.2)
+        axes[0, i].plot(at, at, color="k", lw=0.6)
+        axes[0, i].set(xlabel=f"{name}, {unit}", ylabel="prediction", title=f"mean error {np.abs(error).mean():.3f} {unit}")
+        at = np.linspace(slide.min(), slide.max(), 60)
+        mean, _ = band(slide, np.abs(error), at, _BAND * max(np.ptp(slide), 1e-9))
+        axes[1, i].plot(slide, np.abs(error), ".", color="0.7", ms=2)
+        axes[1, i].plot(at, mean, color="C3", lw=1.5)
+        axes[1, i].set(xlabel="length of the shear, mm", ylabel=f"error, {unit}", ylim=(0, np.quantile(np.abs(error), 0.99)))
+    for axis in axes.ravel():
+        axis.spines[["top", "right"]].set_visible(False)
+    figure.tight_layout()
+    figure.savefig(path, dpi=80, metadata={"Software": None})
+    plt.close(figure)
+
+
+def _draw_worst(evaluation, samples, labels, path):
+    plt = _pyplot()
+    worst = np.argsort(-((evaluation.errors / labels.scale) ** 2).sum(1))[:8]
+    figure, axes = plt.subplots(2, 4, figsize=(12, 6.6))
+    for axis in axes.ravel():
+        axis.axis("off")
+    for axis, i in zip(axes.ravel(), worst, strict=False):
+        axis.imshow(samples.images[i], cmap="gray", interpolation="nearest")
+        told = " ".join(f"{x:.1f}" for x in samples.targets[i])
+        read = " ".join(f"{x:.1f}" for x in evaluation.predictions[i])
+        axis.set_title(f"{told}\n{read}", fontsize=8)
+    figure.tight_layout()
+    figure.savefig(path, dpi=80, metadata={"Software": None})
+    plt.close(figure)

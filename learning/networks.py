@@ -1,0 +1,78 @@
+"""Named networks and trainings, and files of them."""
+
+import dataclasses
+import json
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+from learning.posenet import PoseNetConfig
+from learning.train import TrainSettings
+from tactip_model.errors import TactipError, choose
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """A network and how it is trained."""
+
+    network: PoseNetConfig
+    settings: TrainSettings
+
+
+_PAPER = {
+    "surface": PoseNetConfig(),
+    "edge": PoseNetConfig(filters=256, dense_layers=2, units=512, dropout=0.203, l1=1e-4, l2=3e-4, batch_size=16),
+}
+"""The paper's best: Table 2, where its text differs [P]."""
+
+_LAPTOP = PoseNetConfig(
+    conv_layers=4,
+    filters=32,
+    widening=2.0,
+    most_filters=128,
+    blur_px=1.0,
+    reduce=2,
+    dense_layers=1,
+    units=256,
+    activation="elu",
+    batch_norm=True,
+    dropout=0.0,
+    l1=0.0,
+    l2=0.0,
+    batch_size=32,
+)
+
+RECIPES = {
+    "laptop": dict.fromkeys(_PAPER, Recipe(_LAPTOP, TrainSettings(epochs=60, patience=60, rate=2e-3, schedule="cosine"))),
+    "paper": {task: Recipe(network, TrainSettings()) for task, network in _PAPER.items()},
+}
+"""By name and task. `laptop` is a twentieth of the paper's cost; docs/learning.md has both."""
+
+
+def recipe_named(name, task):
+    """The Recipe of a name and a task. Raises TactipError that lists the names."""
+    return choose("task", task, choose("recipe", name, RECIPES))
+
+
+def read_recipe(path):
+    """The Recipe in a JSON file: `network` and, if it has them, `settings`, as `tactip tune` and `tactip train` write them.
+
+    Raises TactipError where it cannot be read, names what there is not, or a number is out of bounds.
+    """
+    try:
+        given = json.loads(Path(path).read_text())
+        parts = given["network"], given.get("settings", {})
+        unknown = [
+            f"{k}" for part, kind in zip(parts, (PoseNetConfig, TrainSettings), strict=True)
+            for k in part if k not in {f.name for f in fields(kind)}
+        ]  # fmt: skip
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise TactipError(f"{path} is no configuration of a network (JSON with `network`): {error!r}") from error
+    if unknown:
+        allowed = [f.name for kind in (PoseNetConfig, TrainSettings) for f in fields(kind)]
+        raise TactipError(f"{path} names {', '.join(unknown)}: it may name {', '.join(allowed)}")
+    return Recipe(PoseNetConfig(**parts[0]), TrainSettings(**parts[1]))
+
+
+def recipe_json(recipe):
+    """A Recipe as JSON text."""
+    return json.dumps(dataclasses.asdict(recipe), indent=1) + "\n"

@@ -1,0 +1,135 @@
+"""PoseNet: the convolutional network of the paper, from a tactile image to the components of a pose.
+
+    conv_layers × (3×3 convolution, stride 1, no padding [, batch norm], activation, 2×2 max-pool)
+    dense_layers × (dropout, dense, activation)
+    dropout, linear output
+
+The paper's own setting is the default of every field that it does not have.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import nn
+
+from tactip_model.bounds import check, require, within
+from tactip_model.errors import choose
+
+ACTIVATIONS = {"relu": nn.ReLU, "elu": nn.ELU}
+"""Activations by name [P]."""
+
+
+@dataclass(frozen=True)
+class PoseNetConfig:
+    """Everything that is chosen of a network and its training by the paper's search. Defaults: its best for the surface."""
+
+    conv_layers: int = within(1, 8, default=5)
+    """N_conv, convolutions; 1 to 5 [P]."""
+    filters: int = within(1, 1024, default=512)
+    """N_filters, of the first convolution; 2, 4, … 512 [P]."""
+    widening: float = within(0.5, 4, default=1.0)
+    """Filters of each convolution over those of the one before; 1 [P]."""
+    most_filters: int = within(1, 1024, default=1024)
+    """... up to so many."""
+    blur_px: float = within(0, 4, default=0.0)
+    """Standard deviation of a blur of the image before all else, px; none [P]. Pooling keeps the place of a grey slope to
+    a part of a pixel, and that of a step only to a pixel."""
+    reduce: int = within(1, 8, default=1)
+    """The image is then averaged over squares of so many px; 1 [P]. At 2, a blurred image keeps what it tells, and costs a
+    quarter."""
+    dense_layers: int = within(1, 5, default=1)
+    """N_dense, dense layers; 1 to 5 [P]."""
+    units: int = within(1, 4096, default=16)
+    """N_units, of each dense layer; 2, 4, … 512 [P]."""
+    activation: str = "relu"
+    """relu or elu [P]."""
+    batch_norm: bool = False
+    """Batch normalisation after each convolution [P]."""
+    dropout: float = within(0, 0.9, default=0.001)
+    """Share of the inputs of each dense layer that is left out in training; 0 to 0.5 [P]."""
+    l1: float = within(0, 1, default=0.001)
+    """Weight of the sum of absolute weights of dense and output layers in the loss; 1e-4 to 1e-1 [P]."""
+    l2: float = within(0, 1, default=0.064)
+    """Weight of the sum of their squares; 1e-4 to 1e-1 [P]."""
+    batch_size: int = within(1, 4096, default=32)
+    """Images a step of training; 16, 32, 64 or 128 [P]."""
+
+    def __post_init__(self):
+        check(self)
+        choose("activation", self.activation, ACTIVATIONS)
+
+    def widths(self):
+        """Filters (list of int) of each convolution."""
+        wide = (self.filters * self.widening**k for k in range(self.conv_layers))
+        return [max(1, min(round(w), self.most_filters)) for w in wide]
+
+    def last_size(self, size):
+        """Width (int), px, that the convolutions leave of an image of `size` px. Raises TactipError if nothing is left."""
+        left = size // self.reduce
+        for layer in range(1, self.conv_layers + 1):
+            left = (left - 2) // 2
+            require(
+                left >= 1,
+                "PoseNetConfig.conv_layers",
+                self.conv_layers,
+                f"at most {layer - 1}: an image of {size} px has no pixels left after convolution and pooling {layer}",
+            )
+        return left
+
+
+class PoseNet(nn.Module):
+    """The network. Input (n, 1, size, size), 0 to 1; output (n, outputs), components over their scales (labels.py)."""
+
+    def __init__(self, config, size, outputs):
+        """config: PoseNetConfig. size: int, px. outputs: int. Raises TactipError where no pixels are left."""
+        super().__init__()
+        last = config.last_size(size)
+        activation = ACTIVATIONS[config.activation]
+        layers, before = [_Blur(config.blur_px)] if config.blur_px else [], 1
+        if config.reduce > 1:
+            layers.append(nn.AvgPool2d(config.reduce))
+        for width in config.widths():
+            layers.append(nn.Conv2d(before, width, 3))
+            if config.batch_norm:
+                layers.append(nn.BatchNorm2d(width))
+            layers += [activation(), nn.MaxPool2d(2)]
+            before = width
+        self.convolutions = nn.Sequential(*layers)
+        layers, before = [], before * last**2
+        for _ in range(config.dense_layers):
+            layers += [nn.Dropout(config.dropout), nn.Linear(before, config.units), activation()]
+            before = config.units
+        self.dense = nn.Sequential(*layers, nn.Dropout(config.dropout), nn.Linear(before, outputs))
+        self._l1, self._l2 = config.l1, config.l2
+
+    def forward(self, images):
+        """Components over their scales, (n, outputs) float32, of images (n, 1, size, size)."""
+        features = self.convolutions(images).flatten(1).float()
+        # Half precision is good enough for features, and not for the pose: its eight bits are 0.02 mm of 5.
+        with torch.autocast(features.device.type, enabled=False):
+            return self.dense(features)
+
+    def penalty(self):
+        """What L1 and L2 add to the loss: a scalar tensor, of the weights of dense and output layers alone [P]."""
+        weights = [layer.weight.float() for layer in self.dense if isinstance(layer, nn.Linear)]
+        return sum(self._l1 * w.abs().sum() + self._l2 * w.square().sum() for w in weights)
+
+
+class _Blur(nn.Module):
+    """A Gaussian blur that is not learned."""
+
+    def __init__(self, sigma):
+        super().__init__()
+        reach = int(3 * sigma + 0.5)
+        line = torch.exp(-0.5 * (torch.arange(-reach, reach + 1) / sigma) ** 2)
+        line /= line.sum()
+        self.reach = reach
+        self.register_buffer("kernel", torch.outer(line, line)[None, None], persistent=False)
+
+    def forward(self, images):
+        return nn.functional.conv2d(images, self.kernel.to(images.dtype), padding=self.reach)
+
+
+def parameter_count(net):
+    """Trained numbers (int) of a network."""
+    return sum(p.numel() for p in net.parameters())

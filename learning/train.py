@@ -1,0 +1,342 @@
+"""Training of a PoseNet: plain, deterministic from its seed, and resumable at any kill.
+
+    loss = sum over components of the mean squared error over scale² + L1 and L2 of the dense and output weights
+    Adam; early stopping on the validation error, without penalties; the best weights are kept
+
+Every epoch's order and dropout are drawn from (seed, epoch): an epoch depends on the state before it and on nothing else.
+"""
+
+import dataclasses
+import io
+import json
+import math
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from tqdm import tqdm
+
+from learning.device import device_named, is_half
+from learning.model import save_model, to_input, weights_bytes
+from learning.posenet import PoseNet, parameter_count
+from sim.dataset import write_file
+from tactip_model.bounds import check, within
+from tactip_model.errors import Stopped, TactipError, choose
+
+CHECKPOINT, METRICS = "checkpoint.pt", "metrics.jsonl"
+
+
+def paper_rate(settings, step, steps):
+    """Learning rate at a step: as the paper's library had it, rate / (1 + decay × step)."""
+    return settings.rate / (1 + settings.decay * step)
+
+
+def cosine_rate(settings, step, steps):
+    """Learning rate at a step of `steps`: up over the first twentieth, and down to nothing along a cosine."""
+    warm = max(1, steps // 20)
+    return settings.rate * min(1.0, (step + 1) / warm) * 0.5 * (1 + math.cos(math.pi * min(1.0, step / max(1, steps))))
+
+
+SCHEDULES = {"paper": paper_rate, "cosine": cosine_rate}
+"""How the learning rate goes over a training, by name."""
+
+
+@dataclass(frozen=True)
+class TrainSettings:
+    """How a network is trained. Defaults are the paper's."""
+
+    seed: int = within(0, 2**31, default=0)
+    """Seed of weights, order and dropout."""
+    epochs: int = within(1, 100000, default=500)
+    """Most epochs; the paper names no limit."""
+    patience: int = within(1, 100000, default=10)
+    """Epochs without a lower validation error after which training ends [P]."""
+    rate: float = within(1e-7, 1, default=1e-4)
+    """Learning rate of Adam [P]."""
+    decay: float = within(0, 1, default=1e-6)
+    """Its decay a step [P], of the schedule `paper`."""
+    schedule: str = "paper"
+    """paper, or cosine: to zero over all epochs."""
+    precision: str = "auto"
+    """Of the convolutions: float32, bfloat16, or auto (bfloat16 on a GPU)."""
+
+    def __post_init__(self):
+        check(self)
+        choose("schedule", self.schedule, SCHEDULES)
+        is_half(self.precision, "cpu")
+
+
+class Diverged(TactipError):
+    """The loss is no longer a number."""
+
+
+class Pruned(TactipError):
+    """A trial was ended because others were better by then."""
+
+
+class Training:
+    """A training in memory: network, optimiser, data, and the step from one epoch to the next."""
+
+    def __init__(self, train, val, config, settings, device="cpu"):
+        """train, val: Samples. config: PoseNetConfig. settings: TrainSettings. device: `auto`, `cpu` or `cuda`.
+
+        Raises TactipError where network and images do not fit each other.
+        """
+        self.config, self.settings, self.labels, self.size = config, settings, train.labels, train.size
+        self.device = device_named(device)
+        self._half = is_half(settings.precision, self.device)
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(settings.seed)
+            net = PoseNet(config, train.size, len(self.labels.components))
+        self.net = net.to(device=self.device, memory_format=torch.channels_last)
+        self.optimizer = torch.optim.Adam(self.net.parameters(), lr=settings.rate)
+        # The whole set lives on the device, as bytes.
+        self._images, self._targets = self._resident(train)
+        self._val_images, self._val_targets = self._resident(val)
+        self.epoch = 0
+        self.history = []
+        """A dict of figures an epoch."""
+        self.best = None
+        """State dict of the best epoch's network."""
+
+    def _resident(self, samples):
+        targets = torch.from_numpy((samples.targets / self.labels.scale).astype(np.float32))
+        return torch.from_numpy(samples.images).to(self.device), targets.to(self.device)
+
+    @property
+    def steps_an_epoch(self):
+        """Steps (int) of an epoch."""
+        return -(-len(self._images) // self.config.batch_size)
+
+    @property
+    def best_error(self):
+        """Least validation error so far, -."""
+        return min((h["val_loss"] for h in self.history), default=math.inf)
+
+    @property
+    def over(self):
+        """Whether there is nothing left to do."""
+        if not self.history:
+            return False
+        since = self.epoch - 1 - int(np.argmin([h["val_loss"] for h in self.history]))
+        return self.epoch >= self.settings.epochs or since >= self.settings.patience
+
+    def train_epoch(self, tick=lambda count: None):
+        """Go through the training set once, and judge. tick: called with the number of images of each step.
+
+        Returns the epoch's figures (dict). Raises Diverged.
+        """
+        start = time.perf_counter()
+        draw = np.random.Generator(np.random.PCG64(np.random.SeedSequence(self.settings.seed, spawn_key=(self.epoch,))))
+        order = torch.from_numpy(draw.permutation(len(self._images))).to(self.device)
+        devices = [torch.cuda.current_device()] if self.device == "cuda" else []
+        with torch.random.fork_rng(devices=devices):
+            torch.manual_seed(int(draw.integers(2**62)))
+            loss = self._steps(order, tick)
+        val = self.error(self._val_images, self._val_targets)
+        if not math.isfinite(loss) or not math.isfinite(val):
+            raise Diverged(
+                f"the loss is {loss} after epoch {self.epoch + 1}: the training diverged; a learning rate below "
+                f"{self.settings.rate:g} may help"
+            )
+        figures = {"epoch": self.epoch + 1, "loss": loss, "val_loss": val, "seconds": time.perf_counter() - start}
+        if val < self.best_error:
+            self.best = {name: tensor.detach().clone() for name, tensor in self.net.state_dict().items()}
+        self.history.append(figures)
+        self.epoch += 1
+        return figures
+
+    def _steps(self, order, tick):
+        """The steps of an epoch over images in an `order` (n,). Returns the mean loss, penalties included (float)."""
+        self.net.train()
+        rate = SCHEDULES[self.settings.schedule]
+        total, steps = torch.zeros((), device=self.device), self.steps_an_epoch
+        for i in range(steps):
+            for group in self.optimizer.param_groups:
+                group["lr"] = rate(self.settings, self.epoch * steps + i, self.settings.epochs * steps)
+            chosen = order[i * self.config.batch_size : (i + 1) * self.config.batch_size]
+            out = self._forward(self._images[chosen])
+            loss = (out - self._targets[chosen]).square().sum(1).mean() + self.net.penalty()
+            self.optimizer.zero_grad(set_to_none=True)
+            loss.backward()
+            self.optimizer.step()
+            total += loss.detach() * len(chosen)
+            tick(len(chosen))
+        return float(total) / len(order)
+
+    def _forward(self, images):
+        with torch.autocast(self.device, dtype=torch.bfloat16, enabled=self._half):
+            return self.net(to_input(images))
+
+    def error(self, images, targets, batch=256):
+        """Sum over components of the mean squared error over scale² (float) of images (n, size, size) and targets (n, k)."""
+        self.net.eval()
+        total = torch.zeros((), device=self.device)
+        with torch.inference_mode():
+            for start in range(0, len(images), batch):
+                out = self._forward(images[start : start + batch])
+                total += (out - targets[start : start + batch]).square().sum()
+        return float(total) / len(images)
+
+    def state(self):
+        """Everything that the next epoch depends on: a dict of tensors, numbers and text."""
+        return {
+            "net": self.net.state_dict(),
+            "optimizer": self.optimizer.state_dict(),
+            "best": self.best,
+            "epoch": self.epoch,
+            "history": json.dumps(self.history),
+        }
+
+    def restore(self, state):
+        """Go on from a `state`."""
+        self.net.load_state_dict(state["net"])
+        self.optimizer.load_state_dict(state["optimizer"])
+        self.best, self.epoch, self.history = state["best"], state["epoch"], json.loads(state["history"])
+
+
+def provenance(train, val, config, settings):
+    """What a training depends on (dict, JSON): data, network, settings."""
+
+    def data(samples):
+        meta = samples.dataset.meta
+        return {
+            "digest": meta.get("digest"),
+            "samples": len(samples),
+            "targets_sha256": meta.get("files", {}).get("targets.csv"),
+            "configuration": meta.get("configuration"),
+        }
+
+    record = {
+        "train": data(train),
+        "val": data(val),
+        "network": dataclasses.asdict(config),
+        "settings": dataclasses.asdict(settings),
+        "torch": torch.__version__,
+    }
+    return json.loads(json.dumps(record))
+
+
+def train(train_samples, val_samples, config, settings, folder, device="auto", say=print, hopeless=None, quiet=False):
+    """Train a network in a folder, or go on with one that was stopped there.
+
+    train_samples, val_samples: Samples. config: PoseNetConfig. settings: TrainSettings. folder: path. device: str.
+    say: called with lines for the user. hopeless: called with the history after each epoch; training ends where it says so.
+    quiet: bool, without a progress bar.
+
+    Writes model.pt and model.json (the best network so far), metrics.jsonl and, while unfinished, checkpoint.pt. Returns the
+    history (list of dict). Raises TactipError where the folder holds another training, where memory is short and where the
+    loss diverges, Pruned where it is hopeless, and Stopped at Ctrl-C; nothing that was done is lost by any.
+    """
+    folder = Path(folder)
+    record = provenance(train_samples, val_samples, config, settings)
+    known = _known(folder, record)
+    if known == "finished":
+        say(f"{folder} holds this training, finished already")
+        return read_metrics(folder)
+    try:
+        training = Training(train_samples, val_samples, config, settings, device)
+        if known:
+            training.restore(known)
+            say(f"going on after epoch {training.epoch}")
+        folder.mkdir(parents=True, exist_ok=True)
+        say(
+            f"{parameter_count(training.net)} parameters on {training.device}; {len(train_samples)} images to train on, "
+            f"{len(val_samples)} to validate on"
+        )
+        _epochs(training, folder, record, hopeless, quiet)
+    except KeyboardInterrupt:
+        raise Stopped("the epochs that are over are kept: the same command goes on from there") from None
+    except (torch.OutOfMemoryError, MemoryError) as error:
+        raise TactipError(f"memory is short for {config}: fewer filters or a smaller batch may help") from error
+    except RuntimeError as error:
+        if "memory" not in str(error).lower():
+            raise
+        raise TactipError(f"memory is short for {config}: fewer filters or a smaller batch may help") from error
+    best = min(training.history, key=lambda h: h["val_loss"])
+    say(f"best: epoch {best['epoch']} of {training.epoch}, validation loss {best['val_loss']:.5f}")
+    return training.history
+
+
+def _epochs(training, folder, record, hopeless, quiet):
+    """Train to the end, with a checkpoint after each epoch."""
+    writer = _tensorboard(folder)
+    images = training.steps_an_epoch * training.config.batch_size
+    with tqdm(
+        total=training.settings.epochs * images,
+        initial=training.epoch * images,
+        unit="image",
+        unit_scale=True,
+        file=sys.stderr,
+        mininterval=0.5 if sys.stderr.isatty() else 15,
+        disable=quiet,
+    ) as bar:
+        while not training.over:
+            figures = training.train_epoch(bar.update)
+            bar.set_postfix(epoch=training.epoch, loss=figures["loss"], val=figures["val_loss"], best=training.best_error)
+            if writer:
+                for name in ("loss", "val_loss"):
+                    writer.add_scalar(name, figures[name], training.epoch)
+            _keep(training, folder, record)
+            if hopeless and not training.over and hopeless(training.history):
+                raise Pruned(f"half of the trials before were better after {training.epoch} epochs")
+    if writer:
+        writer.close()
+    (folder / CHECKPOINT).unlink()
+
+
+def _keep(training, folder, record):
+    """Write the state after an epoch: the checkpoint first, from which the rest can be made anew."""
+    finished = training.over
+    best = min(training.history, key=lambda h: h["val_loss"])
+    write_file(folder / CHECKPOINT, weights_bytes({"of": json.dumps(record), **training.state()}))
+    lines = "".join(json.dumps(h) + "\n" for h in training.history)
+    write_file(folder / METRICS, lines.encode())
+    if finished or best["epoch"] == training.epoch:
+        outcome = {"finished": finished, "epochs": training.epoch, "best_epoch": best["epoch"], "val_loss": best["val_loss"]}
+        save_model(folder, training.best, training.config, training.labels, training.size, record | {"outcome": outcome})
+
+
+def read_metrics(folder):
+    """The history (list of dict) of a training in a folder."""
+    return [json.loads(line) for line in (Path(folder) / METRICS).read_text().splitlines()]
+
+
+def _known(folder, record):
+    """State of the training of `record` in a folder: None, a checkpoint, or "finished". Raises TactipError on another's."""
+    checkpoint, description = folder / CHECKPOINT, folder / "model.json"
+    if checkpoint.exists():
+        try:
+            state = torch.load(io.BytesIO(checkpoint.read_bytes()), map_location="cpu", weights_only=True)
+            there = json.loads(state["of"])
+        except (RuntimeError, ValueError, KeyError, EOFError) as error:
+            raise TactipError(f"{checkpoint} cannot be read ({error}): remove it to begin anew") from error
+        _refuse_other(folder, there, record)
+        return state
+    if description.exists():
+        there = json.loads(description.read_text()).get("provenance", {})
+        _refuse_other(folder, {k: there.get(k) for k in record}, record)
+        return "finished"
+    if folder.exists() and any(folder.iterdir()):
+        raise TactipError(f"the folder {folder} is not empty and holds no training: name another one")
+    return None
+
+
+def _refuse_other(folder, there, record):
+    for part, asked in record.items():
+        if there.get(part) != asked:
+            raise TactipError(
+                f"the folder {folder} holds a training with another {part}: name another folder, or remove this one"
+            )
+
+
+def _tensorboard(folder):
+    """A writer of TensorBoard's, or None where it is not installed."""
+    try:
+        from torch.utils.tensorboard import SummaryWriter
+    except ImportError:
+        return None
+    return SummaryWriter(str(folder / "tensorboard"))

@@ -1,0 +1,121 @@
+"""The network is the paper's, and says why where it cannot be."""
+
+from itertools import pairwise
+
+import pytest
+import torch
+from torch import nn
+
+from learning.networks import RECIPES, recipe_named
+from learning.posenet import PoseNet, PoseNetConfig, parameter_count
+from learning.space import SearchSpace, network_of
+from learning.train import TrainSettings, cosine_rate, paper_rate
+from tactip_model.errors import TactipError
+
+SMALL = PoseNetConfig(conv_layers=2, filters=3, dense_layers=2, units=4, dropout=0.3)
+
+
+def kinds(module):
+    return [type(layer) for layer in module]
+
+
+def test_layers_are_the_papers():
+    net = PoseNet(SMALL, 40, 3)
+    assert kinds(net.convolutions) == [nn.Conv2d, nn.ReLU, nn.MaxPool2d] * 2
+    assert kinds(net.dense) == [nn.Dropout, nn.Linear, nn.ReLU] * 2 + [nn.Dropout, nn.Linear]
+    for layer in net.convolutions:
+        if isinstance(layer, nn.Conv2d):
+            assert (layer.kernel_size, layer.stride, layer.padding) == ((3, 3), (1, 1), (0, 0))
+    # 40 → 38 → 19 → 17 → 8
+    sizes = [3 * 9 + 3, 3 * 3 * 9 + 3, 3 * 64 * 4 + 4, 4 * 4 + 4, 4 * 3 + 3]
+    assert parameter_count(net) == sum(sizes)
+    assert net(torch.zeros(5, 1, 40, 40)).shape == (5, 3)
+
+
+@pytest.mark.parametrize("name", ["relu", "elu"])
+def test_batch_norm_and_activation(name):
+    config = PoseNetConfig(conv_layers=1, filters=2, activation=name, batch_norm=True)
+    activation = {"relu": nn.ReLU, "elu": nn.ELU}[name]
+    assert kinds(PoseNet(config, 20, 1).convolutions) == [nn.Conv2d, nn.BatchNorm2d, activation, nn.MaxPool2d]
+
+
+def test_the_papers_best_networks():
+    """Table 2: 5×512 and 5×256 convolutions leave 2×2 pixels of 128."""
+    surface, edge = (recipe_named("paper", task).network for task in ("surface", "edge"))
+    assert (surface.conv_layers, surface.filters, surface.dense_layers, surface.units) == (5, 512, 1, 16)
+    assert (edge.conv_layers, edge.filters, edge.dense_layers, edge.units) == (5, 256, 2, 512)
+    assert surface.last_size(128) == edge.last_size(128) == 2
+    assert recipe_named("paper", "edge").settings == TrainSettings()
+
+
+@pytest.mark.parametrize(("layers", "size", "allowed"), [(6, 128, 5), (2, 6, 1), (1, 3, 0)])
+def test_a_network_that_leaves_no_pixels_is_refused(layers, size, allowed):
+    with pytest.raises(TactipError, match=f"conv_layers is {layers}: it must be at most {allowed}: an image of {size} px"):
+        PoseNet(PoseNetConfig(conv_layers=layers, filters=2), size, 3)
+
+
+def test_penalties_are_of_dense_and_output_weights_alone():
+    net = PoseNet(PoseNetConfig(conv_layers=1, filters=2, units=3, l1=0.5, l2=0.25), 8, 2)
+    weights = torch.cat([layer.weight.flatten() for layer in net.dense if isinstance(layer, nn.Linear)])
+    assert net.penalty().item() == pytest.approx((0.5 * weights.abs().sum() + 0.25 * (weights**2).sum()).item())
+    with torch.no_grad():
+        net.convolutions[0].weight.fill_(1e3)
+        for layer in net.dense:
+            if isinstance(layer, nn.Linear):
+                layer.bias.fill_(1e3)
+                layer.weight.zero_()
+    assert net.penalty().item() == 0
+
+
+def test_blur_and_reduction_keep_brightness():
+    net = PoseNet(PoseNetConfig(conv_layers=1, filters=2, blur_px=1.0, reduce=2), 40, 3)
+    image = torch.zeros(1, 1, 40, 40)
+    image[0, 0, 20, 20] = 1.0
+    out = net.convolutions[1](net.convolutions[0](image))
+    assert out.shape == (1, 1, 20, 20)
+    assert 4 * out.sum().item() == pytest.approx(1.0, abs=1e-5)
+    v, u = torch.meshgrid(torch.arange(20.0), torch.arange(20.0), indexing="ij")
+    assert (out[0, 0] * u).sum().item() / out.sum().item() == pytest.approx(9.75, abs=0.01)
+    assert (out[0, 0] * v).sum().item() / out.sum().item() == pytest.approx(9.75, abs=0.01)
+
+
+def test_widening_stops_at_most_filters():
+    assert PoseNetConfig(conv_layers=4, filters=8, widening=2, most_filters=20).widths() == [8, 16, 20, 20]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"conv_layers": 0}, "conv_layers is 0"),
+        ({"filters": 2.5}, "filters is 2.5: it must be a whole number"),
+        ({"dropout": 1.0}, "dropout is 1.0"),
+        ({"activation": "tanh"}, "choose one of relu, elu"),
+    ],
+)
+def test_wrong_networks_are_refused(changes, message):
+    with pytest.raises(TactipError, match=message):
+        PoseNetConfig(**changes)
+
+
+def test_learning_rates():
+    settings = TrainSettings(rate=0.1, decay=0.5)
+    assert paper_rate(settings, 0, 10) == 0.1
+    assert paper_rate(settings, 2, 10) == pytest.approx(0.05)
+    rates = [cosine_rate(settings, step, 100) for step in range(101)]
+    assert max(rates) == pytest.approx(0.1, rel=0.02)
+    assert rates[0] < 0.03 and rates[-1] < 1e-12
+    assert all(a >= b for a, b in pairwise(rates[5:]))
+
+
+def test_recipes_fit_the_images():
+    for by_task in RECIPES.values():
+        for recipe in by_task.values():
+            assert recipe.network.last_size(128) >= 1
+
+
+def test_the_space_is_the_papers():
+    point = {"conv_layers": 5, "log2_filters": 9, "dense_layers": 1, "log2_units": 4, "activation": "relu"}
+    point |= {"batch_norm": False, "dropout": 0.001, "l1": 0.001, "l2": 0.064, "batch_size": 32}
+    assert network_of(point) == PoseNetConfig()
+    with pytest.raises(TactipError, match="conv_layers is 7: it must be at most 5"):
+        SearchSpace(most_conv_layers=7).checked(128)
