@@ -289,6 +289,8 @@ class TrainOptions:
     """paper or cosine."""
     precision: str | None = None
     """float32, bfloat16, or auto."""
+    redraw_every: int | None = None
+    """Epochs after which each image is drawn anew under another camera and light; 0: never."""
 
 
 @dataclass(frozen=True)
@@ -353,7 +355,9 @@ class Tune:
     max_filters: int = 512
     """Most filters of a convolution; a CPU hardly trains more than 64."""
     jobs: int = 1
-    """Trainings at a time on this machine."""
+    """Trainings at a time."""
+    cluster: str | None = None
+    """Address of a Ray cluster (auto: this machine's; local: this machine alone). Needs the extra `cluster`."""
     seed: int = 0
     """Seed of the suggestions."""
     prune: bool = False
@@ -382,7 +386,12 @@ class Tune:
             space=_with_options(SearchSpace(most_filters=self.max_filters), self.space),
             training=_with_options(TrainSettings(), self.training),
         )
-        results = tune(self.data, self.out, settings, self.jobs, self.device)
+        if self.cluster:
+            from learning.cluster import tune_on_cluster
+
+            results = tune_on_cluster(self.data, self.out, settings, self.jobs, self.cluster, self.device)
+        else:
+            results = tune(self.data, self.out, settings, self.jobs, self.device)
         good = [r for r in results if r["status"] == "ok"]
         print(f"{len(results)} trials, {len(good)} of them ended well: {self.out / 'best.json'} and tune.png written")
         return 0

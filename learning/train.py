@@ -20,6 +20,7 @@ import torch
 from tqdm import tqdm
 
 from learning.device import device_named, is_half
+from learning.drawn import DrawnImages
 from learning.model import save_model, to_input, weights_bytes
 from learning.posenet import PoseNet, parameter_count
 from sim.dataset import write_file
@@ -62,6 +63,9 @@ class TrainSettings:
     """paper, or cosine: to zero over all epochs."""
     precision: str = "auto"
     """Of the convolutions: float32, bfloat16, or auto (bfloat16 on a GPU)."""
+    redraw_every: int = within(0, 1000, default=0)
+    """Epochs after which each training image is drawn anew from its pins, under another camera and light (drawn.py); 0: the
+    plain images of the set [P]."""
 
     def __post_init__(self):
         check(self)
@@ -95,6 +99,7 @@ class Training:
         self.optimizer = torch.optim.Adam(self.net.parameters(), lr=settings.rate)
         # The whole set lives on the device, as bytes.
         self._images, self._targets = self._resident(train)
+        self._drawn = DrawnImages(train, settings.seed, settings.redraw_every) if settings.redraw_every else None
         self._val_images, self._val_targets = self._resident(val)
         self.epoch = 0
         self.history = []
@@ -131,6 +136,7 @@ class Training:
         """
         start = time.perf_counter()
         draw = np.random.Generator(np.random.PCG64(np.random.SeedSequence(self.settings.seed, spawn_key=(self.epoch,))))
+        self._redraw()
         order = torch.from_numpy(draw.permutation(len(self._images))).to(self.device)
         devices = [torch.cuda.current_device()] if self.device == "cuda" else []
         with torch.random.fork_rng(devices=devices):
@@ -148,6 +154,12 @@ class Training:
         self.history.append(figures)
         self.epoch += 1
         return figures
+
+    def _redraw(self):
+        """Bring the images up to this epoch; all of them where it is the first of this process."""
+        if self._drawn:
+            for start, images in self._drawn.due(self.epoch):
+                self._images[start : start + len(images)] = torch.from_numpy(images).to(self.device)
 
     def _steps(self, order, tick):
         """The steps of an epoch over images in an `order` (n,). Returns the mean loss, penalties included (float)."""

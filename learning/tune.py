@@ -12,12 +12,15 @@ stopped goes on as if it had not been.
 import dataclasses
 import json
 import math
+import os
+import signal
 import sys
 from dataclasses import dataclass
 from multiprocessing import connection, get_context
 from pathlib import Path
 
 import numpy as np
+import torch
 from hyperopt import STATUS_FAIL, STATUS_OK, Trials, rand, tpe
 from hyperopt.base import JOB_STATE_DONE, Domain
 from tqdm import tqdm
@@ -53,29 +56,36 @@ class TuneSettings:
         check(self)
 
 
-def suggest(settings, index, results):
-    """Hyperopt's values (dict of label to number) for trial `index`, given results (list of dict) so far."""
-    domain = Domain(lambda point: 0.0, settings.space.expressions())
+def past(results, domain):
+    """hyperopt's Trials of results (list of dict), numbered as they come. domain: hyperopt's Domain of the space."""
     trials = Trials()
     docs = []
-    for result in results:
+    for tid, result in enumerate(results):
         values = result["values"]
-        misc = {"tid": result["trial"], "cmd": domain.cmd, "workdir": None}
-        misc |= {"idxs": {k: [result["trial"]] for k in values}, "vals": {k: [v] for k, v in values.items()}}
+        misc = {"tid": tid, "cmd": domain.cmd, "workdir": None}
+        misc |= {"idxs": {k: [tid] for k in values}, "vals": {k: [v] for k, v in values.items()}}
         good = result["status"] == "ok"
         outcome = {"status": STATUS_OK, "loss": result["loss"]} if good else {"status": STATUS_FAIL}
-        docs += trials.new_trial_docs([result["trial"]], [None], [outcome], [misc])
+        docs += trials.new_trial_docs(trials.new_trial_ids(1), [None], [outcome], [misc])
         docs[-1]["state"] = JOB_STATE_DONE
     trials.insert_trial_docs(docs)
     trials.refresh()
+    return trials
+
+
+def values_of(doc):
+    """The values (dict of label to number) of a trial document of hyperopt's."""
+    return {k: v[0].item() if isinstance(v[0], np.generic) else v[0] for k, v in doc["misc"]["vals"].items() if v}
+
+
+def suggest(settings, index, results):
+    """Hyperopt's values (dict of label to number) for trial `index`, given results (list of dict) so far."""
+    domain = Domain(lambda point: 0.0, settings.space.expressions())
+    trials = past(results, domain)
     seed = int(np.random.SeedSequence(settings.seed, spawn_key=(index,)).generate_state(1)[0])
     algorithm = rand if index < settings.startup else tpe
-    (doc,) = algorithm.suggest([index], domain, trials, seed)
-    return {k: _plain(v[0]) for k, v in doc["misc"]["vals"].items() if v}
-
-
-def _plain(value):
-    return value.item() if isinstance(value, np.generic) else value
+    (doc,) = algorithm.suggest(trials.new_trial_ids(1), domain, trials, seed)
+    return values_of(doc)
 
 
 def tune(data, folder, settings, jobs=1, device="auto", say=print):
@@ -87,11 +97,7 @@ def tune(data, folder, settings, jobs=1, device="auto", say=print):
     Returns the results (list of dict). Raises TactipError where data, folder or settings do not do, and Stopped at Ctrl-C.
     """
     folder = Path(folder)
-    train_samples, _ = read_splits(data)  # what is wrong with the data is said before any trial
-    settings.space.checked(train_samples.size)
-    identity = {"settings": dataclasses.asdict(settings), "data": train_samples.dataset.meta.get("digest")}
-    del identity["settings"]["trials"]  # a search may be made longer
-    _claim(folder, json.loads(json.dumps(identity)))
+    claim(folder, data, settings)
     results = read_results(folder)
     todo = [i for i in range(settings.trials) if i not in {r["trial"] for r in results}]
     if results and todo:
@@ -103,11 +109,14 @@ def tune(data, folder, settings, jobs=1, device="auto", say=print):
                 while todo and len(running) < jobs:
                     index = todo.pop(0)
                     values = _asked(folder, index) or suggest(settings, index, results)
-                    _note(folder, index, {"trial": index, "values": values})
+                    note(folder, index, {"trial": index, "values": values})
                     running[index] = _start(data, folder, index, settings, device, jobs)
                 for index in _ended(running):
-                    results.append(_result(folder, index, running.pop(index)))
-                    _write(folder, results, settings)
+                    process = running.pop(index)
+                    process.join()
+                    why = f"its process ended with exit code {process.exitcode}: is memory short?"
+                    results.append(result_of(folder, index, why))
+                    write_results(folder, results, settings)
                     bar.update()
                     bar.set_postfix(best=_best_loss(results))
         except KeyboardInterrupt:
@@ -120,8 +129,16 @@ def tune(data, folder, settings, jobs=1, device="auto", say=print):
     return results
 
 
-def _claim(folder, identity):
-    """Make a folder this search's. Raises TactipError where it is another's."""
+def claim(folder, data, settings):
+    """Make a folder that of this search; what is wrong with data or space is said before any trial.
+
+    Raises TactipError there, and where the folder is another's.
+    """
+    train_samples, _ = read_splits(data)
+    settings.space.checked(train_samples.size)
+    identity = {"settings": dataclasses.asdict(settings), "data": train_samples.dataset.meta.get("digest")}
+    del identity["settings"]["trials"]  # a search may be made longer
+    identity = json.loads(json.dumps(identity))
     path = folder / "search.json"
     if path.exists():
         there = json.loads(path.read_text())
@@ -135,20 +152,20 @@ def _claim(folder, identity):
     write_file(path, (json.dumps(identity, indent=1) + "\n").encode())
 
 
-def _trial_folder(folder, index):
+def trial_folder(folder, index):
     return Path(folder) / "trials" / f"{index:04d}"
 
 
-def _note(folder, index, record):
+def note(folder, index, record):
     """Write what is known of a trial."""
-    place = _trial_folder(folder, index)
+    place = trial_folder(folder, index)
     place.mkdir(parents=True, exist_ok=True)
     write_file(place.with_suffix(".json"), (json.dumps(record) + "\n").encode())
 
 
 def _asked(folder, index):
     """The values (dict) that a trial which was stopped had been given, or None."""
-    path = _trial_folder(folder, index).with_suffix(".json")
+    path = trial_folder(folder, index).with_suffix(".json")
     return json.loads(path.read_text())["values"] if path.exists() else None
 
 
@@ -158,7 +175,7 @@ def read_results(folder):
     return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
 
 
-def _write(folder, results, settings):
+def write_results(folder, results, settings):
     write_file(folder / RESULTS, "".join(json.dumps(r) + "\n" for r in results).encode())
     good = [r for r in results if r["status"] == "ok"]
     if good:
@@ -174,24 +191,24 @@ def _best_loss(results):
 
 def _start(data, folder, index, settings, device, jobs):
     """Begin a trial in a process of its own: what ends it, memory that is short among it, ends nothing else."""
-    process = get_context("spawn").Process(target=run_trial, args=(str(data), str(folder), index, settings, device, jobs))
+    arguments = (str(data), str(folder), index, settings, device, jobs)
+    process = get_context("spawn").Process(target=_trial_process, args=arguments)
     process.start()
     return process
 
 
+def _trial_process(*arguments):
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to answer
+    run_trial(*arguments)
+
+
 def run_trial(data, folder, index, settings, device, jobs):
-    """One trial, in a process of its own: train, and write how it ended to its trial.json.
+    """One trial: train, and write how it ended to its trial.json.
 
     data, folder: str. index: int. settings: TuneSettings. device: str. jobs: int, processes that share the machine.
     """
-    import os
-    import signal
-
-    import torch
-
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to answer
     torch.set_num_threads(max(1, len(os.sched_getaffinity(0)) // jobs))
-    place = _trial_folder(folder, index)
+    place = trial_folder(folder, index)
     record = json.loads(place.with_suffix(".json").read_text())
     result = record | {"status": "failed", "loss": None, "network": None}
     try:
@@ -212,7 +229,7 @@ def _hopeless(results, folder, least):
     """A function of a history that says (bool) whether half of the trials before were better by now."""
     bests = []
     for r in results:
-        path = _trial_folder(folder, r["trial"]) / METRICS
+        path = trial_folder(folder, r["trial"]) / METRICS
         if r["status"] == "ok" and path.exists():
             bests.append(np.minimum.accumulate([h["val_loss"] for h in read_metrics(path.parent)]))
 
@@ -232,14 +249,12 @@ def _ended(running):
     return [index for index, p in sorted(running.items()) if p.sentinel in ready]
 
 
-def _result(folder, index, process):
-    """The result (dict) of a trial whose process has ended."""
-    process.join()
-    path = _trial_folder(folder, index) / TRIAL
+def result_of(folder, index, why):
+    """The result (dict) of a trial that has ended; `why` (str) it left none, if it did."""
+    path = trial_folder(folder, index) / TRIAL
     if path.exists():
         return json.loads(path.read_text())
-    record = json.loads(_trial_folder(folder, index).with_suffix(".json").read_text())
-    why = f"its process ended with exit code {process.exitcode}: is memory short?"
+    record = json.loads(trial_folder(folder, index).with_suffix(".json").read_text())
     return record | {"status": "failed", "loss": None, "network": None, "why": why}
 
 

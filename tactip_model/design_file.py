@@ -51,7 +51,12 @@ def read_design(path):
         raise TactipError(f"the design file {path} is not JSON: {error}") from error
     if not isinstance(content, dict) or content.get("format") != FORMAT or not isinstance(content.get("provenance"), dict):
         raise TactipError(f"{path} is not a design file: its format must be {FORMAT!r}, with a provenance")
-    return _built(Design, content.get("design"), f"{path}: design")
+    return design_from(content.get("design"), f"{path}: design")
+
+
+def design_from(value, where):
+    """The Design of a dict as JSON has it. where: str, what it is of. Raises TactipError where it is not a design."""
+    return _built(Design, value, where)
 
 
 def _built(kind, value, where):

@@ -12,8 +12,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from learning_sets import write_fake_splits
 
+from learning.cluster import tune_on_cluster
 from learning.networks import read_recipe
 from learning.space import SearchSpace
 from learning.train import TrainSettings
@@ -132,9 +134,9 @@ def test_a_trial_that_fails_is_a_result(data, tmp_path, monkeypatch):
         raise TactipError("memory is short for this network")
 
     monkeypatch.setattr("learning.tune.train", short)
-    heard = signal.getsignal(signal.SIGINT)
+    threads = torch.get_num_threads()
     run_trial(str(data), str(folder), 0, SETTINGS, "cpu", 1)
-    signal.signal(signal.SIGINT, heard)
+    torch.set_num_threads(threads)
     result = json.loads((place / "0000" / "trial.json").read_text())
     assert result["status"] == "failed"
     assert "memory is short" in result["why"]
@@ -150,3 +152,25 @@ def test_hopeless_trials_are_ended(data, tmp_path):
     assert all("were better after" in r["why"] for r in pruned)
     good = [r for r in results if r["status"] == "ok"]
     assert len(good) >= 2
+
+
+@pytest.mark.slow
+def test_a_search_on_a_cluster_writes_the_same_files(data, tmp_path):
+    """And goes on where it was. Needs the extra `cluster`."""
+    pytest.importorskip("ray")
+    for trials in ("2", "3"):
+        command = search_command(data, tmp_path / "ray", "--cluster", "local", "--jobs", "2")
+        command[command.index("--trials") + 1] = trials
+        subprocess.run(command, check=True, capture_output=True)
+        results = read_results(tmp_path / "ray")
+        assert sorted(r["trial"] for r in results) == list(range(int(trials)))
+        assert all(r["status"] == "ok" and r["network"]["filters"] <= 4 for r in results)
+    assert read_recipe(tmp_path / "ray" / "best.json").settings.epochs == 2
+
+
+def test_a_cluster_that_is_not_there_is_a_sentence(data, tmp_path, monkeypatch):
+    """Without Ray, what to install; nothing is claimed."""
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(TactipError, match=r"pip install 'tactip-twin\[cluster\]'"):
+        tune_on_cluster(data, tmp_path / "search", SETTINGS, 1, "auto")
+    assert not (tmp_path / "search").exists()
