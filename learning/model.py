@@ -4,6 +4,7 @@ import dataclasses
 import hashlib
 import io
 import json
+import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -65,6 +66,16 @@ def weights_bytes(tensors):
     return data.getvalue()
 
 
+def tensors_of(data):
+    """The tensors that weights_bytes made bytes of. Raises ValueError where they are damaged."""
+    if not zipfile.is_zipfile(io.BytesIO(data)):
+        raise ValueError("it is cut short, or no file of tensors")
+    try:
+        return torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
+    except (RuntimeError, EOFError, KeyError) as error:
+        raise ValueError(str(error).splitlines()[0]) from error
+
+
 def save_model(folder, state, config, labels, size, provenance):
     """Write a model. folder: path. state: the net's state dict. The rest: as of Model. Raises OSError."""
     folder = Path(folder)
@@ -104,8 +115,8 @@ def load_model(folder, device="cpu"):
         raise TactipError(f"the weights beside {path} are not those that it names: train again, or fetch both anew")
     net = PoseNet(config, size, len(labels.components))
     try:
-        net.load_state_dict(torch.load(io.BytesIO(data), map_location="cpu", weights_only=True))
-    except (RuntimeError, ValueError, EOFError) as error:
+        net.load_state_dict(tensors_of(data))
+    except (RuntimeError, ValueError) as error:
         raise TactipError(f"the weights beside {path} do not fit its network: {str(error).splitlines()[0]}") from error
     net = net.to(device=device, memory_format=torch.channels_last)
     return Model(net, config, labels, size, description.get("provenance", {}))

@@ -7,7 +7,6 @@ Every epoch's order and dropout are drawn from (seed, epoch): an epoch depends o
 """
 
 import dataclasses
-import io
 import json
 import math
 import sys
@@ -21,7 +20,7 @@ from tqdm import tqdm
 
 from learning.device import device_named, is_half
 from learning.drawn import DrawnImages
-from learning.model import save_model, to_input, weights_bytes
+from learning.model import save_model, tensors_of, to_input, weights_bytes
 from learning.posenet import PoseNet, parameter_count
 from sim.dataset import write_file
 from tactip_model.bounds import check, within
@@ -322,9 +321,9 @@ def _known(folder, record):
     checkpoint, description = folder / CHECKPOINT, folder / "model.json"
     if checkpoint.exists():
         try:
-            state = torch.load(io.BytesIO(checkpoint.read_bytes()), map_location="cpu", weights_only=True)
+            state = tensors_of(checkpoint.read_bytes())
             there = json.loads(state["of"])
-        except (RuntimeError, ValueError, KeyError, EOFError) as error:
+        except (ValueError, KeyError, TypeError) as error:
             raise TactipError(f"{checkpoint} cannot be read ({error}): remove it to begin anew") from error
         _refuse_other(folder, there, record)
         return state

@@ -20,7 +20,7 @@ from learning.posenet import PoseNetConfig
 from learning.samples import read_samples, read_splits
 from learning.train import Diverged, Training, TrainSettings, read_metrics, train
 from sim.dataset import encode_image, read_dataset
-from tactip_model.errors import TactipError
+from tactip_model.errors import Stopped, TactipError
 
 NET = PoseNetConfig(conv_layers=2, filters=6, units=24, dropout=0.1, l1=0, l2=1e-5, batch_size=8)
 QUICK = TrainSettings(epochs=4, rate=3e-3)
@@ -123,6 +123,32 @@ def test_another_training_in_the_folder_is_refused(splits, tmp_path):
     (tmp_path / "other" / "thesis.txt").write_text("mine")
     with pytest.raises(TactipError, match="holds no training"):
         quiet(*splits, NET, QUICK, tmp_path / "other")
+
+
+@pytest.mark.parametrize("damage", [lambda b: b"rubbish", lambda b: b[: len(b) // 2], lambda b: b""])
+def test_a_damaged_checkpoint_is_a_sentence(splits, tmp_path, damage):
+    with pytest.raises(Stopped):
+        quiet(*splits, NET, QUICK, tmp_path / "run", hopeless=_stop)
+    path = tmp_path / "run" / "checkpoint.pt"
+    path.write_bytes(damage(path.read_bytes()))
+    with pytest.raises(TactipError, match="remove it to begin anew"):
+        quiet(*splits, NET, QUICK, tmp_path / "run")
+
+
+def test_ctrl_c_keeps_the_epochs_that_are_over(splits, tmp_path):
+    with pytest.raises(Stopped, match="the same command goes on"):
+        quiet(*splits, NET, QUICK, tmp_path / "stopped", hopeless=_stop)
+    assert len(read_metrics(tmp_path / "stopped")) == 2
+    quiet(*splits, NET, QUICK, tmp_path / "stopped")
+    quiet(*splits, NET, QUICK, tmp_path / "whole")
+    assert same(weights(tmp_path / "stopped"), weights(tmp_path / "whole"))
+
+
+def _stop(history):
+    """Ctrl-C after the second epoch."""
+    if len(history) == 2:
+        raise KeyboardInterrupt
+    return False
 
 
 def test_weights_of_components(splits):
