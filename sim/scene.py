@@ -21,6 +21,9 @@ _STIMULUS_QVEL = 6
 _UNSOLVED = 1e30
 """A solver's tolerance that any start meets, -."""
 
+_LOST_M = 1.0
+"""A vertex so far off, m, belongs to a state that is lost."""
+
 OVERLAP_ERROR_M = 5e-6
 """What sampling may miss of an overlap, m: a tenth of what is allowed."""
 
@@ -196,7 +199,7 @@ class Scene:
         T_contact_sensor: (4, 4). Facets that may touch are sampled so closely that OVERLAP_ERROR_M is missed at most.
         """
         skin = self.vertices()[: self.mesh.surface_count] @ T_contact_sensor[:3, :3].T + T_contact_sensor[:3, 3]
-        if not np.isfinite(skin).all():
+        if not (np.abs(skin) < _LOST_M).all():  # a state on its way to infinity; a NaN is none below either
             return np.inf
         depth = CONTACT_RADIUS_M - self.stimulus.distance(skin)
         greatest = max(0.0, float(depth.max()))

@@ -435,3 +435,12 @@ def test_a_needle_beside_the_axis_is_met_where_it_is(design, standard):
     moved = np.linalg.norm(contact.tips - neutral, axis=1)
     needle = inverse(sensor_in_contact(contact.pose))[:3, 3]
     assert np.linalg.norm(neutral[moved.argmax(), :2] - needle[:2]) < 2.5e-3
+
+
+@pytest.mark.parametrize("away", [1e200, float("nan"), 10.0])
+def test_a_state_that_is_lost_overlaps_without_end(design, standard, away):
+    """It is not sampled: its facets are larger than any number of samples."""
+    scene = Scene(design, "edge", standard)
+    scene.reset()
+    scene.data.qpos[7 + 30] = away
+    assert scene.overlap(sensor_in_contact(np.zeros(6))) == np.inf
