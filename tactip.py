@@ -477,13 +477,45 @@ class Parts:
 
 
 @dataclass(frozen=True)
+class Learning:
+    """Measure what each step of learning buys, what shear is worth, and error against run time over networks."""
+
+    task: str = "surface"
+    """surface or edge."""
+    contacts: int = 2000
+    """Contacts in each training set."""
+    judged: int = 2000
+    """Contacts in each validation and test set."""
+    data: Path = Path("data/learning")
+    """Folder of the sets."""
+    runs: Path = Path("runs/learning")
+    """Folder of the trainings."""
+    out: Path = Path("docs")
+    """Folder for learning.json, learning.md and learning.png."""
+    workers: str = "auto"
+    """Worker processes that make sets; auto is one a core."""
+    paper: bool = False
+    """Train the paper's own network, too: for a GPU."""
+
+    def run(self):
+        from benchmarks.learned import Options, run
+        from sim.crew import worker_count
+
+        workers = worker_count(self.workers)
+        run(Options(self.task, self.contacts, self.judged, self.data, self.runs, self.out, workers, self.paper))
+        print(f"{self.out / 'learning.md'} written")
+        return 0
+
+
+@dataclass(frozen=True)
 class Bench:
-    """Measure the simulation: its errors, its costs, and where it can be trusted."""
+    """Measure the simulation and what is learned: errors, costs, and where they can be trusted."""
 
     action: Annotated[
         Annotated[Stability, tyro.conf.subcommand("stability")]
         | Annotated[Error, tyro.conf.subcommand("error")]
-        | Annotated[Parts, tyro.conf.subcommand("parts")],
+        | Annotated[Parts, tyro.conf.subcommand("parts")]
+        | Annotated[Learning, tyro.conf.subcommand("learning")],
         tyro.conf.arg(name=""),
     ]
 

@@ -1,0 +1,235 @@
+"""What each step of learning buys, what shear in training is worth, and error against run time over networks.
+
+`tactip bench learning --task surface`: makes the sets that it lacks, trains, evaluates on test contacts that none has seen,
+and writes docs/learning.md, .json and .png. Stopped, it goes on where it was. Hours on two cores; a GPU is used if there is
+one.
+"""
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.machine import machine
+from learning.evaluate import evaluate
+from learning.model import load_model
+from learning.networks import Recipe, recipe_named
+from learning.samples import read_samples, read_splits
+from learning.train import train
+from sim.dataset import Configuration, write_file
+from sim.fidelity import fidelity_named
+from sim.generation import Job, make
+from sim.sampling import POSE_RANGES, SHEAR_RANGES, Ranges
+from sim.symmetry import SYMMETRIES
+from tactip_model.errors import choose
+from tactip_model.presets import find_design
+
+PAPER = {
+    "surface": {"pose_z": 0.1, "pose_Rx": 0.3, "pose_Ry": 0.3},
+    "edge": {"pose_x": 0.6, "pose_z": 0.2, "pose_Rx": 1.4, "pose_Ry": 1.6, "pose_Rz": 6.4},
+}
+"""Mean errors of the paper's best networks on its real test sets [P]."""
+
+BARS = {
+    "surface": {"pose_z": 0.05, "pose_Rx": 0.15, "pose_Ry": 0.15},
+    "edge": {"pose_x": 0.3, "pose_z": 0.1, "pose_Rx": 0.7, "pose_Ry": 0.8, "pose_Rz": 3.2},
+}
+"""What this project asks of itself."""
+
+FILTERS = (4, 8, 16, 32)
+"""First filters of the networks on the curve."""
+
+DESIGN, FIDELITY = "tactip-127", "standard"
+
+
+@dataclass(frozen=True)
+class Options:
+    """What is measured, and where things are kept."""
+
+    task: str = "surface"
+    """surface or edge."""
+    contacts: int = 2000
+    """Contacts in each training set."""
+    judged: int = 2000
+    """Contacts in each validation and test set."""
+    data: Path = Path("data/learning")
+    """Folder of the sets: DATA/KIND/TASK/SPLIT."""
+    runs: Path = Path("runs/learning")
+    """Folder of the trainings: RUNS/TASK/NAME."""
+    out: Path = Path("docs")
+    """Folder for learning.json, .md and .png."""
+    workers: int = 2
+    """Worker processes that make sets."""
+    paper: bool = False
+    """Train the paper's own network, too: for a GPU."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """A training and what it is there to show."""
+
+    name: str
+    what: str
+    kind: str
+    """Its training set: plain, symmetric or taps."""
+    recipe: Recipe
+
+
+def rows(task, paper):
+    """The trainings (list of Row) of a task. paper: bool, with the paper's own network."""
+    laptop, papers = recipe_named("laptop", task), recipe_named("paper", task)
+    small = replace(papers, network=replace(papers.network, filters=32, units=min(papers.network.units, 64)))
+
+    def wide(filters):
+        return replace(laptop, network=replace(laptop.network, filters=filters))
+
+    drawn = replace(laptop, settings=replace(laptop.settings, redraw_every=8))
+    out = [Row("paper", "the paper's network and training", "plain", papers)] if paper else []
+    out += [
+        Row("paper-32", "the same with 32 filters and at most 64 units", "plain", small),
+        Row("laptop-plain", "blurred and halved images, wider layers, batch norm, a cosine of the rate", "plain", laptop),
+        Row("laptop-taps", "the same, trained on contacts without shear", "taps", laptop),
+    ]
+    out += [
+        Row(f"laptop-{f}", f"{f} first filters, each contact turned and mirrored", "symmetric", wide(f)) for f in FILTERS
+    ]
+    out.append(Row("laptop-drawn", "images drawn as training runs, other cameras and lights", "symmetric", drawn))
+    return out
+
+
+def jobs(options):
+    """The sets (list of Job) that are needed, made already or not."""
+    task, still = options.task, Ranges()
+    each = len(SYMMETRIES[task])
+    counts = {"train": options.contacts, "val": options.judged, "test": options.judged}
+    wanted = [("plain", split, count, SHEAR_RANGES, False) for split, count in counts.items()]
+    wanted += [("taps", split, count, still, False) for split, count in counts.items()]
+    wanted.append(("symmetric", "train", options.contacts * each, SHEAR_RANGES, True))
+    out = []
+    for kind, split, samples, shear, symmetric in wanted:
+        configuration = Configuration(
+            task=task,
+            split=split,
+            samples=samples,
+            seed=0,
+            renderer="pyrender",
+            design=find_design(DESIGN),
+            fidelity=fidelity_named(FIDELITY),
+            pose=POSE_RANGES[task],
+            shear=shear,
+            symmetric=symmetric,
+        )
+        out.append(Job(configuration, options.data / kind / task / split))
+    return out
+
+
+def run(options, say=print):
+    """Measure a task; returns its record (dict). say: called with lines for the user.
+
+    Raises TactipError, and Stopped at Ctrl-C.
+    """
+    choose("task", options.task, dict.fromkeys(PAPER))
+    make(jobs(options), options.workers, say)
+    sets = {kind: options.data / kind / options.task for kind in ("plain", "taps", "symmetric")}
+    tests = {"sheared": read_samples(sets["plain"] / "test"), "taps": read_samples(sets["taps"] / "test")}
+    plain, taps = read_splits(sets["plain"]), read_splits(sets["taps"])
+    training = {"plain": plain, "taps": taps, "symmetric": (read_samples(sets["symmetric"] / "train"), plain[1])}
+    record = {"contacts": options.contacts, "judged": options.judged, "machine": machine(), "rows": []}
+    for row in rows(options.task, options.paper):
+        folder = options.runs / options.task / row.name
+        say(f"{row.name}: {row.what}")
+        history = train(*training[row.kind], row.recipe.network, row.recipe.settings, folder, say=say)
+        model = load_model(folder)
+        figures = {name: evaluate(model, samples).figures for name, samples in tests.items()}
+        record["rows"].append(
+            {
+                "name": row.name,
+                "what": row.what,
+                "set": row.kind,
+                "images": len(training[row.kind][0]),
+                "epochs": len(history),
+                "seconds": sum(h["seconds"] for h in history),
+                "parameters": figures["sheared"]["parameters"],
+                "latency_ms": figures["sheared"]["latency_ms"],
+                "mae": {name: f["mae"] for name, f in figures.items()},
+            }
+        )
+        _write(options, record)
+    return record
+
+
+def _write(options, record):
+    """Put a task's record into learning.json, and write page and figure anew."""
+    options.out.mkdir(parents=True, exist_ok=True)
+    path = options.out / "learning.json"
+    whole = json.loads(path.read_text()) if path.exists() else {}
+    whole[options.task] = record
+    write_file(path, (json.dumps(whole, indent=1) + "\n").encode())
+    write_file(options.out / "learning.md", page(whole).encode())
+    draw(whole, options.out / "learning.png")
+
+
+def page(whole):
+    """The Markdown (str) of learning.json."""
+    lines = [
+        "# What is learned, and what each step buys",
+        "",
+        "Written by `tactip bench learning`; do not edit. Mean absolute errors on test contacts that no network has seen, "
+        f"sheared as the paper's; the twin is `{DESIGN}` at `{FIDELITY}`. The paper's figures are of a real sensor.",
+        "",
+        "![error against run time](learning.png)",
+    ]
+    for task, record in whole.items():
+        names = list(PAPER[task])
+        state = "; ".join(f"{k} {v}" for k, v in record["machine"].items())
+        lines += [
+            "",
+            f"## {task}",
+            "",
+            f"{record['contacts']} contacts to train on, {record['judged']} each to validate and to test. On: {state}.",
+            "",
+            "| network | images | epochs | parameters | ms an image | " + " | ".join(names) + " |",
+            "|" + "---|" * (5 + len(names)),
+            "| the paper, real sensor | 2000 | | | | " + " | ".join(f"{PAPER[task][n]:g}" for n in names) + " |",
+            "| what we ask | | | | 5 | " + " | ".join(f"{BARS[task][n]:g}" for n in names) + " |",
+        ]
+        for row in record["rows"]:
+            cells = [f"{row['name']}: {row['what']}", row["images"], row["epochs"], row["parameters"]]
+            cells += [f"{row['latency_ms']:.2f}", *(f"{row['mae']['sheared'][n]:.3f}" for n in names)]
+            lines.append("| " + " | ".join(map(str, cells)) + " |")
+        by_name = {row["name"]: row for row in record["rows"]}
+        pair = [by_name[name] for name in ("laptop-plain", "laptop-taps") if name in by_name]
+        if len(pair) == 2:
+            lines += ["", "Shear in training:", "", "| trained on | tested on | " + " | ".join(names) + " |"]
+            lines.append("|" + "---|" * (2 + len(names)))
+            for row, trained in zip(pair, ("sheared contacts", "taps"), strict=True):
+                for tested, told in (("sheared", "sheared contacts"), ("taps", "taps")):
+                    cells = " | ".join(f"{row['mae'][tested][n]:.3f}" for n in names)
+                    lines.append(f"| {trained} | {told} | {cells} |")
+    return "\n".join(lines) + "\n"
+
+
+def relative(row, task):
+    """A row's mean error over what is asked, averaged over components (float)."""
+    return float(np.mean([row["mae"]["sheared"][n] / BARS[task][n] for n in BARS[task]]))
+
+
+def draw(whole, path):
+    """Error against latency of the networks, a panel a task. path: Path, .png."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(1, len(whole), figsize=(6 * len(whole), 4.2), squeeze=False)
+    for axis, (task, record) in zip(axes[0], whole.items(), strict=True):
+        for row in record["rows"]:
+            x, y = row["latency_ms"], relative(row, task)
+            axis.plot(x, y, "o", color="C0" if row["set"] == "symmetric" else "0.6")
+            axis.annotate(row["name"], (x, y), xytext=(4, 4), textcoords="offset points", fontsize=8)
+        axis.axhline(1, color="C3", lw=0.8)
+        axis.set(xscale="log", yscale="log", xlabel="ms an image, one core", ylabel="error over what is asked", title=task)
+    figure.tight_layout()
+    figure.savefig(path, dpi=90, metadata={"Software": None})
+    plt.close(figure)

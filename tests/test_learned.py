@@ -1,0 +1,63 @@
+"""The page of learning: every row is trained, kept and written; a stopped one goes on."""
+
+import json
+from dataclasses import replace
+
+import pytest
+from learning_sets import write_fake_set
+
+from benchmarks import learned
+from learning.networks import Recipe
+from learning.posenet import PoseNetConfig
+from learning.train import TrainSettings
+from sim.sampling import Ranges
+from tactip_model.errors import TactipError
+
+TINY = Recipe(PoseNetConfig(conv_layers=1, filters=2, units=4, batch_size=8), TrainSettings(epochs=1))
+
+
+@pytest.fixture
+def options(tmp_path, monkeypatch):
+    """Sets without physics and networks of no size."""
+    monkeypatch.setattr(learned, "make", lambda jobs, workers, say: None)
+    monkeypatch.setattr(learned, "rows", _tiny)
+    options = learned.Options(data=tmp_path / "data", runs=tmp_path / "runs", out=tmp_path / "docs", contacts=16, judged=8)
+    for job in learned.jobs(options):
+        c = job.configuration
+        write_fake_set(job.folder, c.task, c.split, 16, shear=c.shear)
+    return options
+
+
+ROWS = learned.rows
+
+
+def _tiny(task, paper):
+    return [replace(row, recipe=TINY) for row in ROWS(task, paper) if "drawn" not in row.name]
+
+
+def test_the_sets_are_what_the_page_says():
+    jobs = {(j.folder.parts[-3], j.folder.parts[-1]): j.configuration for j in learned.jobs(learned.Options(task="edge"))}
+    assert set(jobs) == {(k, s) for k in ("plain", "taps") for s in ("train", "val", "test")} | {("symmetric", "train")}
+    assert jobs["symmetric", "train"].samples == 4000
+    assert jobs["taps", "train"].shear == Ranges()
+    assert jobs["plain", "test"].split == "test"
+    assert jobs["plain", "test"].design.name == "tactip-127"
+
+
+def test_a_page_is_written_and_what_was_trained_is_kept(options):
+    first = learned.run(options, say=lambda line: None)
+    assert [r["name"] for r in first["rows"]] == [r.name for r in learned.rows("surface", False)]
+    page = (options.out / "learning.md").read_text()
+    assert "| taps | sheared contacts |" in page
+    assert f"{first['rows'][0]['mae']['sheared']['pose_z']:.3f}" in page
+    assert (options.out / "learning.png").stat().st_size > 5000
+    said = []
+    again = learned.run(options, say=said.append)
+    assert sum("finished already" in line for line in said) == len(first["rows"])
+    assert [r["mae"] for r in again["rows"]] == [r["mae"] for r in first["rows"]]
+    assert list(json.loads((options.out / "learning.json").read_text())) == ["surface"]
+
+
+def test_another_task_is_refused():
+    with pytest.raises(TactipError, match="unknown task 'sphere': choose one of surface, edge"):
+        learned.run(learned.Options(task="sphere"))
