@@ -202,7 +202,8 @@ def test_nothing_to_redraw_from_is_an_error(tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("task", TASKS)
 def test_standard_is_near_the_reference(plays, task):
-    cases = training(task, 3)
+    """The mean over as many contacts as the page has: single ones are between 0.02 and 0.08 mm off."""
+    cases = training(task, 10)
     tips = [[plays(case, Variant(FIDELITIES[name])).tips for case in cases] for name in ("standard", "reference", "draft")]
     assert spread(tips[0], tips[1])[0] <= 0.05
     assert spread(tips[2], tips[1])[0] > spread(tips[0], tips[1])[0]
