@@ -176,6 +176,7 @@ def read_results(folder):
 
 
 def write_results(folder, results, settings):
+    """Write results.jsonl of results (list of dict) and, of the best, best.json."""
     write_file(folder / RESULTS, "".join(json.dumps(r) + "\n" for r in results).encode())
     good = [r for r in results if r["status"] == "ok"]
     if good:

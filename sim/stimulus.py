@@ -165,12 +165,11 @@ class Edge(Stimulus):
         return float(np.sqrt(radius**2 - beside**2) - centre[2])
 
 
-@dataclass(frozen=True)
-class Ball(Stimulus):
-    """A sphere."""
+class Thin(Stimulus):
+    """What the skin could be pierced by: everything but what is flat."""
 
     radius_m: float
-    """Its radius, m."""
+    """Radius of what the skin meets, m."""
 
     @property
     def sharpest_m(self):
@@ -181,6 +180,19 @@ class Ball(Stimulus):
     def width_m(self):
         """See Stimulus."""
         return 2 * self.radius_m
+
+    @property
+    def catches(self):
+        """See Stimulus; a peg of 1 mm does not, a corner rounded by 0.5 mm does (docs/stability.md)."""
+        return self.radius_m <= EDGE_RADIUS_M
+
+
+@dataclass(frozen=True)
+class Ball(Thin):
+    """A sphere."""
+
+    radius_m: float
+    """Its radius, m."""
 
     def add_geoms(self, spec, body, touch):
         """See Stimulus."""
@@ -193,31 +205,16 @@ class Ball(Stimulus):
 
 
 @dataclass(frozen=True)
-class Rod(Stimulus):
+class Rod(Thin):
     """A rod along z with a round end: a peg or a needle."""
 
     radius_m: float
     """Radius of the rod and of its end, m."""
 
     @property
-    def sharpest_m(self):
-        """See Stimulus."""
-        return self.radius_m
-
-    @property
-    def width_m(self):
-        """See Stimulus."""
-        return 2 * self.radius_m
-
-    @property
     def deepest_m(self):
         """See Stimulus."""
         return _DEEPEST_OF_A_ROD * self.radius_m
-
-    @property
-    def catches(self):
-        """See Stimulus."""
-        return self.radius_m <= KNIFE_RADIUS_M
 
     def add_geoms(self, spec, body, touch):
         """See Stimulus."""
@@ -232,28 +229,13 @@ class Rod(Stimulus):
 
 
 @dataclass(frozen=True)
-class Knife(Stimulus):
+class Knife(Thin):
     """A blade in the plane of y and z, its rounded edge along y."""
 
     radius_m: float = KNIFE_RADIUS_M
     """Rounding of the edge, m."""
     angle_rad: float = float(KNIFE_ANGLE_RAD)
     """Angle between a side and the middle plane, rad."""
-
-    @property
-    def sharpest_m(self):
-        """See Stimulus."""
-        return self.radius_m
-
-    @property
-    def width_m(self):
-        """See Stimulus."""
-        return 2 * self.radius_m
-
-    @property
-    def catches(self):
-        """See Stimulus."""
-        return True
 
     def add_geoms(self, spec, body, touch):
         """See Stimulus."""
@@ -272,7 +254,7 @@ class Knife(Stimulus):
 
 
 @dataclass(frozen=True)
-class Corner(Stimulus):
+class Corner(Thin):
     """A rounded cube that stands on one corner: the opposite one, where three faces meet, points up."""
 
     radius_m: float = EDGE_RADIUS_M
@@ -280,21 +262,6 @@ class Corner(Stimulus):
 
     _UPRIGHT = Rotation.align_vectors([[0, 0, 1]], [[1, 1, 1]])[0].as_matrix()
     """Turns the cube's diagonal to the normal."""
-
-    @property
-    def sharpest_m(self):
-        """See Stimulus."""
-        return self.radius_m
-
-    @property
-    def width_m(self):
-        """See Stimulus."""
-        return 2 * self.radius_m
-
-    @property
-    def catches(self):
-        """See Stimulus."""
-        return True
 
     def add_geoms(self, spec, body, touch):
         """See Stimulus."""

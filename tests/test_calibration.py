@@ -8,12 +8,13 @@ import cv2
 import numpy as np
 import pytest
 
-from sim.calibration import DONE, LOAD_CELL_N, Settings, Twin, best_share, calibrate, distances, parameters, robust
+from sim.calibration import DONE, LOAD_CELL_N, Settings, best_share, calibrate, distances, robust
 from sim.calibration_report import judge, write_report
 from sim.contact import ContactPlayer
 from sim.fidelity import fidelity_named
 from sim.pose import from_mm_deg, to_mm_deg
 from sim.rig import Rig, RigMotion
+from sim.twin import Twin, parameters
 from tactip_model.design_file import read_design, read_in_use
 from tactip_model.errors import TactipError
 from tactip_model.image import tactile_image
