@@ -153,6 +153,7 @@ def claim(folder, data, settings):
 
 
 def trial_folder(folder, index):
+    """Folder (Path) of a trial's training."""
     return Path(folder) / "trials" / f"{index:04d}"
 
 
@@ -193,7 +194,9 @@ def _best_loss(results):
 def _start(data, folder, index, settings, device, jobs):
     """Begin a trial in a process of its own: what ends it, memory that is short among it, ends nothing else."""
     arguments = (str(data), str(folder), index, settings, device, jobs)
-    process = get_context("spawn").Process(target=_trial_process, args=arguments)
+    context = get_context("forkserver")
+    context.set_forkserver_preload([__name__])  # torch is imported once, not a trial
+    process = context.Process(target=_trial_process, args=arguments)
     process.start()
     return process
 
