@@ -23,10 +23,11 @@ from learning.drawn import DrawnImages
 from learning.model import save_model, tensors_of, to_input, weights_bytes
 from learning.posenet import PoseNet, parameter_count
 from sim.dataset import write_file
+from sim.lock import locked
 from tactip_model.bounds import check, within
 from tactip_model.errors import Stopped, TactipError, choose
 
-CHECKPOINT, METRICS = "checkpoint.pt", "metrics.jsonl"
+CHECKPOINT, METRICS, LOCK = "checkpoint.pt", "metrics.jsonl", ".lock"
 
 
 def paper_rate(settings, step, steps):
@@ -244,6 +245,15 @@ def train(train_samples, val_samples, config, settings, folder, device="auto", s
     """
     folder = Path(folder)
     record = provenance(train_samples, val_samples, config, settings)
+    if _known(folder, record) is None:
+        config.last_size(train_samples.size)  # what cannot be trained leaves no folder behind
+    folder.mkdir(parents=True, exist_ok=True)
+    with locked(folder / LOCK, f"training in {folder}"):
+        return _train(train_samples, val_samples, config, settings, folder, device, say, hopeless, quiet, record)
+
+
+def _train(train_samples, val_samples, config, settings, folder, device, say, hopeless, quiet, record):
+    """`train`, in a folder that is ours."""
     known = _known(folder, record)
     if known == "finished":
         say(f"{folder} holds this training, finished already")
@@ -253,7 +263,6 @@ def train(train_samples, val_samples, config, settings, folder, device="auto", s
         if known:
             training.restore(known)
             say(f"going on after epoch {training.epoch}")
-        folder.mkdir(parents=True, exist_ok=True)
         say(
             f"{parameter_count(training.net)} parameters on {training.device}; {len(train_samples)} images to train on, "
             f"{len(val_samples)} to validate on"
@@ -331,7 +340,7 @@ def _known(folder, record):
         there = json.loads(description.read_text()).get("provenance", {})
         _refuse_other(folder, {k: there.get(k) for k in record}, record)
         return "finished"
-    if folder.exists() and any(folder.iterdir()):
+    if folder.exists() and any(path.name != LOCK for path in folder.iterdir()):
         raise TactipError(f"the folder {folder} is not empty and holds no training: name another one")
     return None
 

@@ -29,6 +29,7 @@ from learning.samples import read_splits
 from learning.space import SearchSpace
 from learning.train import METRICS, Pruned, TrainSettings, read_metrics, train
 from sim.dataset import write_file
+from sim.lock import locked
 from tactip_model.bounds import check, within
 from tactip_model.errors import Stopped, TactipError
 
@@ -98,6 +99,12 @@ def tune(data, folder, settings, jobs=1, device="auto", say=print):
     """
     folder = Path(folder)
     claim(folder, data, settings)
+    with locked(folder / ".lock", f"searching in {folder}"):
+        return _tune(data, folder, settings, jobs, device, say)
+
+
+def _tune(data, folder, settings, jobs, device, say):
+    """`tune`, in a folder that is ours."""
     results = read_results(folder)
     todo = [i for i in range(settings.trials) if i not in {r["trial"] for r in results}]
     if results and todo:

@@ -1,6 +1,6 @@
 """Named points on the curve of error against run time.
 
-Their errors and costs are measured by `python -m benchmarks.contact_error` and stand in docs/fidelity.md, with the machine
+Their errors and costs are measured by `tactip bench error` and stand in docs/fidelity.md, with the machine
 they were taken on.
 """
 

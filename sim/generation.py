@@ -6,7 +6,6 @@ configuration and its number. When all are done the records become targets.csv, 
 """
 
 import contextlib
-import fcntl
 import io
 import json
 import os
@@ -34,6 +33,7 @@ from sim.dataset import (
     versions,
     write_file,
 )
+from sim.lock import locked
 from sim.sampling import generator, seed_text
 from sim.symmetry import SymmetricReader, keeps
 from tactip_model.errors import TactipError, choose
@@ -201,7 +201,7 @@ class _Folder:
     def __init__(self, job):
         self._configuration, self._path = job.configuration, job.folder
         self._partial = job.folder / PARTIAL
-        self._lock = None
+        self._held = contextlib.ExitStack()
         self._samples = None
         """The counts in meta.json, once there is one."""
         self.costs = []
@@ -215,8 +215,7 @@ class _Folder:
         return self
 
     def __exit__(self, *_):
-        if self._lock is not None:
-            self._lock.close()
+        self._held.close()
 
     def _open(self):
         identity = {"configuration": self._configuration.as_json(), "versions": versions()}
@@ -231,11 +230,7 @@ class _Folder:
         # First of all what makes the folder ours, so that a kill before the next line does not make it a stranger's.
         self._partial.mkdir(parents=True, exist_ok=True)
         (self._path / "images").mkdir(exist_ok=True)
-        self._lock = (self._partial / "lock").open("w")
-        try:
-            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise TactipError(f"another command is making the set in {self._path}: wait for it, or stop it") from None
+        self._held.enter_context(locked(self._partial / "lock", f"making the set in {self._path}"))
         known = self._partial / "configuration.json"
         if known.exists():
             self._refuse_other(json.loads(known.read_text()), identity)

@@ -115,6 +115,16 @@ def test_a_loss_that_is_no_number_is_seen(splits):
         training.train_epoch()
 
 
+def test_a_folder_is_one_commands_at_a_time(splits, tmp_path):
+    def again(history):
+        with pytest.raises(TactipError, match="another command is training in"):
+            quiet(*splits, NET, QUICK, tmp_path / "run")
+        return False
+
+    quiet(*splits, NET, QUICK, tmp_path / "run", hopeless=again)
+    assert load_model(tmp_path / "run").provenance["outcome"]["finished"]
+
+
 def test_another_training_in_the_folder_is_refused(splits, tmp_path):
     quiet(*splits, NET, QUICK, tmp_path / "run")
     with pytest.raises(TactipError, match="holds a training with another settings"):
