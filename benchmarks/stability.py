@@ -427,7 +427,8 @@ def page(result):
         "all bounds (`sim/contact.py`), and half the step gives the same: pins within "
         f"{result['agreement']['pins_rms_mm']} mm rms, force within {100 * result['agreement']['force_share']:.0f} % or "
         f"{1e3 * result['agreement']['force_n']:.0f} mN. *After refinement*: the same, at the second or third try, each "
-        "with half the step of the one before. *Refused*: three tries, none to be trusted. *Refused beforehand*: by "
+        "with half the step of the one before. *Refused*: three tries, none to be trusted; four where skin may catch by "
+        "chance, and two records must agree. *Refused beforehand*: by "
         "the bounds beside each field of the configuration, or of the pose. *Wrong*: a record that keeps all bounds, but "
         "not its promise.",
         "",
@@ -463,7 +464,7 @@ def page(result):
         lines.append(f"| {name.replace(' | ', ', ')} | " + " | ".join(str(by[v]) for v in VERDICTS) + " |")
     for verdict, title in (
         ("wrong", "Wrong"),
-        ("refused", "Refused after three tries"),
+        ("refused", "Refused after all tries"),
         ("refused beforehand", "Refused beforehand"),
     ):
         chosen = [r for r in records if r["verdict"] == verdict]

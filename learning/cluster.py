@@ -4,7 +4,6 @@ Needs the extra `cluster`. The data and the folder of the search must be visible
 a shared disk. A search that was stopped goes on from its results file.
 """
 
-import os
 import sys
 from pathlib import Path
 
@@ -12,6 +11,7 @@ from hyperopt.base import Domain
 from tqdm import tqdm
 
 from learning.tune import (
+    LOCK,
     claim,
     draw,
     note,
@@ -22,6 +22,7 @@ from learning.tune import (
     values_of,
     write_results,
 )
+from sim.lock import locked
 from tactip_model.errors import Stopped, TactipError
 
 _LOCAL = "local"
@@ -42,6 +43,12 @@ def tune_on_cluster(data, folder, settings, jobs, address, device="auto"):
         raise TactipError(f"a cluster needs Ray ({error}): pip install 'tactip-twin[cluster]'") from error
     data, folder = Path(data).resolve(), Path(folder).resolve()
     claim(folder, data, settings)
+    with locked(folder / LOCK, f"searching in {folder}"):
+        return _tune(ray, ray_tune, data, folder, settings, jobs, address, device)
+
+
+def _tune(ray, ray_tune, data, folder, settings, jobs, address, device):
+    """`tune_on_cluster`, in a folder that is ours. ray, ray_tune: the modules."""
     results = read_results(folder)
     left = settings.trials - len(results)
     if left <= 0:
@@ -76,15 +83,21 @@ def tune_on_cluster(data, folder, settings, jobs, address, device="auto"):
                 storage_path=str(folder / "ray"), verbose=0, callbacks=[_keeper(folder, results, settings, bar)]
             ),
         )
-        os.environ.setdefault("TUNE_DISABLE_AUTO_CALLBACK_LOGGERS", "1")
         try:
             tuner.fit()
         except KeyboardInterrupt:
-            raise Stopped(f"{len(results)} of {settings.trials} trials are over: the same command goes on") from None
+            raise Stopped(_over(results, settings)) from None
         finally:
             ray.shutdown()
+    if len(results) < settings.trials:  # Ray answers Ctrl-C itself, and then returns
+        raise Stopped(_over(results, settings))
     draw(results, folder / "tune.png", settings.startup)
     return results
+
+
+def _over(results, settings):
+    """What is said of a search that was stopped."""
+    return f"{len(results)} of {settings.trials} trials are over: the same command goes on"
 
 
 def _search(settings, results):

@@ -28,15 +28,15 @@ class OpticsRanges:
     zoom: float = within(0, 0.1, default=0.012)
     """Size of the image, either way, -; 1 % was seen between a neutral image and the frames after it [M]."""
     drift: float = within(0, 0.05, default=0.008)
-    """Place of the image, either way, in its widths."""
+    """Place of the image, either way, in its widths [?]."""
     pin_size: float = within(0, 0.5, default=0.12)
-    """Diameter of the pins' tips, either way, of theirs."""
+    """Diameter of the pins' tips, either way, of theirs [?]."""
     blur_px: float = within(0, 5, default=0.3)
-    """Blur, either way, px of the frame."""
+    """Blur, either way, px of the frame [?]."""
     exposure: float = within(0, 0.9, default=0.2)
-    """Brightness, either way, of its own."""
+    """Brightness, either way, of its own [?]."""
     threshold: float = within(0, 20, default=2.0)
-    """Constant of the threshold, either way, grey levels."""
+    """Constant of the threshold, either way, grey levels [?]."""
 
     def __post_init__(self):
         check(self)

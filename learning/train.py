@@ -99,7 +99,10 @@ class Training:
         self.optimizer = torch.optim.Adam(self.net.parameters(), lr=settings.rate)
         # The whole set lives on the device, as bytes.
         self._images, self._targets = self._resident(train)
-        self._drawn = DrawnImages(train, settings.seed, settings.redraw_every) if settings.redraw_every else None
+        self._drawn = None
+        if settings.redraw_every:
+            self._drawn = DrawnImages(train, settings.seed, settings.redraw_every)
+            self._images = self._images.clone()  # on a CPU they are the caller's own
         self._val_images, self._val_targets = self._resident(val)
         self.epoch = 0
         self.history = []

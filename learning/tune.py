@@ -33,7 +33,7 @@ from sim.lock import locked
 from tactip_model.bounds import check, within
 from tactip_model.errors import Stopped, TactipError
 
-TRIAL, RESULTS, BEST = "trial.json", "results.jsonl", "best.json"
+TRIAL, RESULTS, BEST, LOCK = "trial.json", "results.jsonl", "best.json", ".lock"
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ def tune(data, folder, settings, jobs=1, device="auto", say=print):
     """
     folder = Path(folder)
     claim(folder, data, settings)
-    with locked(folder / ".lock", f"searching in {folder}"):
+    with locked(folder / LOCK, f"searching in {folder}"):
         return _tune(data, folder, settings, jobs, device, say)
 
 

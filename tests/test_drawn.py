@@ -7,8 +7,10 @@ import pytest
 from learning_sets import write_fake_set
 
 from learning.drawn import DrawnImages, OpticsRanges
+from learning.posenet import PoseNetConfig
 from learning.samples import read_samples
-from tactip_model.errors import TactipError
+from learning.train import TrainSettings, read_metrics, train
+from tactip_model.errors import Stopped, TactipError
 from tactip_model.image import tactile_image
 from tactip_model.raster import Raster
 
@@ -68,3 +70,25 @@ def test_a_set_without_pins_is_refused(tmp_path):
     np.savez(tmp_path / "set" / "pins.npz", tips=np.zeros((2, 127, 3)), directions=np.zeros((2, 127, 3)))
     with pytest.raises(TactipError, match="has 2 records for 3 images"):
         DrawnImages(samples, 0, 2)
+
+
+def test_training_on_drawn_images(samples, tmp_path):
+    """The set's own images stay what they are; stopped, it goes on to the same network; and it is not the plain one."""
+
+    def stop(history):
+        if len(history) == 2:
+            raise KeyboardInterrupt
+        return False
+
+    net = PoseNetConfig(conv_layers=2, filters=2, units=4, batch_size=2, reduce=4)
+    drawn, plain = (TrainSettings(epochs=5, rate=1e-2, redraw_every=every) for every in (2, 0))
+    before = samples.images.copy()
+    train(samples, samples, net, drawn, tmp_path / "whole", say=print, quiet=True)
+    assert np.array_equal(samples.images, before)
+    with pytest.raises(Stopped):
+        train(samples, samples, net, drawn, tmp_path / "stopped", say=print, hopeless=stop, quiet=True)
+    train(samples, samples, net, drawn, tmp_path / "stopped", say=print, quiet=True)
+    train(samples, samples, net, plain, tmp_path / "plain", say=print, quiet=True)
+    losses = [[h["loss"] for h in read_metrics(tmp_path / name)] for name in ("whole", "stopped", "plain")]
+    assert losses[0] == losses[1]
+    assert losses[0] != losses[2]
