@@ -289,8 +289,10 @@ class TrainOptions:
     """paper or cosine."""
     precision: str | None = None
     """float32, bfloat16, or auto."""
-    redraw_every: int | None = None
-    """Epochs after which each image is drawn anew under another camera and light; 0: never."""
+    drawn: float | None = None
+    """Share of the images drawn anew at every step, under varied optics."""
+    optics: float | None = None
+    """How far optics are varied for that, 1 for all of their ranges."""
 
 
 @dataclass(frozen=True)
@@ -483,9 +485,13 @@ class Learning:
     task: str = "surface"
     """surface or edge."""
     contacts: int = 2000
-    """Contacts in each training set."""
+    """Contacts to train on in all rows but the last."""
+    most: int = 8000
+    """Contacts of the last row."""
     judged: int = 2000
-    """Contacts in each validation and test set."""
+    """Sheared contacts each to validate and to test."""
+    judged_taps: int = 500
+    """Contacts without shear each to validate and to test."""
     data: Path = Path("data/learning")
     """Folder of the sets."""
     runs: Path = Path("runs/learning")
@@ -502,7 +508,8 @@ class Learning:
         from sim.crew import worker_count
 
         workers = worker_count(self.workers)
-        run(Options(self.task, self.contacts, self.judged, self.data, self.runs, self.out, workers, self.paper))
+        counts = self.contacts, self.most, self.judged, self.judged_taps
+        run(Options(self.task, *counts, self.data, self.runs, self.out, workers, self.paper))
         print(f"{self.out / 'learning.md'} written")
         return 0
 

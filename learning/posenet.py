@@ -1,6 +1,8 @@
 """PoseNet: the convolutional network of the paper, from a tactile image to the components of a pose.
 
     conv_layers × (3×3 convolution, stride 1, no padding [, batch norm], activation, 2×2 max-pool)
+                  or, by strides, (4×4 convolution of stride 2 [, batch norm], activation)
+                  and, further, more 3×3 convolutions that keep the size, each with norm and activation
     dense_layers × (dropout, dense, activation)
     dropout, linear output
 
@@ -45,6 +47,11 @@ class PoseNetConfig:
     """relu or elu [P]."""
     batch_norm: bool = False
     """Batch normalisation after each convolution [P]."""
+    halving: str = "pool"
+    """How a convolution layer halves its image: pool, 2×2 max-pooling [P], or stride, a convolution of stride 2. The largest
+    of four does not tell where a pin is to a part of a pixel; a stride does, and costs a quarter."""
+    further: int = within(0, 4, default=0)
+    """Convolutions that follow in each layer, of the same width; none [P]."""
     dropout: float = within(0, 0.9, default=0.001)
     """Share of the inputs of each dense layer that is left out in training; 0 to 0.5 [P]."""
     l1: float = within(0, 1, default=0.001)
@@ -57,6 +64,7 @@ class PoseNetConfig:
     def __post_init__(self):
         check(self)
         choose("activation", self.activation, ACTIVATIONS)
+        choose("halving", self.halving, dict.fromkeys(("pool", "stride")))
 
     def widths(self):
         """Filters (list of int) of each convolution."""
@@ -85,14 +93,9 @@ class PoseNet(nn.Module):
         super().__init__()
         last = config.last_size(size)
         activation = ACTIVATIONS[config.activation]
-        layers, before = [_Blur(config.blur_px)] if config.blur_px else [], 1
-        if config.reduce > 1:
-            layers.append(nn.AvgPool2d(config.reduce))
+        layers, before = [_Blur(config.blur_px, config.reduce)] if config.blur_px or config.reduce > 1 else [], 1
         for width in config.widths():
-            layers.append(nn.Conv2d(before, width, 3))
-            if config.batch_norm:
-                layers.append(nn.BatchNorm2d(width))
-            layers += [activation(), nn.MaxPool2d(2)]
+            layers += self._layer(config, before, width)
             before = width
         self.convolutions = nn.Sequential(*layers)
         layers, before = [], before * last**2
@@ -101,6 +104,23 @@ class PoseNet(nn.Module):
             before = config.units
         self.dense = nn.Sequential(*layers, nn.Dropout(config.dropout), nn.Linear(before, outputs))
         self._l1, self._l2 = config.l1, config.l2
+
+    def _layer(self, config, before, width):
+        """The modules of one convolution layer, from `before` to `width` filters."""
+
+        def finish():
+            norm = [nn.BatchNorm2d(width)] if config.batch_norm else []
+            return [*norm, ACTIVATIONS[config.activation]()]
+
+        if config.halving == "stride":
+            layers = [nn.Conv2d(before, width, 4, stride=2), *finish()]
+        elif config.batch_norm:
+            layers = [nn.Conv2d(before, width, 3), *finish(), nn.MaxPool2d(2)]
+        else:  # the activations rise throughout: to pool first gives the same, for less
+            layers = [nn.Conv2d(before, width, 3), nn.MaxPool2d(2), *finish()]
+        for _ in range(config.further):
+            layers += [nn.Conv2d(width, width, 3, padding=1), *finish()]
+        return layers
 
     def forward(self, images):
         """Components over their scales, (n, outputs) float32, of images (n, 1, size, size)."""
@@ -116,18 +136,20 @@ class PoseNet(nn.Module):
 
 
 class _Blur(nn.Module):
-    """A Gaussian blur that is not learned."""
+    """A Gaussian blur and a mean over squares, in one step; not learned."""
 
-    def __init__(self, sigma):
+    def __init__(self, sigma, reduce):
+        """sigma: float, px; 0 for none. reduce: int, px, width of the squares."""
         super().__init__()
         reach = int(3 * sigma + 0.5)
-        line = torch.exp(-0.5 * (torch.arange(-reach, reach + 1) / sigma) ** 2)
-        line /= line.sum()
-        self.reach = reach
+        line = torch.exp(-0.5 * (torch.arange(-reach, reach + 1) / sigma) ** 2) if reach else torch.ones(1)
+        box = torch.ones(1, 1, reduce) / reduce
+        line = nn.functional.conv1d((line / line.sum())[None, None], box, padding=reduce - 1)[0, 0]
+        self.reach, self.reduce = reach, reduce
         self.register_buffer("kernel", torch.outer(line, line)[None, None], persistent=False)
 
     def forward(self, images):
-        return nn.functional.conv2d(images, self.kernel.to(images.dtype), padding=self.reach)
+        return nn.functional.conv2d(images, self.kernel.to(images.dtype), padding=self.reach, stride=self.reduce)
 
 
 def parameter_count(net):

@@ -1,6 +1,7 @@
 """Data sets as arrays, checked before anything is learned from them."""
 
-from dataclasses import dataclass
+import hashlib
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +26,8 @@ class Samples:
     """(n, k) float: learned components, mm and degrees."""
     shears: np.ndarray
     """(n, 6) float, mm and degrees."""
+    rows: np.ndarray
+    """(n,) int, their rows in the set's table."""
 
     @property
     def size(self):
@@ -38,6 +41,17 @@ class Samples:
 
     def __len__(self):
         return len(self.images)
+
+    def take(self, chosen):
+        """Samples of some: chosen is a slice, or indices (m,)."""
+        arrays = {name: getattr(self, name)[chosen] for name in ("images", "targets", "shears", "rows")}
+        return replace(self, **arrays)
+
+    def chosen(self):
+        """What tells these samples from all of their set: None, or a checksum (hex str) of their rows."""
+        if np.array_equal(self.rows, np.arange(len(self.dataset.images))):
+            return None
+        return hashlib.sha256(self.rows.astype("<i8").tobytes()).hexdigest()
 
 
 def read_samples(folder):
@@ -63,7 +77,7 @@ def read_samples(folder):
                 f"the image {name} in {folder} is {image.shape[1]} by {image.shape[0]} px and the first one "
                 f"{shape[1]} by {shape[0]}: all must be square and of one size"
             )
-    return Samples(dataset, labels, np.stack(images), targets, dataset.shears)
+    return Samples(dataset, labels, np.stack(images), targets, dataset.shears, np.arange(len(images)))
 
 
 def _check_targets(folder, names, labels, targets):

@@ -63,9 +63,11 @@ class TrainSettings:
     """paper, or cosine: to zero over all epochs."""
     precision: str = "auto"
     """Of the convolutions: float32, bfloat16, or auto (bfloat16 on a GPU)."""
-    redraw_every: int = within(0, 1000, default=0)
-    """Epochs after which each training image is drawn anew from its pins, under another camera and light (drawn.py); 0: the
-    plain images of the set [P]."""
+    drawn: float = within(0, 1, default=0.0)
+    """Share of the images that are drawn anew at every step, from their pins under varied optics (drawn.py); the rest are
+    the plain images of the set [P]."""
+    optics: float = within(0, 4, default=1.0)
+    """How far the optics are varied for that, of drawn.OpticsRanges; 0.2 is little more than which pixels a pin falls on."""
 
     def __post_init__(self):
         check(self)
@@ -99,10 +101,7 @@ class Training:
         self.optimizer = torch.optim.Adam(self.net.parameters(), lr=settings.rate)
         # The whole set lives on the device, as bytes.
         self._images, self._targets = self._resident(train)
-        self._drawn = None
-        if settings.redraw_every:
-            self._drawn = DrawnImages(train, settings.seed, settings.redraw_every)
-            self._images = self._images.clone()  # on a CPU they are the caller's own
+        self._drawn = DrawnImages(train, settings.optics, device=self.device) if settings.drawn else None
         self._val_images, self._val_targets = self._resident(val)
         self.epoch = 0
         self.history = []
@@ -139,7 +138,6 @@ class Training:
         """
         start = time.perf_counter()
         draw = np.random.Generator(np.random.PCG64(np.random.SeedSequence(self.settings.seed, spawn_key=(self.epoch,))))
-        self._redraw()
         order = torch.from_numpy(draw.permutation(len(self._images))).to(self.device)
         devices = [torch.cuda.current_device()] if self.device == "cuda" else []
         with torch.random.fork_rng(devices=devices):
@@ -158,11 +156,12 @@ class Training:
         self.epoch += 1
         return figures
 
-    def _redraw(self):
-        """Bring the images up to this epoch; all of them where it is the first of this process."""
-        if self._drawn:
-            for start, images in self._drawn.due(self.epoch):
-                self._images[start : start + len(images)] = torch.from_numpy(images).to(self.device)
+    def _batch(self, chosen):
+        """The images (m, size, size) uint8 of a step: plain, or a share of them drawn anew."""
+        if not self._drawn:
+            return self._images[chosen]
+        plain = torch.rand(len(chosen), 1, 1, device=self.device) >= self.settings.drawn
+        return torch.where(plain, self._images[chosen], self._drawn.draw(chosen))
 
     def _steps(self, order, tick):
         """The steps of an epoch over images in an `order` (n,). Returns the mean loss, penalties included (float)."""
@@ -173,7 +172,7 @@ class Training:
             for group in self.optimizer.param_groups:
                 group["lr"] = rate(self.settings, self.epoch * steps + i, self.settings.epochs * steps)
             chosen = order[i * self.config.batch_size : (i + 1) * self.config.batch_size]
-            out = self._forward(self._images[chosen])
+            out = self._forward(self._batch(chosen))
             loss = (out - self._targets[chosen]).square().sum(1).mean() + self.net.penalty()
             self.optimizer.zero_grad(set_to_none=True)
             loss.backward()
@@ -221,6 +220,7 @@ def provenance(train, val, config, settings):
         return {
             "digest": meta.get("digest"),
             "samples": len(samples),
+            "chosen": samples.chosen(),
             "targets_sha256": meta.get("files", {}).get("targets.csv"),
             "configuration": meta.get("configuration"),
         }

@@ -2,7 +2,8 @@
 
 A contact, with the sample or the samples that it makes, is done when its record is in the set's `.partial` folder, after its
 images. Resuming makes what has no record; the same bytes come out, because a contact depends on nothing but the
-configuration and its number. When all are done the records become targets.csv, pins.npz and, last, meta.json.
+configuration and its number. When all are done the records become targets.csv, pins.npz and, last, meta.json. A finished
+set grows in the same way: it becomes records again, and those that it lacks are made.
 """
 
 import contextlib
@@ -34,6 +35,7 @@ from sim.dataset import (
     write_file,
 )
 from sim.lock import locked
+from sim.record import contacts_of, pack_record, read_record, record_path, reopen, samples_of
 from sim.sampling import generator, seed_text
 from sim.symmetry import SymmetricReader, keeps
 from tactip_model.errors import TactipError, choose
@@ -83,7 +85,7 @@ def make(jobs, workers, say=print):
         folders = [stack.enter_context(_Folder(job)) for job in jobs]
         todo = [(k, number) for k, folder in enumerate(folders) for number in folder.missing()]
         total = sum(job.configuration.samples for job in jobs)
-        left = sum(len(_samples_of(jobs[k].configuration, number)) for k, number in todo)
+        left = sum(len(samples_of(jobs[k].configuration, number)) for k, number in todo)
         if todo and left < total:
             say(f"{total - left} of {total} samples are there already")
         start = time.perf_counter()
@@ -138,7 +140,7 @@ class _SampleMaker:
         contact, faults = self._player.play(c.pose.draw(draw), c.shear.draw(draw))
         failed = len(faults) == self._player.tries
         contacts = self._reader.read(contact, self._player.skin()[0]) if self._reader and not failed else [contact]
-        indices = _samples_of(c, number)
+        indices = samples_of(c, number)
         contacts, rows, images = contacts[: len(indices)], [], {}
         for index, one in zip(indices, contacts, strict=False):
             rows.append(row_of(one, index, len(faults) + 1, seed_text(c.seed, c.task, c.split, number)))
@@ -148,18 +150,8 @@ class _SampleMaker:
                 write_file(self._folder / "images" / image_name(index), data)
                 images[image_name(index)] = checksum(data)
         record = {"rows": rows, "faults": faults, "failed": failed, "images": images}
-        write_file(_record_path(self._folder, number), _pack(record, contacts))
-
-
-def _contacts(configuration):
-    """Contacts (int) that a set's samples take."""
-    return -(-configuration.samples // len(configuration.symmetries))
-
-
-def _samples_of(configuration, number):
-    """Indices (range) of the samples that contact `number` makes."""
-    each = len(configuration.symmetries)
-    return range(number * each, min((number + 1) * each, configuration.samples))
+        pins = ([getattr(one, k) for one in contacts] for k in ("tips", "directions"))
+        write_file(record_path(self._folder, number), pack_record(record, *pins))
 
 
 def _physics(configuration):
@@ -177,24 +169,6 @@ def _renderer(configuration):
     return PinCamera(configuration.design).render
 
 
-def _record_path(folder, number):
-    return folder / PARTIAL / f"{number:06d}.npz"
-
-
-def _pack(record, contacts):
-    """The bytes of a contact's record: what its rows and pins.npz are made of."""
-    data = io.BytesIO()
-    tips, directions = (np.array([getattr(c, k) for c in contacts], np.float32) for k in ("tips", "directions"))
-    np.savez(data, record=np.array(json.dumps(record)), tips=tips, directions=directions)
-    return data.getvalue()
-
-
-def _read_record(path):
-    """What _pack put beside the pins: a dict."""
-    with np.load(path, allow_pickle=False) as data:
-        return json.loads(str(data["record"]))
-
-
 class _Folder:
     """A set's folder while it is made: whose it is, what is done, and the step from records to a finished set."""
 
@@ -208,34 +182,40 @@ class _Folder:
         """(seconds, peak memory of the worker in MiB) of each sample made now."""
 
     def __enter__(self):
-        try:
-            self._open()
-        except OSError as error:
-            raise TactipError(f"cannot write to the folder {self._path}: {error.strerror or error}") from error
+        with contextlib.ExitStack() as held:
+            try:
+                self._open(held)
+            except OSError as error:
+                raise TactipError(f"cannot write to the folder {self._path}: {error.strerror or error}") from error
+            self._held = held.pop_all()
         return self
 
     def __exit__(self, *_):
         self._held.close()
 
-    def _open(self):
+    def _open(self, held):
         identity = {"configuration": self._configuration.as_json(), "versions": versions()}
-        if (self._path / "meta.json").exists():
+        grows = (self._path / "meta.json").exists()
+        if grows:
             meta = read_meta(self._path)
-            self._refuse_other({k: meta.get(k) for k in identity}, identity)
-            self._samples = meta["samples"]
-            shutil.rmtree(self._partial, ignore_errors=True)  # a kill came between the last two steps
-            return
-        if self._path.exists() and not self._partial.exists() and any(self._path.iterdir()):
+            self._refuse_other({k: meta.get(k) for k in identity}, _of_size(identity, meta))
+            if meta["configuration"]["samples"] == self._configuration.samples:
+                self._samples = meta["samples"]
+                shutil.rmtree(self._partial, ignore_errors=True)  # a kill came between the last two steps
+                return
+        elif self._path.exists() and not self._partial.exists() and any(self._path.iterdir()):
             raise TactipError(f"the folder {self._path} is not empty and holds no data set: name another one")
         # First of all what makes the folder ours, so that a kill before the next line does not make it a stranger's.
         self._partial.mkdir(parents=True, exist_ok=True)
         (self._path / "images").mkdir(exist_ok=True)
-        self._held.enter_context(locked(self._partial / "lock", f"making the set in {self._path}"))
+        held.enter_context(locked(self._partial / "lock", f"making the set in {self._path}"))
         known = self._partial / "configuration.json"
-        if known.exists():
+        if known.exists() and not grows:
             self._refuse_other(json.loads(known.read_text()), identity)
         else:
             write_file(known, json.dumps(identity, indent=1).encode())
+        if grows:
+            reopen(self._path)
         for place in (self._path, self._partial, self._path / "images"):
             for leftover in place.glob(".*.tmp"):
                 leftover.unlink(missing_ok=True)  # a worker that outlived its command may just have renamed it
@@ -253,13 +233,13 @@ class _Folder:
         """Numbers (list of int) of the contacts that are still to be made."""
         if self._samples:
             return []
-        return [n for n in range(_contacts(self._configuration)) if not self._done(n)]
+        return [n for n in range(contacts_of(self._configuration)) if not self._done(n)]
 
     def _done(self, number):
-        record = _record_path(self._path, number)
-        names = (image_name(i) for i in _samples_of(self._configuration, number))
+        record = record_path(self._path, number)
+        names = (image_name(i) for i in samples_of(self._configuration, number))
         return record.exists() and (
-            all((self._path / "images" / n).exists() for n in names) or _read_record(record)["failed"]
+            all((self._path / "images" / n).exists() for n in names) or read_record(record)["failed"]
         )
 
     def finish(self, seconds, workers):
@@ -280,11 +260,11 @@ class _Folder:
 
     def _assemble(self, workers, seconds):
         rows, failures, images, tips, directions = [], [], {}, [], []
-        for number in range(_contacts(self._configuration)):
-            with np.load(_record_path(self._path, number), allow_pickle=False) as data:
+        for number in range(contacts_of(self._configuration)):
+            with np.load(record_path(self._path, number), allow_pickle=False) as data:
                 record = json.loads(str(data["record"]))
                 if record["failed"]:
-                    for index in _samples_of(self._configuration, number):
+                    for index in samples_of(self._configuration, number):
                         seed = record["rows"][0]["seed"]
                         failures.append({"index": index, "seed": seed, "tries": record["faults"]})
                     continue
@@ -325,6 +305,13 @@ class _Folder:
             run["seconds_a_contact_and_worker_median"] = round(float(np.median([c[0] for c in self.costs])), 4)
             run["peak_memory_of_a_worker_MiB"] = round(max(c[1] for c in self.costs))
         return (json.dumps(run, indent=1) + "\n").encode()
+
+
+def _of_size(identity, meta):
+    """An `identity` with the samples of a finished set's `meta` where these are fewer: such a set can grow."""
+    there, asked = meta.get("configuration", {}).get("samples"), identity["configuration"]["samples"]
+    small = there if isinstance(there, int) and there < asked else asked
+    return {**identity, "configuration": {**identity["configuration"], "samples": small}}
 
 
 def _first_difference(there, asked, name):

@@ -26,7 +26,7 @@ class Raster:
         return frames.reshape(*batch, *frames.shape[1:])
 
     def _one(self, tips, directions):
-        centre, axes = self._ellipses(tips, directions)
+        centre, axes = self.ellipses(tips, directions)
         grey = self._leds.grey(tips, directions, self._design.optics.pin_albedo)
         # A pixel's place in the unit disc, and its distance to the disc's edge in pixels along the gradient.
         reach = int(np.ceil(np.sqrt((axes**2).sum((1, 2))).max())) + 1
@@ -49,12 +49,17 @@ class Raster:
         frame = (1 - paint) * self._backdrop.ravel() + paint * shade
         return finish(frame.reshape(width, width), self._design.optics)
 
-    def _ellipses(self, tips, directions):
-        """Image centres (p, 2) px and half-axes (p, 2, 2) px, columns, of the pins' discs."""
-        r = self._radii[:, None]
+    def ellipses(self, tips, directions):
+        """Middles (..., p, 2) and half-axes (..., p, 2, 2), columns, of the pins' discs, px of the frame.
+
+        tips, directions: (..., p, 3), m and -, sensor frame.
+        """
+        shape = tips.shape[:-1]
+        r = np.broadcast_to(self._radii, shape).reshape(-1, 1)
+        tips, directions = tips.reshape(-1, 3), directions.reshape(-1, 3)
         edge = [self._lens.project(tips + s * r * w) for w in across(directions) for s in (1, -1)]
         axes = np.stack([(edge[0] - edge[1]) / 2, (edge[2] - edge[3]) / 2], -1)
-        return np.mean(edge, axis=0), axes
+        return np.mean(edge, axis=0).reshape(*shape, 2), axes.reshape(*shape, 2, 2)
 
 
 def finish(frame, optics):

@@ -145,6 +145,44 @@ def test_a_killed_run_is_resumed_to_the_same_bytes(whole, tmp_path, workers):
     assert contents(folder) == contents(whole)
 
 
+def test_a_finished_set_grows_to_the_same_bytes(whole, tmp_path):
+    folder = tmp_path / "small"
+    assert run(make(folder, samples=3)).returncode == 0
+    (folder / ".partial").mkdir()  # and a kill came between the last two steps
+    (folder / ".partial" / "configuration.json").write_text("{}")
+    grown = run(make(folder))
+    assert grown.returncode == 0, grown.stderr
+    assert "3 of 6 samples are there already" in grown.stdout
+    assert contents(folder) == contents(whole)
+
+
+def test_growth_that_is_killed_halfway_goes_on(whole, tmp_path, monkeypatch):
+    folder = tmp_path / "small"
+    assert run(make(folder, samples=4)).returncode == 0
+    before = contents(folder)
+
+    def killed(*_):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("sim.record.record_path", killed)
+        options = ["--samples", "6", "--fidelity", "draft", "--renderer", "raster", "--design", "nominal-127"]
+        assert tactip.main(["dataset", "make", "--task", "edge", "--out", str(folder), *options]) != 0
+    assert before.items() <= contents(folder).items()
+    assert run(make(folder)).returncode == 0
+    assert contents(folder) == contents(whole)
+
+
+@pytest.mark.parametrize(("damaged", "words"), [("pins.npz", "damaged"), ("targets.csv", "targets.csv")])
+def test_a_damaged_set_does_not_grow(copy, capsys, damaged, words):
+    (copy / damaged).write_bytes(b"")
+    before = contents(copy)
+    options = ["--samples", "8", "--fidelity", "draft", "--renderer", "raster", "--design", "nominal-127"]
+    assert tactip.main(["dataset", "make", "--task", "edge", "--out", str(copy), *options]) == 1
+    assert words in capsys.readouterr().err
+    assert {n: b for n, b in contents(copy).items() if ".partial" not in n} == before
+
+
 def test_samples_by_symmetry(tmp_path):
     """Three contacts make six samples, a mirror each, and the last is cut short; killed, it is resumed to the same bytes."""
     whole, killed = tmp_path / "whole", tmp_path / "killed"
@@ -168,6 +206,10 @@ def test_samples_by_symmetry(tmp_path):
     again = run(make(killed, "--symmetric", samples=5))
     assert again.returncode == 0
     assert contents(killed) == contents(whole)
+    grown = tmp_path / "grown"
+    for samples in (3, 5):
+        assert run(make(grown, "--symmetric", samples=samples)).returncode == 0
+    assert contents(grown) == contents(whole)
 
 
 def test_uneven_ranges_have_no_symmetry(tmp_path):

@@ -21,10 +21,11 @@ def options(tmp_path, monkeypatch):
     """Sets without physics and networks of no size."""
     monkeypatch.setattr(learned, "make", lambda jobs, workers, say: None)
     monkeypatch.setattr(learned, "rows", _tiny)
-    options = learned.Options(data=tmp_path / "data", runs=tmp_path / "runs", out=tmp_path / "docs", contacts=16, judged=8)
+    folders = {name: tmp_path / name for name in ("data", "runs", "out")}
+    options = learned.Options(**folders, contacts=2, most=3, judged=8, judged_taps=8)
     for job in learned.jobs(options):
         c = job.configuration
-        write_fake_set(job.folder, c.task, c.split, 16, shear=c.shear)
+        write_fake_set(job.folder, c.task, c.split, c.samples, shear=c.shear)
     return options
 
 
@@ -32,13 +33,15 @@ ROWS = learned.rows
 
 
 def _tiny(task, paper):
-    return [replace(row, recipe=TINY) for row in ROWS(task, paper) if "drawn" not in row.name]
+    return [replace(row, recipe=TINY) for row in ROWS(task, paper)]
 
 
 def test_the_sets_are_what_the_page_says():
     jobs = {(j.folder.parts[-3], j.folder.parts[-1]): j.configuration for j in learned.jobs(learned.Options(task="edge"))}
-    assert set(jobs) == {(k, s) for k in ("plain", "taps") for s in ("train", "val", "test")} | {("symmetric", "train")}
-    assert jobs["symmetric", "train"].samples == 4000
+    judged = {(kind, split) for kind in ("plain", "taps") for split in ("val", "test")}
+    assert set(jobs) == judged | {("taps", "train"), ("symmetric", "train")}
+    assert jobs["symmetric", "train"].samples == 16000
+    assert (jobs["taps", "train"].samples, jobs["taps", "test"].samples, jobs["plain", "test"].samples) == (2000, 500, 2000)
     assert jobs["taps", "train"].shear == Ranges()
     assert jobs["plain", "test"].split == "test"
     assert jobs["plain", "test"].design.name == "tactip-127"

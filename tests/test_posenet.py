@@ -21,7 +21,7 @@ def kinds(module):
 
 def test_layers_are_the_papers():
     net = PoseNet(SMALL, 40, 3)
-    assert kinds(net.convolutions) == [nn.Conv2d, nn.ReLU, nn.MaxPool2d] * 2
+    assert kinds(net.convolutions) == [nn.Conv2d, nn.MaxPool2d, nn.ReLU] * 2
     assert kinds(net.dense) == [nn.Dropout, nn.Linear, nn.ReLU] * 2 + [nn.Dropout, nn.Linear]
     for layer in net.convolutions:
         if isinstance(layer, nn.Conv2d):
@@ -37,6 +37,29 @@ def test_batch_norm_and_activation(name):
     config = PoseNetConfig(conv_layers=1, filters=2, activation=name, batch_norm=True)
     activation = {"relu": nn.ReLU, "elu": nn.ELU}[name]
     assert kinds(PoseNet(config, 20, 1).convolutions) == [nn.Conv2d, nn.BatchNorm2d, activation, nn.MaxPool2d]
+
+
+@pytest.mark.parametrize("name", ["relu", "elu"])
+def test_without_a_norm_the_order_of_activation_and_pooling_is_free(name):
+    net = PoseNet(PoseNetConfig(conv_layers=1, filters=4, activation=name), 20, 1).convolutions
+    image = torch.randn(3, 1, 20, 20, generator=torch.Generator().manual_seed(0))
+    papers = nn.Sequential(net[0], net[2], net[1])
+    assert torch.equal(net(image), papers(image))
+
+
+def test_halving_by_strides_keeps_the_sizes_and_further_convolutions_follow():
+    config = PoseNetConfig(conv_layers=3, filters=2, halving="stride", further=1, batch_norm=True)
+    net = PoseNet(config, 40, 1)
+    layer = [nn.Conv2d, nn.BatchNorm2d, nn.ReLU]
+    assert kinds(net.convolutions) == layer * 6
+    # 40 → 19 → 8 → 3
+    assert net.convolutions(torch.zeros(2, 1, 40, 40)).shape == (2, 2, 3, 3)
+    assert config.last_size(40) == 3
+
+
+def test_another_halving_is_refused():
+    with pytest.raises(TactipError, match="unknown halving 'mean': choose one of pool, stride"):
+        PoseNetConfig(halving="mean")
 
 
 def test_the_papers_best_networks():
@@ -71,7 +94,7 @@ def test_blur_and_reduction_keep_brightness():
     net = PoseNet(PoseNetConfig(conv_layers=1, filters=2, blur_px=1.0, reduce=2), 40, 3)
     image = torch.zeros(1, 1, 40, 40)
     image[0, 0, 20, 20] = 1.0
-    out = net.convolutions[1](net.convolutions[0](image))
+    out = net.convolutions[0](image)
     assert out.shape == (1, 1, 20, 20)
     assert 4 * out.sum().item() == pytest.approx(1.0, abs=1e-5)
     v, u = torch.meshgrid(torch.arange(20.0), torch.arange(20.0), indexing="ij")

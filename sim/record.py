@@ -1,0 +1,84 @@
+"""Records: what is kept of each contact while its set is unfinished, and how a finished set becomes records again."""
+
+import io
+import json
+import zipfile
+
+import numpy as np
+
+from sim.dataset import PARTIAL, read_meta, read_targets, write_file
+from sim.symmetry import SYMMETRIES
+from tactip_model.errors import TactipError
+
+
+def contacts_of(configuration):
+    """Contacts (int) that the samples of a set's Configuration take."""
+    return -(-configuration.samples // len(configuration.symmetries))
+
+
+def samples_of(configuration, number):
+    """Indices (range) of the samples that contact `number` of a Configuration makes."""
+    return _samples(number, len(configuration.symmetries), configuration.samples)
+
+
+def _samples(number, each, samples):
+    return range(number * each, min((number + 1) * each, samples))
+
+
+def record_path(folder, number):
+    """Path of the record of contact `number` in a set's folder (Path)."""
+    return folder / PARTIAL / f"{number:06d}.npz"
+
+
+def pack_record(record, tips, directions):
+    """The bytes of a record (dict: rows, faults, failed, images) with its pins, each (samples, pins, 3)."""
+    data = io.BytesIO()
+    np.savez(
+        data,
+        record=np.array(json.dumps(record)),
+        tips=np.asarray(tips, np.float32),
+        directions=np.asarray(directions, np.float32),
+    )
+    return data.getvalue()
+
+
+def read_record(path):
+    """What pack_record put beside the pins: a dict."""
+    with np.load(path, allow_pickle=False) as data:
+        return json.loads(str(data["record"]))
+
+
+def reopen(folder):
+    """Turn the finished set in a folder (Path) into records, so that it can grow; the caller holds the folder's lock.
+
+    A contact whose samples are not all there is left out, to be made again. meta.json goes last of what a finished set is
+    told by: a kill before that leaves the finished set, and one after it the records. Raises TactipError where a table is
+    damaged, and OSError.
+    """
+    meta, rows = read_meta(folder), read_targets(folder)
+    configuration = meta["configuration"]
+    each = len(SYMMETRIES[configuration["task"]]) if configuration.get("symmetric") else 1
+    try:
+        with np.load(folder / "pins.npz", allow_pickle=False) as pins:
+            tips, directions = pins["tips"], pins["directions"]
+        where = {int(row["index"]): k for k, row in enumerate(rows)}
+        failures = {f["index"]: f for f in meta["failures"]}
+        if len(tips) != len(rows):
+            raise ValueError(f"{len(tips)} records of pins for {len(rows)} rows")
+        for number in range(configuration["samples"] // each):
+            indices = _samples(number, each, configuration["samples"])
+            failure = failures.get(indices[0])
+            record = {"rows": [], "faults": [], "failed": False, "images": {}}
+            if failure:
+                record |= {"rows": [{"seed": failure["seed"]}], "faults": failure["tries"], "failed": True}
+                part = slice(0, 0)
+            else:
+                kept = [rows[where[i]] for i in indices]
+                names = [row["sensor_image"] for row in kept]
+                record |= {"rows": kept, "images": {name: meta["images"][name] for name in names}}
+                part = [where[i] for i in indices]
+            write_file(record_path(folder, number), pack_record(record, tips[part], directions[part]))
+    except (ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        raise TactipError(f"the set in {folder} cannot grow, since it is damaged: {error}") from error
+    for name in ("meta.json", "run.json", "targets.csv", "pins.npz"):
+        (folder / name).unlink(missing_ok=True)
