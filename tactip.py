@@ -1,7 +1,7 @@
 """The front door: one subcommand for each job, nothing else."""
 
 import sys
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -253,6 +253,10 @@ class NetworkOptions:
     """Blur of the image, px."""
     reduce: int | None = None
     """Squares of so many px are averaged."""
+    halving: str | None = None
+    """pool or stride: how a layer halves its image."""
+    further: int | None = None
+    """Convolutions that follow in each layer."""
     dense_layers: int | None = None
     """Dense layers."""
     units: int | None = None
@@ -279,10 +283,14 @@ class TrainOptions:
     """Seed of weights, order and dropout."""
     epochs: int | None = None
     """Most epochs."""
+    least_steps: int | None = None
+    """Steps for which a small set is gone through more often."""
     patience: int | None = None
     """Epochs without a better validation error before the end."""
     rate: float | None = None
-    """Learning rate."""
+    """Learning rate of Adam."""
+    muon: float | None = None
+    """Learning rate of Muon for the weights between layers; 0 for Adam alone."""
     decay: float | None = None
     """Its decay a step, of the schedule `paper`."""
     schedule: str | None = None
@@ -325,6 +333,9 @@ class Train:
         train_samples, val_samples = read_splits(self.data)
         recipe = given or recipe_named(self.recipe, train_samples.labels.task)
         recipe = Recipe(_with_options(recipe.network, self.network), _with_options(recipe.settings, self.training))
+        if recipe.settings.drawn and self.training.drawn is None and not (train_samples.folder / "pins.npz").exists():
+            print(f"{train_samples.folder} has no pins: its images are taken as they are, and none is drawn anew")
+            recipe = replace(recipe, settings=replace(recipe.settings, drawn=0.0))
         train(train_samples, val_samples, recipe.network, recipe.settings, self.out, self.device)
         print(f"{self.out / 'model.json'} written")
         return 0
@@ -404,7 +415,7 @@ class Evaluate:
     """Hold a model against a set that it has not seen: errors by component, label and shear, worst cases, latency."""
 
     model: Path
-    """Folder of a training, or of a shipped model."""
+    """Folder of a training, or the name of a shipped model."""
     data: Path
     """Folder of a set."""
     out: Path | None = None
@@ -420,10 +431,10 @@ class Evaluate:
         from learning.device import device_named
         from learning.evaluate import evaluate
         from learning.evaluation_page import write_evaluation
-        from learning.model import load_model
+        from learning.model import find_model
         from learning.samples import read_samples
 
-        model, samples = load_model(self.model, device_named(self.device)), read_samples(self.data)
+        model, samples = find_model(self.model, device_named(self.device)), read_samples(self.data)
         evaluation = evaluate(model, samples)
         if self.out:
             write_evaluation(evaluation, samples, model, self.out)

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from assets import MODELS
 from learning.labels import Labels
 from learning.posenet import PoseNet, PoseNetConfig
 from sim.dataset import write_file
@@ -92,6 +93,23 @@ def save_model(folder, state, config, labels, size, provenance):
     # The description names the weights' checksum: a kill between the two is seen by the reader.
     write_file(folder / WEIGHTS, data)
     write_file(folder / DESCRIPTION, (json.dumps(description, indent=1) + "\n").encode())
+
+
+def shipped_models():
+    """Names (list of str) of the networks that come with the package."""
+    return sorted(path.parent.name for path in MODELS.glob(f"*/{DESCRIPTION}"))
+
+
+def find_model(name, device="cpu"):
+    """The Model of a shipped network's name, or in a folder.
+
+    Raises TactipError that lists the names where there is neither.
+    """
+    if str(name) in shipped_models():
+        return load_model(MODELS / str(name), device)
+    if not Path(name).is_dir():
+        raise TactipError(f"there is no folder {name}, and no shipped model of that name: {', '.join(shipped_models())}")
+    return load_model(name, device)
 
 
 def load_model(folder, device="cpu"):

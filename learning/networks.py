@@ -26,23 +26,36 @@ _PAPER = {
 
 _LAPTOP = PoseNetConfig(
     conv_layers=4,
-    filters=32,
+    filters=16,
     widening=2.0,
     most_filters=128,
     blur_px=1.0,
     reduce=2,
-    dense_layers=1,
+    halving="stride",
+    further=1,
+    dense_layers=3,
     units=256,
     activation="elu",
     batch_norm=True,
     dropout=0.0,
     l1=0.0,
     l2=0.0,
-    batch_size=32,
+    batch_size=64,
+)
+
+_LAPTOP_TRAINING = TrainSettings(
+    epochs=36,
+    least_steps=4000,
+    patience=100000,
+    rate=2e-3,
+    muon=0.02,
+    schedule="cosine",
+    drawn=1.0,
+    optics=0.2,
 )
 
 RECIPES = {
-    "laptop": dict.fromkeys(_PAPER, Recipe(_LAPTOP, TrainSettings(epochs=60, patience=60, rate=2e-3, schedule="cosine"))),
+    "laptop": dict.fromkeys(_PAPER, Recipe(_LAPTOP, _LAPTOP_TRAINING)),
     "paper": {task: Recipe(network, TrainSettings()) for task, network in _PAPER.items()},
 }
 """By name and task. `laptop` is for two cores: per image, its convolutions multiply 370 times less than the paper's for the

@@ -1,7 +1,7 @@
 """Training of a PoseNet: plain, deterministic from its seed, and resumable at any kill.
 
     loss = sum over components of the mean squared error over scale² + L1 and L2 of the dense and output weights
-    Adam; early stopping on the validation error, without penalties; the best weights are kept
+    Adam, or Muon and Adam; early stopping on the validation error, without penalties; the best weights are kept
 
 Every epoch's order and dropout are drawn from (seed, epoch): an epoch depends on the state before it and on nothing else.
 """
@@ -21,6 +21,7 @@ from tqdm import tqdm
 from learning.device import device_named, is_half
 from learning.drawn import DrawnImages
 from learning.model import save_model, tensors_of, to_input, weights_bytes
+from learning.muon import Muon, inner_weights
 from learning.posenet import PoseNet, parameter_count
 from sim.dataset import write_file
 from sim.lock import locked
@@ -53,10 +54,14 @@ class TrainSettings:
     """Seed of weights, order and dropout."""
     epochs: int = within(1, 100000, default=500)
     """Most epochs; the paper names no limit."""
+    least_steps: int = within(0, 10**8, default=0)
+    """Steps for which a small set is gone through more often than `epochs`; none [P]."""
     patience: int = within(1, 100000, default=10)
     """Epochs without a lower validation error after which training ends [P]."""
     rate: float = within(1e-7, 1, default=1e-4)
     """Learning rate of Adam [P]."""
+    muon: float = within(0, 1, default=0.0)
+    """Learning rate of Muon (muon.py), which then takes the weights between layers; 0 for Adam alone [P]."""
     decay: float = within(0, 1, default=1e-6)
     """Its decay a step [P], of the schedule `paper`."""
     schedule: str = "paper"
@@ -98,7 +103,7 @@ class Training:
             torch.manual_seed(settings.seed)
             net = PoseNet(config, train.size, len(self.labels.components))
         self.net = net.to(device=self.device, memory_format=torch.channels_last)
-        self.optimizer = torch.optim.Adam(self.net.parameters(), lr=settings.rate)
+        self._optimizers = _optimizers(self.net, settings)
         # The whole set lives on the device, as bytes.
         self._images, self._targets = self._resident(train)
         self._drawn = DrawnImages(train, settings.optics, device=self.device) if settings.drawn else None
@@ -119,6 +124,11 @@ class Training:
         return -(-len(self._images) // self.config.batch_size)
 
     @property
+    def epochs(self):
+        """Most epochs (int)."""
+        return max(self.settings.epochs, -(-self.settings.least_steps // self.steps_an_epoch))
+
+    @property
     def best_error(self):
         """Least validation error so far, -."""
         return min((h["val_loss"] for h in self.history), default=math.inf)
@@ -129,7 +139,7 @@ class Training:
         if not self.history:
             return False
         since = self.epoch - 1 - int(np.argmin([h["val_loss"] for h in self.history]))
-        return self.epoch >= self.settings.epochs or since >= self.settings.patience
+        return self.epoch >= self.epochs or since >= self.settings.patience
 
     def train_epoch(self, tick=lambda count: None):
         """Go through the training set once, and judge. tick: called with the number of images of each step.
@@ -169,14 +179,16 @@ class Training:
         rate = SCHEDULES[self.settings.schedule]
         total, steps = torch.zeros((), device=self.device), self.steps_an_epoch
         for i in range(steps):
-            for group in self.optimizer.param_groups:
-                group["lr"] = rate(self.settings, self.epoch * steps + i, self.settings.epochs * steps)
+            share = rate(self.settings, self.epoch * steps + i, self.epochs * steps) / self.settings.rate
             chosen = order[i * self.config.batch_size : (i + 1) * self.config.batch_size]
             out = self._forward(self._batch(chosen))
             loss = (out - self._targets[chosen]).square().sum(1).mean() + self.net.penalty()
-            self.optimizer.zero_grad(set_to_none=True)
+            self.net.zero_grad(set_to_none=True)
             loss.backward()
-            self.optimizer.step()
+            for optimizer, whole in self._optimizers:
+                for group in optimizer.param_groups:
+                    group["lr"] = whole * share
+                optimizer.step()
             total += loss.detach() * len(chosen)
             tick(len(chosen))
         return float(total) / len(order)
@@ -199,7 +211,7 @@ class Training:
         """Everything that the next epoch depends on: a dict of tensors, numbers and text."""
         return {
             "net": self.net.state_dict(),
-            "optimizer": self.optimizer.state_dict(),
+            "optimizers": [optimizer.state_dict() for optimizer, _ in self._optimizers],
             "best": self.best,
             "epoch": self.epoch,
             "history": json.dumps(self.history),
@@ -208,8 +220,18 @@ class Training:
     def restore(self, state):
         """Go on from a `state`."""
         self.net.load_state_dict(state["net"])
-        self.optimizer.load_state_dict(state["optimizer"])
+        for (optimizer, _), its in zip(self._optimizers, state["optimizers"], strict=True):
+            optimizer.load_state_dict(its)
         self.best, self.epoch, self.history = state["best"], state["epoch"], json.loads(state["history"])
+
+
+def _optimizers(net, settings):
+    """Optimisers of a net's weights, each with its learning rate: a list of pairs."""
+    inner = inner_weights(net) if settings.muon else []
+    ours = {id(p) for p in inner}
+    rest = [p for p in net.parameters() if id(p) not in ours]
+    out = [(torch.optim.Adam(rest, lr=settings.rate), settings.rate)]
+    return [*out, (Muon(inner, lr=settings.muon), settings.muon)] if inner else out
 
 
 def provenance(train, val, config, settings):
@@ -289,7 +311,7 @@ def _epochs(training, folder, record, hopeless, quiet):
     writer = _tensorboard(folder)
     images = training.steps_an_epoch * training.config.batch_size
     with tqdm(
-        total=training.settings.epochs * images,
+        total=training.epochs * images,
         initial=training.epoch * images,
         unit="image",
         unit_scale=True,

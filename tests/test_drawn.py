@@ -107,7 +107,7 @@ def test_training_on_drawn_images(samples, tmp_path):
         return False
 
     net = PoseNetConfig(conv_layers=2, filters=2, units=4, batch_size=2, reduce=4)
-    drawn, plain = (TrainSettings(epochs=5, rate=1e-2, drawn=share) for share in (0.5, 0.0))
+    drawn, plain = (TrainSettings(epochs=5, rate=1e-2, muon=1e-2, drawn=share) for share in (0.5, 0.0))
     before = samples.images.copy()
     train(samples, samples, net, drawn, tmp_path / "whole", say=print, quiet=True)
     assert np.array_equal(samples.images, before)

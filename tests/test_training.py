@@ -15,6 +15,7 @@ from learning_sets import write_fake_set, write_fake_splits
 import tactip
 from learning.evaluate import binned, evaluate, tables
 from learning.model import load_model
+from learning.muon import Muon, inner_weights
 from learning.networks import Recipe, read_recipe, recipe_json
 from learning.posenet import PoseNetConfig
 from learning.samples import read_samples, read_splits
@@ -47,6 +48,54 @@ def same(a, b):
 
 def quiet(*arguments, **options):
     return train(*arguments, say=lambda line: None, quiet=True, **options)
+
+
+def test_a_small_set_is_gone_through_more_often(splits):
+    """48 images are six steps of eight: 20 steps take four times through."""
+    assert Training(*splits, NET, TrainSettings(epochs=2, least_steps=20)).epochs == 4
+    assert Training(*splits, NET, TrainSettings(epochs=5, least_steps=20)).epochs == 5
+
+
+def test_a_set_without_pins_is_trained_on_as_it_is(data, tmp_path, capsys):
+    """The recipe draws images anew, for which a real set has no pins; asked for by name, that is refused."""
+    command = ["train", "--data", str(data), "--network.conv-layers", "1", "--training.least-steps", "1"]
+    command += ["--training.epochs", "1"]
+    assert tactip.main([*command, "--out", str(tmp_path / "run")]) == 0
+    assert "has no pins: its images are taken as they are" in capsys.readouterr().out
+    assert load_model(tmp_path / "run").provenance["settings"]["drawn"] == 0
+    assert tactip.main([*command, "--out", str(tmp_path / "other"), "--training.drawn", "1"]) == 1
+    assert "only simulated sets, which have pins" in capsys.readouterr().err
+    assert not (tmp_path / "other" / "model.json").exists()
+
+
+@pytest.mark.parametrize("shape", [(6, 20), (20, 6), (8, 3, 4, 4)])
+def test_a_step_of_muon_is_nearly_orthogonal(shape):
+    """Its singular values are near one, whatever those of the gradient; its directions are the gradient's."""
+    torch.manual_seed(0)
+    weight = torch.nn.Parameter(torch.zeros(shape))
+    gradient = torch.randn(shape).reshape(shape[0], -1)
+    left, values, right = torch.linalg.svd(gradient, full_matrices=False)
+    gradient = left @ torch.diag(torch.logspace(0, -1.5, len(values))) @ right
+    weight.grad = gradient.reshape(shape)
+    Muon([weight], lr=0.1).step()
+    stretch = max(1, shape[0] / gradient.shape[1]) ** 0.5
+    moved = -weight.detach().reshape(shape[0], -1) / (0.1 * stretch)
+    seen = left.T @ moved @ right.T
+    assert torch.allclose(seen, torch.diag(seen.diagonal()), atol=1e-4)
+    assert 0.6 < seen.diagonal().min() < seen.diagonal().max() < 1.3
+
+
+def test_muon_takes_the_weights_between_layers_and_learns(splits):
+    settings = TrainSettings(epochs=8, rate=2e-3, muon=0.02)
+    training = Training(*splits, NET, settings)
+    inner = inner_weights(training.net)
+    assert [tuple(p.shape) for p in inner] == [(6, 6, 3, 3), (24, 6 * 8 * 8)]
+    for _ in range(8):
+        training.train_epoch()
+    adam = Training(*splits, NET, TrainSettings(epochs=8, rate=2e-3))
+    for _ in range(8):
+        adam.train_epoch()
+    assert training.history[-1]["loss"] < adam.history[-1]["loss"]
 
 
 def test_it_learns(splits, tmp_path):

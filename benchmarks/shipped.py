@@ -1,0 +1,123 @@
+"""Ships the networks of `tactip bench learning`: copies them into assets/models, each with its evaluation and its card.
+
+python -m benchmarks.shipped --task surface
+"""
+
+import json
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+
+from assets import MODELS
+from benchmarks.learned import BARS, DESIGN, PAPER
+from benchmarks.machine import machine
+from learning.evaluate import evaluate, tables
+from learning.model import DESCRIPTION, WEIGHTS, load_model
+from learning.samples import read_samples
+from sim.dataset import write_file
+from tactip_model.errors import TactipError
+
+MOST_BYTES = 5_000_000
+"""Weights of a shipped network are smaller."""
+
+EVALUATION, CARD = "evaluation.json", "card.md"
+
+
+@dataclass(frozen=True)
+class Options:
+    """Which network is shipped, and where things are."""
+
+    task: str = "surface"
+    """surface or edge."""
+    name: str = "laptop-most"
+    """Row of `tactip bench learning`."""
+    data: Path = Path("data/learning")
+    """Its folder of sets."""
+    runs: Path = Path("runs/learning")
+    """Its folder of trainings."""
+    out: Path = MODELS
+    """Folder of the shipped networks."""
+
+
+def ship(options):
+    """Copy a network, judge it on the test set, write its card. Returns its folder (Path). Raises TactipError."""
+    run, test = options.runs / options.task / options.name, read_samples(options.data / "plain" / options.task / "test")
+    size = (run / WEIGHTS).stat().st_size if (run / WEIGHTS).exists() else 0
+    model = load_model(run)
+    if size >= MOST_BYTES:
+        raise TactipError(f"the weights in {run} have {size} bytes: a network is shipped with fewer than {MOST_BYTES}")
+    if not model.provenance["outcome"]["finished"]:
+        raise TactipError(f"the training in {run} is unfinished: let it come to its end before it is shipped")
+    evaluation = evaluate(model, test)
+    meta = test.dataset.meta
+    record = {
+        **evaluation.figures,
+        **tables(evaluation, test, model.labels),
+        "test": {"digest": meta["digest"], "targets_sha256": meta["files"]["targets.csv"]},
+        "machine": machine(),
+    }
+    folder = options.out / f"{options.task}-{DESIGN}"
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in (WEIGHTS, DESCRIPTION):
+        shutil.copyfile(run / name, folder / name)
+    write_file(folder / EVALUATION, (json.dumps(record, indent=1) + "\n").encode())
+    write_file(folder / CARD, card(model, record, options).encode())
+    return folder
+
+
+def card(model, record, options):
+    """The Markdown (str) of a network's card. model: Model. record: dict, its evaluation.json. options: Options."""
+    task, p = model.labels.task, model.provenance
+    data, network, settings = p["train"], p["network"], p["settings"]
+    made = data["configuration"]
+    contacts = data["samples"] // (8 if task == "surface" else 2)
+    what = {"surface": "a surface", "edge": "an edge"}[task]
+    lines = [
+        f"# {task}-{DESIGN}",
+        "",
+        f"Reads the pose of {what} from one binary tactile image, {model.size} px wide, of the 127-pin TacTip "
+        f"(`{DESIGN}`), however the skin was sheared within the ranges below. Trained in simulation alone; on a real "
+        "sensor expect more than these errors. Frames and signs: sim/pose.py.",
+        "",
+        "| component | mean error | rms | bias | 95 % below | the paper, real sensor | what we ask |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for name, unit in zip(model.labels.names, model.labels.units, strict=True):
+        cells = [f"{record[k][name]:.3f} {unit}" for k in ("mae", "rmse", "bias", "p95")]
+        cells += [f"{table[task][name]:g} {unit}" for table in (PAPER, BARS)]
+        lines.append(f"| {name} | " + " | ".join(cells) + " |")
+    ranges = ", ".join(
+        f"{name} {low:g} to {high:g} {unit}"
+        for name, low, high, unit in zip(
+            model.labels.names, model.labels.low, model.labels.high, model.labels.units, strict=True
+        )
+    )
+    state = "; ".join(f"{k} {v}" for k, v in record["machine"].items())
+    lines += [
+        "",
+        f"On {record['samples']} test contacts of which it has seen none; {record['parameters']} parameters; "
+        f"{record['latency_ms']:.2f} ms an image, one core ({state}).",
+        "",
+        f"- Labels: {ranges}. Shear: as `shear` in model.json, provenance.",
+        f"- Trained on {data['samples']} images of {contacts} contacts (fidelity `{made['fidelity']['name']}`, seed "
+        f"{made['seed']}, `{made['renderer']}`), configuration {data['digest'][:16]}, table {data['targets_sha256'][:16]}; "
+        f"tested on configuration {record['test']['digest'][:16]}, table {record['test']['targets_sha256'][:16]}; "
+        "in full in model.json and evaluation.json.",
+        f"- Network: {json.dumps(network)}",
+        f"- Training: {json.dumps(settings)}; best epoch {p['outcome']['best_epoch']} of {p['outcome']['epochs']}; "
+        f"torch {p['torch']}",
+        "",
+        "To make it again:",
+        "",
+        "```",
+        f"tactip bench learning --task {task} --most {contacts}",
+        f"python -m benchmarks.shipped --task {task} --name {options.name}",
+        "```",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    print(ship(tyro.cli(Options)), "written")

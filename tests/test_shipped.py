@@ -1,0 +1,87 @@
+"""Shipped networks are what their cards say, and read contacts that are made here and now."""
+
+import json
+
+import numpy as np
+import pytest
+from learning_sets import write_fake_splits
+
+import tactip
+from assets import MODELS
+from benchmarks import shipped
+from learning.labels import labels_of
+from learning.model import find_model, shipped_models
+from learning.networks import Recipe
+from learning.posenet import PoseNetConfig
+from learning.samples import read_splits
+from learning.train import TrainSettings, train
+from sim.contact import Bounds, CarefulPlayer
+from sim.fidelity import fidelity_named
+from sim.pose import to_mm_deg
+from sim.sampling import POSE_RANGES, SHEAR_RANGES, generator
+from tactip_model.errors import TactipError
+from tactip_model.image import tactile_image
+from tactip_model.presets import find_design
+from tactip_model.raster import Raster
+
+CONTACTS = 12
+TINY = Recipe(PoseNetConfig(conv_layers=1, filters=2, units=4, batch_size=8), TrainSettings(epochs=1))
+
+
+def test_both_tasks_are_shipped():
+    assert shipped_models() == ["edge-tactip-127", "surface-tactip-127"]
+
+
+@pytest.mark.parametrize("name", shipped_models())
+def test_a_card_is_of_its_network(name):
+    folder = MODELS / name
+    record, card = json.loads((folder / "evaluation.json").read_text()), (folder / "card.md").read_text()
+    model = find_model(name)
+    assert (folder / "model.pt").stat().st_size < shipped.MOST_BYTES
+    assert record["samples"] == 2000
+    assert record["test"]["digest"] != model.provenance["train"]["digest"]
+    for component, error in record["mae"].items():
+        assert f"| {component} | {error:.3f} " in card
+    assert model.provenance["outcome"]["finished"]
+    assert model.labels == labels_of(model.provenance["train"]["configuration"])
+
+
+@pytest.mark.parametrize("name", shipped_models())
+def test_it_reads_contacts_of_another_seed(name):
+    """A dozen contacts, drawn and played now; their mean error is of the size that the card says."""
+    model, design = find_model(name), find_design("tactip-127")
+    task = model.labels.task
+    player = CarefulPlayer(design, task, fidelity_named("standard"), Bounds())
+    raster = Raster(design)
+    images, labels = [], []
+    for number in range(CONTACTS):
+        draw = generator(991, task, "test", number)
+        contact, _ = player.play(POSE_RANGES[task].draw(draw), SHEAR_RANGES.draw(draw))
+        images.append(tactile_image(raster.render(contact.tips, contact.directions), design.image))
+        labels.append(to_mm_deg(contact.pose))
+    errors = model.predict(np.stack(images)) - model.labels.of(np.array(labels))
+    said = json.loads((MODELS / name / "evaluation.json").read_text())
+    assert np.all(np.abs(errors).mean(0) < 2.5 * np.array(list(said["mae"].values())))
+
+
+def test_shipping(tmp_path, capsys):
+    """A finished training is copied, judged on the test set, and its card names how it is made again."""
+    data = write_fake_splits(tmp_path / "data" / "plain" / "surface")
+    options = shipped.Options(data=tmp_path / "data", runs=tmp_path / "runs", out=tmp_path / "models")
+    with pytest.raises(TactipError, match="there is no model in"):
+        shipped.ship(options)
+    train(*read_splits(data), TINY.network, TINY.settings, tmp_path / "runs" / "surface" / "laptop-most", quiet=True)
+    folder = shipped.ship(options)
+    assert folder.name == "surface-tactip-127"
+    record = json.loads((folder / "evaluation.json").read_text())
+    card = (folder / "card.md").read_text()
+    assert f"{record['mae']['pose_z']:.3f} mm" in card
+    assert "tactip bench learning --task surface --most 3" in card
+    model = find_model(folder)
+    assert model.labels.task == "surface"
+
+
+def test_a_name_that_is_not_shipped_is_refused(tmp_path, capsys):
+    assert tactip.main(["evaluate", "--model", "surface-tactip-9", "--data", str(tmp_path)]) == 1
+    told = capsys.readouterr().err
+    assert "no shipped model of that name: edge-tactip-127, surface-tactip-127" in told
