@@ -351,6 +351,10 @@ class SpaceOptions:
     """Most dense layers."""
     most_units: int | None = None
     """Most units of a dense layer."""
+    blur_px: float | None = None
+    """Blur of the image in every trial, px."""
+    reduce: int | None = None
+    """Squares of so many px are averaged in every trial: at 2 it costs a quarter."""
 
 
 @dataclass(frozen=True)
@@ -511,6 +515,8 @@ class Learning:
     """Folder for learning.json, learning.md and learning.png."""
     workers: str = "auto"
     """Worker processes that make sets; auto is one a core."""
+    only: tuple[str, ...] = ()
+    """Names of the rows to measure; the page keeps the others."""
     paper: bool = False
     """Train the paper's own network, too: for a GPU."""
 
@@ -520,7 +526,7 @@ class Learning:
 
         workers = worker_count(self.workers)
         counts = self.contacts, self.most, self.judged, self.judged_taps
-        run(Options(self.task, *counts, self.data, self.runs, self.out, workers, self.paper))
+        run(Options(self.task, *counts, self.data, self.runs, self.out, workers, self.only, self.paper))
         print(f"{self.out / 'learning.md'} written")
         return 0
 

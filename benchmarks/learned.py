@@ -65,6 +65,8 @@ class Options:
     """Folder for learning.json, .md and .png."""
     workers: int = 2
     """Worker processes that make sets."""
+    only: tuple[str, ...] = ()
+    """Names of the rows to measure; all if there are none. The page keeps the others."""
     paper: bool = False
     """Train the paper's own network, too: for a GPU."""
 
@@ -162,31 +164,42 @@ def run(options, say=print):
     choose("task", options.task, dict.fromkeys(PAPER))
     if not 1 <= options.contacts <= options.most:
         raise TactipError(f"--contacts is {options.contacts}: it must be 1 to --most, {options.most}")
+    chosen = {row.name: row for row in rows(options.task, options.paper)}
+    order = list(chosen)
+    if options.only:
+        chosen = {name: choose("row", name, chosen) for name in options.only}
     make(jobs(options), options.workers, say)
     training, tests = read_sets(options)
     counts = {name: getattr(options, name) for name in ("contacts", "most", "judged", "judged_taps")}
-    record = {**counts, "machine": machine(), "rows": []}
-    for row in rows(options.task, options.paper):
+    record = {**counts, "machine": machine(), "rows": _kept(options, counts)}
+    for row in chosen.values():
         folder = options.runs / options.task / row.name
         say(f"{row.name}: {row.what}")
         history = train(*training[row.kind], row.recipe.network, row.recipe.settings, folder, say=say)
         model = load_model(folder)
         figures = {name: evaluate(model, samples).figures for name, samples in tests.items()}
-        record["rows"].append(
-            {
-                "name": row.name,
-                "what": row.what,
-                "set": row.kind,
-                "images": len(training[row.kind][0]),
-                "epochs": len(history),
-                "seconds": sum(h["seconds"] for h in history),
-                "parameters": figures["sheared"]["parameters"],
-                "latency_ms": figures["sheared"]["latency_ms"],
-                "mae": {name: f["mae"] for name, f in figures.items()},
-            }
-        )
+        measured = {
+            "name": row.name,
+            "what": row.what,
+            "set": row.kind,
+            "images": len(training[row.kind][0]),
+            "epochs": len(history),
+            "seconds": sum(h["seconds"] for h in history),
+            "parameters": figures["sheared"]["parameters"],
+            "latency_ms": figures["sheared"]["latency_ms"],
+            "mae": {name: f["mae"] for name, f in figures.items()},
+        }
+        others = [r for r in record["rows"] if r["name"] != row.name and r["name"] in order]
+        record["rows"] = sorted([*others, measured], key=lambda r: order.index(r["name"]))
         _write(options, record)
     return record
+
+
+def _kept(options, counts):
+    """The rows (list of dict) of learning.json that were measured on as many contacts."""
+    path = options.out / "learning.json"
+    before = json.loads(path.read_text()).get(options.task, {}) if path.exists() else {}
+    return before["rows"] if {name: before.get(name) for name in counts} == counts else []
 
 
 def _write(options, record):
@@ -195,6 +208,7 @@ def _write(options, record):
     path = options.out / "learning.json"
     whole = json.loads(path.read_text()) if path.exists() else {}
     whole[options.task] = record
+    whole = {task: whole[task] for task in PAPER if task in whole}
     write_file(path, (json.dumps(whole, indent=1) + "\n").encode())
     write_file(options.out / "learning.md", page(whole).encode())
     draw(whole, options.out / "learning.png")

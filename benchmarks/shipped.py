@@ -55,7 +55,7 @@ def ship(options):
     record = {
         **evaluation.figures,
         **tables(evaluation, test, model.labels),
-        "test": {"digest": meta["digest"], "targets_sha256": meta["files"]["targets.csv"]},
+        "test": {"digest": meta["digest"], "targets_sha256": meta["files"].get("targets.csv")},
         "machine": machine(),
     }
     folder = options.out / f"{options.task}-{DESIGN}"
@@ -102,9 +102,8 @@ def card(model, record, options):
         "",
         f"- Labels: {ranges}. Shear: as `shear` in model.json, provenance.",
         f"- Trained on {data['samples']} images of {contacts} contacts (fidelity `{made['fidelity']['name']}`, seed "
-        f"{made['seed']}, `{made['renderer']}`), configuration {data['digest'][:16]}, table {data['targets_sha256'][:16]}; "
-        f"tested on configuration {record['test']['digest'][:16]}, table {record['test']['targets_sha256'][:16]}; "
-        "in full in model.json and evaluation.json.",
+        f"{made['seed']}, `{made['renderer']}`), configuration {data['digest'][:16]}; tested on configuration "
+        f"{record['test']['digest'][:16]}. In full, and with checksums of the tables, in model.json and evaluation.json.",
         f"- Network: {json.dumps(network)}",
         f"- Training: {json.dumps(settings)}; best epoch {p['outcome']['best_epoch']} of {p['outcome']['epochs']}; "
         f"torch {p['torch']}",
@@ -112,7 +111,7 @@ def card(model, record, options):
         "To make it again:",
         "",
         "```",
-        f"tactip bench learning --task {task} --most {contacts}",
+        f"tactip bench learning --task {task} --most {contacts} --only {options.name}",
         f"python -m benchmarks.shipped --task {task} --name {options.name}",
         "```",
     ]

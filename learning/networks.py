@@ -58,7 +58,7 @@ RECIPES = {
     "laptop": dict.fromkeys(_PAPER, Recipe(_LAPTOP, _LAPTOP_TRAINING)),
     "paper": {task: Recipe(network, TrainSettings()) for task, network in _PAPER.items()},
 }
-"""By name and task. `laptop` is for two cores: per image, its convolutions multiply 370 times less than the paper's for the
+"""By name and task. `laptop` is for two cores: per image, its convolutions multiply 1100 times less than the paper's for the
 surface. `tactip bench learning` holds the two side by side."""
 
 

@@ -24,13 +24,17 @@ class SearchSpace:
     """Most dense layers [P]."""
     most_units: int = within(2, 4096, default=512)
     """Most units [P]."""
+    blur_px: float = within(0, 4, default=0.0)
+    """Of every network (PoseNetConfig.blur_px); none [P]."""
+    reduce: int = within(1, 8, default=1)
+    """Of every network (PoseNetConfig.reduce); 1 [P]. At 2 a trial costs a quarter, and 4 convolutions are the most."""
 
     def __post_init__(self):
         check(self)
 
     def checked(self, size):
         """This space. Raises TactipError where some of it leaves no pixels of an image of `size` px."""
-        PoseNetConfig(conv_layers=self.most_conv_layers).last_size(size)
+        PoseNetConfig(conv_layers=self.most_conv_layers, reduce=self.reduce).last_size(size)
         return self
 
     def expressions(self):
@@ -52,14 +56,13 @@ class SearchSpace:
     def network(self, values):
         """The PoseNetConfig of hyperopt's values (dict of label to number)."""
         point = space_eval(self.expressions(), values)
-        return network_of(point)
+        return self.network_of(point)
 
-
-def network_of(point):
-    """The PoseNetConfig of a point (dict) of the space."""
-    plain = {k: v.item() if isinstance(v, np.generic) else v for k, v in point.items()}
-    filters, units = 2 ** plain.pop("log2_filters"), 2 ** plain.pop("log2_units")
-    return PoseNetConfig(filters=int(filters), units=int(units), **plain)
+    def network_of(self, point):
+        """The PoseNetConfig of a point (dict) of the space."""
+        plain = {k: v.item() if isinstance(v, np.generic) else v for k, v in point.items()}
+        filters, units = 2 ** plain.pop("log2_filters"), 2 ** plain.pop("log2_units")
+        return PoseNetConfig(filters=int(filters), units=int(units), blur_px=self.blur_px, reduce=self.reduce, **plain)
 
 
 def _log2(number):

@@ -59,6 +59,16 @@ def test_a_page_is_written_and_what_was_trained_is_kept(options):
     assert sum("finished already" in line for line in said) == len(first["rows"])
     assert [r["mae"] for r in again["rows"]] == [r["mae"] for r in first["rows"]]
     assert list(json.loads((options.out / "learning.json").read_text())) == ["surface"]
+    one = learned.run(replace(options, only=("laptop",)), say=lambda line: None)
+    assert [r["name"] for r in one["rows"]] == [r["name"] for r in first["rows"]]
+    with pytest.raises(TactipError, match="unknown row 'lap': choose one of paper-16, laptop-plain"):
+        learned.run(replace(options, only=("lap",)))
+
+
+def test_rows_of_fewer_contacts_are_not_kept(options):
+    learned.run(replace(options, only=("laptop",)), say=lambda line: None)
+    other = learned.run(replace(options, contacts=1, only=("laptop-most",)), say=lambda line: None)
+    assert [r["name"] for r in other["rows"]] == ["laptop-most"]
 
 
 def test_another_task_is_refused():

@@ -8,7 +8,7 @@ from torch import nn
 
 from learning.networks import RECIPES, recipe_named
 from learning.posenet import PoseNet, PoseNetConfig, parameter_count
-from learning.space import SearchSpace, network_of
+from learning.space import SearchSpace
 from learning.train import TrainSettings, cosine_rate, paper_rate
 from tactip_model.errors import TactipError
 
@@ -139,6 +139,10 @@ def test_recipes_fit_the_images():
 def test_the_space_is_the_papers():
     point = {"conv_layers": 5, "log2_filters": 9, "dense_layers": 1, "log2_units": 4, "activation": "relu"}
     point |= {"batch_norm": False, "dropout": 0.001, "l1": 0.001, "l2": 0.064, "batch_size": 32}
-    assert network_of(point) == PoseNetConfig()
+    assert SearchSpace().network_of(point) == PoseNetConfig()
+    small = SearchSpace(most_conv_layers=4, reduce=2, blur_px=1.0)
+    assert small.network_of(point) == PoseNetConfig(reduce=2, blur_px=1.0)
     with pytest.raises(TactipError, match="conv_layers is 7: it must be at most 5"):
         SearchSpace(most_conv_layers=7).checked(128)
+    with pytest.raises(TactipError, match="at most 4: an image of 128 px"):
+        SearchSpace(most_conv_layers=5, reduce=2).checked(128)

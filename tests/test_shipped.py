@@ -76,7 +76,7 @@ def test_shipping(tmp_path, capsys):
     record = json.loads((folder / "evaluation.json").read_text())
     card = (folder / "card.md").read_text()
     assert f"{record['mae']['pose_z']:.3f} mm" in card
-    assert "tactip bench learning --task surface --most 3" in card
+    assert "tactip bench learning --task surface --most 3 --only laptop-most" in card
     model = find_model(folder)
     assert model.labels.task == "surface"
 
