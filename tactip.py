@@ -532,6 +532,41 @@ class Learning:
 
 
 @dataclass(frozen=True)
+class Search:
+    """Run the paper's search with as many trials as there is time for, and write the page that says what was cut."""
+
+    task: str = "surface"
+    """surface or edge."""
+    trials: int = 60
+    """Trainings in all."""
+    jobs: int = 2
+    """Trainings at a time."""
+    paper: bool = False
+    """The paper's whole search: 300 trials, 512 filters; for a GPU."""
+    contacts: int = 2000
+    """Contacts to train on."""
+    judged: int = 2000
+    """Contacts to validate on."""
+    data: Path = Path("data/learning")
+    """Folder of the sets."""
+    runs: Path = Path("runs/search")
+    """Folder of the searches."""
+    out: Path = Path("docs")
+    """Folder for search.json, search.md and the figures."""
+    workers: str = "auto"
+    """Worker processes that make sets; auto is one a core."""
+
+    def run(self):
+        from benchmarks.searched import Options, run
+        from sim.crew import worker_count
+
+        options = {f.name: getattr(self, f.name) for f in fields(self)}
+        run(Options(**options | {"workers": worker_count(self.workers)}))
+        print(f"{self.out / 'search.md'} written")
+        return 0
+
+
+@dataclass(frozen=True)
 class Bench:
     """Measure the simulation and what is learned: errors, costs, and where they can be trusted."""
 
@@ -539,7 +574,8 @@ class Bench:
         Annotated[Stability, tyro.conf.subcommand("stability")]
         | Annotated[Error, tyro.conf.subcommand("error")]
         | Annotated[Parts, tyro.conf.subcommand("parts")]
-        | Annotated[Learning, tyro.conf.subcommand("learning")],
+        | Annotated[Learning, tyro.conf.subcommand("learning")]
+        | Annotated[Search, tyro.conf.subcommand("search")],
         tyro.conf.arg(name=""),
     ]
 
