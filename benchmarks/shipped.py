@@ -17,6 +17,7 @@ from learning.evaluate import evaluate, tables
 from learning.model import DESCRIPTION, WEIGHTS, load_model
 from learning.samples import read_samples
 from sim.dataset import write_file
+from sim.symmetry import SYMMETRIES
 from tactip_model.errors import TactipError
 
 MOST_BYTES = 5_000_000
@@ -72,7 +73,9 @@ def card(model, record, options):
     task, p = model.labels.task, model.provenance
     data, network, settings = p["train"], p["network"], p["settings"]
     made = data["configuration"]
-    contacts = data["samples"] // (8 if task == "surface" else 2)
+    # Of all of a set, what was asked for: a contact that could not be trusted may be missing among the samples.
+    samples = made["samples"] if data.get("chosen") is None else data["samples"]
+    contacts = samples // (len(SYMMETRIES[task]) if made["symmetric"] else 1)
     what = {"surface": "a surface", "edge": "an edge"}[task]
     lines = [
         f"# {task}-{DESIGN}",

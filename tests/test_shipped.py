@@ -38,7 +38,7 @@ def test_a_card_is_of_its_network(name):
     record, card = json.loads((folder / "evaluation.json").read_text()), (folder / "card.md").read_text()
     model = find_model(name)
     assert (folder / "model.pt").stat().st_size < shipped.MOST_BYTES
-    assert record["samples"] == 2000
+    assert 1990 <= record["samples"] <= 2000  # but for those that could not be trusted
     assert record["test"]["digest"] != model.provenance["train"]["digest"]
     for component, error in record["mae"].items():
         assert f"| {component} | {error:.3f} " in card
@@ -76,7 +76,7 @@ def test_shipping(tmp_path, capsys):
     record = json.loads((folder / "evaluation.json").read_text())
     card = (folder / "card.md").read_text()
     assert f"{record['mae']['pose_z']:.3f} mm" in card
-    assert "tactip bench learning --task surface --most 3 --only laptop-most" in card
+    assert "tactip bench learning --task surface --most 24 --only laptop-most" in card
     model = find_model(folder)
     assert model.labels.task == "surface"
 
