@@ -354,7 +354,7 @@ class SpaceOptions:
     blur_px: float | None = None
     """Blur of the image in every trial, px."""
     reduce: int | None = None
-    """Squares of so many px are averaged in every trial: at 2 it costs a quarter."""
+    """Squares of so many px are averaged in every trial: at 2 convolutions multiply a quarter."""
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ LAPTOP = TuneSettings(
     space=SearchSpace(most_conv_layers=4, most_filters=16, most_units=128, blur_px=1.0, reduce=2),
     training=TrainSettings(epochs=40, rate=1e-3),
 )
-"""A search for two cores. Of the paper's 1e-4 a network is not half trained after 40 epochs, hence the rate."""
+"""A search for two cores: few epochs, hence ten times the paper's rate [?]."""
 
 BEST = 5
 """Trials that the page names."""

@@ -49,7 +49,7 @@ class PoseNetConfig:
     """Batch normalisation after each convolution [P]."""
     halving: str = "pool"
     """How a convolution layer halves its image: pool, 2×2 max-pooling [P], or stride, a convolution of stride 2. The largest
-    of four does not tell where a pin is to a part of a pixel; a stride does, and costs a quarter."""
+    of four does not tell where a pin is to a part of a pixel; a stride does, and costs less."""
     further: int = within(0, 4, default=0)
     """Convolutions that follow in each layer, of the same width; none [P]."""
     dropout: float = within(0, 0.9, default=0.001)

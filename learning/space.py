@@ -27,7 +27,7 @@ class SearchSpace:
     blur_px: float = within(0, 4, default=0.0)
     """Of every network (PoseNetConfig.blur_px); none [P]."""
     reduce: int = within(1, 8, default=1)
-    """Of every network (PoseNetConfig.reduce); 1 [P]. At 2 a trial costs a quarter, and 4 convolutions are the most."""
+    """Of every network (PoseNetConfig.reduce); 1 [P]. At 2 convolutions multiply a quarter, and 4 of them are the most."""
 
     def __post_init__(self):
         check(self)
