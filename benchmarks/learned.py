@@ -37,7 +37,7 @@ BARS = {
 }
 """What this project asks of itself."""
 
-FILTERS = (4, 8, 24)
+FILTERS = (4, 8, 16)
 """First filters of the other networks on the curve."""
 
 DESIGN, FIDELITY = "tactip-127", "standard"

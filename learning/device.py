@@ -19,10 +19,12 @@ def device_named(name):
 
 
 def is_half(precision, device):
-    """Whether convolutions are computed in bfloat16 (bool): always if asked for, and of itself on a GPU.
+    """Whether convolutions are computed in bfloat16 (bool): if asked for, and by `auto` where the device is made for it.
 
     precision: str of PRECISIONS. device: str. Raises TactipError on another precision.
     """
     if precision not in PRECISIONS:
         raise TactipError(f"unknown precision {precision!r}: choose one of {', '.join(PRECISIONS)}")
-    return precision == "bfloat16" or (precision == "auto" and device == "cuda")
+    if precision == "auto":
+        return device == "cuda" or bool(torch.cpu.get_capabilities().get("amx_bf16"))
+    return precision == "bfloat16"

@@ -16,9 +16,11 @@ _STEPS = 5
 class Muon(torch.optim.Optimizer):
     """Steps along the orthogonal factor of the momentum. For weights of two or more dimensions, (out, ...)."""
 
-    def __init__(self, params, lr=0.02, momentum=0.95):
-        """params: tensors. lr: float, about how far a step turns a layer. momentum: float, -."""
+    def __init__(self, params, lr=0.02, momentum=0.95, half=False):
+        """params: tensors. lr: float, about how far a step turns a layer. momentum: float, -. half: bool, find the factor
+        in bfloat16, which is good enough for it [Jordan et al.]."""
         super().__init__(params, {"lr": lr, "momentum": momentum})
+        self._precision = torch.bfloat16 if half else torch.float32
 
     @torch.no_grad()
     def step(self, closure=None):
@@ -32,7 +34,7 @@ class Muon(torch.optim.Optimizer):
                     state["momentum"] = torch.zeros_like(weight)
                 state["momentum"].lerp_(weight.grad, 1 - group["momentum"])
                 ahead = weight.grad.lerp(state["momentum"], group["momentum"])
-                matrix = orthogonal(ahead.reshape(len(ahead), -1))
+                matrix = orthogonal(ahead.reshape(len(ahead), -1).to(self._precision))
                 stretch = max(1.0, matrix.shape[0] / matrix.shape[1]) ** 0.5
                 weight.add_(matrix.reshape(weight.shape), alpha=-group["lr"] * stretch)
 
@@ -44,7 +46,7 @@ def orthogonal(matrix):
     x = x / (x.norm() + 1e-7)
     for _ in range(_STEPS):
         square = x @ x.T
-        x = a * x + (b * square + c * square @ square) @ x
+        x = torch.addmm(x, torch.addmm(square, square, square, beta=b, alpha=c), x, beta=a)
     return x.T if matrix.shape[0] > matrix.shape[1] else x
 
 

@@ -67,7 +67,8 @@ class TrainSettings:
     schedule: str = "paper"
     """paper, or cosine: to zero over all epochs."""
     precision: str = "auto"
-    """Of the convolutions: float32, bfloat16, or auto (bfloat16 on a GPU)."""
+    """Of the convolutions: float32, bfloat16, or auto: bfloat16 on a GPU, and on a CPU that multiplies matrices of it (AMX),
+    where that is twice as fast."""
     drawn: float = within(0, 1, default=0.0)
     """Share of the images that are drawn anew at every step, from their pins under varied optics (drawn.py); the rest are
     the plain images of the set [P]."""
@@ -103,7 +104,7 @@ class Training:
             torch.manual_seed(settings.seed)
             net = PoseNet(config, train.size, len(self.labels.components))
         self.net = net.to(device=self.device, memory_format=torch.channels_last)
-        self._optimizers = _optimizers(self.net, settings)
+        self._optimizers = _optimizers(self.net, settings, self._half)
         # The whole set lives on the device, as bytes.
         self._images, self._targets = self._resident(train)
         self._drawn = DrawnImages(train, settings.optics, device=self.device) if settings.drawn else None
@@ -181,7 +182,8 @@ class Training:
         for i in range(steps):
             share = rate(self.settings, self.epoch * steps + i, self.epochs * steps) / self.settings.rate
             chosen = order[i * self.config.batch_size : (i + 1) * self.config.batch_size]
-            out = self._forward(self._batch(chosen))
+            with torch.autocast(self.device, dtype=torch.bfloat16, enabled=self._half):
+                out = self.net(to_input(self._batch(chosen)))
             loss = (out - self._targets[chosen]).square().sum(1).mean() + self.net.penalty()
             self.net.zero_grad(set_to_none=True)
             loss.backward()
@@ -193,17 +195,16 @@ class Training:
             tick(len(chosen))
         return float(total) / len(order)
 
-    def _forward(self, images):
-        with torch.autocast(self.device, dtype=torch.bfloat16, enabled=self._half):
-            return self.net(to_input(images))
-
     def error(self, images, targets, batch=256):
-        """Sum over components of the mean squared error over scale² (float) of images (n, size, size) and targets (n, k)."""
+        """Sum over components of the mean squared error over scale² (float) of images (n, size, size) and targets (n, k).
+
+        In single precision, as the network is used.
+        """
         self.net.eval()
         total = torch.zeros((), device=self.device)
         with torch.inference_mode():
             for start in range(0, len(images), batch):
-                out = self._forward(images[start : start + batch])
+                out = self.net(to_input(images[start : start + batch]))
                 total += (out - targets[start : start + batch]).square().sum()
         return float(total) / len(images)
 
@@ -225,13 +226,13 @@ class Training:
         self.best, self.epoch, self.history = state["best"], state["epoch"], json.loads(state["history"])
 
 
-def _optimizers(net, settings):
+def _optimizers(net, settings, half):
     """Optimisers of a net's weights, each with its learning rate: a list of pairs."""
     inner = inner_weights(net) if settings.muon else []
     ours = {id(p) for p in inner}
     rest = [p for p in net.parameters() if id(p) not in ours]
     out = [(torch.optim.Adam(rest, lr=settings.rate), settings.rate)]
-    return [*out, (Muon(inner, lr=settings.muon), settings.muon)] if inner else out
+    return [*out, (Muon(inner, lr=settings.muon, half=half), settings.muon)] if inner else out
 
 
 def provenance(train, val, config, settings):
