@@ -13,7 +13,7 @@ import matplotlib.figure
 import numpy as np
 import tyro
 
-from sim.contact import ContactPlayer, _shares
+from sim.contact import ContactPlayer, shares
 from sim.fidelity import FIDELITIES
 from sim.pose import from_mm_deg, path
 from tactip_model.presets import design_named
@@ -57,7 +57,7 @@ class Walker(ContactPlayer):
         goal, motion = from_mm_deg([*place_mm, 0, 0, 0]), self.scene.fidelity.motion
         way = goal - self._at
         step = motion.press_step_m if np.hypot(*way[:2]) < abs(way[2]) else motion.shear_step_m
-        self._move(path(self._at, goal, _shares(np.linalg.norm(way) / step, motion)))
+        self._move(path(self._at, goal, shares(np.linalg.norm(way) / step, motion)))
         self._at = goal
 
     def rest(self):

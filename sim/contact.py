@@ -208,7 +208,7 @@ class _Diverged(Exception):
 
 
 @contextlib.contextmanager
-def _counted_warnings():
+def counted_warnings():
     """MuJoCo's warnings counted in a list instead of shown: they are part of the record."""
     messages = []
     before = mujoco.get_mju_user_warning()
@@ -223,7 +223,7 @@ class ContactPlayer:
     """Plays contacts in one scene. Each is independent of those before it."""
 
     def __init__(self, design, stimulus, fidelity):
-        """design: Design. stimulus: str, a name in stimulus.STIMULI. fidelity: Fidelity.
+        """design: Design. stimulus: a name in stimulus.STIMULI, or a Stimulus. fidelity: Fidelity.
 
         Raises TactipError on what cannot be built.
         """
@@ -252,7 +252,7 @@ class ContactPlayer:
         self.scene.reset()
         self._steps = self._unsolved = 0
         # A state that is lost stays lost: the record shows it, and steps from it would only take long.
-        with _counted_warnings() as messages, contextlib.suppress(_Diverged):
+        with counted_warnings() as messages, contextlib.suppress(_Diverged):
             for labels in self._motions(pose, shear, approach):
                 self._move(labels)
             self._settle(pose)
@@ -271,7 +271,7 @@ class ContactPlayer:
         start = before_shear(pose, shear)
         here, approach = start, True
         for label in path(start, pose, shares):
-            with _counted_warnings() as messages, contextlib.suppress(_Diverged):
+            with counted_warnings() as messages, contextlib.suppress(_Diverged):
                 for labels in self._motions(label, shear_between(here, label), approach):
                     self._move(labels)
                 self._settle(label)
@@ -289,10 +289,10 @@ class ContactPlayer:
         press_step, shear_step = (min(step, self._longest_step) for step in steps)
         if approach and lift > 0:
             above = start + np.array([0, 0, lift, 0, 0, 0])
-            yield path(above, start, _shares(lift / press_step, motion))
+            yield path(above, start, shares(lift / press_step, motion))
         travel = np.linalg.norm(shear[:3]) + LEVER_M * turn_between(start, pose)
         if travel > 0:
-            yield path(start, pose, _shares(travel / shear_step, motion))
+            yield path(start, pose, shares(travel / shear_step, motion))
 
     def _move(self, labels):
         """Carry the stimulus along labels (n, 6), one a step."""
@@ -411,7 +411,7 @@ class CarefulPlayer:
         return self._players[attempt]
 
 
-def _shares(steps, motion):
+def shares(steps, motion):
     """Shares (n + 1,) of a motion's way at its steps: its pace (Motion.ease_in, ease_out) summed up."""
     n = max(motion.least_steps, int(np.ceil(steps)))
     return betainc(motion.ease_in + 1, motion.ease_out + 1, np.arange(n + 1) / n)

@@ -8,9 +8,11 @@ import functools
 
 import mujoco
 import numpy as np
+from scipy.spatial.transform import Rotation
 
+from sim.shape import Follower, Shape
 from sim.slip import SlipMemory
-from sim.stimulus import add_stimulus, stimulus_named
+from sim.stimulus import Stimulus, add_stimulus, stimulus_named
 from tactip_model.body import STEP_OF_RESTING_S, STIFFENED, add_body
 from tactip_model.errors import TactipError
 from tactip_model.mesh import CONTACT_RADIUS_M, build_mesh
@@ -32,11 +34,11 @@ class Scene:
     """A compiled contact scene: the MuJoCo model, the mesh, and where things are in the state."""
 
     def __init__(self, design, stimulus, fidelity):
-        """design: Design. stimulus: str, a name in stimulus.STIMULI. fidelity: Fidelity.
+        """design: Design. stimulus: a name in stimulus.STIMULI, or a Stimulus. fidelity: Fidelity.
 
         Raises TactipError on what cannot be built.
         """
-        self.stimulus = stimulus_named(stimulus)
+        self.stimulus = stimulus if isinstance(stimulus, Stimulus) else stimulus_named(stimulus)
         self.design, self.fidelity = design, fidelity
         try:
             self.mesh = build_mesh(design.shape, fidelity.mesh)
@@ -72,7 +74,12 @@ class Scene:
         add_stimulus(spec, self.stimulus, friction, self.fidelity.contact)
         tip = spec.worldbody.add_body(name="tip")
         add_body(spec, tip, self.design, self.mesh, self.fidelity.mesh, self.fidelity.contact)
+        self._follower = None
+        if isinstance(self.stimulus, Shape):
+            self._follower = Follower(spec, self.stimulus.solid, self.mesh, friction, self.fidelity.contact)
         model = spec.compile()
+        if self._follower:
+            self._follower.bind(model)
         # The solver's tolerance is relative to the mean inertia: the stimulus's 1000 kg must not loosen it.
         model.stat.meaninertia = model.body_mass[model.body_mass < 1].mean()
         return model
@@ -93,11 +100,14 @@ class Scene:
         if np.isfinite(self.stimulus.width_m):
             share = np.clip(STEP_OF_RESTING_S / self.fidelity.motion.step_s, 1.0, STIFFENED)
             solref = -np.array(contact.resting) * [share**2, share]
-        self.model.geom_solref[:], self.model.flex_solref[:] = solref, solref
+        for each in (self.model.geom_solref, self.model.flex_solref, self.model.pair_solref):
+            each[:] = solref
         self.model.opt.tolerance = solver.settle_tolerance if resting else solver.tolerance
 
     def step(self):
-        """One time step: mujoco.mj_step, with four differences.
+        """One time step: mujoco.mj_step, with these differences.
+
+        The surface of a solid follows the skin (sim/shape.py), if that is what the tip is pressed on.
 
         Contacts begin before they touch (ContactModel.margin_m), with their force at the surface all the same: the margin
         is taken out of their rows.
@@ -113,6 +123,8 @@ class Scene:
         solver's tolerance.
         """
         model, data = self.model, self.data
+        if self._follower:
+            self._follower.follow(model, self.skin_in_stimulus())
         tolerance, before = model.opt.tolerance, data.qacc_warmstart.copy()
         mujoco.mj_fwdPosition(model, data)
         touching = data.nefc > 0
@@ -167,23 +179,40 @@ class Scene:
         vertices[self._free] += self.data.qpos[_STIMULUS_QPOS:].reshape(-1, 3)
         return vertices
 
+    def skin_in_stimulus(self):
+        """Vertices (s, 3) of the skin as deformed now, m, in the stimulus's frame."""
+        place, quaternion = self.data.qpos[:3], self.data.qpos[3:_STIMULUS_QPOS]
+        turn = Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
+        return (self.vertices()[: self.mesh.surface_count] - place) @ turn
+
     def greatest_speed(self):
         """Speed (m/s) of the fastest vertex."""
         return float(np.sqrt((self.data.qvel[_STIMULUS_QVEL:].reshape(-1, 3) ** 2).sum(1).max()))
 
     def contact_force(self):
         """Force (3,) N of the stimulus on the tip in the sensor frame, at the last step."""
+        forces, _ = self._contact_forces()
+        return np.add.accumulate(forces)[-1] if len(forces) else np.zeros(3)
+
+    def contact_wrench(self):
+        """Force (3,) N, and torque (3,) N m about the apex, of the stimulus on the tip in the sensor frame, at the last
+        step."""
+        forces, places = self._contact_forces()
+        return forces.sum(0), np.cross(places, forces).sum(0)
+
+    def _contact_forces(self):
+        """Forces (c, 3) N on the tip and places (c, 3) m of the contacts that act, in the sensor frame."""
         contacts, forces = self.data.contact, self.data.efc_force
         acting = contacts.efc_address >= 0
         if not acting.any():
-            return np.zeros(3)
+            return np.zeros((0, 3)), np.zeros((0, 3))
         # With elliptic cones, the force along each axis of the contact's frame; without friction, along the first alone.
         rows = contacts.efc_address[acting, None] + np.arange(contacts.dim[acting][0])
         # The frame points from the first to the second in contact.
         first = contacts.geom[acting, 0]
         sign = np.where((first >= 0) & (self.model.geom_bodyid[first] == self._stimulus_body), 1.0, -1.0)
         axes = contacts.frame[acting].reshape(-1, 3, 3)[:, : rows.shape[1]]
-        return np.add.accumulate(np.matmul((sign[:, None] * forces[rows])[:, None], axes)[:, 0])[-1]
+        return np.matmul((sign[:, None] * forces[rows])[:, None], axes)[:, 0], contacts.pos[acting]
 
     def penetration(self):
         """Greatest depth (m) of a contact point inside the stimulus, at the last step; 0 without contact."""

@@ -1,0 +1,1 @@
+"""Things to follow, and the script that makes them."""

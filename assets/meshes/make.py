@@ -1,0 +1,75 @@
+"""Make the meshes of this folder: `python -m assets.meshes.make` (a minute; needs scikit-image, of the extra `dev`).
+
+Solids (solids.py) are cut into triangles by marching cubes, whose vertices are then brought onto the solid's own surface;
+rims (rims.py) are swept. Meshes are in metres. Beside what has an edge to follow lies the edge: points and the outward
+normal of the top, closed where the first point stands again at the end.
+"""
+
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from assets.meshes.rims import RIMS, block
+from assets.meshes.solids import BUST_SCALE, ball, bust, saddle
+
+HERE = Path(__file__).parent
+
+SPHERE_MM = 60.0
+"""Radius of the sphere, mm."""
+
+_SPACING_MM = 1.5
+"""Width of the cubes, mm."""
+
+_EDGE_POINTS = 720
+"""Points of an edge."""
+
+
+def cut(solid, low_mm, high_mm, spacing_mm=_SPACING_MM):
+    """A trimesh.Trimesh, mm, of a solid (function of points) between two corners (3,)."""
+    from skimage.measure import marching_cubes
+
+    axes = [np.arange(a, b + spacing_mm, spacing_mm) for a, b in zip(low_mm, high_mm, strict=True)]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), -1)
+    vertices, triangles, _, _ = marching_cubes(solid(grid), 0, spacing=(spacing_mm,) * 3)
+    vertices = vertices + low_mm
+    for _ in range(3):  # marching cubes goes straight from corner to corner of a cube; Newton's steps bring it home
+        slope = np.stack([solid(vertices + h) - solid(vertices - h) for h in 1e-3 * np.eye(3)], -1) / 2e-3
+        size = np.maximum((slope**2).sum(-1, keepdims=True), 0.25)
+        vertices = vertices - solid(vertices)[:, None] * slope / size
+    mesh = trimesh.Trimesh(vertices, triangles, process=True)
+    mesh.update_faces(mesh.nondegenerate_faces())
+    mesh.fix_normals()
+    return mesh
+
+
+def write(name, mesh, edge=None):
+    """Write a mesh, mm, and the edge (n, 6) mm and -, if it has one."""
+    mesh = mesh.copy()
+    mesh.apply_scale(1e-3)
+    if not (mesh.is_watertight and mesh.volume > 0):
+        raise ValueError(f"{name} is not closed, or inside out")
+    mesh.visual = trimesh.visual.ColorVisuals()
+    (HERE / f"{name}.ply").write_bytes(mesh.export(file_type="ply", vertex_normal=False))
+    if edge is not None:
+        np.savetxt(HERE / f"{name}.edge.csv", edge, "%.5f", ",", header="x_mm,y_mm,z_mm,nx,ny,nz", comments="")
+    print(f"{name}: {len(mesh.faces)} faces, {np.round(1e3 * mesh.extents, 1)} mm")
+
+
+def main():
+    """Make them all."""
+    s = BUST_SCALE
+    write("bust", cut(bust, np.array([-92, -102, -122]) * s, np.array([78, 102, 124]) * s, 1.5 * s))
+    write("saddle", cut(saddle, np.array([-74, -74, -54]), np.array([74, 74, 32])))
+    write("sphere", cut(lambda p: ball(p, (0, 0, 0), SPHERE_MM), np.full(3, -SPHERE_MM - 4), np.full(3, SPHERE_MM + 4)))
+    write("plate", trimesh.convex.convex_hull(block(80.0, 20.0)))
+    y = np.linspace(-80, 80, 161)
+    straight = np.column_stack([np.full(len(y), 60.0), y, np.zeros((len(y), 3)), np.ones(len(y))])
+    write("edge", trimesh.convex.convex_hull(block(60.0, 30.0) * [1, 80 / 60, 1]), straight)
+    for name, rim in RIMS.items():
+        turn = np.linspace(0, 2 * np.pi, _EDGE_POINTS + 1)
+        write(name, trimesh.Trimesh(*rim.mesh(), process=False), np.column_stack([rim.edge(turn), rim.frames(turn)[1]]))
+
+
+if __name__ == "__main__":
+    main()

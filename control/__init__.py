@@ -1,0 +1,1 @@
+"""From the pose of what is felt to motion: the servo."""

@@ -1,0 +1,158 @@
+"""A soft tip that is carried over an object, and goes on from where it is: the scene of a servo.
+
+The tip stays fixed in its world and the object moves, as in the data-set scene: a tip that hung on an arm in MuJoCo would
+cost several times as much a step. What carries it (sim/carrier.py) says where it is.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from sim.contact import LEVER_M, counted_warnings, shares
+from sim.pose import inverse
+from sim.scene import Scene
+from sim.shape import Shape
+from tactip_model.errors import TactipError
+from tactip_model.pins import PinReader
+
+_CLEAR_M = 0.5e-3
+"""Gap between tip and object that counts as clear, m."""
+
+_STRIDE_M = 0.5e-3
+"""How closely a way through the air is looked at, m."""
+
+
+class Diverged(TactipError):
+    """The state of the tip is no longer finite, or no longer a tip's."""
+
+
+@dataclass(frozen=True)
+class Touch:
+    """What there is to know of the tip at one moment, sensor frame. (p pins, s vertices of the skin)"""
+
+    tips: np.ndarray
+    """(p, 3) m."""
+    directions: np.ndarray
+    """(p, 3), unit."""
+    skin: np.ndarray
+    """(s, 3) m."""
+    force: np.ndarray
+    """(3,) N, of the object on the tip."""
+    penetration_m: float
+    """Greatest penetration, m."""
+    speed_m_s: float
+    """Speed of the fastest vertex, m/s."""
+    steps: int
+    """Time steps since the touch before."""
+
+
+class Fingertip:
+    """A tip, an object, and what carries the one over the other."""
+
+    def __init__(self, design, solid, fidelity, carrier, T_base_object, settle_steps=None):
+        """design: Design. solid: Solid. fidelity: Fidelity. carrier: Carrier. T_base_object: (4, 4), where the solid is.
+
+        settle_steps: int, time steps at rest before a touch is taken; of the fidelity if None.
+        Raises TactipError on what cannot be built.
+        """
+        self.scene = Scene(design, Shape(solid), fidelity)
+        self.carrier, self.T_base_object = carrier, np.array(T_base_object, float)
+        self._solid, self._radius = solid, design.shape.radius_m
+        self._reader = PinReader(design, self.scene.mesh)
+        self._settle = fidelity.motion.settle_steps if settle_steps is None else settle_steps
+        self._since = 0
+        self.warnings = 0
+        """MuJoCo's warnings so far."""
+
+    def put(self, T_base_tcp):
+        """Begin at a pose (4, 4) with the tip undeformed. Raises Unreachable, and TactipError where the tip is not clear."""
+        if self.gap(T_base_tcp) < 0:
+            raise TactipError("the tip cannot begin inside of the object: begin further off")
+        self.carrier.put(T_base_tcp)
+        self._undeform()
+
+    def gap(self, T_base_tcp):
+        """Distance (m) from the undeformed dome at a pose (4, 4) to the object; negative where they overlap."""
+        T = inverse(self.T_base_object) @ T_base_tcp
+        centre = (T @ [0, 0, -self._radius, 1])[:3]
+        # The dome is the sphere's outer half; behind it is the housing, as wide.
+        back = T[:3, 3] - np.outer(np.linspace(self._radius, 3 * self._radius, 9), T[:3, 2])
+        return float(min(self._solid.distance(centre[None])[0], self._solid.distance(back).min()) - self._radius)
+
+    def fly(self, T_base_tcp):
+        """Go to a pose (4, 4) through the air, without time steps; undeformed at the end.
+
+        Raises Unreachable, and TactipError where the object is in the way: the carrier then stays before it.
+        """
+        here = self.carrier.pose
+        length = np.linalg.norm(T_base_tcp[:3, 3] - here[:3, 3]) + self._radius * _turn(here, T_base_tcp)
+        count = max(1, int(np.ceil(length / _STRIDE_M)))
+        self.carrier.aim(T_base_tcp, count, 0.1)
+        for k in range(1, count + 1):
+            self.carrier.advance(k / count, 0.1, np.zeros(3), np.zeros(3))
+            if self.gap(self.carrier.pose) < 0:
+                self._undeform()
+                raise TactipError("the object is in the way of a motion through the air")
+        self._undeform()
+
+    def go(self, T_base_tcp):
+        """Go to a pose (4, 4) at the fidelity's pace, in contact or not, and come to rest there. Returns a Touch.
+
+        Raises Unreachable, without having moved, and Diverged.
+        """
+        motion, here = self.scene.fidelity.motion, self.carrier.pose
+        travel = np.linalg.norm(T_base_tcp[:3, 3] - here[:3, 3]) + LEVER_M * _turn(here, T_base_tcp)
+        step = motion.shear_step_m if self.scene.data.ncon or self.gap(T_base_tcp) < _CLEAR_M else motion.press_step_m
+        count = max(motion.least_steps, int(np.ceil(travel / step)))
+        count = self.carrier.aim(T_base_tcp, count, motion.step_s)
+        with counted_warnings() as messages:
+            self.scene.stiffen(resting=False)
+            for share in shares(count, motion)[1:]:
+                self._step(share)
+            self.scene.stiffen(resting=True)
+            for _ in range(self._settle):
+                self._step(1.0)
+        self.warnings += len(messages)
+        return self.touch()
+
+    def touch(self):
+        """The Touch of this moment. Raises Diverged."""
+        scene = self.scene
+        skin = scene.vertices()[: scene.mesh.surface_count]
+        if not (np.isfinite(skin).all() and np.abs(skin).max() < 4 * self._radius):
+            raise Diverged("the simulated tip is lost: its state is not that of a tip any more")
+        tips, directions = self._reader.read(skin)
+        steps, self._since = self._since, 0
+        return Touch(tips, directions, skin, scene.contact_force(), scene.penetration(), scene.greatest_speed(), steps)
+
+    def _undeform(self):
+        self.scene.reset()
+        self._place(self.carrier.pose)
+        self._since = 0
+
+    def _step(self, share):
+        """One time step, towards a share of the carrier's way."""
+        h, before = self.scene.fidelity.motion.step_s, self.carrier.pose
+        force, torque = (before[:3, :3] @ x for x in self.scene.contact_wrench())
+        after = self.carrier.advance(share, h, force, torque)
+        self._place(before, after, h)
+        self.scene.step()
+        self._since += 1
+        if not np.isfinite(self.scene.greatest_speed()):
+            raise Diverged("the simulated tip is lost: its state is not finite any more")
+
+    def _place(self, before, after=None, h=1.0):
+        """Put the object where it is to the sensor, with the speed that takes it where it will be."""
+        T = inverse(before) @ self.T_base_object
+        linear = angular = np.zeros(3)
+        if after is not None:
+            T_next = inverse(after) @ self.T_base_object
+            linear = (T_next[:3, 3] - T[:3, 3]) / h
+            angular = Rotation.from_matrix(T[:3, :3].T @ T_next[:3, :3]).as_rotvec() / h
+        self.scene.place(T[:3, 3], Rotation.from_matrix(T[:3, :3]).as_quat(scalar_first=True), linear, angular)
+
+
+def _turn(T_a, T_b):
+    """Angle (rad) between two poses."""
+    return float(Rotation.from_matrix(T_a[:3, :3].T @ T_b[:3, :3]).magnitude())

@@ -1,0 +1,154 @@
+"""Any solid as a stimulus, with its true shape: no convex hull, no facets of its own to catch on.
+
+MuJoCo makes contacts of convex pieces, or of triangles one by one: of a rigid flex with the skin's facets, so many, and with
+so many normals, that a slide over an edge ends half a millimetre off and costs ten times as much (docs/objects.md). Here the
+solid's surface comes to the skin instead. At every step each vertex of the skin gets the sphere that touches the surface
+where it is nearest, with the surface's normal: the contact is that of the true surface, to first order in what the vertex
+moves in a step. Where the solid is higher in the middle of a facet than at its corners, as an edge is, the facet gets a
+probe: a sphere inside the solid that touches the surface there, as large as fits. The cost does not depend on how many
+triangles the solid has.
+"""
+
+import mujoco
+import numpy as np
+
+from sim.stimulus import EDGE_RADIUS_M, Stimulus
+from tactip_model.body import TOUCHES_FACETS, contact_attributes
+from tactip_model.mesh import CONTACT_RADIUS_M
+
+_BALL_M = 10e-3
+"""Radius of the spheres that vertices meet, m: they touch the surface from inside at one point, and its curvature is not
+seen from one step to the next."""
+
+_PROBE_RADII_M = np.array([3.0, 1.5, 0.8, 0.45, 0.2, 0.1]) * 1e-3
+"""Radii that a probe may have, m. The largest that fits into the solid is taken; the last fits, or is so small that what
+stands out of a square edge, 0.04 mm, is less than contacts leave."""
+
+_FITS = 0.02
+"""Share of its radius by which a probe may stand out, -."""
+
+_PROBES = 64
+"""Probes at hand: more than there are facets in a patch on an edge."""
+
+_GRID = 4
+"""Intervals of a facet's side in the search for its deepest place."""
+
+_WORTH_M = 0.02e-3
+"""A probe is set where the solid is so much nearer to a facet than to its corners, m."""
+
+_AWAY = (0.0, 0.0, -1.0)
+"""Where balls and probes are before they are needed, m."""
+
+
+class Shape(Stimulus):
+    """A solid as a stimulus; the contact frame is the solid's own."""
+
+    def __init__(self, solid, sharpest_m=EDGE_RADIUS_M):
+        """solid: Solid. sharpest_m: float, the least radius of its edges, m: how closely an overlap is looked for."""
+        self.solid, self._sharpest_m = solid, sharpest_m
+
+    @property
+    def sharpest_m(self):
+        """See Stimulus."""
+        return self._sharpest_m
+
+    def add_geoms(self, spec, body, touch):
+        """See Stimulus: what is met follows the skin, and is added by Follower."""
+
+    def distance(self, points):
+        """See Stimulus; of the triangles themselves."""
+        return self.solid.distance(points)
+
+
+class Follower:
+    """The surface of a solid as it follows the skin of one tip."""
+
+    def __init__(self, spec, solid, mesh, friction, contact):
+        """Add what is met to a model that holds the tip and the body `stimulus`.
+
+        spec: mujoco.MjSpec. solid: Solid. mesh: tactip_model.mesh.Mesh, of the tip. friction: float, -. contact:
+        ContactModel.
+        """
+        self._solid, self._mesh = solid, mesh
+        self._vertices = np.flatnonzero(~mesh.bonded[: mesh.surface_count])
+        corners = mesh.vertices[mesh.triangles]
+        self._reach = 0.6 * np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(1)
+        self._inside = _inside(_GRID)
+        self._near = CONTACT_RADIUS_M + contact.margin_m
+        touch, sphere = contact_attributes(friction, contact), mujoco.mjtGeom.mjGEOM_SPHERE
+        body = spec.body("stimulus")
+        for i in self._vertices:
+            body.add_geom(name=f"ball/{i}", type=sphere, size=[_BALL_M, 0, 0], pos=_AWAY, contype=0, conaffinity=0)
+            spec.add_pair(
+                geomname1=f"tip/{i}",
+                geomname2=f"ball/{i}",
+                margin=contact.margin_m,
+                **{**touch, "friction": [friction, friction, 0, 0, 0]},
+            )
+        for k in range(_PROBES):
+            radius = _PROBE_RADII_M[-1]
+            body.add_geom(
+                name=f"probe/{k}",
+                type=sphere,
+                size=[radius, 0, 0],
+                pos=_AWAY,
+                contype=0,
+                conaffinity=TOUCHES_FACETS,
+                **touch,
+            )
+
+    def bind(self, model):
+        """Find the geoms in the compiled model. model: mujoco.MjModel."""
+        self._balls = np.array([model.geom(f"ball/{i}").id for i in self._vertices])
+        self._probes = np.array([model.geom(f"probe/{k}").id for k in range(_PROBES)])
+        # Geoms that move on their body: no frame is the body's own, and no box of its tree can be told beforehand.
+        model.geom_sameframe[np.concatenate([self._balls, self._probes])] = 0
+        body = model.body("stimulus").id
+        tree = slice(model.body_bvhadr[body], model.body_bvhadr[body] + model.body_bvhnum[body])
+        model.bvh_aabb[tree] = [0, 0, 0, 2, 2, 2]
+
+    def follow(self, model, skin):
+        """Bring the surface to the skin. model: mujoco.MjModel. skin: (s, 3) m, its vertices in the solid's frame."""
+        at = self._solid.nearest(skin)
+        i = self._vertices
+        model.geom_pos[self._balls] = at.place[i] - _BALL_M * at.normal[i]
+        model.geom_conaffinity[self._probes] = 0
+        places, normals = self._ridges(skin, at.distance)
+        if len(places):
+            probes, radii = self._probes[: len(places)], self._radii(places, normals)
+            model.geom_conaffinity[probes] = TOUCHES_FACETS
+            model.geom_pos[probes] = places - radii[:, None] * normals
+            model.geom_size[probes, 0] = model.geom_rbound[probes] = radii
+            model.geom_aabb[probes, 3:] = radii[:, None]
+
+    def _ridges(self, skin, distance):
+        """Places (m, 3) and normals (m, 3) of the surface where it is nearer to a facet than to its corners."""
+        triangles = self._mesh.triangles
+        lowest = distance[triangles].min(1)
+        facets = np.flatnonzero(lowest < self._reach + self._near)
+        if not len(facets):
+            return np.zeros((0, 3)), np.zeros((0, 3))
+        points = np.einsum("gc,fck->fgk", self._inside, skin[triangles[facets]])
+        at = self._solid.nearest(points.reshape(-1, 3))
+        depth = at.distance.reshape(len(facets), -1)
+        deepest = depth.argmin(1)
+        low = depth[np.arange(len(facets)), deepest]
+        worth = np.flatnonzero((low < self._near) & (low < lowest[facets] - _WORTH_M))
+        worth = worth[np.argsort(low[worth], kind="stable")[:_PROBES]]
+        chosen = worth * len(self._inside) + deepest[worth]
+        return at.place[chosen], at.normal[chosen]
+
+    def _radii(self, places, normals):
+        """Radii (m,) of the largest probes that touch the surface at places (m, 3) from inside."""
+        centres = places - _PROBE_RADII_M[:, None, None] * normals
+        room = -self._solid.distance(centres)
+        fits = room >= (1 - _FITS) * _PROBE_RADII_M[:, None]
+        fits[-1] = True
+        return _PROBE_RADII_M[fits.argmax(0)]
+
+
+def _inside(n):
+    """Barycentric coordinates (g, 3) of the points of a triangle's grid with n intervals a side, less its corners."""
+    i, j = np.meshgrid(np.arange(n + 1), np.arange(n + 1))
+    keep = (i + j <= n) & (np.maximum(np.maximum(i, j), n - i - j) < n)
+    return np.stack([i[keep], j[keep], n - i[keep] - j[keep]], 1) / n

@@ -1,0 +1,89 @@
+"""Distances to surfaces against closed forms, and the project's own objects against what they are made from."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from assets.meshes.make import SPHERE_MM
+from assets.meshes.rims import RIMS
+from assets.meshes.solids import bust, saddle
+from sim.objects import find_object, object_names
+from sim.solid import Solid
+
+
+def box_distance(points, half):
+    q = np.abs(points) - half
+    return np.linalg.norm(np.maximum(q, 0), axis=-1) + np.minimum(q.max(-1), 0)
+
+
+@pytest.fixture(scope="module")
+def box():
+    mesh = trimesh.creation.box((2.0, 3.0, 4.0))
+    return Solid(mesh.vertices, mesh.faces)
+
+
+def test_the_distance_of_a_box_is_its_closed_form(box):
+    points = np.random.default_rng(0).uniform(-4, 4, (3000, 3))
+    assert np.allclose(box.distance(points), box_distance(points, [1, 1.5, 2]), atol=1e-12)
+
+
+def test_the_normal_is_the_slope_of_the_distance(box):
+    points = np.random.default_rng(1).uniform(-3, 3, (300, 3))
+    h = 1e-6
+    slope = np.stack([(box.distance(points + h * e) - box.distance(points - h * e)) / (2 * h) for e in np.eye(3)], -1)
+    smooth = np.linalg.norm(slope, axis=1) > 1 - 1e-6  # not where two faces are equally near
+    assert smooth.mean() > 0.9
+    assert np.allclose(box.nearest(points).normal[smooth], slope[smooth], atol=1e-5)
+
+
+def test_on_the_surface_corners_and_edges_point_outward(box):
+    normals = box.nearest(np.array([[1.0, 1.5, 2.0], [1.0, 1.5, 0.0], [1.0, 0.2, 0.3]])).normal
+    assert np.allclose(normals, [np.ones(3) / np.sqrt(3), [np.sqrt(0.5), np.sqrt(0.5), 0], [1, 0, 0]], atol=1e-9)
+
+
+def test_a_ray_meets_the_box_where_it_should_or_not_at_all(box):
+    assert box.first_hit([0.3, 0.2, 7], [0, 0, -1]) == pytest.approx(5)
+    assert box.first_hit([3, 0, 7], [0, 0, -1]) == np.inf
+
+
+def test_smooth_normals_of_a_sphere_are_radial():
+    mesh = trimesh.creation.icosphere(subdivisions=4)
+    points = np.random.default_rng(2).normal(size=(200, 3))
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    assert np.allclose(Solid(mesh.vertices, mesh.faces).smooth_normal(0.95 * points), points, atol=0.01)
+
+
+@pytest.mark.parametrize("name", object_names())
+def test_the_project_s_objects_are_sound(name):
+    thing = find_object(name)
+    assert not thing.notes
+    low = (thing.solid.vertices @ thing.T_base_object[:3, :3].T + thing.T_base_object[:3, 3]).min(0)
+    assert low[2] == pytest.approx(0, abs=1e-9)
+
+
+def test_meshes_lie_on_the_solids_they_are_cut_from():
+    for name, solid in (("bust", bust), ("saddle", saddle)):
+        mesh = find_object(name).solid
+        middles = mesh.vertices[mesh.triangles].mean(1)
+        assert np.abs(solid(1e3 * mesh.vertices)).max() < 0.02, name  # mm
+        assert np.percentile(np.abs(solid(1e3 * middles)), 90) < 0.03, name
+    radii = np.linalg.norm(find_object("sphere").solid.vertices, axis=1)
+    assert np.abs(1e3 * radii - SPHERE_MM).max() < 1e-3
+
+
+@pytest.mark.parametrize("name", RIMS)
+def test_a_rim_s_edge_is_that_of_a_block(name):
+    """Along the edge the top falls away at its normal, the wall at a right angle, and between them is the rounding."""
+    thing, rim = find_object(name), RIMS[name]
+    turn = np.linspace(0, 2 * np.pi, 50)
+    edge, (tangent, normal, off) = rim.edge(turn), rim.frames(turn)
+    assert np.allclose((normal * off).sum(1), 0, atol=1e-9)
+    assert np.allclose((normal * tangent).sum(1), 0, atol=1e-9)
+    r = rim.edge_mm
+    rounded = thing.solid.distance((edge - r * off - r * np.array([0, 0, 1])) / 1e3) * 1e3
+    assert np.allclose(rounded, -r, atol=0.04 * r)  # tilted by up to 15 degrees, an ellipse
+    assert np.allclose(thing.solid.distance((edge - 3 * off + 1 * normal) / 1e3) * 1e3, 1, atol=0.03)
+    assert np.allclose(thing.solid.distance((edge + 1 * off - 5 * normal) / 1e3) * 1e3, 1, atol=0.03)
+    points = thing.edge.points * 1e3
+    assert thing.edge.closed
+    assert np.allclose(points[::72], rim.edge(np.linspace(0, 2 * np.pi, 11)), atol=1e-4)
