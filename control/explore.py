@@ -12,38 +12,7 @@ import numpy as np
 from sim.arm import Unreachable
 from sim.fingertip import Diverged
 from sim.pose import COMPONENTS, from_mm_deg, inverse, sensor_in_contact, to_mm_deg
-from tactip_model.bounds import check, within
 from tactip_model.errors import TactipError
-
-
-@dataclass(frozen=True)
-class Settings:
-    """How an object is explored."""
-
-    step_mm: float = within(0.05, 10, default=1.0)
-    """Tangential step, mm [P]."""
-    touch: float = within(0.01, 0.99, default=0.12)
-    """How far an image must be from that of a tip in the air to count as touched, -; 0.5 mm of depth give 0.2 or so, and a
-    camera's noise 0.05."""
-    search_mm: float = within(0, 50, default=12.0)
-    """How far contact is looked for along the sensor's axis, mm."""
-    search_step_mm: float = within(0.05, 2, default=0.5)
-    """Steps of that, mm."""
-    centre_steps: int = within(1, 100, default=12)
-    """Steps without going on, in which the servo finds the reference after contact is made."""
-    beyond: float = within(0, 10, default=0.5)
-    """How far an estimate may be out of the range that was learned, in its half width: farther, it is none."""
-    most_force_n: float = within(0.1, 100, default=8.0)
-    """Force at which the arm stops and backs off, N: a press of 5 mm takes 4."""
-    back_off_mm: float = within(0.1, 20, default=2.0)
-    """How far it backs off along the sensor's axis, mm."""
-    most_trouble: int = within(0, 1000, default=5)
-    """Reactions in a row, without three good steps between, after which it gives up."""
-    most_steps: int = within(1, 1000000, default=20000)
-    """Steps after which it stops."""
-
-    def __post_init__(self):
-        check(self)
 
 
 @dataclass(frozen=True)

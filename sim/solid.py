@@ -48,7 +48,8 @@ class Solid:
         angle = igl.PER_VERTEX_NORMALS_WEIGHTING_TYPE_ANGLE
         self._corners = np.asarray(igl.per_vertex_normals(self.vertices, self.triangles, angle), float)
         smooth = np.asarray(igl.per_corner_normals(self.vertices, self.triangles, _CREASE_DEG), float)
-        self._smooth = smooth.reshape(-1, 3, 3)
+        self.corner_normals = smooth.reshape(-1, 3, 3)
+        """Normals (k, 3, 3) of each triangle's corners; those of a crease are apart."""
         self._edges = _edge_normals(self.triangles, self._faces)
 
     def nearest(self, points):
@@ -87,7 +88,7 @@ class Solid:
         _, which, place = self._tree.squared_distance(self.vertices, self.triangles, points)
         which = np.atleast_1d(which)
         share = self._shares(which, place)
-        normal = np.einsum("nc,nck->nk", share, self._smooth[which])
+        normal = np.einsum("nc,nck->nk", share, self.corner_normals[which])
         return normal / np.linalg.norm(normal, axis=1, keepdims=True)
 
     def first_hit(self, origin, direction):

@@ -72,9 +72,10 @@ class Canvas:
         self._scene.add(camera, pose=pose)
 
     def mesh(self, vertices, triangles, grey):
-        """A mesh of vertices (n, 3): pixels x, y and depth 0.01 to 10; triangles (m, 3); grey levels (n,), 0 to 255."""
+        """A mesh of vertices (n, 3): pixels x, y and depth 0.01 to 10; triangles (m, 3); grey levels (n,), or red, green
+        and blue (n, 3), 0 to 255."""
         colour = np.ones((len(vertices), 4), np.float32)
-        colour[:, :3] = grey[:, None] / 255
+        colour[:, :3] = np.reshape(grey, (len(vertices), -1)) / 255
         material = self._pyrender.MetallicRoughnessMaterial(doubleSided=True, baseColorFactor=[1.0, 1.0, 1.0, 1.0])
         primitive = self._pyrender.Primitive(
             positions=vertices.astype(np.float32), indices=triangles, color_0=colour, material=material
@@ -87,11 +88,15 @@ class Canvas:
 
     def draw(self, mesh):
         """Draw what was added and `mesh`: image (h, w) float, 0 to 255."""
-        self._renderer.viewport_width, self._renderer.viewport_height = self._size
         node = self._scene.add(mesh)
-        colour, _ = self._renderer.render(self._scene, flags=self._pyrender.RenderFlags.FLAT)
+        colour = self.picture()
         self._scene.remove_node(node)
         return colour[..., 0].astype(np.float64)
+
+    def picture(self):
+        """Draw what was added: image (h, w, 3) uint8, red, green and blue."""
+        self._renderer.viewport_width, self._renderer.viewport_height = self._size
+        return self._renderer.render(self._scene, flags=self._pyrender.RenderFlags.FLAT)[0][..., :3]
 
 
 def _gl_error():

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from control.estimator import Estimator, Oracle, Sight
-from control.explore import Explorer, Settings
+from control.explore import Explorer
+from control.options import Settings
 from control.route import AlongEdge, Plan
 from control.servo import Gains, Servo
 from control.truth import EdgeTruth, SurfaceTruth

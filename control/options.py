@@ -1,0 +1,109 @@
+"""What may be asked of a servo run. Nothing heavy is imported here: the command line reads it to tell what there is."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from tactip_model.bounds import check, within
+from tactip_model.errors import choose
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How an object is explored."""
+
+    step_mm: float = within(0.05, 10, default=1.0)
+    """Tangential step, mm [P]."""
+    touch: float = within(0.01, 0.99, default=0.12)
+    """How far an image must be from that of a tip in the air to count as touched, -; 0.5 mm of depth give 0.2 or so, and a
+    camera's noise 0.05."""
+    search_mm: float = within(0, 50, default=12.0)
+    """How far contact is looked for along the sensor's axis, mm."""
+    search_step_mm: float = within(0.05, 2, default=0.5)
+    """Steps of that, mm."""
+    centre_steps: int = within(1, 100, default=12)
+    """Steps without going on, in which the servo finds the reference after contact is made."""
+    beyond: float = within(0, 10, default=0.5)
+    """How far an estimate may be out of the range that was learned, in its half width: farther, it is none."""
+    most_force_n: float = within(0.1, 100, default=8.0)
+    """Force at which the arm stops and backs off, N: a press of 5 mm takes 4."""
+    back_off_mm: float = within(0.1, 20, default=2.0)
+    """How far it backs off along the sensor's axis, mm."""
+    most_trouble: int = within(0, 1000, default=5)
+    """Reactions in a row, without three good steps between, after which it gives up."""
+    most_steps: int = within(1, 1000000, default=20000)
+    """Steps after which it stops."""
+
+    def __post_init__(self):
+        check(self)
+
+
+@dataclass(frozen=True)
+class RouteOptions:
+    """Where to go."""
+
+    kind: str = "serpentine"
+    """Over a surface: serpentine, straight, or geodesic, which keeps its heading as the sensor feels it."""
+    middle_mm: tuple[float, float] | None = None
+    """Middle of the region in the base frame, x and y, mm; that of the object (of the bust, its face) if not given."""
+    length_mm: float = within(1, 1000, default=60.0)
+    """Length of a pass, mm."""
+    width_mm: float = within(0, 1000, default=40.0)
+    """Width of the region, mm."""
+    spacing_mm: float = within(1, 100, default=10.0)
+    """Distance between passes, mm."""
+    heading_deg: float = within(-360, 360, default=90.0)
+    """Direction of the passes in the base frame, from x towards y, degrees."""
+    backward: bool = False
+    """Along an edge: clockwise as seen from above."""
+    start_share: float = within(0, 1, default=0.0)
+    """Along an edge: where to begin, as a share of it."""
+    most_mm: float = within(1, 10000, default=1000.0)
+    """Along an edge: longest way, mm."""
+
+    def __post_init__(self):
+        check(self)
+        choose("route", self.kind, dict.fromkeys(("serpentine", "straight", "geodesic")))
+
+
+@dataclass(frozen=True)
+class Options:
+    """A servo run."""
+
+    out: Path
+    """Folder of the run."""
+    task: str = "surface"
+    """surface or edge."""
+    object: str = "bust"
+    """One of the project's objects, or a mesh file (.stl, .obj, .ply, .glb)."""
+    unit: str = "mm"
+    """What a file's numbers are in: mm, cm or m."""
+    scale: float = 1.0
+    """Size of the object over that."""
+    place_mm: tuple[float, float, float] | None = None
+    """Where the middle of its underside is in the base frame, mm."""
+    turn_deg: tuple[float, float, float] | None = None
+    """How it is turned, rotation vector, degrees."""
+    model: str = ""
+    """A shipped network or the folder of a training; the shipped one of the task if empty; `oracle` is the truth."""
+    design: str = "tactip-127"
+    """Sensor."""
+    fidelity: str = "standard"
+    """draft, standard or reference."""
+    arm: str = "dynamic"
+    """none, kinematic or dynamic."""
+    renderer: str = "pyrender"
+    """pyrender, or raster: without OpenGL."""
+    gains: str = "paper"
+    """paper or later."""
+    noise_grey: float = 0.0
+    """Standard deviation of the camera's noise, of 255."""
+    friction: float | None = None
+    """Friction between tip and object, -; the design's if not given."""
+    seed: int | None = None
+    """Seed of a start that is off the mark: by up to 3 mm and 8 degrees. Without, it is on it."""
+    settle_steps: int | None = None
+    """Time steps at rest before an image is taken; the fidelity's if not given."""
+    route: RouteOptions = field(default_factory=RouteOptions)
+    """Where to go."""
+    settings: Settings = field(default_factory=Settings)
+    """How to explore."""

@@ -1,0 +1,166 @@
+"""A servo run from its options to its folder: recording, score and picture."""
+
+import dataclasses
+import json
+import time
+from importlib.metadata import version
+
+import numpy as np
+
+from assets import MESHES
+from control.estimator import Oracle, Seen
+from control.explore import Explorer
+from control.figure import write_figure
+from control.route import AlongEdge, Geodesic, Plan, serpentine
+from control.score import score, surface_targets
+from control.servo import REFERENCE_MM_DEG, Servo, gains_named
+from control.truth import EdgeTruth, SurfaceTruth
+from learning.model import find_model
+from sim.carrier import carrier_named
+from sim.dataset import write_file
+from sim.fidelity import fidelity_named
+from sim.fingertip import Fingertip
+from sim.objects import find_object
+from sim.pose import from_mm_deg, inverse, sensor_in_contact
+from sim.recording import Recorder
+from tactip_model.bounds import require
+from tactip_model.errors import Stopped, TactipError, choose
+from tactip_model.presets import find_design
+
+SCORE, FIGURE = "score.json", "figure.png"
+
+UP = np.array([0.0, 0, 1])
+"""From where routes over a surface are seen: above the table."""
+
+
+def run(options, progress=lambda step: None, say=print):
+    """Run a servo. options: Options. progress: called with each explore.Step. say: called with lines for the user.
+
+    Writes recording, score and picture. Returns the score (dict). Raises TactipError on what cannot be done, and Stopped at
+    Ctrl-C; what was recorded by then is kept, scored and drawn.
+    """
+    choose("task", options.task, dict.fromkeys(("surface", "edge")))
+    thing = find_object(options.object, options.unit, options.scale, options.place_mm, options.turn_deg)
+    for note in thing.notes:
+        say(f"{options.object}: {note}")
+    design = find_design(options.design)
+    if options.friction is not None:
+        design = dataclasses.replace(design, materials=dataclasses.replace(design.materials, friction=options.friction))
+    fidelity, carrier = fidelity_named(options.fidelity), carrier_named(options.arm)
+    gains = gains_named(options.gains, options.task)
+    truth = _truth(options, thing)
+    name = options.model if options.model not in ("", "oracle") else f"{options.task}-{options.design}"
+    model = find_model(name)
+    if model.labels.task != options.task:
+        raise TactipError(f"the network {name} was trained for the {model.labels.task}, not for the {options.task}")
+    if options.model == "oracle":
+        estimator = Oracle(truth, thing.T_base_object)
+    else:
+        estimator = Seen(model, design, options.renderer, options.noise_grey)
+    finger = Fingertip(design, thing.solid, fidelity, carrier, thing.T_base_object, options.settle_steps)
+    servo = Servo(gains)
+    T_start, route, targets = _plan(options, thing, truth)
+    recorder = Recorder(options.out)
+    to_object = inverse(thing.T_base_object)
+
+    def record(step):
+        recorder.add(_row(step, truth.label(to_object @ step.T_base_tcp)))
+        progress(step)
+
+    explorer = Explorer(finger, estimator, servo, model.labels, options.settings, record, time.perf_counter)
+    stopped = False
+    try:
+        explorer.run(T_start, route)
+    except KeyboardInterrupt:
+        stopped, explorer.stopped_because = True, "Ctrl-C"
+    description = {
+        "task": options.task,
+        "object": thing.name,
+        "T_base_object": thing.T_base_object.tolist(),
+        "closed": bool(getattr(route, "closed", False)),
+        "stopped_because": explorer.stopped_because,
+        "events": [dataclasses.asdict(e) for e in explorer.events],
+        "warnings": finger.warnings,
+        "options": json.loads(json.dumps(dataclasses.asdict(options), default=str)),
+        "network": model.provenance if options.model != "oracle" else None,
+        "versions": {p: version(p) for p in ("mujoco", "numpy", "torch", "mink", "libigl")},
+    }
+    arrays = recorder.finish(description)
+    figures = score(arrays, description, REFERENCE_MM_DEG, targets)
+    write_file(options.out / SCORE, (json.dumps(figures, indent=1) + "\n").encode())
+    if options.renderer == "pyrender":
+        write_figure(options.out / FIGURE, thing, arrays, options.task)
+    if stopped:
+        raise Stopped(f"what was recorded is in {options.out}")
+    return figures
+
+
+def _truth(options, thing):
+    if options.task == "surface":
+        return SurfaceTruth(thing.solid)
+    if thing.edge is None:
+        names = [path.name.removesuffix(".edge.csv") for path in sorted(MESHES.glob("*.edge.csv"))]
+        raise TactipError(f"{thing.name} has no edge that is known: the edge task takes one of {', '.join(names)}")
+    return EdgeTruth(thing.edge)
+
+
+def _plan(options, thing, truth):
+    """Start (4, 4), Route, and places to touch (m, 3)."""
+    r, step = options.route, options.settings.step_mm / 1e3
+    T, corners = thing.T_base_object, None
+    if options.task == "edge":
+        edge = thing.edge
+        k = round(r.start_share * (len(edge.points) - 1))
+        place = edge.points[k]
+        route = AlongEdge(r.backward, r.most_mm / 1e3, step)
+        targets = edge.points @ T[:3, :3].T + T[:3, 3]
+    else:
+        low, high = (f(thing.solid.vertices @ T[:3, :3].T + T[:3, 3], axis=0) for f in (np.min, np.max))
+        middle = np.array([*((low + high)[:2] / 2 if r.middle_mm is None else np.array(r.middle_mm) / 1e3), 0.0])
+        heading = np.radians(r.heading_deg)
+        along, across = np.array([np.cos(heading), np.sin(heading), 0]), np.array([-np.sin(heading), np.cos(heading), 0])
+        width = r.width_mm / 1e3 if r.kind == "serpentine" else 0.0
+        corners = serpentine(middle, along, across, r.length_mm / 1e3, width, r.spacing_mm / 1e3)
+        targets = surface_targets(thing, corners, UP)
+        hit = thing.solid.first_hit((inverse(T) @ [*corners[0, :2], 2.0, 1])[:3], inverse(T)[:3, :3] @ -UP)
+        require(np.isfinite(hit), "the start of the route", (1e3 * corners[0, :2]).tolist(), "above the object, mm")
+        place = (inverse(T) @ [*corners[0, :2], 2.0 - hit, 1])[:3]
+        route = Plan(corners, UP) if r.kind != "geodesic" else Geodesic(0.0, r.length_mm / 1e3)
+    T_there = np.eye(4)
+    T_there[:3, :3] = np.linalg.inv(T)[:3, :3] @ np.diag([-1.0, 1, -1])
+    T_there[:3, 3] = place
+    off = np.array([0, 0, _OFF_MM, 0, 0, 0])
+    if options.seed is not None:
+        draw = np.random.default_rng(options.seed)
+        off = off + draw.uniform([-3, -3, 0, -8, -8, -8], [3, 3, 3, 8, 8, 8])
+    T_start = T @ truth.frame(T_there) @ sensor_in_contact(from_mm_deg(off))
+    if corners is not None and r.kind == "geodesic":
+        turn = T_start[:3, :3].T @ (corners[1] - corners[0])
+        route = Geodesic(float(np.arctan2(turn[1], turn[0])), r.length_mm / 1e3)
+    return T_start, route, targets
+
+
+_OFF_MM = 2.5
+"""How far off the object a run begins, mm."""
+
+
+def _row(step, label):
+    """A row of sim.recording.ARRAYS of an explore.Step and the true label (6,)."""
+    return {
+        "T_base_tcp": step.T_base_tcp,
+        "T_told": step.T_told,
+        "angles_rad": step.angles,
+        "tips_m": step.touch.tips,
+        "directions": step.touch.directions,
+        "skin_m": step.touch.skin,
+        "force_n": step.touch.force,
+        "felt": step.sight.label,
+        "true": label,
+        "touching": step.sight.touching,
+        "penetration_m": step.touch.penetration_m,
+        "phase": step.phase,
+        "part": step.part,
+        "sim_steps": step.touch.steps,
+        "seconds": list(step.seconds.values()),
+        "images": step.sight.image,
+    }

@@ -1,0 +1,132 @@
+"""A trajectory held against the true geometry."""
+
+import numpy as np
+
+from sim.pose import to_mm_deg
+from sim.recording import PHASES
+
+COVERED_M = 7e-3
+"""How far from the tip's way a place of a surface counts as touched, m: the patch of a press of 3 mm is 8 to 10 mm wide on
+either side."""
+
+EDGE_COVERED_M = 3e-3
+"""The same of an edge, m: a step or two, and what a rim is cut by."""
+
+_FAR_M = 3.0
+"""Beyond every object, m."""
+
+_SPACING_M = 2e-3
+"""Spacing of the places that are asked for on a surface, m."""
+
+
+def score(arrays, record, reference_mm, targets):
+    """What a recording is worth (dict, JSON).
+
+    arrays, record: of sim.recording.read_recording. reference_mm: (6,), the label that was to be kept, mm and degrees.
+    targets: (m, 3) m, places in the base frame that were to be touched.
+
+    Mean errors are over the steps of the phase `follow`: depth and, along an edge, x, of the true label against the
+    reference; angle between the sensor's axis and the true normal.
+    """
+    following = arrays["phase"] == PHASES.index("follow")
+    true, felt = to_mm_deg(arrays["true"][following]), to_mm_deg(arrays["felt"][following])
+    edge = record["task"] == "edge"
+    poses, seconds = arrays["T_base_tcp"][following], arrays["seconds"]
+    # Where the object is touched: the apex is below that by the depth.
+    places = poses[:, :3, 3] + arrays["true"][following][:, 2:3] * poses[:, :3, 2]
+    whole = float(seconds.sum())
+    force = np.linalg.norm(arrays["force_n"][following], axis=1)
+    angles = _angles(arrays["true"][following])
+    out = {
+        "task": record["task"],
+        "object": record["object"],
+        "depth_mae_mm": _mean(np.abs(true[:, 2] - reference_mm[2])),
+        "depth_bias_mm": _mean(true[:, 2] - reference_mm[2]),
+        "angle_mean_deg": _mean(angles),
+        "angle_p95_deg": float(np.percentile(angles, 95)) if len(angles) else None,
+        "lateral_mae_mm": _mean(np.abs(true[:, 0] - reference_mm[0])) if edge else None,
+        "felt_mae": {name: _mean(np.abs(felt - true)[:, k]) for k, name in enumerate(("x", "y", "z", "Rx", "Ry", "Rz"))},
+        "contact_losses": sum(e["kind"] == "contact lost" for e in record["events"]),
+        "events": len(record["events"]),
+        "coverage": coverage(places, targets, EDGE_COVERED_M if edge else COVERED_M),
+        "path_mm": float(1e3 * np.linalg.norm(np.diff(places, axis=0), axis=1).sum()) if len(places) else 0.0,
+        "closed": record["closed"],
+        "force_mean_n": _mean(force),
+        "force_max_n": float(force.max()) if len(force) else None,
+        "penetration_max_mm": float(1e3 * arrays["penetration_m"].max()) if len(seconds) else None,
+        "steps": len(seconds),
+        "steps_followed": int(following.sum()),
+        "steps_per_s": len(seconds) / whole if whole else None,
+        "ms_a_step": dict(zip(("simulation", "image", "network", "control"), _medians_ms(seconds), strict=True)),
+        "stopped_because": record["stopped_because"],
+        "passes": _passes(arrays, following, true, angles, reference_mm) if not edge else [],
+    }
+    return out
+
+
+def coverage(places, targets, reach_m):
+    """Share (0 to 1) of targets (m, 3) that lie within reach_m of places (n, 3)."""
+    from scipy.spatial import cKDTree
+
+    if not len(places) or not len(targets):
+        return 0.0
+    return float((cKDTree(places).query(targets)[0] < reach_m).mean())
+
+
+def surface_targets(thing, corners, up):
+    """Places (m, 3) m in the base frame on an object below a rectangle.
+
+    thing: objects.Thing. corners: (n, 3) m, of a route. up: (3,), unit, from where it is seen. The rectangle is the
+    corners'.
+    """
+    up = np.asarray(up, float)
+    across = np.cross(up, [1.0, 0, 0]) if abs(up[0]) < 0.9 else np.cross(up, [0, 1.0, 0])
+    across /= np.linalg.norm(across)
+    along = np.cross(across, up)
+    flat = np.stack([corners @ along, corners @ across], 1)
+    low, high = flat.min(0), flat.max(0)
+    grids = [np.arange(a, b + _SPACING_M / 2, _SPACING_M) for a, b in zip(low, high, strict=True)]
+    T = np.linalg.inv(thing.T_base_object)
+    out = []
+    for u in grids[0]:
+        for v in grids[1]:
+            place = u * along + v * across + _FAR_M * up
+            hit = thing.solid.first_hit((T @ [*place, 1])[:3], -(T[:3, :3] @ up))
+            if np.isfinite(hit):
+                out.append(place - hit * up)
+    return np.array(out).reshape(-1, 3)
+
+
+def _angles(labels):
+    """Angles (n,) degrees between the sensor's axis and the normal, of labels (n, 6), m and rad."""
+    from scipy.spatial.transform import Rotation
+
+    if not len(labels):
+        return np.zeros(0)
+    leaning = Rotation.from_rotvec(labels[:, 3:]).apply([0, 0, 1.0])[:, 2]
+    return np.degrees(np.arccos(np.clip(leaning, -1, 1)))
+
+
+def _passes(arrays, following, true, angles, reference_mm):
+    """Figures (list of dict) of each pass: the even parts of a route."""
+    parts, out = arrays["part"][following], []
+    for part in sorted(set(parts[parts % 2 == 0].tolist())):
+        mine = parts == part
+        out.append(
+            {
+                "pass": part // 2,
+                "steps": int(mine.sum()),
+                "depth_mae_mm": _mean(np.abs(true[mine, 2] - reference_mm[2])),
+                "angle_mean_deg": _mean(angles[mine]),
+                "angle_p95_deg": float(np.percentile(angles[mine], 95)),
+            }
+        )
+    return out
+
+
+def _mean(values):
+    return float(np.mean(values)) if len(values) else None
+
+
+def _medians_ms(seconds):
+    return [float(1e3 * x) for x in np.median(seconds, axis=0)] if len(seconds) else [0.0] * 4

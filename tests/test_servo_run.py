@@ -1,0 +1,157 @@
+"""`tactip servo`: what it leaves behind, and what it says when it cannot."""
+
+import json
+
+import numpy as np
+import pytest
+
+import tactip
+from control.score import coverage
+from control.servo import REFERENCE_MM_DEG
+from sim.pose import to_mm_deg
+from sim.recording import PHASES, Recorder, read_recording
+from tactip_model.errors import TactipError
+
+QUICK = ["servo", "--fidelity", "draft", "--renderer", "raster", "--object", "plate"]
+SHORT = ["--route.kind", "straight", "--route.length-mm", "4"]
+
+
+@pytest.fixture(scope="module")
+def ran(tmp_path_factory):
+    """A short run with the shipped network, and what it wrote."""
+    out = tmp_path_factory.mktemp("servo") / "run"
+    assert tactip.main([*QUICK, *SHORT, "--out", str(out)]) == 0
+    return out, json.loads((out / "score.json").read_text()), *read_recording(out)
+
+
+def test_a_run_leaves_a_score_with_all_its_figures(ran):
+    _, score, record, _ = ran
+    assert score["stopped_because"] == "the route is done"
+    assert score["contact_losses"] == score["events"] == 0
+    assert score["depth_mae_mm"] < 0.4
+    assert score["angle_mean_deg"] < score["angle_p95_deg"] < 3
+    assert (
+        score["steps"]
+        == record["steps"]
+        == score["steps_followed"] + sum(record["steps"] - f for f in [score["steps_followed"]])
+    )
+    assert score["path_mm"] == pytest.approx(4, abs=1.5)
+    assert score["coverage"] > 0.9
+    assert score["lateral_mae_mm"] is None
+    assert not score["closed"]
+    assert [p["pass"] for p in score["passes"]] == [0]
+    assert set(score["ms_a_step"]) == {"simulation", "image", "network", "control"}
+
+
+def test_a_recording_tells_all_that_was(ran):
+    out, score, record, arrays = ran
+    assert not (out / "parts").exists()
+    following = arrays["phase"] == PHASES.index("follow")
+    true = to_mm_deg(arrays["true"][following])
+    assert score["depth_mae_mm"] == pytest.approx(np.abs(true[:, 2] - REFERENCE_MM_DEG[2]).mean())
+    assert arrays["images"].shape[1:] == (128, 128)
+    assert set(np.unique(arrays["images"])) == {0, 255}
+    assert arrays["tips_m"].shape[1:] == (127, 3)
+    # The truth is that of the recorded poses: on a plate, depth is height.
+    height = arrays["T_base_tcp"][:, 2, 3] - 0.02
+    assert np.allclose(arrays["true"][:, 2], height, atol=1e-9)
+    assert np.isfinite(arrays["angles_rad"]).all()
+    assert record["options"]["object"] == "plate"
+    assert record["network"]["train"]["digest"]
+
+
+def test_the_same_run_is_the_same(ran, tmp_path):
+    """But for the times that it took."""
+    assert tactip.main([*QUICK, *SHORT, "--out", str(tmp_path / "again")]) == 0
+    _, arrays = read_recording(tmp_path / "again")
+    for name, values in ran[3].items():
+        assert name == "seconds" or np.array_equal(values, arrays[name], equal_nan=name == "angles_rad"), name
+
+
+def test_json_is_one_object(tmp_path, capsys):
+    assert tactip.main([*QUICK, "--route.kind", "straight", "--route.length-mm", "1", "--model", "oracle", "--arm", "none",
+                        "--json", "--out", str(tmp_path / "run")]) == 0  # fmt: skip
+    score = json.loads(capsys.readouterr().out)
+    assert score["depth_mae_mm"] < 0.2
+
+
+def test_an_edge_is_followed_by_sight(tmp_path):
+    out = tmp_path / "run"
+    command = [*QUICK, "--task", "edge", "--object", "rim-round", "--route.most-mm", "5", "--out", str(out)]
+    assert tactip.main(command) == 0
+    score = json.loads((out / "score.json").read_text())
+    assert score["lateral_mae_mm"] < 1
+    assert score["angle_mean_deg"] < 4
+    assert 0.005 < score["coverage"] < 0.1
+
+
+def test_ctrl_c_keeps_what_was_recorded(tmp_path, monkeypatch, capsys):
+    from control.explore import Explorer
+
+    calls, go = [], Explorer._go
+
+    def stopped(self, *rest):
+        calls.append(1)
+        if len(calls) == 6:
+            raise KeyboardInterrupt
+        return go(self, *rest)
+
+    monkeypatch.setattr(Explorer, "_go", stopped)
+    out = tmp_path / "run"
+    assert tactip.main([*QUICK, *SHORT, "--out", str(out)]) == 130
+    assert "what was recorded is in" in capsys.readouterr().err
+    record, arrays = read_recording(out)
+    assert record["stopped_because"] == "Ctrl-C"
+    assert len(arrays["phase"]) == 6
+    assert json.loads((out / "score.json").read_text())["steps"] == 6
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--task", "corner"], "unknown task 'corner': choose one of surface, edge"),
+        (["--object", "cup"], "there is no object 'cup': choose one of bust"),
+        (["--arm", "left"], "unknown arm 'left'"),
+        (["--gains", "high"], "unknown gains 'high'"),
+        (["--fidelity", "perfect"], "unknown fidelity"),
+        (["--model", "none"], "no shipped model of that name"),
+        (["--task", "edge"], "plate has no edge that is known: the edge task takes one of edge, rim-round"),
+        (["--task", "surface", "--model", "edge-tactip-127"], "was trained for the edge, not for the surface"),
+        (["--route.middle-mm", "900", "0"], "must be above the object"),
+        (["--settings.step-mm", "99"], "step_mm"),
+        (["--route.kind", "spiral"], "unknown route"),
+    ],
+)
+def test_wrong_input_is_one_sentence(tmp_path, capsys, options, words):
+    assert tactip.main([*QUICK, *SHORT, *options, "--out", str(tmp_path / "run")]) == 1
+    error = capsys.readouterr().err
+    assert words in error
+    assert len(error.strip().splitlines()) == 1
+    assert not (tmp_path / "run" / "recording.json").exists()
+
+
+def test_a_folder_in_use_is_not_written_over(ran, capsys):
+    assert tactip.main([*QUICK, *SHORT, "--out", str(ran[0])]) == 1
+    assert "is not empty" in capsys.readouterr().err
+
+
+def test_a_start_out_of_reach_is_said(tmp_path):
+    out = tmp_path / "run"
+    assert tactip.main([*QUICK, *SHORT, "--place-mm", "750", "0", "0", "--out", str(out)]) == 0
+    assert "the start is out of reach" in json.loads((out / "score.json").read_text())["stopped_because"]
+
+
+def test_a_damaged_recording_is_refused(ran, tmp_path):
+    with pytest.raises(TactipError, match="no complete recording"):
+        read_recording(tmp_path)
+    recorder = Recorder(tmp_path / "run")
+    recorder.finish({"task": "surface"})
+    (tmp_path / "run" / "steps.npz").write_bytes(b"PK nothing")
+    with pytest.raises(TactipError, match="cannot be read"):
+        read_recording(tmp_path / "run")
+
+
+def test_coverage_counts_what_is_near():
+    targets = np.stack([np.arange(10), np.zeros(10), np.zeros(10)], -1).astype(float)
+    assert coverage(targets[:1], targets, 2.5) == pytest.approx(0.3)
+    assert coverage(targets[:0], targets, 2.5) == 0
