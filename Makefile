@@ -17,6 +17,7 @@ help:
 	@echo "make sim-dataset   simulated data sets  [TASK=all|surface|edge] [SAMPLES=200] [OUT=data] [WORKERS=auto] [FIDELITY=standard]"
 	@echo "make train         a PoseNet on OUT/TASK  [TASK=surface] [OUT=data] [RECIPE=laptop|paper]; into runs/TASK, with its evaluation"
 	@echo "make tune          search for a network  [TASK=surface] [OUT=data] [TRIALS=300]; into runs/tune-TASK"
+	@echo "make servo         follow a bust or a rim by touch  [TASK=bust|rim] [OBJECT=...]; into runs/servo-OBJECT"
 	@echo "make report        measure errors and costs (45 min); write docs/*.md and the README's picture"
 	@echo "make test          all tests but the slow ones    make test-all   those too"
 	@echo "make lint          ruff and pyright"
@@ -43,6 +44,13 @@ train: $(READY)
 
 tune: $(READY)
 	@$(BIN)/tactip tune --data "$(OUT)/$(LEARNED)" --out "runs/tune-$(LEARNED)" --trials "$(TRIALS)"
+
+# TASK is what is followed: bust or rim (make servo alone is the bust), or surface or edge with OBJECT.
+servo: FOLLOWED = $(if $(filter rim edge,$(TASK)),edge,surface)
+servo: OBJECT ?= $(if $(filter rim edge,$(TASK)),rim-round,bust)
+
+servo: $(READY)
+	@$(BIN)/tactip servo --task "$(FOLLOWED)" --object "$(OBJECT)" --out "runs/servo-$(OBJECT)"
 
 test: $(READY)
 	@$(BIN)/python -m pytest
@@ -72,4 +80,4 @@ lock:
 clean:
 	@rm -rf .venv build *.egg-info .pytest_cache .ruff_cache .hypothesis
 
-.PHONY: help setup sim-dataset train tune test test-all report lint lock clean
+.PHONY: help setup sim-dataset train tune servo test test-all report lint lock clean

@@ -266,6 +266,8 @@ class NetworkOptions:
     """relu or elu."""
     batch_norm: bool | None = None
     """Batch normalisation."""
+    group_norm: int | None = None
+    """Group normalisation over so many filters each."""
     dropout: float | None = None
     """Share left out before each dense layer."""
     l1: float | None = None

@@ -115,8 +115,7 @@ def _plan(options, thing, truth):
         route = AlongEdge(r.backward, r.most_mm / 1e3, step)
         targets = edge.points @ T[:3, :3].T + T[:3, 3]
     else:
-        low, high = (f(thing.solid.vertices @ T[:3, :3].T + T[:3, 3], axis=0) for f in (np.min, np.max))
-        middle = np.array([*((low + high)[:2] / 2 if r.middle_mm is None else np.array(r.middle_mm) / 1e3), 0.0])
+        middle = np.array([*(thing.middle_m[:2] if r.middle_mm is None else np.array(r.middle_mm) / 1e3), 0.0])
         heading = np.radians(r.heading_deg)
         along, across = np.array([np.cos(heading), np.sin(heading), 0]), np.array([-np.sin(heading), np.cos(heading), 0])
         width = r.width_mm / 1e3 if r.kind == "serpentine" else 0.0

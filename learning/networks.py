@@ -36,7 +36,7 @@ _LAPTOP = PoseNetConfig(
     dense_layers=3,
     units=256,
     activation="elu",
-    batch_norm=True,
+    group_norm=16,
     dropout=0.0,
     l1=0.0,
     l2=0.0,
@@ -44,7 +44,7 @@ _LAPTOP = PoseNetConfig(
 )
 
 _LAPTOP_TRAINING = TrainSettings(
-    epochs=36,
+    epochs=34,
     least_steps=4000,
     patience=100000,
     rate=2e-3,
@@ -57,7 +57,7 @@ _LAPTOP_TRAINING = TrainSettings(
 RECIPES = {
     "laptop": {
         "surface": Recipe(_LAPTOP, _LAPTOP_TRAINING),
-        "edge": Recipe(_LAPTOP, replace(_LAPTOP_TRAINING, epochs=40)),
+        "edge": Recipe(_LAPTOP, replace(_LAPTOP_TRAINING, epochs=26)),
     },
     "paper": {task: Recipe(network, TrainSettings()) for task, network in _PAPER.items()},
 }

@@ -56,12 +56,18 @@ class Thing:
     """(4, 4)."""
     edge: Edge | None
     """Its edge, if that is known."""
+    middle_m: np.ndarray
+    """(3,) m, in the base frame: over what part of it a route goes, if nothing else is said."""
     notes: tuple[str, ...] = ()
     """What was repaired."""
 
 
 _TURNS = {"bust": Rotation.from_matrix(np.array([[0, 0, -1], [0, 1, 0], [1, 0, 0]], float))}
 """How the project's own lie, where it is not as they are: the bust on its back, its face up, its crown towards the arm."""
+
+
+_MIDDLES_M = {"bust": (80e-3, 0.0, 55e-3)}
+"""What is in the middle of a route, where it is not the middle of the object, in its own frame, m: the bust's face."""
 
 
 def object_names():
@@ -91,7 +97,10 @@ def find_object(name, unit="mm", scale=1.0, place_mm=None, turn_deg=None):
     foot = np.array([*_MIDDLE_M, 0.0]) if place_mm is None else np.array(place_mm, float) / 1e3
     T = matrix(foot - [*(low + high)[:2] / 2, low[2]], turn)
     edge = _edge(MESHES / f"{name}.edge.csv", scale) if own else None
-    return Thing(Path(name).stem, Solid(mesh.vertices, mesh.faces), T, edge, tuple(notes))
+    middle = (mesh.vertices.min(0) + mesh.vertices.max(0)) / 2
+    if own and name in _MIDDLES_M:
+        middle = scale * np.array(_MIDDLES_M[name])
+    return Thing(Path(name).stem, Solid(mesh.vertices, mesh.faces), T, edge, (T @ [*middle, 1])[:3], tuple(notes))
 
 
 def checked(mesh, name):

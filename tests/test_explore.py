@@ -2,6 +2,7 @@
 it."""
 
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -176,7 +177,7 @@ def test_the_arm_s_reach_ends_a_route():
     T = world.thing.T_base_object.copy()
     T[0, 3] += 0.16  # beyond what the arm reaches with the sensor pointing down, at its far end
     finger = Fingertip(find_design("tactip-127"), world.thing.solid, fidelity_named("draft"), world.carrier, T)
-    world.finger, world.thing = finger, type(world.thing)("plate", world.thing.solid, T, None)
+    world.finger, world.thing = finger, replace(world.thing, T_base_object=T)
     world.oracle = Oracle(world.truth, T)
     explorer = world.explore(world.start([-0.06, 0, 0]), over(world, 0.2), centre_steps=3)
     assert "the arm" in explorer.stopped_because

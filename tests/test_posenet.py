@@ -39,6 +39,18 @@ def test_batch_norm_and_activation(name):
     assert kinds(PoseNet(config, 20, 1).convolutions) == [nn.Conv2d, nn.BatchNorm2d, activation, nn.MaxPool2d]
 
 
+def test_group_norm_takes_the_place_of_batch_norm_and_knows_no_batch():
+    config = PoseNetConfig(conv_layers=2, filters=6, widening=2, halving="stride", group_norm=4, dropout=0.0)
+    net = PoseNet(config, 40, 2)
+    norms = [m for m in net.convolutions if isinstance(m, nn.GroupNorm)]
+    assert [(m.num_groups, m.num_channels) for m in norms] == [(1, 6), (3, 12)]
+    images = torch.rand(5, 1, 40, 40, generator=torch.Generator().manual_seed(0))
+    together = net(images)  # in training as in use
+    assert torch.allclose(together, torch.cat([net(image[None]) for image in images]), atol=1e-5)
+    with pytest.raises(TactipError, match="0 with batch norm"):
+        PoseNetConfig(batch_norm=True, group_norm=4)
+
+
 @pytest.mark.parametrize("name", ["relu", "elu"])
 def test_without_a_norm_the_order_of_activation_and_pooling_is_free(name):
     net = PoseNet(PoseNetConfig(conv_layers=1, filters=4, activation=name), 20, 1).convolutions
