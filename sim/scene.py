@@ -87,6 +87,8 @@ class Scene:
     def reset(self):
         """Undeformed tip, nothing remembered: a contact depends on nothing that was played before."""
         mujoco.mj_resetData(self.model, self.data)
+        if self._follower:
+            self._follower.forget()
         if self._slip:
             self._slip.reset()
 

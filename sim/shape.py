@@ -12,6 +12,7 @@ triangles the solid has.
 import mujoco
 import numpy as np
 
+from sim.solid import Nearest
 from sim.stimulus import EDGE_RADIUS_M, Stimulus
 from tactip_model.body import TOUCHES_FACETS, contact_attributes
 from tactip_model.mesh import CONTACT_RADIUS_M
@@ -75,6 +76,8 @@ class Follower:
         self._reach = 0.6 * np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(1)
         self._inside = _inside(_GRID)
         self._near = CONTACT_RADIUS_M + contact.margin_m
+        self._farthest = float(self._reach.max()) + self._near
+        self.forget()
         touch, sphere = contact_attributes(friction, contact), mujoco.mjtGeom.mjGEOM_SPHERE
         body = spec.body("stimulus")
         for i in self._vertices:
@@ -107,13 +110,20 @@ class Follower:
         tree = slice(model.body_bvhadr[body], model.body_bvhadr[body] + model.body_bvhnum[body])
         model.bvh_aabb[tree] = [0, 0, 0, 2, 2, 2]
 
+    def forget(self):
+        """Look at every vertex anew at the next step."""
+        self._seen_from = np.full((self._mesh.surface_count, 3), np.inf)
+        self._distance = np.zeros(self._mesh.surface_count)
+
     def follow(self, model, skin):
         """Bring the surface to the skin. model: mujoco.MjModel. skin: (s, 3) m, its vertices in the solid's frame."""
-        at = self._solid.nearest(skin)
-        i = self._vertices
-        model.geom_pos[self._balls] = at.place[i] - _BALL_M * at.normal[i]
+        at, due = self._look(skin)
+        touch = np.flatnonzero(due[self._vertices])
+        i = self._vertices[touch]
+        model.geom_pos[self._balls] = _AWAY
+        model.geom_pos[self._balls[touch]] = at.place[i] - _BALL_M * at.normal[i]
         model.geom_conaffinity[self._probes] = 0
-        places, normals = self._ridges(skin, at.distance)
+        places, normals = self._ridges(skin, at)
         if len(places):
             probes, radii = self._probes[: len(places)], self._radii(places, normals)
             model.geom_conaffinity[probes] = TOUCHES_FACETS
@@ -121,22 +131,46 @@ class Follower:
             model.geom_size[probes, 0] = model.geom_rbound[probes] = radii
             model.geom_aabb[probes, 3:] = radii[:, None]
 
-    def _ridges(self, skin, distance):
-        """Places (m, 3) and normals (m, 3) of the surface where it is nearer to a facet than to its corners."""
+    def _look(self, skin):
+        """Nearest of the skin's vertices (s, 3), and which (s,) bool were looked at.
+
+        A vertex is not nearer than when it was last looked at, less the way that it went since: those that cannot touch are
+        left alone, and their distance is what it is at least.
+        """
+        away = np.linalg.norm(skin - self._seen_from, axis=1)
+        least = self._distance - away
+        due = ~(least > self._farthest)
+        found = self._solid.nearest(skin[due])
+        self._seen_from[due], self._distance[due] = skin[due], found.distance
+        distance, place, normal = np.where(due, 0.0, least), np.zeros_like(skin), np.zeros_like(skin)
+        distance[due], place[due], normal[due] = found.distance, found.place, found.normal
+        return Nearest(distance, place, normal), due
+
+    def _ridges(self, skin, at):
+        """Places (m, 3) and normals (m, 3) of the surface where it is nearer to a facet than to its corners.
+
+        at: Nearest of the skin's vertices. Facets are looked at closely where the normals at their corners differ by so much
+        that the surface between them can be higher by what a probe is worth, or where it is higher in their middle.
+        """
         triangles = self._mesh.triangles
-        lowest = distance[triangles].min(1)
+        lowest = at.distance[triangles].min(1)
         facets = np.flatnonzero(lowest < self._reach + self._near)
+        normals = at.normal[triangles[facets]]
+        spread = np.linalg.norm(normals - np.roll(normals, 1, axis=1), axis=2).max(1)
+        middle = self._solid.distance(skin[triangles[facets]].mean(1))
+        bulges = spread * self._reach[facets] / 0.6 > 8 * _WORTH_M
+        facets = facets[bulges | (middle < lowest[facets] - _WORTH_M / 2)]
         if not len(facets):
             return np.zeros((0, 3)), np.zeros((0, 3))
         points = np.einsum("gc,fck->fgk", self._inside, skin[triangles[facets]])
-        at = self._solid.nearest(points.reshape(-1, 3))
-        depth = at.distance.reshape(len(facets), -1)
+        close = self._solid.nearest(points.reshape(-1, 3))
+        depth = close.distance.reshape(len(facets), -1)
         deepest = depth.argmin(1)
         low = depth[np.arange(len(facets)), deepest]
         worth = np.flatnonzero((low < self._near) & (low < lowest[facets] - _WORTH_M))
         worth = worth[np.argsort(low[worth], kind="stable")[:_PROBES]]
         chosen = worth * len(self._inside) + deepest[worth]
-        return at.place[chosen], at.normal[chosen]
+        return close.place[chosen], close.normal[chosen]
 
     def _radii(self, places, normals):
         """Radii (m,) of the largest probes that touch the surface at places (m, 3) from inside."""

@@ -1,6 +1,7 @@
 """Containers whose outer top edge is to be followed, and a straight one: a profile swept along a curve."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -8,6 +9,9 @@ _EDGE_FACETS = 12
 """Facets of the rounding of the outer edge: it is 1 µm off a true one."""
 
 _INNER_FACETS = 4
+
+_LONGEST_MM = 3.0
+"""Longest side of a triangle along the profile, mm."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +58,7 @@ class Rim:
         off /= np.linalg.norm(off, axis=1, keepdims=True)
         return tangent, np.cross(off, tangent), off
 
-    def mesh(self, sectors=720):
+    def mesh(self, sectors=480):
         """Vertices (n, 3), mm, and triangles (k, 3) of the container. sectors: int, around."""
         turn = np.arange(sectors) * 2 * np.pi / sectors
         edge, (_, _, off) = self.edge(turn), self.frames(turn)
@@ -69,7 +73,8 @@ class Rim:
             inward, down = self.wall_mm - self.inner_mm * (1 - np.sin(angle)), self.inner_mm * (1 - np.cos(angle))
             rings.append(edge - inward * off - [0, 0, down])
         rings.append(_flat(edge - self.wall_mm * off, low + self.floor_mm))
-        return _closed(np.array(rings), np.array([0, 0, low]), np.array([0, 0, low + self.floor_mm]))
+        rings = _filled(np.array(rings))
+        return _closed(rings, np.array([0, 0, low]), np.array([0, 0, low + self.floor_mm]))
 
 
 RIMS = {
@@ -86,6 +91,17 @@ def block(half_mm, height_mm, edge_mm=0.5):
     x, z = half_mm - edge_mm * (1 - np.cos(angle)), -edge_mm * (1 - np.sin(angle))
     profile = np.concatenate([np.stack([x, z], -1), np.stack([-x, z], -1), [[half_mm, -height_mm], [-half_mm, -height_mm]]])
     return np.concatenate([np.insert(profile, 1, y, axis=1) for y in (-half_mm, half_mm)])
+
+
+def _filled(rings):
+    """Rings (r, n, 3), with as many more between them as keep triangles from being long: a search for the nearest one goes by
+    their boxes."""
+    out = [rings[:1]]
+    for one, other in pairwise(rings):
+        count = int(np.ceil(np.linalg.norm(other - one, axis=1).max() / _LONGEST_MM))
+        share = (np.arange(count) + 1)[:, None, None] / count
+        out.append(one + share * (other - one))
+    return np.concatenate(out)
 
 
 def _flat(ring, height):
