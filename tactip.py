@@ -53,6 +53,9 @@ class Make:
     """tactip-127, tactip-331, or a design file (.json) as `tactip calibrate` writes it."""
     symmetric: bool = False
     """Make samples of each contact's turns and mirrors, too: 8 of a contact on the surface, 2 of one on the edge."""
+    curvature_per_m: Range = (0.0, 0.0)
+    """Both principal curvatures of the surface, 1/m, drawn from LOW to HIGH for each contact; positive bulges out. Not a
+    label."""
     renderer: str = "pyrender"
     """pyrender, or raster: the same image without OpenGL."""
     pose: RangeOptions = field(default_factory=RangeOptions)
@@ -105,6 +108,7 @@ class Make:
                     pose=_with_options(POSE_RANGES[task], self.pose),
                     shear=_with_options(SHEAR_RANGES, self.shear),
                     symmetric=self.symmetric,
+                    curvature_per_m=self.curvature_per_m,
                 )
                 jobs.append(Job(configuration, self.out / task / split if several else self.out))
         return jobs

@@ -363,11 +363,13 @@ class CarefulPlayer:
     """
 
     def __init__(self, design, stimulus, fidelity, bounds):
-        """design: Design. stimulus: str, a name in stimulus.STIMULI. fidelity: Fidelity. bounds: Bounds."""
+        """design: Design. stimulus: a name in stimulus.STIMULI, or a Stimulus. fidelity: Fidelity. bounds: Bounds."""
         self._players = [ContactPlayer(design, stimulus, fidelity)]
+        self.stimulus = self._players[0].scene.stimulus
+        """Stimulus of all tries."""
         self._last = self._players[0]
-        self._design, self._stimulus, self._bounds = design, stimulus, bounds
-        self._catches = self._players[0].scene.stimulus.catches or design.materials.friction > STICKY_FRICTION
+        self._design, self._bounds = design, bounds
+        self._catches = self.stimulus.catches or design.materials.friction > STICKY_FRICTION
         self.tries = TRIES + self._catches
         """Times that a contact is played before it is refused, int."""
 
@@ -407,7 +409,7 @@ class CarefulPlayer:
         """The ContactPlayer of a try, built when first it is needed."""
         if attempt == len(self._players):
             fidelity = finer(self._players[-1].scene.fidelity)
-            self._players.append(ContactPlayer(self._design, self._stimulus, fidelity))
+            self._players.append(ContactPlayer(self._design, self.stimulus, fidelity))
         return self._players[attempt]
 
 

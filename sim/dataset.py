@@ -77,6 +77,14 @@ class Configuration:
     """What a record must keep to be trusted."""
     symmetric: bool = False
     """Whether each contact is a sample for every symmetry of its task (sim/symmetry.py), or one alone."""
+    curvature_per_m: tuple[float, float] = (0.0, 0.0)
+    """Range of both principal curvatures of the surface that is touched, 1/m, positive where it bulges out; flat if both are
+    0. Not a label."""
+
+    @property
+    def bent(self):
+        """Whether the surface is not flat."""
+        return any(self.curvature_per_m)
 
     @property
     def symmetries(self):
@@ -84,8 +92,12 @@ class Configuration:
         return SYMMETRIES[self.task][: None if self.symmetric else 1]
 
     def as_json(self):
-        """The configuration as a dict of JSON types."""
-        return json.loads(json.dumps(dataclasses.asdict(self)))
+        """The configuration as a dict of JSON types. Of a flat surface no curvature is named: so it was before there was
+        any."""
+        fields = dataclasses.asdict(self)
+        if not self.bent:
+            del fields["curvature_per_m"]
+        return json.loads(json.dumps(fields))
 
     def digest(self):
         """A checksum (hex str) of the configuration."""

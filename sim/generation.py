@@ -19,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
+from sim.bent import MOST_BENT_PER_M, MOST_HOLLOW_PER_M, bent_surface
 from sim.contact import CarefulPlayer, check_ranges
 from sim.crew import Crew, disk_error
 from sim.dataset import (
@@ -37,6 +38,7 @@ from sim.dataset import (
 from sim.lock import locked
 from sim.record import contacts_of, pack_record, read_record, record_path, reopen, samples_of
 from sim.sampling import generator, seed_text
+from sim.shape import Shape
 from sim.symmetry import SymmetricReader, keeps
 from tactip_model.errors import TactipError, choose
 from tactip_model.image import tactile_image
@@ -64,12 +66,24 @@ def check(configuration):
     configuration.pose.check("pose")
     configuration.shear.check("shear")
     check_ranges(configuration.pose, configuration.shear)
+    _check_curvature(configuration)
     for name in ("pose", "shear"):
         if not keeps(configuration.symmetries, getattr(configuration, name)):
             raise TactipError(
                 f"the ranges of the {name} are not as wide to one side as to the other, and samples by symmetry would leave "
                 "them: leave --symmetric out, or make the ranges even"
             )
+
+
+def _check_curvature(configuration):
+    low, high = configuration.curvature_per_m
+    if configuration.bent and configuration.task != "surface":
+        raise TactipError(f"a curvature is asked for with the task {configuration.task!r}: only a surface can be bent")
+    if not -MOST_HOLLOW_PER_M <= low <= high <= MOST_BENT_PER_M:
+        raise TactipError(
+            f"the range of curvature is ({low}, {high}) 1/m: it must be rising, and from -{MOST_HOLLOW_PER_M:g} "
+            f"to {MOST_BENT_PER_M:g}"
+        )
 
 
 def make(jobs, workers, say=print):
@@ -130,14 +144,17 @@ class _SampleMaker:
         alike = [m for m in others if m._configuration.design == c.design and m._configuration.renderer == c.renderer]
         self._render = alike[0]._render if alike else _renderer(c)
         played = [m for m in alike if _physics(m._configuration) == _physics(c)]
-        self._player = played[0]._player if played else CarefulPlayer(c.design, c.task, c.fidelity, c.bounds)
+        self._player = played[0]._player if played else CarefulPlayer(c.design, _stimulus(c), c.fidelity, c.bounds)
         self._reader = SymmetricReader(c.design, self._player.skin()[1], c.symmetries) if c.symmetric else None
 
     def make(self, number):
         """Write the images and the record of contact `number`. Raises OSError."""
         c = self._configuration
         draw = generator(c.seed, c.task, c.split, number)
-        contact, faults = self._player.play(c.pose.draw(draw), c.shear.draw(draw))
+        pose, shear = c.pose.draw(draw), c.shear.draw(draw)
+        if c.bent:
+            self._player.stimulus.solid = bent_surface(*draw.uniform(*c.curvature_per_m, 2), draw.uniform(0, np.pi))
+        contact, faults = self._player.play(pose, shear)
         failed = len(faults) == self._player.tries
         contacts = self._reader.read(contact, self._player.skin()[0]) if self._reader and not failed else [contact]
         indices = samples_of(c, number)
@@ -155,7 +172,14 @@ class _SampleMaker:
 
 
 def _physics(configuration):
-    return configuration.task, configuration.fidelity, configuration.bounds
+    return configuration.task, configuration.bent, configuration.fidelity, configuration.bounds
+
+
+def _stimulus(configuration):
+    """What is pressed on: the task's own, or a surface that is bent anew for each contact."""
+    if not configuration.bent:
+        return configuration.task
+    return Shape(bent_surface(0.0, 0.0, 0.0), sharpest_m=1 / MOST_BENT_PER_M)
 
 
 def _renderer(configuration):

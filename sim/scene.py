@@ -76,7 +76,7 @@ class Scene:
         add_body(spec, tip, self.design, self.mesh, self.fidelity.mesh, self.fidelity.contact)
         self._follower = None
         if isinstance(self.stimulus, Shape):
-            self._follower = Follower(spec, self.stimulus.solid, self.mesh, friction, self.fidelity.contact)
+            self._follower = Follower(spec, self.stimulus, self.mesh, friction, self.fidelity.contact)
         model = spec.compile()
         if self._follower:
             self._follower.bind(model)

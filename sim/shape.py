@@ -46,7 +46,9 @@ class Shape(Stimulus):
 
     def __init__(self, solid, sharpest_m=EDGE_RADIUS_M):
         """solid: Solid. sharpest_m: float, the least radius of its edges, m: how closely an overlap is looked for."""
-        self.solid, self._sharpest_m = solid, sharpest_m
+        self.solid = solid
+        """May be another one from contact to contact: nothing of it is in the compiled model."""
+        self._sharpest_m = sharpest_m
 
     @property
     def sharpest_m(self):
@@ -60,17 +62,21 @@ class Shape(Stimulus):
         """See Stimulus; of the triangles themselves."""
         return self.solid.distance(points)
 
+    def height_to_clear(self, centre, radius):
+        """See Stimulus; the highest point is the solid's own."""
+        return super().height_to_clear(centre, radius, float(self.solid.vertices[:, 2].max()))
+
 
 class Follower:
     """The surface of a solid as it follows the skin of one tip."""
 
-    def __init__(self, spec, solid, mesh, friction, contact):
+    def __init__(self, spec, shape, mesh, friction, contact):
         """Add what is met to a model that holds the tip and the body `stimulus`.
 
-        spec: mujoco.MjSpec. solid: Solid. mesh: tactip_model.mesh.Mesh, of the tip. friction: float, -. contact:
+        spec: mujoco.MjSpec. shape: Shape. mesh: tactip_model.mesh.Mesh, of the tip. friction: float, -. contact:
         ContactModel.
         """
-        self._solid, self._mesh = solid, mesh
+        self._shape, self._mesh = shape, mesh
         self._vertices = np.flatnonzero(~mesh.bonded[: mesh.surface_count])
         corners = mesh.vertices[mesh.triangles]
         self._reach = 0.6 * np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(1)
@@ -140,7 +146,7 @@ class Follower:
         away = np.linalg.norm(skin - self._seen_from, axis=1)
         least = self._distance - away
         due = ~(least > self._farthest)
-        found = self._solid.nearest(skin[due])
+        found = self._shape.solid.nearest(skin[due])
         self._seen_from[due], self._distance[due] = skin[due], found.distance
         distance, place, normal = np.where(due, 0.0, least), np.zeros_like(skin), np.zeros_like(skin)
         distance[due], place[due], normal[due] = found.distance, found.place, found.normal
@@ -157,13 +163,13 @@ class Follower:
         facets = np.flatnonzero(lowest < self._reach + self._near)
         normals = at.normal[triangles[facets]]
         spread = np.linalg.norm(normals - np.roll(normals, 1, axis=1), axis=2).max(1)
-        middle = self._solid.distance(skin[triangles[facets]].mean(1))
+        middle = self._shape.solid.distance(skin[triangles[facets]].mean(1))
         bulges = spread * self._reach[facets] / 0.6 > 8 * _WORTH_M
         facets = facets[bulges | (middle < lowest[facets] - _WORTH_M / 2)]
         if not len(facets):
             return np.zeros((0, 3)), np.zeros((0, 3))
         points = np.einsum("gc,fck->fgk", self._inside, skin[triangles[facets]])
-        close = self._solid.nearest(points.reshape(-1, 3))
+        close = self._shape.solid.nearest(points.reshape(-1, 3))
         depth = close.distance.reshape(len(facets), -1)
         deepest = depth.argmin(1)
         low = depth[np.arange(len(facets)), deepest]
@@ -175,7 +181,7 @@ class Follower:
     def _radii(self, places, normals):
         """Radii (m,) of the largest probes that touch the surface at places (m, 3) from inside."""
         centres = places - _PROBE_RADII_M[:, None, None] * normals
-        room = -self._solid.distance(centres)
+        room = -self._shape.solid.distance(centres)
         fits = room >= (1 - _FITS) * _PROBE_RADII_M[:, None]
         fits[-1] = True
         return _PROBE_RADII_M[fits.argmax(0)]

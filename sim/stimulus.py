@@ -88,14 +88,15 @@ class Stimulus(ABC):
         What is far beyond the tip's reach (HALF_SIZE_M) is taken for endless.
         """
 
-    def height_to_clear(self, centre, radius):
+    def height_to_clear(self, centre, radius, top=0.0):
         """How far (m) a sphere must rise along z to leave the thing; negative if it is clear by more.
 
-        centre: (3,) m, in the contact frame. radius: float, m. Infinitely negative where it passes beside the thing. May
-        be more than is needed, never less: the sphere comes down as far as it is sure to be clear, again and again.
+        centre: (3,) m, in the contact frame. radius, top: float, m, of the sphere, and height of the thing's highest point.
+        Infinitely negative where it passes beside the thing. May be more than is needed, never less: the sphere comes down
+        as far as it is sure to be clear, again and again.
         """
         centre = np.asarray(centre, float)
-        lift = radius - centre[2]  # the highest point is at z = 0
+        lift = top + radius - centre[2]
         for _ in range(1000):
             gap = float(self.distance(centre + np.array([0, 0, lift]))) - radius
             if gap < 1e-9:

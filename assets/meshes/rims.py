@@ -94,8 +94,8 @@ def block(half_mm, height_mm, edge_mm=0.5):
 
 
 def _filled(rings):
-    """Rings (r, n, 3), with as many more between them as keep triangles from being long: a search for the nearest one goes by
-    their boxes."""
+    """Rings (r, n, 3), with as many more between them as keep triangles from being long: a search for the nearest one goes
+    by their boxes."""
     out = [rings[:1]]
     for one, other in pairwise(rings):
         count = int(np.ceil(np.linalg.norm(other - one, axis=1).max() / _LONGEST_MM))

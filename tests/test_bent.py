@@ -1,0 +1,92 @@
+"""Bent surfaces: their shape, and data sets of contacts with them."""
+
+import json
+
+import numpy as np
+import pytest
+import trimesh
+
+import tactip
+from sim.bent import MOST_BENT_PER_M, bent_surface
+from sim.contact import Bounds, ContactPlayer
+from sim.dataset import Configuration, read_dataset
+from sim.fidelity import fidelity_named
+from sim.pose import from_mm_deg
+from sim.sampling import Ranges
+from sim.shape import Shape
+from tactip_model.presets import find_design
+
+
+@pytest.mark.parametrize("bend", [(0.0, 0.0, 0.0), (50.0, -20.0, 0.4), (MOST_BENT_PER_M, MOST_BENT_PER_M, 1.0)])
+def test_its_top_is_the_paraboloid_and_it_is_closed(bend):
+    first, second, turn = bend
+    solid = bent_surface(*bend)
+    mesh = trimesh.Trimesh(solid.vertices, solid.triangles)
+    assert mesh.is_watertight
+    assert mesh.is_winding_consistent
+    assert mesh.volume > 0
+    u, v = np.random.default_rng(0).uniform(-0.008, 0.008, (2, 200))
+    c, s = np.cos(turn), np.sin(turn)
+    top = np.stack([c * u - s * v, s * u + c * v, -(first * u**2 + second * v**2) / 2], -1)
+    assert np.abs(solid.distance(top)).max() < 40e-6
+    slope = np.stack([first * u, second * v], -1)
+    normal = np.stack([c * slope[:, 0] - s * slope[:, 1], s * slope[:, 0] + c * slope[:, 1], np.ones(200)], -1)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    assert np.abs(solid.distance(top + 2e-3 * normal) - 2e-3).max() < 40e-6
+    assert np.degrees(np.arccos(np.clip((solid.smooth_normal(top) * normal).sum(1), -1, 1))).max() < 0.8
+
+
+def test_the_more_it_bulges_the_less_it_presses():
+    """Hertz: the force goes with the root of 1 / (1/R + k); a hollow that the tip nearly fills is beyond him."""
+    shape = Shape(bent_surface(0, 0, 0), sharpest_m=0.01)
+    player = ContactPlayer(find_design("tactip-127"), shape, fidelity_named("draft"))
+    forces = []
+    for curvature in (-20.0, 0.0, 30.0, 60.0):
+        shape.solid = bent_surface(curvature, curvature, 0.0)
+        contact = player.play(from_mm_deg([0, 0, -2.0, 0, 0, 0]), np.zeros(6))
+        assert not contact.faults(Bounds(penetration_m=0.1e-3))
+        forces.append(contact.normal_force_n)
+    hertz = [(1 / 0.02 + k) ** -0.5 for k in (-20.0, 0.0, 30.0, 60.0)]
+    assert np.allclose(np.array(forces) / forces[1], np.array(hertz) / hertz[1], rtol=0.2)
+    shape.solid = bent_surface(0.0, 0.0, 0.0)
+    flat = ContactPlayer(find_design("tactip-127"), "surface", fidelity_named("draft"))
+    pose = from_mm_deg([0, 0, -3.0, 5, 0, 0]), from_mm_deg([2.0, 0, 0, 0, 0, 0])
+    assert np.allclose(player.play(*pose).tips, flat.play(*pose).tips, atol=2e-6)
+
+
+def test_a_set_of_bent_surfaces_is_the_same_whoever_makes_it(tmp_path):
+    command = ["dataset", "make", "--fidelity", "draft", "--renderer", "raster", "--curvature-per-m", "-20", "60"]
+    for name, workers in (("a", "1"), ("b", "2")):
+        assert tactip.main([*command, "--samples", "3", "--workers", workers, "--out", str(tmp_path / name)]) == 0
+    one, other = (read_dataset(tmp_path / name) for name in "ab")
+    assert one.meta["files"] == other.meta["files"]
+    assert one.meta["configuration"]["curvature_per_m"] == [-20, 60]
+    assert tactip.main(["dataset", "verify", str(tmp_path / "a")]) == 0
+    assert tactip.main([*command[:-3], "--samples", "3", "--out", str(tmp_path / "flat")]) == 0
+    flat = read_dataset(tmp_path / "flat")
+    assert np.allclose(flat.poses, one.poses)
+    assert "curvature_per_m" not in flat.meta["configuration"]
+    with np.load(tmp_path / "flat" / "pins.npz") as a, np.load(tmp_path / "a" / "pins.npz") as b:
+        assert np.abs(a["tips"] - b["tips"]).max() > 0.1e-3
+
+
+def test_a_flat_configuration_is_what_it_was():
+    still = Ranges()
+    made = Configuration(
+        "surface", "train", 1, 0, "raster", find_design("tactip-127"), fidelity_named("draft"), still, still
+    )
+    assert "curvature_per_m" not in made.as_json()
+    assert json.dumps(made.as_json())
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--curvature-per-m", "0", "500"], "the range of curvature is (0.0, 500.0) 1/m"),
+        (["--curvature-per-m", "10", "-10"], "it must be rising"),
+        (["--task", "edge", "--curvature-per-m", "0", "10"], "only a surface can be bent"),
+    ],
+)
+def test_wrong_curvatures_are_one_sentence(tmp_path, capsys, options, words):
+    assert tactip.main(["dataset", "make", *options, "--out", str(tmp_path / "set")]) == 1
+    assert words in capsys.readouterr().err
