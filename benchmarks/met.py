@@ -167,8 +167,8 @@ def page(record):
         f"with a mesh of its shape; errors are against the stimulus itself. On: {state}.",
         "",
         "The skin's vertices and facets may meet a mesh as a rigid flex (triangle by triangle), as a signed distance "
-        "(MuJoCo's `sdf`), or by a surface that follows the skin (`sim/shape.py`), which is what objects are met by. Overlap "
-        "is the greatest depth of a facet inside the true shape: 0.1 mm is allowed of a record.",
+        "(MuJoCo's `sdf`), or by a surface that follows the skin (`sim/shape.py`), which is what objects are met by. "
+        "Overlap is the greatest depth of a facet inside the true shape: 0.1 mm is allowed of a record.",
     ]
     for name, rows in record["stimuli"].items():
         lines += [
