@@ -80,8 +80,8 @@ def shapes():
 
 def cut(name, mesh, size_mm):
     """A trimesh.Trimesh, m, with triangles of at most size_mm; a ball's new corners are on the ball."""
-    vertices, triangles = trimesh.remesh.subdivide_to_size(mesh.vertices, mesh.faces, size_mm, max_iter=20)
-    fine = trimesh.Trimesh(vertices, triangles)
+    cut_up = trimesh.remesh.subdivide_to_size(mesh.vertices, mesh.faces, size_mm, max_iter=20)
+    fine = trimesh.Trimesh(*cut_up[:2])
     fine.merge_vertices()
     if name == "sphere":
         radius = 1e3 * SPHERE_RADIUS_M

@@ -74,7 +74,7 @@ class Explorer:
         control: TactipError where the start is in the object.
         """
         try:
-            self._finger.put(T_start)
+            self._finger.put(T_start, route.wrist_rad)
         except Unreachable as error:
             self.stopped_because = f"the start is out of reach: {error}"
             return
@@ -173,7 +173,7 @@ class Explorer:
             raise _GivesUp(f"the simulation lost the tip {lost} times")
         T = self._finger.carrier.told() @ _shift(-3 * self._settings.back_off_mm)
         try:
-            self._finger.put(T)
+            self._finger.put(T, float(np.nan_to_num(self._finger.carrier.angles[5])))
         except TactipError as error:
             raise _GivesUp(f"the simulation lost the tip, and there is no room to begin again: {error}") from error
         self._touch = self._finger.touch()

@@ -20,6 +20,8 @@ class Route(ABC):
     """Which part of the route it is on, int."""
     ended = ""
     """Why it is over; empty while it is not."""
+    wrist_rad = 0.0
+    """Where joint 6 is to be at its start, rad."""
 
     @abstractmethod
     def along(self, T_base_tcp, T_base_contact):
@@ -98,6 +100,8 @@ class AlongEdge(Route):
         """backward: bool, against the y axis of the contact frame. most_m: float, longest way. step_m: float, of the
         servo."""
         self._sense, self._most, self._close = (-1.0 if backward else 1.0), most_m, 1.5 * step_m
+        # Once round turns the sensor once round, and joint 6, which looks down, the other way.
+        self.wrist_rad = self._sense * np.pi
         self._start = self._last = None
         self._gone, self._farthest = 0.0, 0.0
         self.closed = False

@@ -91,9 +91,10 @@ class Arm:
             raise Unreachable(f"the arm is singular there: it can move {value:.3f} as far as it should, {LEAST_SINGULAR}")
         return found
 
-    def find(self, T_base_tcp):
+    def find(self, T_base_tcp, wrist_rad=0.0):
         """Joint angles (6,), rad, of a pose (4, 4), from wherever the arm is: those with the most room.
 
+        wrist_rad: float, where joint 6, which can turn more than once round, is to be, as near as a whole turn allows.
         Raises Unreachable where there are none.
         """
         best, most, apart = None, -np.inf, []
@@ -106,7 +107,10 @@ class Arm:
             if found is None:
                 apart.append(missed)
                 continue
-            room = min(self.manoeuvrability(found) / LEAST_SINGULAR, self.room(found) / np.radians(10)) - abs(found[5]) / 10
+            found[5] += 2 * np.pi * np.round((wrist_rad - found[5]) / (2 * np.pi))
+            found[5] -= 2 * np.pi * np.sign(found[5]) * (abs(found[5]) > self.limits[5, 1])
+            room = min(self.manoeuvrability(found) / LEAST_SINGULAR, self.room(found[:5]) / np.radians(10))
+            room -= abs(found[5] - wrist_rad) / 10
             if room > most:
                 best, most = found, room
         if best is None:
@@ -116,8 +120,9 @@ class Arm:
         return best
 
     def room(self, angles):
-        """Angle (rad) from the nearest limit of a joint; negative beyond it."""
-        return float(np.minimum(angles - self.limits[:, 0], self.limits[:, 1] - angles).min())
+        """Angle (rad) from the nearest limit of a joint; negative beyond it. angles: (6,) rad, or of the first joints."""
+        low, high = self.limits[: len(angles)].T
+        return float(np.minimum(angles - low, high - angles).min())
 
     def _at(self, angles):
         self._data.qpos[:] = angles

@@ -36,8 +36,8 @@ class Carrier(ABC):
         return np.full(6, np.nan)
 
     @abstractmethod
-    def put(self, T_base_tcp):
-        """Be at a pose (4, 4), at rest. Raises Unreachable."""
+    def put(self, T_base_tcp, wrist_rad=0.0):
+        """Be at a pose (4, 4), at rest, with joint 6 about wrist_rad. Raises Unreachable."""
 
     @abstractmethod
     def aim(self, T_base_tcp, steps, step_s) -> int:
@@ -55,7 +55,7 @@ class Carrier(ABC):
 class Straight(Carrier):
     """No arm: the sensor is where it should be, on a straight way."""
 
-    def put(self, T_base_tcp):
+    def put(self, T_base_tcp, wrist_rad=0.0):
         """See Carrier."""
         self.pose = self._from = self._to = np.array(T_base_tcp, float)
 
@@ -81,9 +81,9 @@ class Kinematic(Carrier):
         """See Carrier."""
         return self._angles
 
-    def put(self, T_base_tcp):
+    def put(self, T_base_tcp, wrist_rad=0.0):
         """See Carrier."""
-        self._be(self.arm.find(T_base_tcp))
+        self._be(self.arm.find(T_base_tcp, wrist_rad))
 
     def _be(self, angles):
         self._angles = self._from = self._to = angles

@@ -65,11 +65,14 @@ class Fingertip:
         self.warnings = 0
         """MuJoCo's warnings so far."""
 
-    def put(self, T_base_tcp):
-        """Begin at a pose (4, 4) with the tip undeformed. Raises Unreachable, and TactipError where the tip is not clear."""
+    def put(self, T_base_tcp, wrist_rad=0.0):
+        """Begin at a pose (4, 4) with the tip undeformed, and joint 6 about wrist_rad, rad.
+
+        Raises Unreachable, and TactipError where the tip is not clear.
+        """
         if self.gap(T_base_tcp) < 0:
             raise TactipError("the tip cannot begin inside of the object: begin further off")
-        self.carrier.put(T_base_tcp)
+        self.carrier.put(T_base_tcp, wrist_rad)
         self._undeform()
 
     def gap(self, T_base_tcp):

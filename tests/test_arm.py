@@ -60,6 +60,17 @@ def test_a_pose_is_found_from_anywhere(arm):
         assert np.allclose(arm.forward(arm.find(T)), T, atol=2e-5)
 
 
+@pytest.mark.parametrize("wrist_deg", [-180, 0, 180])
+def test_joint_6_begins_where_it_has_room_to_turn(arm, wrist_deg):
+    """The loop of a rim takes it once round: from within half a turn of where it is asked to be, and in its limits."""
+    for yaw in np.radians([0, 100, 179, -90]):
+        T = matrix([0.38, 0, 0.1], DOWN * Rotation.from_euler("z", yaw))
+        found = arm.find(T, np.radians(wrist_deg))
+        assert np.allclose(arm.forward(found), T, atol=2e-5)
+        assert abs(found[5] - np.radians(wrist_deg)) <= np.pi + 0.1
+        assert arm.room(found) > 0
+
+
 def test_what_cannot_be_reached_is_said_before_moving(arm):
     with pytest.raises(Unreachable, match="stays 1"):
         arm.find(matrix([0.7, 0, 0.1], DOWN))
