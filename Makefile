@@ -63,6 +63,7 @@ report: $(READY)
 	@$(BIN)/python -m benchmarks.materials
 	@$(BIN)/python -m benchmarks.second_code
 	@$(BIN)/python -m benchmarks.friction
+	@$(BIN)/python -m benchmarks.met
 	@$(BIN)/tactip bench error
 	@$(BIN)/tactip bench parts
 	@$(BIN)/tactip bench stability

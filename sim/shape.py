@@ -1,8 +1,8 @@
 """Any solid as a stimulus, with its true shape: no convex hull, no facets of its own to catch on.
 
-MuJoCo makes contacts of convex pieces, or of triangles one by one: of a rigid flex with the skin's facets, so many, and with
-so many normals, that a slide over an edge ends half a millimetre off and costs ten times as much (docs/objects.md). Here the
-solid's surface comes to the skin instead. At every step each vertex of the skin gets the sphere that touches the surface
+MuJoCo makes contacts of convex pieces, or of triangles one by one: of a rigid flex with the skin's facets, so many, and of
+so many normals, that a slide over an edge ends further off and takes longer the finer the mesh is (docs/objects.md). Here
+the solid's surface comes to the skin instead. At every step each vertex of the skin gets the sphere that touches the surface
 where it is nearest, with the surface's normal: the contact is that of the true surface, to first order in what the vertex
 moves in a step. Where the solid is higher in the middle of a facet than at its corners, as an edge is, the facet gets a
 probe: a sphere inside the solid that touches the surface there, as large as fits. The cost does not depend on how many
