@@ -14,8 +14,8 @@ class Settings:
     step_mm: float = within(0.05, 10, default=1.0)
     """Tangential step, mm [P]."""
     touch: float = within(0.01, 0.99, default=0.12)
-    """How far an image must be from that of a tip in the air to count as touched, -; 0.5 mm of depth give 0.2 or so, and a
-    camera's noise 0.05."""
+    """How far an image must be from that of a tip in the air to count as touched, -: on a ball and a rim, presses of half a
+    millimetre gave 0.1, of one 0.2. An estimate: what a camera's noise gives is not measured."""
     search_mm: float = within(0, 50, default=12.0)
     """How far contact is looked for along the sensor's axis, mm."""
     search_step_mm: float = within(0.05, 2, default=0.5)
@@ -25,7 +25,7 @@ class Settings:
     beyond: float = within(0, 10, default=0.5)
     """How far an estimate may be out of the range that was learned, in its half width: farther, it is none."""
     most_force_n: float = within(0.1, 100, default=8.0)
-    """Force at which the arm stops and backs off, N: a press of 5 mm takes 4."""
+    """Force at which the arm stops and backs off, N; an estimate, above what a press as deep as was learned takes."""
     back_off_mm: float = within(0.1, 20, default=2.0)
     """How far it backs off along the sensor's axis, mm."""
     most_trouble: int = within(0, 1000, default=5)

@@ -124,7 +124,7 @@ def _plan(options, thing, truth):
         hit = thing.solid.first_hit((inverse(T) @ [*corners[0, :2], 2.0, 1])[:3], inverse(T)[:3, :3] @ -UP)
         require(np.isfinite(hit), "the start of the route", (1e3 * corners[0, :2]).tolist(), "above the object, mm")
         place = (inverse(T) @ [*corners[0, :2], 2.0 - hit, 1])[:3]
-        route = Plan(corners, UP) if r.kind != "geodesic" else Geodesic(0.0, r.length_mm / 1e3)
+        route = Plan(corners, UP)
     T_there = np.eye(4)
     T_there[:3, :3] = np.linalg.inv(T)[:3, :3] @ np.diag([-1.0, 1, -1])
     T_there[:3, 3] = place

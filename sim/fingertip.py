@@ -19,9 +19,6 @@ from tactip_model.pins import PinReader
 _CLEAR_M = 0.5e-3
 """Gap between tip and object that counts as clear, m."""
 
-_STRIDE_M = 0.5e-3
-"""How closely a way through the air is looked at, m."""
-
 
 class Diverged(TactipError):
     """The state of the tip is no longer finite, or no longer a tip's."""
@@ -82,22 +79,6 @@ class Fingertip:
         # The dome is the sphere's outer half; behind it is the housing, as wide.
         back = T[:3, 3] - np.outer(np.linspace(self._radius, 3 * self._radius, 9), T[:3, 2])
         return float(min(self._solid.distance(centre[None])[0], self._solid.distance(back).min()) - self._radius)
-
-    def fly(self, T_base_tcp):
-        """Go to a pose (4, 4) through the air, without time steps; undeformed at the end.
-
-        Raises Unreachable, and TactipError where the object is in the way: the carrier then stays before it.
-        """
-        here = self.carrier.pose
-        length = np.linalg.norm(T_base_tcp[:3, 3] - here[:3, 3]) + self._radius * _turn(here, T_base_tcp)
-        count = max(1, int(np.ceil(length / _STRIDE_M)))
-        self.carrier.aim(T_base_tcp, count, 0.1)
-        for k in range(1, count + 1):
-            self.carrier.advance(k / count, 0.1, np.zeros(3), np.zeros(3))
-            if self.gap(self.carrier.pose) < 0:
-                self._undeform()
-                raise TactipError("the object is in the way of a motion through the air")
-        self._undeform()
 
     def go(self, T_base_tcp):
         """Go to a pose (4, 4) at the fidelity's pace, in contact or not, and come to rest there. Returns a Touch.
