@@ -5,6 +5,7 @@ steps.npz         an array a quantity, a row a control step (see Step); images a
 parts/            the same in pieces, while it is not complete: what a kill leaves
 """
 
+import contextlib
 import io
 import json
 import zipfile
@@ -13,11 +14,14 @@ from pathlib import Path
 import numpy as np
 
 from sim.dataset import write_file
+from sim.lock import locked
 from tactip_model.errors import TactipError
 
 FORMAT, VERSION = "tactip-twin recording", 1
 
 RECORDING, STEPS, PARTS = "recording.json", "steps.npz", "parts"
+
+_LOCK = ".lock"
 
 _PART = 50
 """Steps of a part."""
@@ -52,11 +56,14 @@ class Recorder:
     """Writes a recording as it grows."""
 
     def __init__(self, folder):
-        """folder: path. Raises TactipError where it holds something else than an unfinished recording."""
+        """folder: path. Raises TactipError where it holds something else than an unfinished recording, and where another
+        command records into it."""
         self.folder = Path(folder)
-        if self.folder.exists() and any(p.name not in (PARTS, ".lock") for p in self.folder.iterdir()):
+        if self.folder.exists() and any(p.name not in (PARTS, _LOCK) for p in self.folder.iterdir()):
             raise TactipError(f"the folder {folder} is not empty: name another one, or remove this one")
         (self.folder / PARTS).mkdir(parents=True, exist_ok=True)
+        self._held = contextlib.ExitStack()
+        self._held.enter_context(locked(self.folder / _LOCK, f"recording into {folder}"))
         for path in (self.folder / PARTS).iterdir():
             path.unlink()
         self._rows, self._parts = [], []
@@ -94,6 +101,7 @@ class Recorder:
         for path in (self.folder / PARTS).iterdir():
             path.unlink()
         (self.folder / PARTS).rmdir()
+        self._held.close()
         return arrays
 
 

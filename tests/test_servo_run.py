@@ -135,6 +135,14 @@ def test_a_folder_in_use_is_not_written_over(ran, capsys):
     assert "is not empty" in capsys.readouterr().err
 
 
+def test_two_commands_do_not_record_into_one_folder(tmp_path):
+    first = Recorder(tmp_path / "run")
+    with pytest.raises(TactipError, match="another command is recording"):
+        Recorder(tmp_path / "run")
+    first.finish({"task": "surface"})
+    assert (tmp_path / "run" / "recording.json").exists()
+
+
 def test_a_start_out_of_reach_is_said(tmp_path):
     out = tmp_path / "run"
     assert tactip.main([*QUICK, *SHORT, "--place-mm", "750", "0", "0", "--out", str(out)]) == 0
