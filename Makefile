@@ -18,6 +18,7 @@ help:
 	@echo "make train         a PoseNet on OUT/TASK  [TASK=surface] [OUT=data] [RECIPE=laptop|paper]; into runs/TASK, with its evaluation"
 	@echo "make tune          search for a network  [TASK=surface] [OUT=data] [TRIALS=300]; into runs/tune-TASK"
 	@echo "make servo         follow a bust or a rim by touch  [TASK=bust|rim] [OBJECT=...]; into runs/servo-OBJECT"
+	@echo "make demo          a pass over the bust and once round a rim, with films (three minutes); into runs/demo"
 	@echo "make report        measure errors and costs (45 min); write docs/*.md and the README's picture"
 	@echo "make test          all tests but the slow ones    make test-all   those too"
 	@echo "make lint          ruff and pyright"
@@ -52,6 +53,11 @@ servo: OBJECT ?= $(if $(filter rim edge,$(TASK)),rim-round,bust)
 servo: $(READY)
 	@$(BIN)/tactip servo --task "$(FOLLOWED)" --object "$(OBJECT)" --out "runs/servo-$(OBJECT)"
 
+demo: $(READY)
+	@rm -rf runs/demo
+	@$(BIN)/tactip servo --task surface --object bust --route.kind straight --route.length-mm 40 --film --out runs/demo/bust
+	@$(BIN)/tactip servo --task edge --object rim-round --settings.step-mm 2 --film --out runs/demo/rim
+
 test: $(READY)
 	@$(BIN)/python -m pytest
 
@@ -81,4 +87,4 @@ lock:
 clean:
 	@rm -rf .venv build *.egg-info .pytest_cache .ruff_cache .hypothesis
 
-.PHONY: help setup sim-dataset train tune servo test test-all report lint lock clean
+.PHONY: help setup sim-dataset train tune servo demo test test-all report lint lock clean

@@ -258,6 +258,8 @@ class NetworkOptions:
     """Blur of the image, px."""
     reduce: int | None = None
     """Squares of so many px are averaged."""
+    fold: bool | None = None
+    """Their pixels become channels instead."""
     halving: str | None = None
     """pool or stride: how a layer halves its image."""
     further: int | None = None
@@ -556,7 +558,7 @@ class Learning:
     judged: int = 2000
     """Sheared contacts each to validate and to test."""
     judged_taps: int = 500
-    """Contacts without shear each to validate and to test."""
+    """Contacts each to validate and to test, of those without shear and of those on bent surfaces."""
     data: Path = Path("data/learning")
     """Folder of the sets."""
     runs: Path = Path("runs/learning")

@@ -40,7 +40,25 @@ BARS = {
 FILTERS = (4, 8, 16)
 """First filters of the other networks on the curve."""
 
+BENT_PER_M = (-25.0, 80.0)
+"""Principal curvatures of bent surfaces, 1/m: from hollows of 40 mm radius to 12.5 mm, a large nose's."""
+
 DESIGN, FIDELITY = "tactip-127", "standard"
+
+
+CROSSINGS = (
+    (
+        "Shear in training",
+        {"laptop-plain": "sheared contacts", "laptop-taps": "taps"},
+        {"sheared": "sheared contacts", "taps": "taps"},
+    ),
+    (
+        "Bent surfaces in training",
+        {"laptop": "flat surfaces", "laptop-bent": "bent surfaces"},
+        {"sheared": "flat surfaces", "bent": "bent surfaces"},
+    ),
+)
+"""Tables of what is trained on one kind of contact and tested on another: title, rows and tests by what they are called."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +74,7 @@ class Options:
     judged: int = 2000
     """Sheared contacts each to validate and to test."""
     judged_taps: int = 500
-    """Contacts without shear each to validate and to test."""
+    """Contacts each to validate and to test, of those without shear and of those on bent surfaces."""
     data: Path = Path("data/learning")
     """Folder of the sets: DATA/KIND/TASK/SPLIT."""
     runs: Path = Path("runs/learning")
@@ -78,7 +96,7 @@ class Row:
     name: str
     what: str
     kind: str
-    """What it is trained on: plain, symmetric, most or taps."""
+    """What it is trained on: plain, symmetric, most, taps or bent."""
     recipe: Recipe
 
 
@@ -109,16 +127,21 @@ def rows(task, paper):
         Row("laptop-varied", "`laptop` with five times the variation of optics", "symmetric", varied),
         Row("laptop-most", "`laptop`, on more contacts", "most", laptop),
     ]
-    return out
+    bent = f"`laptop`, on surfaces bent by {BENT_PER_M[0]:g} to {BENT_PER_M[1]:g} /m"
+    return out + [Row("laptop-bent", bent, "bent", laptop)] * (task == "surface")
 
 
 def jobs(options):
     """The sets (list of Job) that are needed, made already or not."""
     task, still = options.task, Ranges()
-    wanted = [("symmetric", "train", options.most * len(SYMMETRIES[task]), SHEAR_RANGES)]
+    each = len(SYMMETRIES[task])
+    wanted = [("symmetric", "train", options.most * each, SHEAR_RANGES)]
     wanted += [("plain", split, options.judged, SHEAR_RANGES) for split in ("val", "test")]
     wanted += [("taps", "train", options.contacts, still)]
     wanted += [("taps", split, options.judged_taps, still) for split in ("val", "test")]
+    if task == "surface":
+        wanted += [("bent", "train", options.contacts * each, SHEAR_RANGES)]
+        wanted += [("bent", split, options.judged_taps, SHEAR_RANGES) for split in ("val", "test")]
     out = []
     for kind, split, samples, shear in wanted:
         configuration = Configuration(
@@ -131,29 +154,42 @@ def jobs(options):
             fidelity=fidelity_named(FIDELITY),
             pose=POSE_RANGES[task],
             shear=shear,
-            symmetric=kind == "symmetric",
+            symmetric=kind == "symmetric" or (kind, split) == ("bent", "train"),
+            curvature_per_m=BENT_PER_M if kind == "bent" else (0.0, 0.0),
         )
         out.append(Job(configuration, options.data / kind / task / split))
     return out
 
 
-def read_sets(options):
-    """Training and validation Samples by kind (dict of pairs), and test Samples by name (dict), of sets that are made.
+class Sets:
+    """The sets of a task, read as they are asked for."""
 
-    Raises TactipError where one is missing or damaged.
-    """
-    sets = {kind: options.data / kind / options.task for kind in ("plain", "taps", "symmetric")}
-    most, val = read_samples(sets["symmetric"] / "train"), read_samples(sets["plain"] / "val")
-    each = len(SYMMETRIES[options.task])
-    training = {
-        # The first of a contact's samples is the contact as it was played, in the place of the others.
-        "plain": (most.take(slice(0, options.contacts * each, each)), val),
-        "taps": read_splits(sets["taps"]),
-        "symmetric": (most.take(slice(0, options.contacts * each)), val),
-        "most": (most, val),
-    }
-    tests = {"sheared": read_samples(sets["plain"] / "test"), "taps": read_samples(sets["taps"] / "test")}
-    return training, tests
+    def __init__(self, options):
+        """options: Options."""
+        self._options, self._each = options, len(SYMMETRIES[options.task])
+        self._most = None
+
+    def training(self, kind):
+        """Training and validation Samples of a kind (Row.kind). Raises TactipError where one is missing or damaged."""
+        if kind in ("taps", "bent"):
+            return read_splits(self._folder(kind))
+        if self._most is None:
+            self._most = read_samples(self._folder("symmetric") / "train")
+        chosen = {
+            # The first of a contact's samples is the contact as it was played, in the place of the others.
+            "plain": slice(0, self._options.contacts * self._each, self._each),
+            "symmetric": slice(0, self._options.contacts * self._each),
+            "most": slice(None),
+        }[kind]
+        return self._most.take(chosen), read_samples(self._folder("plain") / "val")
+
+    def tests(self):
+        """Test Samples (dict) by kind of contact. Raises TactipError where one is missing or damaged."""
+        kinds = {"sheared": "plain", "taps": "taps"} | ({"bent": "bent"} if self._options.task == "surface" else {})
+        return {name: read_samples(self._folder(kind) / "test") for name, kind in kinds.items()}
+
+    def _folder(self, kind):
+        return self._options.data / kind / self._options.task
 
 
 def run(options, say=print):
@@ -169,20 +205,22 @@ def run(options, say=print):
     if options.only:
         chosen = {name: choose("row", name, chosen) for name in options.only}
     make(jobs(options), options.workers, say)
-    training, tests = read_sets(options)
+    sets = Sets(options)
+    tests = sets.tests()
     counts = {name: getattr(options, name) for name in ("contacts", "most", "judged", "judged_taps")}
     record = {**counts, "machine": machine(), "rows": _kept(options, counts)}
     for row in chosen.values():
         folder = options.runs / options.task / row.name
         say(f"{row.name}: {row.what}")
-        history = train(*training[row.kind], row.recipe.network, row.recipe.settings, folder, say=say)
+        training, validation = sets.training(row.kind)
+        history = train(training, validation, row.recipe.network, row.recipe.settings, folder, say=say)
         model = load_model(folder)
         figures = {name: evaluate(model, samples).figures for name, samples in tests.items()}
         measured = {
             "name": row.name,
             "what": row.what,
             "set": row.kind,
-            "images": len(training[row.kind][0]),
+            "images": len(training),
             "epochs": len(history),
             "seconds": sum(h["seconds"] for h in history),
             "parameters": figures["sheared"]["parameters"],
@@ -250,14 +288,15 @@ def page(whole):
             cells += [f"{row['latency_ms']:.2f}", *(f"{row['mae']['sheared'][n]:.3f}" for n in names)]
             lines.append("| " + " | ".join(map(str, cells)) + " |")
         by_name = {row["name"]: row for row in record["rows"]}
-        pair = [by_name[name] for name in ("laptop-plain", "laptop-taps") if name in by_name]
-        if len(pair) == 2:
-            lines += ["", "Shear in training:", "", "| trained on | tested on | " + " | ".join(names) + " |"]
-            lines.append("|" + "---|" * (2 + len(names)))
-            for row, trained in zip(pair, ("sheared contacts", "taps"), strict=True):
-                for tested, told in (("sheared", "sheared contacts"), ("taps", "taps")):
-                    cells = " | ".join(f"{row['mae'][tested][n]:.3f}" for n in names)
-                    lines.append(f"| {trained} | {told} | {cells} |")
+        for title, trained, tested in CROSSINGS:
+            found = [by_name[name] for name in trained if name in by_name]
+            if len(found) == len(trained) and all(kind in row["mae"] for row in found for kind in tested):
+                lines += ["", f"{title}:", "", "| trained on | tested on | " + " | ".join(names) + " |"]
+                lines.append("|" + "---|" * (2 + len(names)))
+                for name, told in trained.items():
+                    for kind, what in tested.items():
+                        cells = " | ".join(f"{by_name[name]['mae'][kind][n]:.3f}" for n in names)
+                        lines.append(f"| {told} | {what} | {cells} |")
     return "\n".join(lines) + "\n"
 
 
@@ -277,7 +316,7 @@ def draw(whole, path):
     for axis, (task, record) in zip(axes[0], whole.items(), strict=True):
         for row in record["rows"]:
             x, y = row["latency_ms"], relative(row, task)
-            axis.plot(x, y, "o", color={"symmetric": "C0", "most": "C3"}.get(row["set"], "0.6"))
+            axis.plot(x, y, "o", color={"symmetric": "C0", "most": "C3", "bent": "C2"}.get(row["set"], "0.6"))
             axis.annotate(row["name"], (x, y), xytext=(4, 4), textcoords="offset points", fontsize=8)
         axis.axhline(1, color="C3", lw=0.8)
         axis.set(xscale="log", yscale="log", xlabel="ms an image, one core", ylabel="error over what is asked", title=task)

@@ -101,6 +101,8 @@ class Options:
     """Friction between tip and object, -; the design's if not given."""
     seed: int | None = None
     """Seed of a start that is off the mark: by up to 3 mm and 8 degrees. Without, it is on it."""
+    film: bool = False
+    """Make a film of the run, too."""
     settle_steps: int | None = None
     """Time steps at rest before an image is taken; the fidelity's if not given."""
     route: RouteOptions = field(default_factory=RouteOptions)

@@ -11,6 +11,7 @@ from assets import MESHES
 from control.estimator import Oracle, Seen
 from control.explore import Explorer
 from control.figure import write_figure
+from control.film import pictures
 from control.route import AlongEdge, Geodesic, Plan, serpentine
 from control.score import score, surface_targets
 from control.servo import REFERENCE_MM_DEG, Servo, gains_named
@@ -19,6 +20,7 @@ from learning.model import find_model
 from sim.carrier import carrier_named
 from sim.dataset import write_file
 from sim.fidelity import fidelity_named
+from sim.film import write_film
 from sim.fingertip import Fingertip
 from sim.objects import find_object
 from sim.pose import from_mm_deg, inverse, sensor_in_contact
@@ -27,7 +29,7 @@ from tactip_model.bounds import require
 from tactip_model.errors import Stopped, TactipError, choose
 from tactip_model.presets import find_design
 
-SCORE, FIGURE = "score.json", "figure.png"
+SCORE, FIGURE, FILM = "score.json", "figure.png", "film.mp4"
 
 UP = np.array([0.0, 0, 1])
 """From where routes over a surface are seen: above the table."""
@@ -40,6 +42,8 @@ def run(options, progress=lambda step: None, say=print):
     Ctrl-C; what was recorded by then is kept, scored and drawn.
     """
     choose("task", options.task, dict.fromkeys(("surface", "edge")))
+    if options.film and options.renderer != "pyrender":
+        raise TactipError(f"a film is drawn by pyrender: --film does not go with --renderer {options.renderer}")
     thing = find_object(options.object, options.unit, options.scale, options.place_mm, options.turn_deg)
     for note in thing.notes:
         say(f"{options.object}: {note}")
@@ -90,6 +94,8 @@ def run(options, progress=lambda step: None, say=print):
     write_file(options.out / SCORE, (json.dumps(figures, indent=1) + "\n").encode())
     if options.renderer == "pyrender":
         write_figure(options.out / FIGURE, thing, arrays, options.task)
+    if options.film and not stopped:
+        write_film(options.out / FILM, pictures(thing, description, arrays, design, fidelity))
     if stopped:
         raise Stopped(f"what was recorded is in {options.out}")
     return figures

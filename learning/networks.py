@@ -56,7 +56,10 @@ _LAPTOP_TRAINING = TrainSettings(
 
 RECIPES = {
     "laptop": {
-        "surface": Recipe(_LAPTOP, _LAPTOP_TRAINING),
+        "surface": Recipe(
+            replace(_LAPTOP, blur_px=0.0, fold=True, batch_size=32),
+            replace(_LAPTOP_TRAINING, epochs=36, least_steps=8000, rate=1.4e-3, muon=0.014, drawn=0.4),
+        ),
         "edge": Recipe(_LAPTOP, replace(_LAPTOP_TRAINING, epochs=26)),
     },
     "paper": {task: Recipe(network, TrainSettings()) for task, network in _PAPER.items()},

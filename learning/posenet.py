@@ -39,6 +39,8 @@ class PoseNetConfig:
     reduce: int = within(1, 8, default=1)
     """The image is then averaged over squares of so many px; 1 [P]. At 2, a blurred image keeps what it tells, and costs a
     quarter."""
+    fold: bool = False
+    """The pixels of those squares become channels instead: none is lost, and only the first convolution costs more."""
     dense_layers: int = within(1, 5, default=1)
     """N_dense, dense layers; 1 to 5 [P]."""
     units: int = within(1, 4096, default=16)
@@ -69,6 +71,7 @@ class PoseNetConfig:
         choose("activation", self.activation, ACTIVATIONS)
         require(not (self.batch_norm and self.group_norm), "PoseNetConfig.group_norm", self.group_norm, "0 with batch norm")
         choose("halving", self.halving, dict.fromkeys(("pool", "stride")))
+        require(not (self.fold and self.reduce == 1), "PoseNetConfig.reduce", self.reduce, "above 1 with fold")
 
     def widths(self):
         """Filters (list of int) of each convolution."""
@@ -97,7 +100,9 @@ class PoseNet(nn.Module):
         super().__init__()
         last = config.last_size(size)
         activation = ACTIVATIONS[config.activation]
-        layers, before = [_Blur(config.blur_px, config.reduce)] if config.blur_px or config.reduce > 1 else [], 1
+        reduce = 1 if config.fold else config.reduce
+        layers = [_Blur(config.blur_px, reduce)] if config.blur_px or reduce > 1 else []
+        layers, before = ([*layers, nn.PixelUnshuffle(config.reduce)], config.reduce**2) if config.fold else (layers, 1)
         for width in config.widths():
             layers += self._layer(config, before, width)
             before = width

@@ -26,7 +26,7 @@ _BACKDROP_DEPTH = 9.0
 
 
 @cache
-def _process_renderer() -> tuple[Any, Any]:
+def renderer() -> tuple[Any, Any]:
     """The process's pyrender renderer. There can be only one: a second one's end takes the first one's display away.
 
     Raises TactipError where OpenGL cannot be used.
@@ -62,7 +62,7 @@ class Canvas:
 
     def __init__(self, width, height):
         """width, height: int, px. Raises TactipError where OpenGL cannot be used."""
-        self._pyrender, self._renderer = _process_renderer()
+        self._pyrender, self._renderer = renderer()
         self._size = width, height
         self._scene = self._pyrender.Scene(bg_color=[0, 0, 0, 0], ambient_light=[1.0, 1.0, 1.0])
         camera = self._pyrender.OrthographicCamera(xmag=width / 2, ymag=height / 2, znear=0.01, zfar=10.0)

@@ -47,11 +47,22 @@ def test_the_sets_are_what_the_page_says():
     assert jobs["plain", "test"].design.name == "tactip-127"
 
 
+def test_bent_surfaces_are_of_the_surface_task():
+    jobs = [j.configuration for j in learned.jobs(learned.Options()) if j.folder.parts[-3] == "bent"]
+    assert [(c.split, c.samples, c.symmetric) for c in jobs] == [
+        ("train", 16000, True),
+        ("val", 500, False),
+        ("test", 500, False),
+    ]
+    assert {c.curvature_per_m for c in jobs} == {learned.BENT_PER_M}
+    assert all(any(r.kind == "bent" for r in learned.rows(task, False)) == (task == "surface") for task in learned.PAPER)
+
+
 def test_a_page_is_written_and_what_was_trained_is_kept(options):
     first = learned.run(options, say=lambda line: None)
     assert [r["name"] for r in first["rows"]] == [r.name for r in learned.rows("surface", False)]
     page = (options.out / "learning.md").read_text()
-    assert "| taps | sheared contacts |" in page
+    assert "| taps | sheared contacts |" in page and "| bent surfaces | flat surfaces |" in page
     assert f"{first['rows'][0]['mae']['sheared']['pose_z']:.3f}" in page
     assert (options.out / "learning.png").stat().st_size > 5000
     said = []

@@ -114,6 +114,20 @@ def test_blur_and_reduction_keep_brightness():
     assert (out[0, 0] * v).sum().item() / out.sum().item() == pytest.approx(9.75, abs=0.01)
 
 
+def test_folding_keeps_every_pixel():
+    """A pixel that moves within its square is lost to the mean of the square, and not to its folded channels."""
+    images = torch.zeros(2, 1, 40, 40)
+    images[0, 0, 20, 20] = images[1, 0, 21, 21] = 1.0
+    torch.manual_seed(0)
+    for fold in (False, True):
+        net = PoseNet(PoseNetConfig(conv_layers=2, filters=4, reduce=2, fold=fold), 40, 3).eval()
+        with torch.no_grad():
+            one, other = net(images)
+        assert torch.allclose(one, other) != fold
+    with pytest.raises(TactipError, match=r"PoseNetConfig\.reduce is 1: it must be above 1 with fold"):
+        PoseNetConfig(fold=True)
+
+
 def test_widening_stops_at_most_filters():
     assert PoseNetConfig(conv_layers=4, filters=8, widening=2, most_filters=20).widths() == [8, 16, 20, 20]
 

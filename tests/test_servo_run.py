@@ -163,3 +163,26 @@ def test_coverage_counts_what_is_near():
     targets = np.stack([np.arange(10), np.zeros(10), np.zeros(10)], -1).astype(float)
     assert coverage(targets[:1], targets, 2.5) == pytest.approx(0.3)
     assert coverage(targets[:0], targets, 2.5) == 0
+
+
+def test_a_film_of_a_run(tmp_path):
+    """Of every step a picture, with the arm, the object and the image that was felt in it."""
+    import av
+
+    out = tmp_path / "run"
+    command = ["servo", "--fidelity", "draft", "--object", "plate", "--route.kind", "straight", "--route.length-mm", "1"]
+    assert tactip.main([*command, "--film", "--out", str(out)]) == 0
+    _, arrays = read_recording(out)
+    with av.open(str(out / "film.mp4")) as film:
+        frames = [f.to_ndarray(format="rgb24") for f in film.decode(video=0)]
+    assert len(frames) == len(arrays["phase"])
+    assert frames[0].shape == (630, 1120, 3)
+    felt = frames[-1][16 : 16 + 256, 782:1038].mean(-1) > 127
+    assert felt.mean() == pytest.approx((arrays["images"][-1] > 127).mean(), abs=0.01)
+    assert (out / "figure.png").stat().st_size > 5000
+
+
+def test_a_film_needs_a_renderer(tmp_path, capsys):
+    assert tactip.main([*QUICK, *SHORT, "--film", "--out", str(tmp_path / "run")]) == 1
+    assert "--film does not go with --renderer raster" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()

@@ -1,0 +1,151 @@
+"""What there is to be seen of a recording: the arm, the object, the soft skin, the way; as coloured surfaces in the arm's
+base frame. What draws them (picture.py) knows nothing of robots."""
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+import trimesh
+
+from sim.arm import arm_spec
+from tactip_model.mesh import build_mesh
+
+PORCELAIN, SKIN, TABLE = (232.0, 230, 225), (58.0, 58, 64), (186.0, 188, 192)
+"""Colours of the object, the skin and the table, red, green and blue."""
+
+_CREASE_RAD = 0.6
+"""Angle from which on there is a crease between two faces of a part of the arm, rad."""
+
+_TABLE_M = (0.9, 0.7)
+"""Length and width of the table, m."""
+
+
+@dataclass(frozen=True)
+class Prop:
+    """A surface of one colour."""
+
+    vertices: np.ndarray
+    """(n, 3) m."""
+    triangles: np.ndarray
+    """(k, 3) int."""
+    normals: np.ndarray
+    """(n, 3), unit."""
+    colour: tuple[float, float, float]
+    """Red, green and blue, 0 to 255."""
+
+    def moved(self, T):
+        """This prop carried by T (4, 4)."""
+        turn = T[:3, :3].T
+        return Prop(self.vertices @ turn + T[:3, 3], self.triangles, self.normals @ turn, self.colour)
+
+
+class Stage:
+    """The props of a servo run."""
+
+    def __init__(self, thing, design, fidelity, with_arm):
+        """thing: objects.Thing. design: Design. fidelity: Fidelity, whose mesh the recorded skin has. with_arm: bool."""
+        self.still = [solid_prop(thing.solid, PORCELAIN).moved(thing.T_base_object), _table()]
+        """Props that stay as they are."""
+        mesh = build_mesh(design.shape, fidelity.mesh)
+        self._skin = mesh.triangles
+        spec = arm_spec(design.shape.radius_m)
+        self._model = spec.compile()
+        self._data = mujoco.MjData(self._model)
+        self._links = _links(self._model) if with_arm else {}
+        self._sensor = _links(self._model, only="sensor")
+
+    def moving(self, angles, T_base_tcp, skin):
+        """Props (list) of a step: angles (6,) rad, not a number without an arm; T_base_tcp (4, 4); skin (s, 3) m, sensor
+        frame."""
+        normals = trimesh.Trimesh(skin, self._skin, process=False).vertex_normals
+        out = [Prop(np.asarray(skin, float), self._skin, np.asarray(normals), SKIN).moved(T_base_tcp)]
+        # The sensor stands where it is, and not where the angles of a step say: they are the same but for rounding.
+        home = self._poses(np.zeros(6))
+        T_sensor = T_base_tcp @ np.linalg.inv(self._tcp()) @ home["sensor"]
+        out += [prop.moved(T_sensor) for prop in self._sensor["sensor"]]
+        if self._links and np.isfinite(angles).all():
+            poses = self._poses(angles)
+            out += [prop.moved(poses[body]) for body, props in self._links.items() for prop in props]
+        return out
+
+    def _poses(self, angles):
+        self._data.qpos[:] = angles
+        mujoco.mj_kinematics(self._model, self._data)
+        out = {}
+        for k in range(self._model.nbody):
+            T = np.eye(4)
+            T[:3, :3], T[:3, 3] = self._data.xmat[k].reshape(3, 3), self._data.xpos[k]
+            out[self._model.body(k).name] = T
+        return out
+
+    def _tcp(self):
+        """T_base_tcp (4, 4) of the angles that were set last."""
+        site, T = self._model.site("tcp").id, np.eye(4)
+        T[:3, :3], T[:3, 3] = self._data.site_xmat[site].reshape(3, 3), self._data.site_xpos[site]
+        return T
+
+
+def solid_prop(solid, colour):
+    """The Prop of a solid.Solid in its own frame."""
+    corners = solid.vertices[solid.triangles].reshape(-1, 3)
+    return Prop(corners, np.arange(len(corners)).reshape(-1, 3), solid.corner_normals.reshape(-1, 3), colour)
+
+
+def tube(points, radius_m, colour, sides=8):
+    """The Prop of a tube along points (n, 3) m, n at least 2."""
+    ways = np.gradient(points, axis=0)
+    ways /= np.maximum(np.linalg.norm(ways, axis=1, keepdims=True), 1e-12)
+    across = np.cross(ways, [0.3, 0.5, 0.81])
+    across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-12)
+    other = np.cross(ways, across)
+    turn = 2 * np.pi * np.arange(sides) / sides
+    normals = np.cos(turn)[:, None] * across[:, None] + np.sin(turn)[:, None] * other[:, None]
+    rings = points[:, None] + radius_m * normals
+    k, j = np.meshgrid(np.arange(len(points) - 1), np.arange(sides), indexing="ij")
+    a, b = (k * sides + j).ravel(), (k * sides + (j + 1) % sides).ravel()
+    triangles = np.concatenate([np.stack([a, b, a + sides], 1), np.stack([b, b + sides, a + sides], 1)])
+    return Prop(rings.reshape(-1, 3), triangles, normals.reshape(-1, 3), colour)
+
+
+def _table():
+    mesh = trimesh.creation.box([*_TABLE_M, 0.02])
+    mesh.apply_translation([0.3, 0, -0.0101])
+    return _prop(mesh, TABLE)
+
+
+def _links(model, only=None):
+    """Props (dict of lists) by the body that carries them, in its frame; of all but the sensor, or of one body."""
+    out = {}
+    for k in range(model.ngeom):
+        geom, body = model.geom(k), model.body(model.geom_bodyid[k]).name
+        if (body != only) if only else (body == "sensor"):
+            continue
+        if geom.name == "dome":  # the skin itself is drawn
+            continue
+        mesh, T = _primitive(int(geom.type[0]), geom.size), np.eye(4)
+        turn = np.zeros(9)
+        mujoco.mju_quat2Mat(turn, geom.quat)
+        T[:3, :3], T[:3, 3] = turn.reshape(3, 3), geom.pos
+        mesh.apply_transform(T)
+        rgb = 255 * model.mat_rgba[model.geom_matid[k], :3]
+        out.setdefault(body, []).append(_prop(mesh, tuple(rgb.tolist())))
+    return out
+
+
+def _primitive(kind, size):
+    """The trimesh.Trimesh of a MuJoCo geom."""
+    shapes = mujoco.mjtGeom
+    if kind == shapes.mjGEOM_BOX:
+        return trimesh.creation.box(2 * size)
+    if kind == shapes.mjGEOM_CYLINDER:
+        return trimesh.creation.cylinder(size[0], 2 * size[1], sections=40)
+    if kind == shapes.mjGEOM_CAPSULE:
+        return trimesh.creation.capsule(2 * size[1], size[0], count=[24, 24])
+    if kind == shapes.mjGEOM_SPHERE:
+        return trimesh.creation.icosphere(3, size[0])
+    raise ValueError(f"no mesh for geom type {kind}")
+
+
+def _prop(mesh, colour):
+    smooth = trimesh.graph.smooth_shade(mesh, angle=_CREASE_RAD)
+    return Prop(np.asarray(smooth.vertices), np.asarray(smooth.faces), np.asarray(smooth.vertex_normals), colour)
