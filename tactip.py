@@ -619,6 +619,33 @@ class Search:
 
 
 @dataclass(frozen=True)
+class Followed:
+    """Measure what the servo reaches: objects, arms, fidelities, what it withstands, random starts."""
+
+    groups: tuple[str, ...] = ()
+    """objects, oracle, arm, fidelity, robust, starts; all if not given. The page keeps the others."""
+    other_surface: str = ""
+    """A surface network of another seed, to hold beside the shipped one."""
+    other_edge: str = ""
+    """An edge network of another seed."""
+    runs: Path = Path("runs/servo-bench")
+    """Folder of the runs."""
+    out: Path = Path("docs")
+    """Folder for servo.json, servo.md and servo.png."""
+    workers: str = "auto"
+    """Worker processes; auto is one a core."""
+
+    def run(self):
+        from benchmarks.followed import Options, run
+        from sim.crew import worker_count
+
+        options = {f.name: getattr(self, f.name) for f in fields(self)}
+        run(Options(**options | {"workers": worker_count(self.workers)}))
+        print(f"{self.out / 'servo.md'} written")
+        return 0
+
+
+@dataclass(frozen=True)
 class Bench:
     """Measure the simulation and what is learned: errors, costs, and where they can be trusted."""
 
@@ -627,7 +654,8 @@ class Bench:
         | Annotated[Error, tyro.conf.subcommand("error")]
         | Annotated[Parts, tyro.conf.subcommand("parts")]
         | Annotated[Learning, tyro.conf.subcommand("learning")]
-        | Annotated[Search, tyro.conf.subcommand("search")],
+        | Annotated[Search, tyro.conf.subcommand("search")]
+        | Annotated[Followed, tyro.conf.subcommand("servo")],
         tyro.conf.arg(name=""),
     ]
 

@@ -99,6 +99,8 @@ class Options:
     """Standard deviation of the camera's noise, of 255."""
     friction: float | None = None
     """Friction between tip and object, -; the design's if not given."""
+    stiffness: float = within(0.05, 20, default=1.0)
+    """Moduli of skin and gel, over the design's."""
     seed: int | None = None
     """Seed of a start that is off the mark: by up to 3 mm and 8 degrees. Without, it is on it."""
     film: bool = False
@@ -109,3 +111,6 @@ class Options:
     """Where to go."""
     settings: Settings = field(default_factory=Settings)
     """How to explore."""
+
+    def __post_init__(self):
+        check(self)

@@ -47,9 +47,7 @@ def run(options, progress=lambda step: None, say=print):
     thing = find_object(options.object, options.unit, options.scale, options.place_mm, options.turn_deg)
     for note in thing.notes:
         say(f"{options.object}: {note}")
-    design = find_design(options.design)
-    if options.friction is not None:
-        design = dataclasses.replace(design, materials=dataclasses.replace(design.materials, friction=options.friction))
+    design = _as_asked(find_design(options.design), options)
     fidelity, carrier = fidelity_named(options.fidelity), carrier_named(options.arm)
     gains = gains_named(options.gains, options.task)
     truth = _truth(options, thing)
@@ -99,6 +97,14 @@ def run(options, progress=lambda step: None, say=print):
     if stopped:
         raise Stopped(f"what was recorded is in {options.out}")
     return figures
+
+
+def _as_asked(design, options):
+    """The Design with the friction and stiffness of the options."""
+    m = design.materials
+    young = {name: options.stiffness * getattr(m, name) for name in ("skin_young_pa", "gel_young_pa")}
+    friction = m.friction if options.friction is None else options.friction
+    return dataclasses.replace(design, materials=dataclasses.replace(m, friction=friction, **young))
 
 
 def _truth(options, thing):

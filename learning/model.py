@@ -105,11 +105,28 @@ def find_model(name, device="cpu"):
 
     Raises TactipError that lists the names where there is neither.
     """
+    return load_model(_folder_of(name), device)
+
+
+def weights_sha256(name):
+    """Checksum (str) of the weights of a shipped network's name, or in a folder, as its description has it.
+
+    Raises TactipError where there is none.
+    """
+    path = _folder_of(name) / DESCRIPTION
+    try:
+        return json.loads(path.read_text())["weights"]["sha256"]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise TactipError(f"{path} cannot be used: {error!r}") from error
+
+
+def _folder_of(name):
+    """The folder (Path) of a network."""
     if str(name) in shipped_models():
-        return load_model(MODELS / str(name), device)
+        return MODELS / str(name)
     if not Path(name).is_dir():
         raise TactipError(f"there is no folder {name}, and no shipped model of that name: {', '.join(shipped_models())}")
-    return load_model(name, device)
+    return Path(name)
 
 
 def load_model(folder, device="cpu"):

@@ -1,0 +1,313 @@
+"""What the servo reaches: objects, arms, fidelities, and what it withstands; scores beside run times, on one page.
+
+`tactip bench servo`: follows each object with the shipped networks, with each arm and at each fidelity, under other friction,
+stiffness, noise and step, and from random starts, and writes docs/servo.md, .json and .png. Stopped, it goes on where it was:
+each run is a folder of RUNS. Two hours on two cores.
+"""
+
+import dataclasses
+import json
+import shutil
+from collections import Counter
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.machine import machine
+from control.options import Options as ServoOptions
+from control.options import RouteOptions, Settings
+from control.run import SCORE
+from control.run import run as follow
+from learning.model import weights_sha256
+from sim.crew import Crew
+from sim.dataset import write_file
+from sim.objects import find_object
+from tactip_model.errors import TactipError, choose
+
+ERROR = "error.txt"
+"""What a run that could not be made leaves: a sentence."""
+
+STARTS = 50
+"""Random starts on each object."""
+
+_START_STEPS = 45
+"""Steps of such a run: some to find the object, 12 to come to the reference, the rest to follow."""
+
+_ASTRAY_MM = 35.0
+"""How far from the middle of its region a random start on a surface is, mm, at most."""
+
+GROUPS = {
+    "objects": "Every object, with the dynamic arm",
+    "oracle": "The same from the truth in the place of the network: what is left is the servo's own error",
+    "arm": "What carries the tip",
+    "fidelity": "Error against run time: meshes, time steps and renderers",
+    "robust": "What is withstood",
+    "starts": f"{STARTS} random starts on each object",
+}
+"""Groups of runs, and their titles."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """What is measured, and where things are kept."""
+
+    groups: tuple[str, ...] = ()
+    """Groups to measure; all if there are none. The page keeps the others."""
+    other_surface: str = ""
+    """A surface network of another seed."""
+    other_edge: str = ""
+    """An edge network of another seed."""
+    runs: Path = Path("runs/servo-bench")
+    """Folder of the runs: RUNS/GROUP/NAME."""
+    out: Path = Path("docs")
+    """Folder for servo.json, .md and .png."""
+    workers: int = 2
+    """Worker processes."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """A run."""
+
+    group: str
+    name: str
+    options: ServoOptions
+    """But for its folder."""
+
+
+_NOWHERE = Path("-")
+
+_LONG = {
+    "bust": ServoOptions(_NOWHERE, "surface", "bust"),
+    "saddle": ServoOptions(_NOWHERE, "surface", "saddle"),
+    "sphere": ServoOptions(_NOWHERE, "surface", "sphere", route=RouteOptions(length_mm=40, width_mm=20)),
+    "rim-round": ServoOptions(_NOWHERE, "edge", "rim-round"),
+    "rim-square": ServoOptions(_NOWHERE, "edge", "rim-square"),
+    "rim-uneven": ServoOptions(_NOWHERE, "edge", "rim-uneven"),
+}
+"""A run over each object."""
+
+_SHORT = {
+    "bust": replace(_LONG["bust"], route=RouteOptions(kind="straight", length_mm=60)),
+    "rim": replace(_LONG["rim-uneven"], route=RouteOptions(most_mm=120)),
+}
+"""A pass over the face, and a third of a rim: what everything else is measured on."""
+
+
+def cases(options):
+    """The runs (list of Case) there are. options: Options."""
+    out = [Case("objects", name, run) for name, run in _LONG.items()]
+    out += [Case("oracle", name, replace(run, model="oracle")) for name, run in _LONG.items()]
+    others = {"bust": options.other_surface, "rim": options.other_edge}
+    for name, run in _SHORT.items():
+        out += [Case("arm", f"{name}, {arm}", replace(run, arm=arm)) for arm in ("none", "kinematic", "dynamic")]
+        for fidelity in ("draft", "standard", "reference"):
+            for renderer in ("pyrender", "raster"):
+                changed = replace(run, fidelity=fidelity, renderer=renderer)
+                out.append(Case("fidelity", f"{name}, {fidelity}, {renderer}", changed))
+        changes = {"as it is": {}}
+        changes |= {f"friction {mu:g}": {"friction": mu} for mu in (0.2, 0.4, 1.2)}
+        changes |= {f"stiffness times {k:g}": {"stiffness": k} for k in (0.5, 1.5)}
+        changes |= {f"noise of {grey:g} grey levels": {"noise_grey": grey} for grey in (5.0, 15.0, 30.0)}
+        changes |= {f"steps of {mm:g} mm": {"settings": Settings(step_mm=mm)} for mm in (3.0, 5.0)}
+        changes |= {"gains of the later work": {"gains": "later"}}
+        if others[name]:
+            changes |= {"a network of another seed": {"model": others[name]}}
+        out += [Case("robust", f"{name}, {what}", replace(run, **change)) for what, change in changes.items()]
+    for name, run in _LONG.items():
+        middle = find_object(name).middle_m
+        for seed in range(STARTS):
+            out.append(Case("starts", f"{name}, {seed}", _from_anywhere(run, seed, middle)))
+    return out
+
+
+def _from_anywhere(run, seed, middle_m):
+    """A short run from a random place, off the mark, in a random direction."""
+    draw = np.random.default_rng((seed, 5))
+    settings = Settings(most_steps=_START_STEPS)
+    if run.task == "edge":
+        route = RouteOptions(start_share=float(draw.uniform()), backward=bool(draw.uniform() < 0.5))
+        return replace(run, seed=seed, route=route, settings=settings)
+    reach, turn = _ASTRAY_MM * np.sqrt(draw.uniform()), draw.uniform(0, 2 * np.pi)
+    x, y = 1e3 * middle_m[:2] + reach * np.array([np.cos(turn), np.sin(turn)])
+    route = RouteOptions("straight", (float(x), float(y)), 60.0, heading_deg=float(draw.uniform(-180, 180)))
+    return replace(run, seed=seed, route=route, settings=settings)
+
+
+class _Follower:
+    """Makes runs, in a worker."""
+
+    def __init__(self, runs, options):
+        self._runs, self._cases = Path(runs), {(c.group, c.name): c for c in cases(options)}
+
+    def __call__(self, key):
+        """Make the run of a (group, name); what it could not do is a sentence in its folder."""
+        import torch
+
+        torch.set_num_threads(1)
+        folder = folder_of(self._runs, *key)
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        case = self._cases[key]
+        try:
+            follow(replace(case.options, out=folder), say=lambda line: None)
+        except TactipError as error:
+            folder.mkdir(parents=True, exist_ok=True)
+            write_file(folder / ERROR, f"{error}\n".encode())
+        write_file(folder / "case.json", identity(case).encode())
+
+
+def folder_of(runs, group, name):
+    """Folder (Path) of a run."""
+    return Path(runs) / group / name.replace(", ", "_").replace(" ", "-")
+
+
+def identity(case):
+    """What a Case is, as text: its options, and the checksum of its network's weights."""
+    run = case.options
+    name = run.model if run.model not in ("", "oracle") else f"{run.task}-{run.design}"
+    return json.dumps([json.loads(json.dumps(dataclasses.asdict(run), default=str)), weights_sha256(name)])
+
+
+def run(options, say=print):
+    """Make the runs that are not there yet, and write the page. Returns its record (dict). say: called with lines for the
+    user.
+
+    Raises TactipError, and Stopped at Ctrl-C.
+    """
+    groups = [choose("group", name, dict(zip(GROUPS, GROUPS, strict=True))) for name in options.groups or GROUPS]
+    chosen = [case for case in cases(options) if case.group in groups]
+    todo = [(c.group, c.name) for c in chosen if not _is_there(options.runs, c)]
+    if todo:
+        Crew(_Follower, (str(options.runs), options), todo, "run", say).work(options.workers, lambda *done: None)
+    path = options.out / "servo.json"
+    before = json.loads(path.read_text())["groups"] if path.exists() else {}
+    measured = {c.group: [_row(options.runs, one) for one in chosen if one.group == c.group] for c in chosen}
+    record = {"machine": machine(), "groups": {g: (before | measured)[g] for g in GROUPS if g in before | measured}}
+    options.out.mkdir(parents=True, exist_ok=True)
+    write_file(path, (json.dumps(record, indent=1) + "\n").encode())
+    write_file(options.out / "servo.md", page(record).encode())
+    if "fidelity" in record["groups"]:
+        draw(record["groups"]["fidelity"], options.out / "servo.png")
+    return record
+
+
+def _is_there(runs, case):
+    path = folder_of(runs, case.group, case.name) / "case.json"
+    return path.exists() and path.read_text() == identity(case)
+
+
+_KEPT = (
+    "depth_mae_mm", "lateral_mae_mm", "angle_mean_deg", "angle_p95_deg", "contact_losses", "events", "coverage", "closed",
+    "force_max_n", "steps", "steps_followed", "steps_per_s", "ms_a_step", "stopped_because", "passes",
+)  # fmt: skip
+
+
+def _row(runs, case):
+    """What the page keeps (dict) of a run."""
+    folder = folder_of(runs, case.group, case.name)
+    if (folder / ERROR).exists():
+        return {"name": case.name, "error": (folder / ERROR).read_text().strip()}
+    score = json.loads((folder / SCORE).read_text())
+    return {"name": case.name, "task": case.options.task, **{name: score[name] for name in _KEPT}}
+
+
+COLUMNS = (
+    ("depth, mm", "depth_mae_mm", "{:.2f}"),
+    ("beside, mm", "lateral_mae_mm", "{:.2f}"),
+    ("angle, °", "angle_mean_deg", "{:.2f}"),
+    ("95 % below, °", "angle_p95_deg", "{:.1f}"),
+    ("losses", "contact_losses", "{}"),
+    ("events", "events", "{}"),
+    ("covered", "coverage", "{:.0%}"),
+    ("most N", "force_max_n", "{:.1f}"),
+    ("steps", "steps", "{}"),
+    ("steps/s", "steps_per_s", "{:.1f}"),
+    ("ended", "stopped_because", "{}"),
+)
+"""Title, figure of the score, and how it is written."""
+
+
+def page(record):
+    """The Markdown (str) of servo.json."""
+    state = "; ".join(f"{k} {v}" for k, v in record["machine"].items())
+    lines = [
+        "# What the servo reaches",
+        "",
+        "Written by `tactip bench servo`; do not edit. Mean errors over the steps of a route, against the true geometry: "
+        "depth and place beside the edge against the reference, angle between the sensor's axis and the true normal. The "
+        f"networks are the shipped ones. Two runs at a time, one core each, on: {state}.",
+    ]
+    for group, rows in record["groups"].items():
+        lines += ["", f"## {GROUPS[group]}", ""]
+        if group == "fidelity":
+            lines += ["![error against run time](servo.png)", ""]
+        if group == "starts":
+            lines += _starts(rows)
+            continue
+        lines += ["| run | " + " | ".join(title for title, _, _ in COLUMNS) + " |", "|" + "---|" * (1 + len(COLUMNS))]
+        for row in rows:
+            cells = [f"could not be made: {row['error']}"] if "error" in row else [_cell(row, *c[1:]) for c in COLUMNS]
+            lines.append(f"| {row['name']} | " + " | ".join(cells) + " |")
+        passes = [(row["name"], p) for row in rows for p in row.get("passes", []) if group == "objects"]
+        if passes:
+            lines += [
+                "",
+                "Passes:",
+                "",
+                "| object | pass | steps | depth, mm | angle, ° | 95 % below, ° |",
+                "|" + "---|" * 6,
+            ]
+            lines += [
+                f"| {name} | {p['pass']} | {p['steps']} | {p['depth_mae_mm']:.2f} | {p['angle_mean_deg']:.2f} | "
+                f"{p['angle_p95_deg']:.1f} |"
+                for name, p in passes
+            ]
+    return "\n".join(lines) + "\n"
+
+
+def _cell(row, name, form):
+    return "" if row[name] is None else form.format(row[name])
+
+
+def followed(row):
+    """Whether a run from a random start came to its reference and followed: ten steps and more, within a millimetre."""
+    return "error" not in row and row["steps_followed"] >= 10 and row["depth_mae_mm"] < 1.0
+
+
+def _starts(rows):
+    """Lines on the random starts: how many followed, and why the others ended."""
+    lines = ["| object | followed | depth, mm | angle, ° | the others |", "|---|---|---|---|---|"]
+    for name in _LONG:
+        mine = [row for row in rows if row["name"].startswith(f"{name}, ")]
+        good = [row for row in mine if followed(row)]
+        why = Counter(row.get("error") or row["stopped_because"] for row in mine if not followed(row))
+        told = "; ".join(f"{n}: {reason}" for reason, n in why.most_common())
+        depth, angle = (np.mean([row[k] for row in good]) if good else np.nan for k in ("depth_mae_mm", "angle_mean_deg"))
+        lines.append(f"| {name} | {len(good)} of {len(mine)} | {depth:.2f} | {angle:.2f} | {told} |")
+    return lines
+
+
+def draw(rows, path):
+    """Error against time a step. rows: list of dict, of the group `fidelity`. path: Path, .png."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(1, 2, figsize=(10, 3.8))
+    for axis, (name, label) in zip(axes, (("depth_mae_mm", "depth, mm"), ("angle_mean_deg", "angle, °")), strict=True):
+        for row in rows:
+            if "error" in row:
+                continue
+            followed_thing, what = row["name"].split(", ", 1)
+            x, y = 1e3 / row["steps_per_s"], row[name]
+            axis.plot(x, y, "o", color={"bust": "C3", "rim": "C0"}[followed_thing], mfc="none" if "raster" in what else None)
+            axis.annotate(what, (x, y), xytext=(4, 3), textcoords="offset points", fontsize=7)
+        axis.set(xscale="log", xlabel="ms a step", ylabel=f"mean error: {label}")
+        axis.set_ylim(bottom=0)
+    axes[0].set_title("red: a pass over the bust; blue: a rim; hollow: raster", fontsize=9)
+    figure.tight_layout()
+    figure.savefig(path, dpi=90, metadata={"Software": None})
+    plt.close(figure)

@@ -1,0 +1,84 @@
+"""The page of the servo: every run is made once, kept and written; what cannot be made is a sentence on it."""
+
+import json
+from dataclasses import replace
+
+import pytest
+
+from benchmarks import followed
+from control.options import RouteOptions
+from tactip_model.errors import TactipError
+
+QUICK = {"fidelity": "draft", "renderer": "raster", "arm": "none", "model": "oracle"}
+
+
+@pytest.fixture
+def options(tmp_path, monkeypatch):
+    """One short run in each group, in this process."""
+    plate = replace(followed._LONG["bust"], object="plate", route=RouteOptions("straight", length_mm=1), **QUICK)
+    away = replace(plate, place_mm=(5000.0, 0, 0), arm="kinematic")
+    runs = [followed.Case("fidelity", "bust, plate", plate), followed.Case("robust", "away", away)]
+    runs += [followed.Case("objects", "plate", plate), followed.Case("starts", "bust, 0", away)]
+    monkeypatch.setattr(followed, "cases", lambda options: runs)
+    monkeypatch.setattr(followed, "Crew", _Here)
+    return followed.Options(runs=tmp_path / "runs", out=tmp_path / "out")
+
+
+class _Here:
+    """A crew of nobody."""
+
+    made = 0
+
+    def __init__(self, begin, arguments, tasks, unit, say):
+        self._do, self._tasks = begin(*arguments), tasks
+
+    def work(self, workers, done):
+        for task in self._tasks:
+            self._do(task)
+            _Here.made += 1
+
+
+def test_runs_are_made_once_and_stand_on_the_page(options):
+    _Here.made = 0
+    record = followed.run(options)
+    assert list(record["groups"]) == ["objects", "fidelity", "robust", "starts"]
+    row = record["groups"]["fidelity"][0]
+    score = json.loads((options.runs / "fidelity" / "bust_plate" / "score.json").read_text())
+    assert row["depth_mae_mm"] == score["depth_mae_mm"] and row["stopped_because"] == "the route is done"
+    page = (options.out / "servo.md").read_text()
+    assert f"| bust, plate | {row['depth_mae_mm']:.2f} |  | {row['angle_mean_deg']:.2f} |" in page
+    assert "| away | " in page and "out of reach" in page
+    assert "| bust | 0 of 1 | nan | nan | 1: the start is out of reach" in page
+    assert (options.out / "servo.png").stat().st_size > 3000
+    assert _Here.made == 4
+    again = followed.run(replace(options, groups=("robust",)))
+    assert _Here.made == 4
+    assert again["groups"] == record["groups"]
+
+
+def test_a_run_of_other_options_is_made_anew(options, monkeypatch):
+    followed.run(replace(options, groups=("objects",)))
+    before, _Here.made = followed.cases(options), 0
+    changed = [replace(c, options=replace(c.options, route=RouteOptions("straight", length_mm=2))) for c in before]
+    monkeypatch.setattr(followed, "cases", lambda options: changed)
+    followed.run(replace(options, groups=("objects",)))
+    assert _Here.made == 1
+
+
+def test_there_is_a_run_for_all_that_is_promised():
+    every = followed.cases(followed.Options(other_surface="a"))
+    names = [(c.group, c.name) for c in every]
+    assert len(set(names)) == len(names)
+    assert {c.group for c in every} == set(followed.GROUPS)
+    assert sum(c.group == "starts" for c in every) == 6 * followed.STARTS
+    assert ("robust", "bust, a network of another seed") in names and (
+        "robust",
+        "rim, a network of another seed",
+    ) not in names
+    starts = [c.options for c in every if c.group == "starts" and c.name.startswith("rim-round")]
+    assert len({o.seed for o in starts}) == followed.STARTS and {o.route.backward for o in starts} == {True, False}
+
+
+def test_a_group_that_is_none_is_refused():
+    with pytest.raises(TactipError, match="unknown group 'speed': choose one of objects, oracle, arm"):
+        followed.run(followed.Options(groups=("speed",)))
