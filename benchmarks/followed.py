@@ -1,8 +1,8 @@
 """What the servo reaches: objects, arms, fidelities, and what it withstands; scores beside run times, on one page.
 
-`tactip bench servo`: follows each object with the shipped networks, with each arm and at each fidelity, under other friction,
-stiffness, noise and step, and from random starts, and writes docs/servo.md, .json and .png. Stopped, it goes on where it was:
-each run is a folder of RUNS. Two hours on two cores.
+`tactip bench servo`: follows each object with the shipped networks, with each arm and at each fidelity, under other
+friction, stiffness, noise and step, and from random starts, and writes docs/servo.md, .json and .png. Stopped, it goes on
+where it was: each run is a folder of RUNS. Two hours on two cores.
 """
 
 import dataclasses

@@ -40,8 +40,8 @@ BARS = {
 FILTERS = (4, 8, 16)
 """First filters of the other networks on the curve."""
 
-BENT_PER_M = (-25.0, 80.0)
-"""Principal curvatures of bent surfaces, 1/m: from hollows of 40 mm radius to 12.5 mm, a large nose's."""
+BENT_PER_M = (-28.0, 80.0)
+"""Principal curvatures of bent surfaces, 1/m: as those of the bust: from hollows of 36 mm radius to ridges of 12.5 mm."""
 
 DESIGN, FIDELITY = "tactip-127", "standard"
 

@@ -6,10 +6,10 @@ from tactip_model.camera import renderer
 
 BACKGROUND = (252, 252, 252)
 
-_LIGHTS = (((0.3, -0.5, 0.8), 0.72), ((-0.7, 0.4, 0.35), 0.26))
+_LIGHTS = (((0.3, -0.5, 0.8), 0.66), ((-0.7, 0.5, 0.4), 0.3))
 """Directions of light, and how much of it."""
 
-_AMBIENT = 0.14
+_AMBIENT = 0.2
 
 _NEAR_M, _FAR_M = 0.02, 6.0
 

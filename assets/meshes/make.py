@@ -1,12 +1,14 @@
-"""Make the meshes of this folder: `python -m assets.meshes.make` (a minute; needs scikit-image, of the extra `dev`).
+"""Make the meshes of this folder: `python -m assets.meshes.make` (some minutes; needs scikit-image, of the extra `dev`).
 
 Solids (solids.py) are cut into triangles by marching cubes, whose vertices are then brought onto the solid's own surface;
-rims (rims.py) are swept. Meshes are in metres. Beside what has an edge to follow lies the edge: points and the outward
+rims (rims.py) are swept. The bust is then rounded by what is to feel it: a ball of 20 mm comes into no hollow that is
+narrower than itself. Meshes are in metres. Beside what has an edge to follow lies the edge: points and the outward
 normal of the top, closed where the first point stands again at the end.
 """
 
 from pathlib import Path
 
+import igl
 import numpy as np
 import trimesh
 
@@ -20,6 +22,9 @@ SPHERE_MM = 60.0
 
 _SPACING_MM = 1.5
 """Width of the cubes, mm."""
+
+HOLLOW_MM, RIDGE_MM = 36.0, 12.5
+"""Least radii of the bust's hollows and of its ridges, mm: as surfaces are bent that a network learns from."""
 
 _EDGE_POINTS = 720
 """Points of an edge."""
@@ -43,6 +48,45 @@ def cut(solid, low_mm, high_mm, spacing_mm=_SPACING_MM):
     return mesh
 
 
+def rounded(mesh, hollow_mm, ridge_mm, spacing_mm):
+    """A trimesh.Trimesh, mm, whose hollows are at least as wide as a ball of radius hollow_mm, and its ridges as one of
+    ridge_mm: grown and shrunk by the one, shrunk and grown by the other."""
+    for offset in (hollow_mm, -hollow_mm, -ridge_mm, ridge_mm):
+        mesh = grown(mesh, offset, spacing_mm)
+    return mesh
+
+
+def grown(mesh, offset_mm, spacing_mm):
+    """The surface, a trimesh.Trimesh, at a distance from that of another, outward or, where it is negative, inward."""
+    from skimage.measure import marching_cubes
+
+    vertices, triangles = np.ascontiguousarray(mesh.vertices), np.ascontiguousarray(mesh.faces, np.int64)
+
+    def distance(points):
+        kind = igl.SIGNED_DISTANCE_TYPE_PSEUDONORMAL
+        return np.asarray(igl.signed_distance(np.ascontiguousarray(points), vertices, triangles, sign_type=kind)[0])
+
+    low = vertices.min(0) - max(offset_mm, 0) - 2 * spacing_mm
+    high = vertices.max(0) + max(offset_mm, 0) + 2 * spacing_mm
+    axes = [np.arange(a, b + spacing_mm, spacing_mm) for a, b in zip(low, high, strict=True)]
+    # A coarse field first: distances change by no more than the way between two places.
+    coarse = 4
+    rough = distance(np.stack(np.meshgrid(*(a[::coarse] for a in axes), indexing="ij"), -1).reshape(-1, 3))
+    field = rough.reshape([len(a[::coarse]) for a in axes])
+    for k, axis in enumerate(axes):
+        field = np.repeat(field, coarse, axis=k).take(range(len(axis)), axis=k)
+    near = np.abs(field - offset_mm) < 2 * coarse * spacing_mm
+    field[near] = distance(np.stack([a[i] for a, i in zip(axes, np.nonzero(near), strict=True)], -1))
+    points, faces, normals, _ = marching_cubes(field - offset_mm, 0, spacing=(spacing_mm,) * 3, allow_degenerate=False)
+    points = points + low
+    # What goes straight from corner to corner of a cube is brought home.
+    off = np.clip(distance(points) - offset_mm, -spacing_mm / 4, spacing_mm / 4)
+    points -= normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9) * off[:, None]
+    out = trimesh.Trimesh(points, faces, process=False)
+    out.fix_normals()
+    return max(out.split(only_watertight=False), key=lambda part: len(part.faces))
+
+
 def write(name, mesh, edge=None):
     """Write a mesh, mm, and the edge (n, 6) mm and -, if it has one."""
     mesh = mesh.copy()
@@ -59,7 +103,8 @@ def write(name, mesh, edge=None):
 def main():
     """Make them all."""
     s = BUST_SCALE
-    write("bust", cut(bust, np.array([-92, -102, -122]) * s, np.array([78, 102, 124]) * s, 1.5 * s))
+    head = cut(bust, np.array([-92, -102, -122]) * s, np.array([78, 102, 124]) * s, 1.5 * s)
+    write("bust", rounded(head, HOLLOW_MM, RIDGE_MM, 1.5 * s))
     write("saddle", cut(saddle, np.array([-74, -74, -54]), np.array([74, 74, 32])))
     write("sphere", cut(lambda p: ball(p, (0, 0, 0), SPHERE_MM), np.full(3, -SPHERE_MM - 4), np.full(3, SPHERE_MM + 4)))
     write("plate", trimesh.convex.convex_hull(block(80.0, 20.0)))
