@@ -48,6 +48,12 @@ class Step:
     """Time for simulation, image, network and control, s."""
 
 
+_SLOW_DEG = {"surface": 6.0, "edge": 0.0}
+"""Settings.slow_deg where it is not given, by task."""
+
+_LEAST_PACE = 0.2
+"""Least share of the tangential step, -."""
+
 _GOOD = 3
 """Good steps after which troubles are forgotten."""
 
@@ -108,10 +114,17 @@ class Explorer:
                 if way is None:
                     self.stopped_because = route.ended
                     return
-                along = told[:3, :3].T @ (self._settings.step_mm / 1e3 * way)
+                along = told[:3, :3].T @ (self._pace(sight) * self._settings.step_mm / 1e3 * way)
             T = told @ self._servo.move(sight.label, along)
             sight = self._go(T, self._clock() - start)
         self.stopped_because = f"it took {self._settings.most_steps} steps, as many as it may"
+
+    def _pace(self, sight):
+        """Share of the tangential step that is taken: less where the sensor leans, for the surface turns there faster than it
+        follows."""
+        slow = _SLOW_DEG[self._labels.task] if self._settings.slow_deg is None else self._settings.slow_deg
+        lean = np.degrees(np.linalg.norm(self._servo.error(sight.label)[3:5]))
+        return max(_LEAST_PACE, 1 - lean / slow) if slow else 1.0
 
     def _fault(self, sight):
         """Kind and sentence of what is wrong, or None."""

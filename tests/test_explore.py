@@ -214,3 +214,20 @@ def test_the_same_route_twice_is_the_same():
         ends.append(world.steps[-1])
     assert np.array_equal(ends[0].T_base_tcp, ends[1].T_base_tcp)
     assert np.array_equal(ends[0].touch.tips, ends[1].touch.tips)
+
+
+def test_it_slows_down_where_it_leans():
+    """On a ball the sensor lags behind the normal; with shorter steps there it lags less, and takes more of them."""
+    leans, counts = {}, {}
+    for slow in (0.0, 2.0):
+        world = World("sphere")
+        top = np.array([0.0, 0, 60e-3])
+        middle = (world.thing.T_base_object @ [*top, 1])[:3]
+        route = Plan(middle + np.array([[0.0, 0, 0], [8e-3, 0, 0]]), [0, 0, 1])
+        explorer = world.explore(world.start(top), route, slow_deg=slow)
+        assert explorer.stopped_because == "the route is done"
+        following = [s for s in world.steps if s.phase == "follow"]
+        leans[slow] = np.mean([np.degrees(np.linalg.norm(s.sight.label[3:5])) for s in following])
+        counts[slow] = len(following)
+    assert leans[2.0] < 0.8 * leans[0.0]
+    assert 1.2 * counts[0.0] < counts[2.0] < 5 * counts[0.0]
