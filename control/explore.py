@@ -21,7 +21,7 @@ class Event:
 
     step: int
     kind: str
-    """contact lost, estimate out of range, force, diverged, unreachable."""
+    """contact lost, estimate out of range, force, collision, diverged, unreachable."""
     what: str
     """A sentence."""
 
@@ -120,8 +120,8 @@ class Explorer:
         self.stopped_because = f"it took {self._settings.most_steps} steps, as many as it may"
 
     def _pace(self, sight):
-        """Share of the tangential step that is taken: less where the sensor leans, for the surface turns there faster than it
-        follows."""
+        """Share of the tangential step that is taken: less where the sensor leans, which follows the surface's turns with a
+        lag."""
         slow = _SLOW_DEG[self._labels.task] if self._settings.slow_deg is None else self._settings.slow_deg
         lean = np.degrees(np.linalg.norm(self._servo.error(sight.label)[3:5]))
         return max(_LEAST_PACE, 1 - lean / slow) if slow else 1.0
@@ -132,6 +132,8 @@ class Explorer:
         force = float(np.linalg.norm(self._touch.force))
         if force > s.most_force_n:
             return "force", f"{force:.1f} N on the tip (at most {s.most_force_n:g} N)"
+        if self._touch.clearance_m < 0:
+            return "collision", f"the sensor's housing runs against the object, {-1e3 * self._touch.clearance_m:.1f} mm"
         if sight.touching < s.touch:
             return "contact lost", f"the image is that of a tip in the air, to {sight.touching:.2f}"
         low, high = np.array(self._labels.low), np.array(self._labels.high)

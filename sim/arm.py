@@ -151,6 +151,21 @@ class Arm:
         )
 
 
+_HOUSING_WIDER_M = 2e-3
+"""Radius of the sensor's housing over the tip's, m."""
+
+
+def housing_points(radius_m=20e-3, rings=4, sides=24):
+    """Points (rings * sides, 3) m, sensor frame, on the sensor's housing from its edge behind the tip to the flange.
+
+    radius_m: of the tip, m.
+    """
+    turn = 2 * np.pi * np.arange(sides) / sides
+    ring = (radius_m + _HOUSING_WIDER_M) * np.stack([np.cos(turn), np.sin(turn), 0 * turn], 1)
+    back = np.linspace(radius_m, APEX_FROM_FLANGE_M, rings)
+    return (ring - back[:, None, None] * [0, 0, 1.0]).reshape(-1, 3)
+
+
 def arm_spec(radius_m=20e-3):
     """The MjSpec of the arm with the sensor's housing on its flange, and the site `tcp` at its apex.
 
@@ -163,7 +178,7 @@ def arm_spec(radius_m=20e-3):
     cylinder, sphere = mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_SPHERE
     for name, radius, start, end, mass in (
         ("mount", 0.03, 0.0, 0.008, 0.0),
-        ("housing", radius_m + 2e-3, 0.008, rim, TOOL_KG),
+        ("housing", radius_m + _HOUSING_WIDER_M, 0.008, rim, TOOL_KG),
     ):
         ends = [*(start * axis), *(end * axis)]
         sensor.add_geom(name=name, type=cylinder, size=[radius, 0, 0], fromto=ends, mass=mass, **look)

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from sim.arm import housing_points
 from sim.contact import LEVER_M, counted_warnings, shares
 from sim.pose import inverse
 from sim.scene import Scene
@@ -42,6 +43,8 @@ class Touch:
     """Speed of the fastest vertex, m/s."""
     steps: int
     """Time steps since the touch before."""
+    clearance_m: float = np.inf
+    """Distance from the sensor's housing, which is not soft, to the object, m; negative inside."""
 
 
 class Fingertip:
@@ -58,6 +61,7 @@ class Fingertip:
         self._solid, self._radius = solid, design.shape.radius_m
         self._reader = PinReader(design, self.scene.mesh)
         self._settle = fidelity.motion.settle_steps if settle_steps is None else settle_steps
+        self._housing = housing_points(self._radius)
         self._since = 0
         self.warnings = 0
         """MuJoCo's warnings so far."""
@@ -108,7 +112,13 @@ class Fingertip:
             raise Diverged("the simulated tip is lost: its state is not that of a tip any more")
         tips, directions = self._reader.read(skin)
         steps, self._since = self._since, 0
-        return Touch(tips, directions, skin, scene.contact_force(), scene.penetration(), scene.greatest_speed(), steps)
+        force, speed = scene.contact_force(), scene.greatest_speed()
+        return Touch(tips, directions, skin, force, scene.penetration(), speed, steps, self._clearance())
+
+    def _clearance(self):
+        """Distance (m) of the housing to the object, at rings of points on it."""
+        T = inverse(self.T_base_object) @ self.carrier.pose
+        return float(self._solid.distance(self._housing @ T[:3, :3].T + T[:3, 3]).min())
 
     def _undeform(self):
         self.scene.reset()

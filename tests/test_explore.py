@@ -231,3 +231,20 @@ def test_it_slows_down_where_it_leans():
         counts[slow] = len(following)
     assert leans[2.0] < 0.8 * leans[0.0]
     assert 1.2 * counts[0.0] < counts[2.0] < 5 * counts[0.0]
+
+
+def test_the_housing_is_kept_off_the_object(monkeypatch):
+    """How far it is, in closed form: over a plate, a leaning sensor's housing is nearest at the edge behind the tip."""
+    world = World("plate")
+    for lean_deg in (0.0, 40.0, 60.0):
+        T = world.thing.T_base_object @ sensor_in_contact(from_mm_deg([0, 0, 0.5, lean_deg, 0, 0]))
+        world.finger.carrier.put(T)
+        lean = np.radians(lean_deg)
+        height = 0.5e-3 + 20e-3 * np.cos(lean) - 22e-3 * np.sin(lean)
+        assert world.finger.touch().clearance_m == pytest.approx(height, abs=1e-7)
+    once = iter([-1e-3])
+    monkeypatch.setattr(world.finger, "_clearance", lambda: next(once, 1.0))
+    explorer = world.explore(world.start([0, 0, 0]), over(world), centre_steps=5)
+    assert [(e.kind, e.what) for e in explorer.events] == [
+        ("collision", "the sensor's housing runs against the object, 1.0 mm")
+    ]
