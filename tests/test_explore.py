@@ -242,7 +242,7 @@ def test_the_housing_is_kept_off_the_object(monkeypatch):
         lean = np.radians(lean_deg)
         height = 0.5e-3 + 20e-3 * np.cos(lean) - 22e-3 * np.sin(lean)
         assert world.finger.touch().clearance_m == pytest.approx(height, abs=1e-7)
-    once = iter([-1e-3])
+    once = iter([1.0] * 10 + [-1e-3])
     monkeypatch.setattr(world.finger, "_clearance", lambda: next(once, 1.0))
     explorer = world.explore(world.start([0, 0, 0]), over(world), centre_steps=5)
     assert [(e.kind, e.what) for e in explorer.events] == [
