@@ -7,6 +7,8 @@ from typing import Annotated
 
 import tyro
 
+from benchmarks.options import LearningOptions, SearchOptions
+from benchmarks.options import ServoOptions as FollowedOptions
 from control.options import Options as ServoOptions
 from tactip_model.errors import Stopped, TactipError
 
@@ -545,102 +547,35 @@ class Parts:
         return 0
 
 
-@dataclass(frozen=True)
-class Learning:
-    """Measure what each step of learning buys, what shear is worth, and error against run time over networks."""
-
-    task: str = "surface"
-    """surface or edge."""
-    contacts: int = 2000
-    """Contacts to train on in all rows but the last."""
-    most: int = 8000
-    """Contacts of the last row."""
-    judged: int = 2000
-    """Sheared contacts each to validate and to test."""
-    judged_taps: int = 500
-    """Contacts each to validate and to test, of those without shear and of those on bent surfaces."""
-    data: Path = Path("data/learning")
-    """Folder of the sets."""
-    runs: Path = Path("runs/learning")
-    """Folder of the trainings."""
-    out: Path = Path("docs")
-    """Folder for learning.json, learning.md and learning.png."""
-    workers: str = "auto"
-    """Worker processes that make sets; auto is one a core."""
-    only: tuple[str, ...] = ()
-    """Names of the rows to measure; the page keeps the others."""
-    paper: bool = False
-    """Train the paper's own network, too: for a GPU."""
+class Learning(LearningOptions):
+    __doc__ = LearningOptions.__doc__
 
     def run(self):
-        from benchmarks.learned import Options, run
-        from sim.crew import worker_count
+        from benchmarks.learned import run
 
-        workers = worker_count(self.workers)
-        counts = self.contacts, self.most, self.judged, self.judged_taps
-        run(Options(self.task, *counts, self.data, self.runs, self.out, workers, self.only, self.paper))
+        run(self)
         print(f"{self.out / 'learning.md'} written")
         return 0
 
 
-@dataclass(frozen=True)
-class Search:
-    """Run the paper's search with as many trials as there is time for, and write the page that says what was cut."""
-
-    task: str = "surface"
-    """surface or edge."""
-    trials: int = 60
-    """Trainings in all."""
-    jobs: int = 2
-    """Trainings at a time."""
-    paper: bool = False
-    """The paper's whole search: 300 trials, 512 filters; for a GPU."""
-    contacts: int = 2000
-    """Contacts to train on."""
-    judged: int = 2000
-    """Contacts to validate on."""
-    data: Path = Path("data/learning")
-    """Folder of the sets."""
-    runs: Path = Path("runs/search")
-    """Folder of the searches."""
-    out: Path = Path("docs")
-    """Folder for search.json, search.md and the figures."""
-    workers: str = "auto"
-    """Worker processes that make sets; auto is one a core."""
+class Search(SearchOptions):
+    __doc__ = SearchOptions.__doc__
 
     def run(self):
-        from benchmarks.searched import Options, run
-        from sim.crew import worker_count
+        from benchmarks.searched import run
 
-        options = {f.name: getattr(self, f.name) for f in fields(self)}
-        run(Options(**options | {"workers": worker_count(self.workers)}))
+        run(self)
         print(f"{self.out / 'search.md'} written")
         return 0
 
 
-@dataclass(frozen=True)
-class Followed:
-    """Measure what the servo reaches: objects, arms, fidelities, what it withstands, random starts."""
-
-    groups: tuple[str, ...] = ()
-    """objects, oracle, arm, fidelity, robust, starts; all if not given. The page keeps the others."""
-    other_surface: str = ""
-    """A surface network of another seed, to hold beside the shipped one."""
-    other_edge: str = ""
-    """An edge network of another seed."""
-    runs: Path = Path("runs/servo-bench")
-    """Folder of the runs."""
-    out: Path = Path("docs")
-    """Folder for servo.json, servo.md and servo.png."""
-    workers: str = "auto"
-    """Worker processes; auto is one a core."""
+class Followed(FollowedOptions):
+    __doc__ = FollowedOptions.__doc__
 
     def run(self):
-        from benchmarks.followed import Options, run
-        from sim.crew import worker_count
+        from benchmarks.followed import run
 
-        options = {f.name: getattr(self, f.name) for f in fields(self)}
-        run(Options(**options | {"workers": worker_count(self.workers)}))
+        run(self)
         print(f"{self.out / 'servo.md'} written")
         return 0
 

@@ -20,7 +20,7 @@ from control.options import RouteOptions, Settings
 from control.run import SCORE
 from control.run import run as follow
 from learning.model import weights_sha256
-from sim.crew import Crew
+from sim.crew import Crew, worker_count
 from sim.dataset import write_file
 from sim.objects import find_object
 from tactip_model.errors import TactipError, choose
@@ -46,24 +46,6 @@ GROUPS = {
     "starts": f"{STARTS} random starts on each object",
 }
 """Groups of runs, and their titles."""
-
-
-@dataclass(frozen=True)
-class Options:
-    """What is measured, and where things are kept."""
-
-    groups: tuple[str, ...] = ()
-    """Groups to measure; all if there are none. The page keeps the others."""
-    other_surface: str = ""
-    """A surface network of another seed."""
-    other_edge: str = ""
-    """An edge network of another seed."""
-    runs: Path = Path("runs/servo-bench")
-    """Folder of the runs: RUNS/GROUP/NAME."""
-    out: Path = Path("docs")
-    """Folder for servo.json, .md and .png."""
-    workers: int = 2
-    """Worker processes."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +78,7 @@ _SHORT = {
 
 
 def cases(options):
-    """The runs (list of Case) there are. options: Options."""
+    """The runs (list of Case) there are. options: benchmarks.options.ServoOptions."""
     out = [Case("objects", name, run) for name, run in _LONG.items()]
     out += [Case("oracle", name, replace(run, model="oracle")) for name, run in _LONG.items()]
     others = {"bust": options.other_surface, "rim": options.other_edge}
@@ -181,7 +163,9 @@ def run(options, say=print):
     chosen = [case for case in cases(options) if case.group in groups]
     todo = [(c.group, c.name) for c in chosen if not _is_there(options.runs, c)]
     if todo:
-        Crew(_Follower, (str(options.runs), options), todo, "run", say).work(options.workers, lambda *done: None)
+        Crew(_Follower, (str(options.runs), options), todo, "run", say).work(
+            worker_count(options.workers), lambda *done: None
+        )
     path = options.out / "servo.json"
     before = json.loads(path.read_text())["groups"] if path.exists() else {}
     measured = {c.group: [_row(options.runs, one) for one in chosen if one.group == c.group] for c in chosen}

@@ -7,7 +7,6 @@ one.
 
 import json
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
@@ -17,6 +16,7 @@ from learning.model import load_model
 from learning.networks import Recipe, recipe_named
 from learning.samples import read_samples, read_splits
 from learning.train import train
+from sim.crew import worker_count
 from sim.dataset import Configuration, write_file
 from sim.fidelity import fidelity_named
 from sim.generation import Job, make
@@ -59,34 +59,6 @@ CROSSINGS = (
     ),
 )
 """Tables of what is trained on one kind of contact and tested on another: title, rows and tests by what they are called."""
-
-
-@dataclass(frozen=True)
-class Options:
-    """What is measured, and where things are kept."""
-
-    task: str = "surface"
-    """surface or edge."""
-    contacts: int = 2000
-    """Contacts to train on in all rows but the last: as many as the paper had."""
-    most: int = 8000
-    """Contacts of the last row, whose network is shipped."""
-    judged: int = 2000
-    """Sheared contacts each to validate and to test."""
-    judged_taps: int = 500
-    """Contacts each to validate and to test, of those without shear and of those on bent surfaces."""
-    data: Path = Path("data/learning")
-    """Folder of the sets: DATA/KIND/TASK/SPLIT."""
-    runs: Path = Path("runs/learning")
-    """Folder of the trainings: RUNS/TASK/NAME."""
-    out: Path = Path("docs")
-    """Folder for learning.json, .md and .png."""
-    workers: int = 2
-    """Worker processes that make sets."""
-    only: tuple[str, ...] = ()
-    """Names of the rows to measure; all if there are none. The page keeps the others."""
-    paper: bool = False
-    """Train the paper's own network, too: for a GPU."""
 
 
 @dataclass(frozen=True)
@@ -165,7 +137,7 @@ class Sets:
     """The sets of a task, read as they are asked for."""
 
     def __init__(self, options):
-        """options: Options."""
+        """options: LearningOptions."""
         self._options, self._each = options, len(SYMMETRIES[options.task])
         self._most = None
 
@@ -204,7 +176,7 @@ def run(options, say=print):
     order = list(chosen)
     if options.only:
         chosen = {name: choose("row", name, chosen) for name in options.only}
-    make(jobs(options), options.workers, say)
+    make(jobs(options), worker_count(options.workers), say)
     sets = Sets(options)
     tests = sets.tests()
     counts = {name: getattr(options, name) for name in ("contacts", "most", "judged", "judged_taps")}

@@ -7,14 +7,15 @@ and a figure a task. Stopped, it goes on where it was; more trials later are add
 import dataclasses
 import json
 from collections import Counter
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
 
 from benchmarks import learned
 from benchmarks.machine import machine
+from benchmarks.options import LearningOptions
 from learning.space import SearchSpace
 from learning.train import TrainSettings
 from learning.tune import PARAMETERS, TuneSettings, draw, tune
+from sim.crew import worker_count
 from sim.dataset import write_file
 from sim.generation import Job, make
 from tactip_model.errors import choose
@@ -31,35 +32,9 @@ BEST = 5
 """Trials that the page names."""
 
 
-@dataclass(frozen=True)
-class Options:
-    """What is searched, and where things are kept."""
-
-    task: str = "surface"
-    """surface or edge."""
-    trials: int = 60
-    """Trainings in all."""
-    jobs: int = 2
-    """Trainings at a time."""
-    paper: bool = False
-    """The paper's whole search: 300 trials, 512 filters; for a GPU."""
-    contacts: int = 2000
-    """Contacts to train on."""
-    judged: int = 2000
-    """Contacts to validate on."""
-    data: Path = Path("data/learning")
-    """Folder of the sets: DATA/plain/TASK/SPLIT."""
-    runs: Path = Path("runs/search")
-    """Folder of the searches: RUNS/TASK."""
-    out: Path = Path("docs")
-    """Folder for search.json, .md and .png."""
-    workers: int = 2
-    """Worker processes that make sets."""
-
-
 def jobs(options):
     """The sets (list of Job) that are needed, made already or not."""
-    judged = learned.Options(task=options.task, judged=options.judged, data=options.data)
+    judged = LearningOptions(task=options.task, judged=options.judged, data=options.data)
     (val,) = (job for job in learned.jobs(judged) if job.folder == options.data / "plain" / options.task / "val")
     train = replace(val.configuration, split="train", samples=options.contacts)
     return [val, Job(train, val.folder.with_name("train"))]
@@ -72,7 +47,7 @@ def run(options, say=print):
     """
     choose("task", options.task, dict.fromkeys(learned.PAPER))
     settings = TuneSettings() if options.paper else replace(LAPTOP, trials=options.trials)
-    make(jobs(options), options.workers, say)
+    make(jobs(options), worker_count(options.workers), say)
     results = tune(options.data / "plain" / options.task, options.runs / options.task, settings, options.jobs, say=say)
     results = sorted(results, key=lambda r: r["trial"])
     record = {

@@ -7,6 +7,7 @@ import pytest
 from learning_sets import write_fake_set
 
 from benchmarks import learned
+from benchmarks.options import LearningOptions
 from learning.networks import Recipe
 from learning.posenet import PoseNetConfig
 from learning.train import TrainSettings
@@ -22,7 +23,7 @@ def options(tmp_path, monkeypatch):
     monkeypatch.setattr(learned, "make", lambda jobs, workers, say: None)
     monkeypatch.setattr(learned, "rows", _tiny)
     folders = {name: tmp_path / name for name in ("data", "runs", "out")}
-    options = learned.Options(**folders, contacts=2, most=3, judged=8, judged_taps=8)
+    options = LearningOptions(**folders, contacts=2, most=3, judged=8, judged_taps=8)
     for job in learned.jobs(options):
         c = job.configuration
         write_fake_set(job.folder, c.task, c.split, c.samples, shear=c.shear)
@@ -37,7 +38,7 @@ def _tiny(task, paper):
 
 
 def test_the_sets_are_what_the_page_says():
-    jobs = {(j.folder.parts[-3], j.folder.parts[-1]): j.configuration for j in learned.jobs(learned.Options(task="edge"))}
+    jobs = {(j.folder.parts[-3], j.folder.parts[-1]): j.configuration for j in learned.jobs(LearningOptions(task="edge"))}
     judged = {(kind, split) for kind in ("plain", "taps") for split in ("val", "test")}
     assert set(jobs) == judged | {("taps", "train"), ("symmetric", "train")}
     assert jobs["symmetric", "train"].samples == 16000
@@ -48,7 +49,7 @@ def test_the_sets_are_what_the_page_says():
 
 
 def test_bent_surfaces_are_of_the_surface_task():
-    jobs = [j.configuration for j in learned.jobs(learned.Options()) if j.folder.parts[-3] == "bent"]
+    jobs = [j.configuration for j in learned.jobs(LearningOptions()) if j.folder.parts[-3] == "bent"]
     assert [(c.split, c.samples, c.symmetric) for c in jobs] == [
         ("train", 16000, True),
         ("val", 500, False),
@@ -84,4 +85,4 @@ def test_rows_of_fewer_contacts_are_not_kept(options):
 
 def test_another_task_is_refused():
     with pytest.raises(TactipError, match="unknown task 'sphere': choose one of surface, edge"):
-        learned.run(learned.Options(task="sphere"))
+        learned.run(LearningOptions(task="sphere"))

@@ -7,6 +7,7 @@ import pytest
 from learning_sets import write_fake_set
 
 from benchmarks import searched
+from benchmarks.options import SearchOptions
 from learning.space import SearchSpace
 from learning.train import TrainSettings
 from learning.tune import TuneSettings
@@ -24,7 +25,7 @@ def options(tmp_path, monkeypatch):
     monkeypatch.setattr(searched, "make", lambda jobs, workers, say: None)
     monkeypatch.setattr(searched, "LAPTOP", TINY)
     folders = {name: tmp_path / name for name in ("data", "runs", "out")}
-    options = searched.Options(**folders, trials=2, jobs=1, contacts=12, judged=8)
+    options = SearchOptions(**folders, trials=2, jobs=1, contacts=12, judged=8)
     for job in searched.jobs(options):
         c = job.configuration
         write_fake_set(job.folder, c.task, c.split, c.samples)
@@ -61,4 +62,4 @@ def test_the_papers_search_has_no_cuts():
 
 def test_another_task_is_refused():
     with pytest.raises(TactipError, match="unknown task 'sphere': choose one of surface, edge"):
-        searched.run(searched.Options(task="sphere"))
+        searched.run(SearchOptions(task="sphere"))

@@ -1,0 +1,77 @@
+"""What may be asked of the longer measurements. Nothing heavy is imported here: the command line reads it to tell what there
+is."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True)
+class LearningOptions:
+    """Measure what each step of learning buys, what shear is worth, and error against run time over networks."""
+
+    task: str = "surface"
+    """surface or edge."""
+    contacts: int = 2000
+    """Contacts to train on in all rows but `laptop-most`: as many as the paper had."""
+    most: int = 8000
+    """Contacts of that row, whose network is shipped."""
+    judged: int = 2000
+    """Sheared contacts each to validate and to test."""
+    judged_taps: int = 500
+    """Contacts each to validate and to test, of those without shear and of those on bent surfaces."""
+    data: Path = Path("data/learning")
+    """Folder of the sets: DATA/KIND/TASK/SPLIT."""
+    runs: Path = Path("runs/learning")
+    """Folder of the trainings: RUNS/TASK/NAME."""
+    out: Path = Path("docs")
+    """Folder for learning.json, learning.md and learning.png."""
+    workers: str = "auto"
+    """Worker processes that make sets; auto is one a core."""
+    only: tuple[str, ...] = ()
+    """Names of the rows to measure; all if there are none. The page keeps the others."""
+    paper: bool = False
+    """Train the paper's own network, too: for a GPU."""
+
+
+@dataclass(frozen=True)
+class SearchOptions:
+    """Run the paper's search with as many trials as there is time for, and write the page that says what was cut."""
+
+    task: str = "surface"
+    """surface or edge."""
+    trials: int = 60
+    """Trainings in all."""
+    jobs: int = 2
+    """Trainings at a time."""
+    paper: bool = False
+    """The paper's whole search: 300 trials, 512 filters; for a GPU."""
+    contacts: int = 2000
+    """Contacts to train on."""
+    judged: int = 2000
+    """Contacts to validate on."""
+    data: Path = Path("data/learning")
+    """Folder of the sets: DATA/plain/TASK/SPLIT."""
+    runs: Path = Path("runs/search")
+    """Folder of the searches: RUNS/TASK."""
+    out: Path = Path("docs")
+    """Folder for search.json, search.md and the figures."""
+    workers: str = "auto"
+    """Worker processes that make sets; auto is one a core."""
+
+
+@dataclass(frozen=True)
+class ServoOptions:
+    """Measure what the servo reaches: objects, arms, fidelities, what it withstands, random starts."""
+
+    groups: tuple[str, ...] = ()
+    """objects, oracle, arm, fidelity, robust, starts; all if not given. The page keeps the others."""
+    other_surface: str = ""
+    """A surface network of another seed, to hold beside the shipped one."""
+    other_edge: str = ""
+    """An edge network of another seed."""
+    runs: Path = Path("runs/servo-bench")
+    """Folder of the runs: RUNS/GROUP/NAME."""
+    out: Path = Path("docs")
+    """Folder for servo.json, servo.md and servo.png."""
+    workers: str = "auto"
+    """Worker processes; auto is one a core."""
