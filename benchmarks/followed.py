@@ -88,6 +88,9 @@ def cases(options):
             for renderer in ("pyrender", "raster"):
                 changed = replace(run, fidelity=fidelity, renderer=renderer)
                 out.append(Case("fidelity", f"{name}, {fidelity}, {renderer}", changed))
+        for settle in (1, 2):
+            changed = replace(run, settle_steps=settle)
+            out.append(Case("fidelity", f"{name}, standard, {settle} steps at rest", changed))
         changes = {"as it is": {}}
         changes |= {f"friction {mu:g}": {"friction": mu} for mu in (0.2, 0.4, 1.2)}
         changes |= {f"stiffness times {k:g}": {"stiffness": k} for k in (0.5, 1.5)}

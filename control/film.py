@@ -79,7 +79,7 @@ def _curves(arrays, task):
         axis.set_ylabel(name, fontsize=8)
         axis.tick_params(labelsize=7)
         axis.spines[["top", "right"]].set_visible(False)
-    axes[0].legend(fontsize=7, loc="upper right", frameon=False, ncol=2)
+    axes[0].legend(fontsize=7, loc="lower right", bbox_to_anchor=(1, 0.95), frameon=False, ncol=2)
     axes[-1].set_xlabel("step", fontsize=8)
     figure.tight_layout(pad=0.6)
     data = io.BytesIO()

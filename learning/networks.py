@@ -29,8 +29,8 @@ _LAPTOP = PoseNetConfig(
     filters=32,
     widening=2.0,
     most_filters=128,
-    blur_px=1.0,
     reduce=2,
+    fold=True,
     halving="stride",
     further=1,
     dense_layers=3,
@@ -40,27 +40,24 @@ _LAPTOP = PoseNetConfig(
     dropout=0.0,
     l1=0.0,
     l2=0.0,
-    batch_size=64,
+    batch_size=32,
 )
 
 _LAPTOP_TRAINING = TrainSettings(
-    epochs=34,
-    least_steps=4000,
+    epochs=36,
+    least_steps=8000,
     patience=100000,
-    rate=2e-3,
-    muon=0.02,
+    rate=1.4e-3,
+    muon=0.014,
     schedule="cosine",
-    drawn=1.0,
+    drawn=0.4,
     optics=0.2,
 )
 
 RECIPES = {
     "laptop": {
-        "surface": Recipe(
-            replace(_LAPTOP, blur_px=0.0, fold=True, batch_size=32),
-            replace(_LAPTOP_TRAINING, epochs=36, least_steps=8000, rate=1.4e-3, muon=0.014, drawn=0.4),
-        ),
-        "edge": Recipe(_LAPTOP, replace(_LAPTOP_TRAINING, epochs=26)),
+        "surface": Recipe(_LAPTOP, _LAPTOP_TRAINING),
+        "edge": Recipe(_LAPTOP, replace(_LAPTOP_TRAINING, epochs=26, drawn=0.5)),
     },
     "paper": {task: Recipe(network, TrainSettings()) for task, network in _PAPER.items()},
 }

@@ -91,7 +91,7 @@ class Recorder:
         self._rows = []
 
     def finish(self, record):
-        """Complete the recording. record: dict, JSON. Returns the arrays (dict)."""
+        """Complete the recording. record: dict, JSON. Returns the arrays (dict), as read_recording does."""
         self._flush()
         parts = self._parts or [{name: np.zeros((0, *(n or 0 for n in shape))) for name, shape in ARRAYS.items()}]
         arrays = {name: np.concatenate([part[name] for part in parts]) for name in ARRAYS}
@@ -102,7 +102,7 @@ class Recorder:
             path.unlink()
         (self.folder / PARTS).rmdir()
         self._held.close()
-        return arrays
+        return _unpacked(arrays, self.size_px)
 
 
 def read_recording(folder):
@@ -123,9 +123,13 @@ def read_recording(folder):
         raise TactipError(f"{folder / RECORDING} is no recording of this version of the project")
     if len({len(a) for a in arrays.values()}) > 1 or len(arrays["phase"]) != record.get("steps"):
         raise TactipError(f"the recording in {folder} is damaged: its arrays have different lengths")
-    size = record["size_px"]
-    arrays["images"] = 255 * np.unpackbits(arrays["images"], axis=-1)[..., :size] if size else arrays["images"]
-    return record, arrays
+    return record, _unpacked(arrays, record["size_px"])
+
+
+def _unpacked(arrays, size_px):
+    """Arrays with images (n, size, size) uint8, 0 and 255."""
+    packed = arrays["images"]
+    return arrays | {"images": 255 * np.unpackbits(packed, axis=-1)[..., :size_px] if size_px else packed}
 
 
 def _array(name, values):

@@ -177,8 +177,8 @@ def test_a_film_of_a_run(tmp_path):
         frames = [f.to_ndarray(format="rgb24") for f in film.decode(video=0)]
     assert len(frames) == len(arrays["phase"])
     assert frames[0].shape == (630, 1120, 3)
-    felt = frames[-1][16 : 16 + 256, 782:1038].mean(-1) > 127
-    assert felt.mean() == pytest.approx((arrays["images"][-1] > 127).mean(), abs=0.01)
+    felt = frames[-1][16 : 16 + 256 : 2, 782:1038:2].mean(-1) > 127  # twice as large as it is
+    assert (felt == (arrays["images"][-1] > 127)).mean() > 0.99
     assert (out / "figure.png").stat().st_size > 5000
 
 
