@@ -510,6 +510,47 @@ class Servo(ServoOptions):
 
 
 @dataclass(frozen=True)
+class Replay:
+    """Look at a recording again, as a film or a GIF; nothing is simulated anew."""
+
+    run_: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(name="run")]
+    """Folder of a servo run."""
+    video: Path | None = None
+    """Film to write, .mp4."""
+    gif: Path | None = None
+    """GIF to write, .gif."""
+    every: int = 1
+    """Steps a picture."""
+    rate: int = 25
+    """Pictures a second."""
+
+    def run(self):
+        from tqdm import tqdm
+
+        from sim.film import pictures
+        from sim.recording import read_recording, read_scenery
+        from sim.video import write_video
+
+        if self.every < 1 or self.rate < 1:
+            raise TactipError(f"--every is {self.every} and --rate {self.rate}: both must be at least 1")
+        asked = [(path, ending) for path, ending in ((self.video, ".mp4"), (self.gif, ".gif")) if path is not None]
+        if not asked:
+            raise TactipError("what shall come of it is not said: give --video FILE.mp4, --gif FILE.gif, or both")
+        for path, ending in asked:
+            if path.suffix.lower() != ending:
+                raise TactipError(f"the name {path} does not end in {ending}")
+        (record, arrays), scenery = read_recording(self.run_), read_scenery(self.run_)
+        if not record["complete"]:
+            print(f"{self.run_} was not completed: it has {record['steps']} steps", file=sys.stderr)
+        count = -(-record["steps"] // self.every)
+        for path, _ in asked:
+            drawn = pictures(scenery, record, arrays, self.every)
+            write_video(path, tqdm(drawn, total=count, unit="picture", file=sys.stderr, disable=not count), self.rate)
+            print(f"{path} written")
+        return 0
+
+
+@dataclass(frozen=True)
 class Error:
     """Measure errors and costs of contacts over presets and numbers. Run again, it goes on where it stopped."""
 
@@ -610,6 +651,7 @@ def main(arguments=None):
                 "tune": Tune,
                 "evaluate": Evaluate,
                 "servo": Servo,
+                "replay": Replay,
                 "bench": Bench,
             },
             args=arguments,

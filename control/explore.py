@@ -61,12 +61,13 @@ _GOOD = 3
 class Explorer:
     """Follows one route."""
 
-    def __init__(self, finger, estimator, servo, labels, settings, record, clock):
+    def __init__(self, finger, estimator, servo, labels, settings, record, clock, note=lambda event: None):
         """finger: Fingertip. estimator: Estimator. servo: Servo. labels: learning.labels.Labels, with the ranges that were
-        learned. settings: Settings. record: called with each Step. clock: function that tells s."""
+        learned. settings: Settings. record: called with each Step. clock: function that tells s. note: called with each
+        Event."""
         self._finger, self._estimator, self._servo = finger, estimator, servo
         self._labels, self._settings = labels, settings
-        self._record, self._clock = record, clock
+        self._record, self._clock, self._tell = record, clock, note
         self._phase, self._part, self._steps = "search", 0, 0
         self.events = []
         """Events so far."""
@@ -213,6 +214,7 @@ class Explorer:
 
     def _note(self, kind, what):
         self.events.append(Event(self._steps, kind, what))
+        self._tell(self.events[-1])
 
     def _note_count(self, kind):
         return sum(e.kind == kind for e in self.events)

@@ -11,7 +11,6 @@ from assets import MESHES
 from control.estimator import Oracle, Seen
 from control.explore import Explorer
 from control.figure import write_figure
-from control.film import pictures
 from control.route import AlongEdge, Geodesic, Plan, serpentine
 from control.score import score, surface_targets
 from control.servo import REFERENCE_MM_DEG, Servo, gains_named
@@ -20,11 +19,12 @@ from learning.model import find_model
 from sim.carrier import carrier_named
 from sim.dataset import write_file
 from sim.fidelity import fidelity_named
-from sim.film import write_film
+from sim.film import pictures
 from sim.fingertip import Fingertip
 from sim.objects import find_object
 from sim.pose import from_mm_deg, inverse, sensor_in_contact
-from sim.recording import Recorder
+from sim.recording import Recorder, Scenery
+from sim.video import write_video
 from tactip_model.bounds import require
 from tactip_model.errors import Stopped, TactipError, choose
 from tactip_model.presets import find_design
@@ -62,38 +62,49 @@ def run(options, progress=lambda step: None, say=print):
     finger = Fingertip(design, thing.solid, fidelity, carrier, thing.T_base_object, options.settle_steps)
     servo = Servo(gains)
     T_start, route, targets = _plan(options, thing, truth)
-    recorder = Recorder(options.out)
+    description = {
+        "task": options.task,
+        "object": thing.name,
+        "options": json.loads(json.dumps(dataclasses.asdict(options), default=str)),
+        "network": model.provenance if options.model != "oracle" else None,
+        "versions": {p: version(p) for p in ("mujoco", "numpy", "torch", "mink", "libigl")},
+    }
+    scenery = Scenery(
+        thing.solid.vertices,
+        thing.solid.triangles,
+        thing.T_base_object,
+        finger.scene.mesh.triangles,
+        design.shape.radius_m,
+        options.arm != "none",
+    )
+    recorder = Recorder(options.out, description, scenery)
     to_object = inverse(thing.T_base_object)
 
     def record(step):
         recorder.add(_row(step, truth.label(to_object @ step.T_base_tcp)))
         progress(step)
 
-    explorer = Explorer(finger, estimator, servo, model.labels, options.settings, record, time.perf_counter)
+    def note(event):
+        recorder.note(dataclasses.asdict(event))
+
+    explorer = Explorer(finger, estimator, servo, model.labels, options.settings, record, time.perf_counter, note)
     stopped = False
     try:
         explorer.run(T_start, route)
     except KeyboardInterrupt:
         stopped, explorer.stopped_because = True, "Ctrl-C"
-    description = {
-        "task": options.task,
-        "object": thing.name,
-        "T_base_object": thing.T_base_object.tolist(),
+    outcome = {
         "closed": bool(getattr(route, "closed", False)),
         "stopped_because": explorer.stopped_because,
-        "events": [dataclasses.asdict(e) for e in explorer.events],
         "warnings": finger.warnings,
-        "options": json.loads(json.dumps(dataclasses.asdict(options), default=str)),
-        "network": model.provenance if options.model != "oracle" else None,
-        "versions": {p: version(p) for p in ("mujoco", "numpy", "torch", "mink", "libigl")},
     }
-    arrays = recorder.finish(description)
-    figures = score(arrays, description, REFERENCE_MM_DEG, targets)
+    done, arrays = recorder.finish(outcome)
+    figures = score(arrays, done, REFERENCE_MM_DEG, targets)
     write_file(options.out / SCORE, (json.dumps(figures, indent=1) + "\n").encode())
     if options.renderer == "pyrender":
-        write_figure(options.out / FIGURE, thing, arrays, options.task)
+        write_figure(options.out / FIGURE, scenery, arrays, options.task)
     if options.film and not stopped:
-        write_film(options.out / FILM, pictures(thing, description, arrays, design, fidelity))
+        write_video(options.out / FILM, pictures(scenery, done, arrays))
     if stopped:
         raise Stopped(f"what was recorded is in {options.out}")
     return figures

@@ -8,13 +8,22 @@ import numpy as np
 import trimesh
 
 from sim.arm import arm_spec
-from tactip_model.mesh import build_mesh
+from sim.pose import sensor_in_contact
+from sim.recording import PHASES
+from sim.solid import Solid
 
 PORCELAIN, SKIN, TABLE = (232.0, 230, 225), (58.0, 58, 64), (186.0, 188, 192)
 """Colours of the object, the skin and the table, red, green and blue."""
 
+COLOURS = {"surface": (200.0, 30, 30), "edge": (30.0, 70, 210)}
+"""Of the way and its normals, red, green and blue."""
+
 _CREASE_RAD = 0.6
 """Angle from which on there is a crease between two faces of a part of the arm, rad."""
+
+_NORMAL_M = 6e-3
+_EVERY_M = 2.5e-3
+"""Length of the normals that are drawn, and their distance along the way, m."""
 
 _TABLE_M = (0.9, 0.7)
 """Length and width of the table, m."""
@@ -42,16 +51,14 @@ class Prop:
 class Stage:
     """The props of a servo run."""
 
-    def __init__(self, thing, design, fidelity, with_arm):
-        """thing: objects.Thing. design: Design. fidelity: Fidelity, whose mesh the recorded skin has. with_arm: bool."""
-        self.still = [solid_prop(thing.solid, PORCELAIN).moved(thing.T_base_object), _table()]
+    def __init__(self, scenery):
+        """scenery: recording.Scenery."""
+        self.still = [object_prop(scenery), _table()]
         """Props that stay as they are."""
-        mesh = build_mesh(design.shape, fidelity.mesh)
-        self._skin = mesh.triangles
-        spec = arm_spec(design.shape.radius_m)
-        self._model = spec.compile()
+        self._skin = scenery.skin_triangles
+        self._model = arm_spec(scenery.tip_radius_m).compile()
         self._data = mujoco.MjData(self._model)
-        self._links = _links(self._model) if with_arm else {}
+        self._links = _links(self._model) if scenery.with_arm else {}
         self._sensor = _links(self._model, only="sensor")
 
     def moving(self, angles, T_base_tcp, skin):
@@ -85,10 +92,32 @@ class Stage:
         return T
 
 
-def solid_prop(solid, colour):
-    """The Prop of a solid.Solid in its own frame."""
+def object_prop(scenery):
+    """The Prop of the object of a recording.Scenery, in the base frame."""
+    solid = Solid(scenery.object_vertices, scenery.object_triangles)
     corners = solid.vertices[solid.triangles].reshape(-1, 3)
-    return Prop(corners, np.arange(len(corners)).reshape(-1, 3), solid.corner_normals.reshape(-1, 3), colour)
+    own = Prop(corners, np.arange(len(corners)).reshape(-1, 3), solid.corner_normals.reshape(-1, 3), PORCELAIN)
+    return own.moved(scenery.T_base_object)
+
+
+def way(arrays, task, end=None):
+    """Props (list) of the way of a recording and the normals that were felt on it, up to step `end`.
+
+    arrays: of sim.recording. task: surface or edge.
+    """
+    following = (arrays["phase"] == PHASES.index("follow"))[:end]
+    poses, felt = arrays["T_base_tcp"][:end][following], arrays["felt"][:end][following]
+    if len(poses) < 2:
+        return []
+    frames = np.array([P @ np.linalg.inv(sensor_in_contact(label)) for P, label in zip(poses, felt, strict=True)])
+    # Where the surface is felt to be, under the sensor.
+    places = frames[:, :3, 3] + 0.6e-3 * frames[:, :3, 2]
+    out = [tube(places, 0.7e-3, COLOURS[task])]
+    gone = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1))])
+    for k in np.unique(np.searchsorted(gone, np.arange(0, gone[-1], _EVERY_M))):
+        ends = np.stack([places[k], places[k] + _NORMAL_M * frames[k, :3, 2]])
+        out.append(tube(ends, 0.3e-3, COLOURS[task]))
+    return out
 
 
 def tube(points, radius_m, colour, sides=8):

@@ -4,13 +4,13 @@ import json
 
 import numpy as np
 import pytest
+from PIL import Image
 
 import tactip
 from control.score import coverage
 from control.servo import REFERENCE_MM_DEG
 from sim.pose import to_mm_deg
-from sim.recording import PHASES, Recorder, read_recording
-from tactip_model.errors import TactipError
+from sim.recording import PHASES, read_recording
 
 QUICK = ["servo", "--fidelity", "draft", "--renderer", "raster", "--object", "plate"]
 SHORT = ["--route.kind", "straight", "--route.length-mm", "4"]
@@ -45,7 +45,7 @@ def test_a_run_leaves_a_score_with_all_its_figures(ran):
 
 def test_a_recording_tells_all_that_was(ran):
     out, score, record, arrays = ran
-    assert not (out / "parts").exists()
+    assert record["complete"] and not (out / "steps.log").exists()
     following = arrays["phase"] == PHASES.index("follow")
     true = to_mm_deg(arrays["true"][following])
     assert score["depth_mae_mm"] == pytest.approx(np.abs(true[:, 2] - REFERENCE_MM_DEG[2]).mean())
@@ -135,28 +135,10 @@ def test_a_folder_in_use_is_not_written_over(ran, capsys):
     assert "is not empty" in capsys.readouterr().err
 
 
-def test_two_commands_do_not_record_into_one_folder(tmp_path):
-    first = Recorder(tmp_path / "run")
-    with pytest.raises(TactipError, match="another command is recording"):
-        Recorder(tmp_path / "run")
-    first.finish({"task": "surface"})
-    assert (tmp_path / "run" / "recording.json").exists()
-
-
 def test_a_start_out_of_reach_is_said(tmp_path):
     out = tmp_path / "run"
     assert tactip.main([*QUICK, *SHORT, "--place-mm", "750", "0", "0", "--out", str(out)]) == 0
     assert "the start is out of reach" in json.loads((out / "score.json").read_text())["stopped_because"]
-
-
-def test_a_damaged_recording_is_refused(ran, tmp_path):
-    with pytest.raises(TactipError, match="no complete recording"):
-        read_recording(tmp_path)
-    recorder = Recorder(tmp_path / "run")
-    recorder.finish({"task": "surface"})
-    (tmp_path / "run" / "steps.npz").write_bytes(b"PK nothing")
-    with pytest.raises(TactipError, match="cannot be read"):
-        read_recording(tmp_path / "run")
 
 
 def test_coverage_counts_what_is_near():
@@ -180,6 +162,29 @@ def test_a_film_of_a_run(tmp_path):
     felt = frames[-1][16 : 16 + 256 : 2, 782:1038:2].mean(-1) > 127  # twice as large as it is
     assert (felt == (arrays["images"][-1] > 127)).mean() > 0.99
     assert (out / "figure.png").stat().st_size > 5000
+    # The same from the recording alone.
+    again, gif = tmp_path / "again.mp4", tmp_path / "again.gif"
+    assert tactip.main(["replay", str(out), "--video", str(again), "--gif", str(gif), "--every", "4"]) == 0
+    with av.open(str(again)) as film:
+        few = [f.to_ndarray(format="rgb24") for f in film.decode(video=0)]
+    assert len(few) == len(frames[::4])
+    assert all(np.abs(a.astype(int) - b).mean() < 3 for a, b in zip(few, frames[::4], strict=True))
+    with Image.open(gif) as picture:
+        assert picture.n_frames == len(few)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ([], "give --video FILE.mp4, --gif FILE.gif"),
+        (["--video", "a.gif"], "the name a.gif does not end in .mp4"),
+        (["--gif", "a.gif", "--every", "0"], "both must be at least 1"),
+        (["--gif", "a.gif"], "there is no recording in"),
+    ],
+)
+def test_what_cannot_be_replayed_is_said(tmp_path, capsys, options, words):
+    assert tactip.main(["replay", str(tmp_path), *options]) == 1
+    assert words in capsys.readouterr().err
 
 
 def test_a_film_needs_a_renderer(tmp_path, capsys):

@@ -4,13 +4,15 @@ import av
 import numpy as np
 import pytest
 import trimesh
+from PIL import Image
 
 from sim.arm import READY_RAD, Arm
 from sim.fidelity import fidelity_named
-from sim.film import write_film
 from sim.objects import find_object
 from sim.picture import BACKGROUND, Studio, looking, shade
-from sim.stage import Prop, Stage, solid_prop, tube
+from sim.recording import Scenery
+from sim.stage import Prop, Stage, object_prop, tube
+from sim.video import write_video
 from tactip_model.errors import TactipError
 from tactip_model.mesh import build_mesh
 from tactip_model.presets import find_design
@@ -21,13 +23,23 @@ def _ball(centre, radius, colour):
     return Prop(mesh.vertices + centre, mesh.faces, mesh.vertices / radius, colour)
 
 
+def _mesh():
+    return build_mesh(find_design("tactip-127").shape, fidelity_named("draft").mesh)
+
+
+def _scenery(with_arm=True):
+    thing = find_object("sphere")
+    triangles = _mesh().triangles
+    return Scenery(thing.solid.vertices, thing.solid.triangles, thing.T_base_object, triangles, 20e-3, with_arm)
+
+
 @pytest.fixture(scope="module")
 def stage():
-    return Stage(find_object("plate"), find_design("tactip-127"), fidelity_named("draft"), with_arm=True)
+    return Stage(_scenery())
 
 
 def _skin():
-    mesh = build_mesh(find_design("tactip-127").shape, fidelity_named("draft").mesh)
+    mesh = _mesh()
     return mesh.vertices[: mesh.surface_count]
 
 
@@ -47,7 +59,7 @@ def test_the_sensor_is_at_the_end_of_the_arm(stage):
 
 
 def test_without_an_arm_there_is_none(stage):
-    without = Stage(find_object("plate"), find_design("tactip-127"), fidelity_named("draft"), with_arm=False)
+    without = Stage(_scenery(with_arm=False))
     T, skin = Arm().forward(READY_RAD), _skin()
     assert len(without.moving(np.full(6, np.nan), T, skin)) == 3 < len(stage.moving(READY_RAD, T, skin))
     assert len(stage.moving(np.full(6, np.nan), T, skin)) == 3
@@ -95,16 +107,16 @@ def test_light_comes_from_above():
     assert shade(np.array([[0.0, 0, 1]])) > shade(np.array([[0.0, 0, -1]]))
 
 
-def test_a_solid_is_shown_as_it_is():
-    solid = find_object("sphere").solid
-    prop = solid_prop(solid, (1.0, 2, 3))
-    assert np.allclose(prop.vertices[prop.triangles], solid.vertices[solid.triangles])
+def test_an_object_is_shown_where_it_is():
+    thing, prop = find_object("sphere"), object_prop(_scenery())
+    solid, T = thing.solid, thing.T_base_object
+    assert np.allclose(prop.vertices[prop.triangles], solid.vertices[solid.triangles] @ T[:3, :3].T + T[:3, 3])
 
 
 def test_a_film_holds_every_picture(tmp_path):
     levels = [20, 90, 160, 230]
     path = tmp_path / "film.mp4"
-    assert write_film(path, (np.full((64, 96, 3), level, np.uint8) for level in levels)) == 4
+    assert write_video(path, (np.full((64, 96, 3), level, np.uint8) for level in levels)) == 4
     with av.open(str(path)) as film:
         frames = [f.to_ndarray(format="rgb24") for f in film.decode(video=0)]
     assert [f.shape for f in frames] == [(64, 96, 3)] * 4
@@ -118,7 +130,26 @@ def test_a_film_that_fails_leaves_nothing(tmp_path):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        write_film(tmp_path / "film.mp4", broken())
+        write_video(tmp_path / "film.mp4", broken())
     assert not list(tmp_path.iterdir())
-    with pytest.raises(TactipError, match=r"cannot write the film .*No such file"):
-        write_film(tmp_path / "none" / "film.mp4", [])
+    still = [np.zeros((64, 64, 3), np.uint8)]
+    for name in ("film.mp4", "film.gif"):
+        with pytest.raises(TactipError, match=r"cannot write .*No such file"):
+            write_video(tmp_path / "none" / name, still)
+    with pytest.raises(TactipError, match=r"its name ends in one of \.mp4, \.gif"):
+        write_video(tmp_path / "film.avi", still)
+    with pytest.raises(TactipError, match="no step was recorded"):
+        write_video(tmp_path / "film.mp4", [])
+
+
+def test_a_gif_holds_every_picture(tmp_path):
+    path = tmp_path / "film.gif"
+    pictures = [np.full((64, 96, 3), level, np.uint8) for level in (20, 90, 160)]
+    for k, picture in enumerate(pictures):
+        picture[:, : 10 * (k + 1)] = 255
+    assert write_video(path, pictures, rate=20) == 3
+    with Image.open(path) as gif:
+        assert (gif.n_frames, gif.info["duration"], gif.size) == (3, 50, (96, 64))
+        for k, picture in enumerate(pictures):
+            gif.seek(k)
+            assert np.abs(np.asarray(gif.convert("RGB")).astype(int) - picture).mean() < 2
