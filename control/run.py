@@ -45,8 +45,8 @@ def run(options, progress=lambda step: None, say=print):
     if options.film and options.renderer != "pyrender":
         raise TactipError(f"a film is drawn by pyrender: --film does not go with --renderer {options.renderer}")
     thing = find_object(options.object, options.unit, options.scale, options.place_mm, options.turn_deg)
-    for note in thing.notes:
-        say(f"{options.object}: {note}")
+    for repair in thing.notes:
+        say(f"{options.object}: {repair}")
     design = _as_asked(find_design(options.design), options)
     fidelity, carrier = fidelity_named(options.fidelity), carrier_named(options.arm)
     gains = gains_named(options.gains, options.task)
