@@ -103,17 +103,22 @@ def rows(task, paper):
     return out + [Row("laptop-bent", bent, "bent", laptop)] * (task == "surface")
 
 
-def jobs(options):
-    """The sets (list of Job) that are needed, made already or not."""
+def jobs(options, kinds):
+    """The sets (list of Job) that are needed, made already or not: what all rows are tested on, and what rows of some kinds
+    (Row.kind) are trained on."""
     task, still = options.task, Ranges()
     each = len(SYMMETRIES[task])
-    wanted = [("symmetric", "train", options.most * each, SHEAR_RANGES)]
-    wanted += [("plain", split, options.judged, SHEAR_RANGES) for split in ("val", "test")]
-    wanted += [("taps", "train", options.contacts, still)]
-    wanted += [("taps", split, options.judged_taps, still) for split in ("val", "test")]
+    wanted = [("plain", split, options.judged, SHEAR_RANGES) for split in ("val", "test")]
+    wanted += [("taps", "test", options.judged_taps, still)]
+    if {"plain", "symmetric", "most"} & set(kinds):
+        wanted += [("symmetric", "train", options.most * each, SHEAR_RANGES)]
+    if "taps" in kinds:
+        wanted += [("taps", "train", options.contacts, still), ("taps", "val", options.judged_taps, still)]
     if task == "surface":
-        wanted += [("bent", "train", options.contacts * each, SHEAR_RANGES)]
-        wanted += [("bent", split, options.judged_taps, SHEAR_RANGES) for split in ("val", "test")]
+        wanted += [("bent", "test", options.judged_taps, SHEAR_RANGES)]
+        if "bent" in kinds:
+            wanted += [("bent", "train", options.contacts * each, SHEAR_RANGES)]
+            wanted += [("bent", "val", options.judged_taps, SHEAR_RANGES)]
     out = []
     for kind, split, samples, shear in wanted:
         configuration = Configuration(
@@ -176,7 +181,7 @@ def run(options, say=print):
     order = list(chosen)
     if options.only:
         chosen = {name: choose("row", name, chosen) for name in options.only}
-    make(jobs(options), worker_count(options.workers), say)
+    make(jobs(options, {row.kind for row in chosen.values()}), worker_count(options.workers), say)
     sets = Sets(options)
     tests = sets.tests()
     counts = {name: getattr(options, name) for name in ("contacts", "most", "judged", "judged_taps")}

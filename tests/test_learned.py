@@ -17,6 +17,9 @@ from tactip_model.errors import TactipError
 TINY = Recipe(PoseNetConfig(conv_layers=1, filters=2, units=4, batch_size=8), TrainSettings(epochs=1))
 
 
+KINDS = ("plain", "symmetric", "most", "taps", "bent")
+
+
 @pytest.fixture
 def options(tmp_path, monkeypatch):
     """Sets without physics and networks of no size."""
@@ -24,7 +27,7 @@ def options(tmp_path, monkeypatch):
     monkeypatch.setattr(learned, "rows", _tiny)
     folders = {name: tmp_path / name for name in ("data", "runs", "out")}
     options = LearningOptions(**folders, contacts=2, most=3, judged=8, judged_taps=8)
-    for job in learned.jobs(options):
+    for job in learned.jobs(options, KINDS):
         c = job.configuration
         write_fake_set(job.folder, c.task, c.split, c.samples, shear=c.shear)
     return options
@@ -38,7 +41,9 @@ def _tiny(task, paper):
 
 
 def test_the_sets_are_what_the_page_says():
-    jobs = {(j.folder.parts[-3], j.folder.parts[-1]): j.configuration for j in learned.jobs(LearningOptions(task="edge"))}
+    jobs = {
+        (j.folder.parts[-3], j.folder.parts[-1]): j.configuration for j in learned.jobs(LearningOptions(task="edge"), KINDS)
+    }
     judged = {(kind, split) for kind in ("plain", "taps") for split in ("val", "test")}
     assert set(jobs) == judged | {("taps", "train"), ("symmetric", "train")}
     assert jobs["symmetric", "train"].samples == 16000
@@ -48,13 +53,16 @@ def test_the_sets_are_what_the_page_says():
     assert jobs["plain", "test"].design.name == "tactip-127"
 
 
+def test_only_what_is_needed_is_made():
+    sets = [(j.folder.parts[-3], j.folder.parts[-1]) for j in learned.jobs(LearningOptions(), ("taps",))]
+    tests = [("plain", "val"), ("plain", "test"), ("taps", "test"), ("bent", "test")]
+    assert sorted(sets) == sorted([*tests, ("taps", "train"), ("taps", "val")])
+
+
 def test_bent_surfaces_are_of_the_surface_task():
-    jobs = [j.configuration for j in learned.jobs(LearningOptions()) if j.folder.parts[-3] == "bent"]
-    assert [(c.split, c.samples, c.symmetric) for c in jobs] == [
-        ("train", 16000, True),
-        ("val", 500, False),
-        ("test", 500, False),
-    ]
+    jobs = [j.configuration for j in learned.jobs(LearningOptions(), KINDS) if j.folder.parts[-3] == "bent"]
+    sets = {c.split: (c.samples, c.symmetric) for c in jobs}
+    assert sets == {"train": (16000, True), "val": (500, False), "test": (500, False)}
     assert {c.curvature_per_m for c in jobs} == {learned.BENT_PER_M}
     assert all(any(r.kind == "bent" for r in learned.rows(task, False)) == (task == "surface") for task in learned.PAPER)
 
