@@ -7,6 +7,7 @@ WORKERS ?= auto
 FIDELITY ?= standard
 RECIPE ?= laptop
 TRIALS ?= 300
+RUN ?= runs/servo-bust
 PYTHON ?=
 
 BIN := .venv/bin
@@ -19,6 +20,7 @@ help:
 	@echo "make tune          search for a network  [TASK=surface] [OUT=data] [TRIALS=300]; into runs/tune-TASK"
 	@echo "make servo         follow a bust or a rim by touch  [TASK=bust|rim] [OBJECT=...]; into runs/servo-OBJECT"
 	@echo "make demo          a pass over the bust and once round a rim, with films (three minutes); into runs/demo"
+	@echo "make replay        a servo run in a browser  [RUN=runs/servo-bust]"
 	@echo "make report        measure errors and costs (45 min); write docs/*.md and the README's picture"
 	@echo "make test          all tests but the slow ones    make test-all   those too"
 	@echo "make lint          ruff and pyright"
@@ -58,6 +60,9 @@ demo: $(READY)
 	@$(BIN)/tactip servo --task surface --object bust --route.kind straight --route.length-mm 40 --film --out runs/demo/bust
 	@$(BIN)/tactip servo --task edge --object rim-round --settings.step-mm 2 --film --out runs/demo/rim
 
+replay: $(READY)
+	@$(BIN)/tactip replay "$(RUN)"
+
 test: $(READY)
 	@$(BIN)/python -m pytest
 
@@ -87,4 +92,4 @@ lock:
 clean:
 	@rm -rf .venv build *.egg-info .pytest_cache .ruff_cache .hypothesis
 
-.PHONY: help setup sim-dataset train tune servo demo test test-all report lint lock clean
+.PHONY: help setup sim-dataset train tune servo demo replay test test-all report lint lock clean

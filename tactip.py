@@ -511,7 +511,7 @@ class Servo(ServoOptions):
 
 @dataclass(frozen=True)
 class Replay:
-    """Look at a recording again, as a film or a GIF; nothing is simulated anew."""
+    """Look at a recording again, in a browser, as a film or as a GIF; nothing is simulated anew."""
 
     run_: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(name="run")]
     """Folder of a servo run."""
@@ -523,6 +523,10 @@ class Replay:
     """Steps a picture."""
     rate: int = 25
     """Pictures a second."""
+    host: str = "127.0.0.1"
+    """Address to serve the page at: this machine alone."""
+    port: int = 8080
+    """Port, or the next that is free."""
 
     def run(self):
         from tqdm import tqdm
@@ -534,8 +538,6 @@ class Replay:
         if self.every < 1 or self.rate < 1:
             raise TactipError(f"--every is {self.every} and --rate {self.rate}: both must be at least 1")
         asked = [(path, ending) for path, ending in ((self.video, ".mp4"), (self.gif, ".gif")) if path is not None]
-        if not asked:
-            raise TactipError("what shall come of it is not said: give --video FILE.mp4, --gif FILE.gif, or both")
         for path, ending in asked:
             if path.suffix.lower() != ending:
                 raise TactipError(f"the name {path} does not end in {ending}")
@@ -547,7 +549,19 @@ class Replay:
             drawn = pictures(scenery, record, arrays, self.every)
             write_video(path, tqdm(drawn, total=count, unit="picture", file=sys.stderr, disable=not count), self.rate)
             print(f"{path} written")
-        return 0
+        return 0 if asked else self._serve(record, arrays, scenery)
+
+    def _serve(self, record, arrays, scenery):
+        from sim.viewer import Viewer
+
+        viewer = Viewer(record, arrays, scenery, self.host, self.port)
+        print(f"{viewer.address} shows {self.run_}; Ctrl-C ends it", flush=True)
+        try:
+            viewer.run()
+        except KeyboardInterrupt:
+            return 0
+        finally:
+            viewer.close()
 
 
 @dataclass(frozen=True)

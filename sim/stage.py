@@ -49,47 +49,55 @@ class Prop:
 
 
 class Stage:
-    """The props of a servo run."""
+    """The props of a recording, each in the frame that carries it."""
 
     def __init__(self, scenery):
         """scenery: recording.Scenery."""
         self.still = [object_prop(scenery), _table()]
-        """Props that stay as they are."""
-        self._skin = scenery.skin_triangles
+        """Props that stay as they are, base frame."""
+        self.skin_triangles = scenery.skin_triangles
+        """(t, 3) int."""
         self._model = arm_spec(scenery.tip_radius_m).compile()
         self._data = mujoco.MjData(self._model)
-        self._links = _links(self._model) if scenery.with_arm else {}
-        self._sensor = _links(self._model, only="sensor")
+        every = _links(self._model)
+        self.links = {body: props for body, props in every.items() if body != "sensor"} if scenery.with_arm else {}
+        """Props (lists) by the body of the arm that carries them, in its frame."""
+        home = self.poses(np.zeros(6))
+        T_tcp_sensor = np.linalg.inv(self._tcp()) @ home["sensor"]
+        self.sensor = [prop.moved(T_tcp_sensor) for prop in every["sensor"]]
+        """Props of the sensor but for its skin, sensor frame."""
 
-    def moving(self, angles, T_base_tcp, skin):
-        """Props (list) of a step: angles (6,) rad, not a number without an arm; T_base_tcp (4, 4); skin (s, 3) m, sensor
-        frame."""
-        normals = trimesh.Trimesh(skin, self._skin, process=False).vertex_normals
-        out = [Prop(np.asarray(skin, float), self._skin, np.asarray(normals), SKIN).moved(T_base_tcp)]
-        # The sensor stands where it is, and not where the angles of a step say: they are the same but for rounding.
-        home = self._poses(np.zeros(6))
-        T_sensor = T_base_tcp @ np.linalg.inv(self._tcp()) @ home["sensor"]
-        out += [prop.moved(T_sensor) for prop in self._sensor["sensor"]]
-        if self._links and np.isfinite(angles).all():
-            poses = self._poses(angles)
-            out += [prop.moved(poses[body]) for body, props in self._links.items() for prop in props]
-        return out
+    def skin(self, skin):
+        """The Prop of a recorded skin (s, 3) m, sensor frame."""
+        normals = trimesh.Trimesh(skin, self.skin_triangles, process=False).vertex_normals
+        return Prop(np.asarray(skin, float), self.skin_triangles, np.asarray(normals), SKIN)
 
-    def _poses(self, angles):
+    def poses(self, angles):
+        """T_base_body (4, 4) by body (dict) at joint angles (6,), rad."""
         self._data.qpos[:] = angles
         mujoco.mj_kinematics(self._model, self._data)
-        out = {}
-        for k in range(self._model.nbody):
-            T = np.eye(4)
-            T[:3, :3], T[:3, 3] = self._data.xmat[k].reshape(3, 3), self._data.xpos[k]
-            out[self._model.body(k).name] = T
+        return {self._model.body(k).name: _pose(self._data.xmat[k], self._data.xpos[k]) for k in range(self._model.nbody)}
+
+    def moving(self, angles, T_base_tcp, skin):
+        """Props (list) of a step, base frame: angles (6,) rad, not a number without an arm; T_base_tcp (4, 4); skin (s, 3)
+        m, sensor frame."""
+        # The sensor stands where it is, and not where the angles of a step say: they are the same but for rounding.
+        out = [prop.moved(T_base_tcp) for prop in [self.skin(skin), *self.sensor]]
+        if self.links and np.isfinite(angles).all():
+            poses = self.poses(angles)
+            out += [prop.moved(poses[body]) for body, props in self.links.items() for prop in props]
         return out
 
     def _tcp(self):
         """T_base_tcp (4, 4) of the angles that were set last."""
-        site, T = self._model.site("tcp").id, np.eye(4)
-        T[:3, :3], T[:3, 3] = self._data.site_xmat[site].reshape(3, 3), self._data.site_xpos[site]
-        return T
+        site = self._model.site("tcp").id
+        return _pose(self._data.site_xmat[site], self._data.site_xpos[site])
+
+
+def _pose(turn, place):
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = np.reshape(turn, (3, 3)), place
+    return T
 
 
 def object_prop(scenery):
@@ -100,24 +108,44 @@ def object_prop(scenery):
     return own.moved(scenery.T_base_object)
 
 
+def felt_frames(arrays, end=None):
+    """Where the surface is felt to be at the steps of the phase `follow` up to step `end`: contact frames (n, 4, 4), base
+    frame, and which steps (n,) they are of. arrays: of sim.recording."""
+    steps = np.flatnonzero((arrays["phase"] == PHASES.index("follow"))[:end])
+    frames = [arrays["T_base_tcp"][k] @ np.linalg.inv(sensor_in_contact(arrays["felt"][k])) for k in steps]
+    return np.array(frames).reshape(-1, 4, 4), steps
+
+
 def way(arrays, task, end=None):
     """Props (list) of the way of a recording and the normals that were felt on it, up to step `end`.
 
     arrays: of sim.recording. task: surface or edge.
     """
-    following = (arrays["phase"] == PHASES.index("follow"))[:end]
-    poses, felt = arrays["T_base_tcp"][:end][following], arrays["felt"][:end][following]
-    if len(poses) < 2:
+    places, chosen, ends = _way(felt_frames(arrays, end)[0])
+    if len(places) < 2:
         return []
-    frames = np.array([P @ np.linalg.inv(sensor_in_contact(label)) for P, label in zip(poses, felt, strict=True)])
-    # Where the surface is felt to be, under the sensor.
+    normals = [tube(np.stack(pair), 0.3e-3, COLOURS[task]) for pair in zip(places[chosen], ends, strict=True)]
+    return [tube(places, 0.7e-3, COLOURS[task]), *normals]
+
+
+def way_lines(arrays):
+    """The same as segments (m, 2, 3) m, float32, as they come, and how many (int, (steps,)) there are up to each step."""
+    frames, steps = felt_frames(arrays)
+    places, chosen, ends = _way(frames)
+    lines = np.concatenate([np.stack([places[:-1], places[1:]], 1), np.stack([places[chosen], ends], 1)])
+    # A piece of the way is there with its second end, a normal with its place.
+    there = np.concatenate([steps[1:], steps[chosen]])
+    order = np.argsort(there, kind="stable")
+    counts = np.searchsorted(there[order], np.arange(len(arrays["phase"])), side="right")
+    return lines[order].astype(np.float32), counts
+
+
+def _way(frames):
+    """Of frames (n, 4, 4): places (n, 3), on which (m,) of them a normal is drawn, and where (m, 3) those end."""
     places = frames[:, :3, 3] + 0.6e-3 * frames[:, :3, 2]
-    out = [tube(places, 0.7e-3, COLOURS[task])]
     gone = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1))])
-    for k in np.unique(np.searchsorted(gone, np.arange(0, gone[-1], _EVERY_M))):
-        ends = np.stack([places[k], places[k] + _NORMAL_M * frames[k, :3, 2]])
-        out.append(tube(ends, 0.3e-3, COLOURS[task]))
-    return out
+    chosen = np.unique(np.searchsorted(gone, np.arange(0, gone[-1], _EVERY_M))) if len(places) > 1 else np.zeros(0, int)
+    return places, chosen, places[chosen] + _NORMAL_M * frames[chosen, :3, 2]
 
 
 def tube(points, radius_m, colour, sides=8):
@@ -142,22 +170,19 @@ def _table():
     return _prop(mesh, TABLE)
 
 
-def _links(model, only=None):
-    """Props (dict of lists) by the body that carries them, in its frame; of all but the sensor, or of one body."""
+def _links(model):
+    """Props (dict of lists) by the body that carries them, in its frame."""
     out = {}
     for k in range(model.ngeom):
-        geom, body = model.geom(k), model.body(model.geom_bodyid[k]).name
-        if (body != only) if only else (body == "sensor"):
-            continue
+        geom = model.geom(k)
         if geom.name == "dome":  # the skin itself is drawn
             continue
-        mesh, T = _primitive(int(geom.type[0]), geom.size), np.eye(4)
         turn = np.zeros(9)
         mujoco.mju_quat2Mat(turn, geom.quat)
-        T[:3, :3], T[:3, 3] = turn.reshape(3, 3), geom.pos
-        mesh.apply_transform(T)
+        mesh = _primitive(int(geom.type[0]), geom.size)
+        mesh.apply_transform(_pose(turn, geom.pos))
         rgb = 255 * model.mat_rgba[model.geom_matid[k], :3]
-        out.setdefault(body, []).append(_prop(mesh, tuple(rgb.tolist())))
+        out.setdefault(model.body(model.geom_bodyid[k]).name, []).append(_prop(mesh, tuple(rgb.tolist())))
     return out
 
 

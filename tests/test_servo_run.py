@@ -176,7 +176,7 @@ def test_a_film_of_a_run(tmp_path):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ([], "give --video FILE.mp4, --gif FILE.gif"),
+        ([], "there is no recording in"),
         (["--video", "a.gif"], "the name a.gif does not end in .mp4"),
         (["--gif", "a.gif", "--every", "0"], "both must be at least 1"),
         (["--gif", "a.gif"], "there is no recording in"),

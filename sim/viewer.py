@@ -1,0 +1,276 @@
+"""A replay in a browser: arm, object, skin and pins, the tactile image, what is felt against what is true. By viser.
+
+The page is served to this machine alone unless another address is asked for, and to pages of its own alone: a browser that
+is on another site is not let in.
+"""
+
+import functools
+import re
+import socket
+import threading
+import time
+
+import numpy as np
+import viser
+import websockets.asyncio.server
+from scipy.spatial.transform import Rotation
+from viser import uplot
+
+from sim.playback import SPEEDS, Playback
+from sim.pose import to_mm_deg
+from sim.recording import PHASES
+from sim.stage import COLOURS, PORCELAIN, SKIN, TABLE, Stage, way_lines
+from tactip_model.errors import TactipError
+
+LOCAL = "127.0.0.1"
+
+_PICTURES_HZ = 30.0
+"""How often what moves is sent while it plays."""
+
+_CURVES_HZ = 5.0
+"""How often the mark on the curves is: they are sent whole."""
+
+_CURVES = (("x", 0, "mm"), ("depth", 2, "mm"), ("Rx", 3, "deg"), ("Ry", 4, "deg"), ("Rz", 5, "deg"))
+"""Components that can be felt: name, place in a label, unit."""
+
+_LEARNED = {"surface": ("depth", "Rx", "Ry"), "edge": ("x", "depth", "Rx", "Ry", "Rz")}
+
+_PIN_M = 1.5e-3
+"""Length at which a pin is drawn, m: less than its own, which goes into the skin."""
+
+
+class Viewer:
+    """A page that shows one recording."""
+
+    def __init__(self, record, arrays, scenery, host=LOCAL, port=8080):
+        """record, arrays, scenery: of sim.recording. host: str, address to serve at. port: int; the next that is free.
+
+        Raises TactipError where there is nothing to show, or it cannot be served.
+        """
+        if not record["steps"]:
+            raise TactipError("there is nothing to be seen in the recording: no step was made")
+        self._record, self._arrays, self._stage = record, arrays, Stage(scenery)
+        self._felt, self._true = to_mm_deg(arrays["felt"]), to_mm_deg(arrays["true"])
+        self._lines, self._ends = way_lines(arrays)
+        self.playback = Playback(record["steps"], [event["step"] for event in record["events"]])
+        """Where the replay is."""
+        self._lock, self._shown, self._marked_s = threading.RLock(), -1, 0.0
+        self._server = _serve(host, port)
+        self.address = f"http://{host}:{self._server.get_port()}"
+        """Where the page is."""
+        self._build_scene()
+        self._build_panel()
+        self.show()
+
+    def run(self, seconds=None):
+        """Serve until Ctrl-C, or for some seconds."""
+        end = None if seconds is None else time.monotonic() + seconds
+        while end is None or time.monotonic() < end:
+            began = time.monotonic()
+            with self._lock:
+                playing = self.playback.playing
+                self.playback.tick(began)
+                if playing:
+                    self.show()
+            time.sleep(max(0.001, 1 / _PICTURES_HZ - (time.monotonic() - began)))
+
+    def close(self):
+        """Stop serving."""
+        self._server.stop()
+
+    def show(self):
+        """Show the step that the replay is at."""
+        with self._lock, self._server.atomic():
+            k, a = self.playback.step, self._arrays
+            self._buttons["play"].label = "Pause" if self.playback.playing else "Play"
+            if k == self._shown:
+                return
+            self._shown = k
+            self._slider.value = k
+            _place(self._tip, a["T_base_tcp"][k])
+            self._skin.vertices = a["skin_m"][k].astype(np.float32)
+            self._pins.points = _pins(a["tips_m"][k], a["directions"][k])
+            if np.isfinite(a["angles_rad"][k]).all():
+                poses = self._stage.poses(a["angles_rad"][k])
+                for body, frame in self._links.items():
+                    _place(frame, poses[body])
+            self._way.points = self._lines[: max(1, self._ends[k])]
+            if self._image is not None:
+                self._image.image = _grey(a["images"][k])
+            self._told.content = self._words(k)
+            now = time.monotonic()
+            if not self.playback.playing or now - self._marked_s > 1 / _CURVES_HZ:
+                self._marked_s = now
+                for handle, data in self._curves:
+                    handle.data = (*data, _mark(data, k))
+
+    def _build_scene(self):
+        scene, stage = self._server.scene, self._stage
+        scene.set_up_direction("+z")
+        scene.add_light_ambient("/lights/ambient", intensity=0.6)
+        for name, prop, colour in zip(("object", "table"), stage.still, (PORCELAIN, TABLE), strict=True):
+            _mesh(scene, f"/{name}", prop, colour)
+        self._links = {}
+        for body, props in stage.links.items():
+            self._links[body] = scene.add_frame(f"/arm/{body}", show_axes=False)
+            for n, prop in enumerate(props):
+                _mesh(scene, f"/arm/{body}/{n}", prop, prop.colour)
+        self._tip = scene.add_frame("/tip", show_axes=False)
+        for n, prop in enumerate(stage.sensor):
+            _mesh(scene, f"/tip/{n}", prop, prop.colour)
+        skin = self._arrays["skin_m"][0].astype(np.float32)
+        triangles = stage.skin_triangles.astype(np.uint32)
+        self._skin = scene.add_mesh_simple("/tip/skin", skin, triangles, color=_bytes(SKIN), side="double")
+        pins = _pins(self._arrays["tips_m"][0], self._arrays["directions"][0])
+        self._pins = scene.add_line_segments("/tip/pins", pins, (245, 245, 245), thickness=0.9e-3)
+        colour = _bytes(COLOURS[self._record["task"]])
+        self._way = scene.add_line_segments("/way", self._lines[:1], colour, thickness=0.6e-3)
+        self._look("overview", self._server.initial_camera)
+
+    def _build_panel(self):
+        gui, replay = self._server.gui, self.playback
+        gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
+        gui.set_panel_label(f"{self._record['object']}, {self._record['task']}")
+        self._buttons = {"play": gui.add_button("Play")}
+        self._slider = gui.add_slider("step", 0, max(1, self._record["steps"] - 1), 1, 0)
+        speed = gui.add_dropdown("speed", [f"{s:g}" for s in SPEEDS], initial_value="1")
+        walk = gui.add_button_group("go", ["|<", "<", ">", ">|", "event <", "event >"])
+        views = gui.add_button_group("look", ["overview", "close", "inside"])
+        clear = gui.add_checkbox("see through the skin", False)
+        self._told = gui.add_markdown("")
+        has_images = self._arrays["images"].size > 0
+        self._image = gui.add_image(_grey(self._arrays["images"][0]), label="felt", format="png") if has_images else None
+        self._curves = []
+        steps = np.arange(self._record["steps"], dtype=float)
+        for name, k, unit in _CURVES:
+            if name in _LEARNED[self._record["task"]]:
+                data = (steps, self._true[:, k].copy(), self._felt[:, k].copy())
+                series = [uplot.Series(label="step"), uplot.Series(label="true", stroke="black", width=2)]
+                series += [uplot.Series(label="felt", stroke="#c0392b", width=1), _dot()]
+                chart = gui.add_uplot(
+                    (*data, _mark(data, 0)),
+                    tuple(series),
+                    title=f"{name}, {unit}",
+                    scales={"x": uplot.Scale(time=False)},
+                    legend=uplot.Legend(show=False),
+                    aspect=3.0,
+                )
+                self._curves.append((chart, data))
+
+        def does(change):
+            def act(_=None):
+                with self._lock:
+                    change()
+                    self.show()
+
+            return act
+
+        walks = {
+            "|<": lambda: replay.forward(-(10**9)),
+            "<": lambda: replay.forward(-1),
+            ">": lambda: replay.forward(1),
+            ">|": lambda: replay.forward(10**9),
+            "event <": lambda: replay.jump(-1),
+            "event >": lambda: replay.jump(1),
+        }
+        self._buttons["play"].on_click(does(replay.toggle))
+        walk.on_click(lambda event: does(walks[event.target.value])())
+        views.on_click(lambda event: event.client and self._look(event.target.value, event.client.camera))
+        speed.on_update(does(lambda: setattr(replay, "speed", float(speed.value))))
+        clear.on_update(does(lambda: setattr(self._skin, "opacity", 0.35 if clear.value else None)))
+
+        @self._slider.on_update
+        def _(event):
+            if event.client is not None:  # moved by hand, and not by the replay
+                does(lambda: replay.go(int(self._slider.value)))()
+
+        keys = {"space": ("Play or pause", replay.toggle), "arrowright": ("Next step", walks[">"])}
+        keys |= {"arrowleft": ("Step before", walks["<"]), "home": ("First step", walks["|<"])}
+        keys |= {"end": ("Last step", walks[">|"]), "N": ("Next event", walks["event >"])}
+        keys |= {"P": ("Event before", walks["event <"])}
+        for key, (label, change) in keys.items():
+            gui.add_command(label, hotkey=key).on_trigger(does(change))
+
+    def _look(self, view, camera):
+        """Bring a camera (viser's) to a view: overview, close or inside."""
+        with self._lock:
+            T = self._arrays["T_base_tcp"][self.playback.step]
+            poses = self._arrays["T_base_tcp"][:, :3, 3]
+        middle = (poses.min(0) + poses.max(0)) / 2
+        if view == "overview":
+            eye, target, field = middle + np.array([0.42, -0.6, 0.34]), middle + np.array([0, 0, 0.05]), 45.0
+        elif view == "close":
+            eye, target, field = T[:3, 3] + np.array([0.09, -0.14, 0.05]), T[:3, 3], 45.0
+        else:
+            eye, target, field = T[:3, 3] - 0.022 * T[:3, 2], T[:3, 3], 110.0
+        camera.position, camera.look_at, camera.fov = tuple(eye), tuple(target), float(np.radians(field))
+        if camera is not self._server.initial_camera:
+            # Inside as the tactile image is: x to the right, y down.
+            camera.up_direction = tuple(-T[:3, 1]) if view == "inside" else (0.0, 0.0, 1.0)
+
+    def _words(self, k):
+        """What is told of a step, Markdown."""
+        a = self._arrays
+        seconds = 1e3 * a["seconds"][k]
+        lines = [
+            f"**step {k}** of {self._record['steps'] - 1}, {PHASES[int(a['phase'][k])]}; part {int(a['part'][k])}",
+            f"force {np.linalg.norm(a['force_n'][k]):.2f} N, penetration {1e3 * a['penetration_m'][k]:.3f} mm",
+            f"{seconds.sum():.0f} ms: simulation {seconds[0]:.0f}, image {seconds[1]:.0f}, network {seconds[2]:.0f}",
+        ]
+        events = [e for e in self._record["events"] if e["step"] == k]
+        lines += [f"**{e['kind']}**: {e['what']}" for e in events]
+        if k == self._record["steps"] - 1:
+            lines.append(f"ended: {self._record.get('stopped_because', 'it was not completed')}")
+        return "\n\n".join(lines)
+
+
+def _serve(host, port):
+    """A viser server that lets in pages of its own alone. Raises TactipError where the address cannot be had."""
+    pages = re.compile(r"https?://(127\.0\.0\.1|localhost|\[::1\]|" + re.escape(host) + r")(:\d+)?")
+    try:
+        # viser waits for ever for an address that is not this machine's.
+        with socket.create_server((host, 0)):
+            pass
+    except OSError as error:
+        raise TactipError(f"cannot serve at {host}: {error.strerror or error}") from error
+    plain = websockets.asyncio.server.serve
+    # viser takes no list of origins, and its library does: None is a program that is no browser.
+    websockets.asyncio.server.serve = functools.partial(plain, origins=[pages, None])
+    try:
+        return viser.ViserServer(host=host, port=port, verbose=False)
+    finally:
+        websockets.asyncio.server.serve = plain
+
+
+def _mesh(scene, name, prop, colour):
+    vertices, triangles = prop.vertices.astype(np.float32), prop.triangles.astype(np.uint32)
+    return scene.add_mesh_simple(name, vertices, triangles, color=_bytes(colour), side="double")
+
+
+def _place(frame, T):
+    frame.position = T[:3, 3]
+    frame.wxyz = Rotation.from_matrix(T[:3, :3]).as_quat(scalar_first=True)
+
+
+def _pins(tips, directions):
+    """Segments (p, 2, 3) of pins, sensor frame."""
+    return np.stack([tips - _PIN_M * directions, tips], 1).astype(np.float32)
+
+
+def _grey(image):
+    return np.repeat(image[..., None], 3, axis=-1)
+
+
+def _mark(data, k):
+    """The data of a curve's mark: nothing but at step k."""
+    out = np.full(len(data[0]), np.nan)
+    out[k] = data[1][k]
+    return out
+
+
+def _dot():
+    return uplot.Series(label="now", stroke="#2060c0", points=uplot.Series_Points(show=True, size=9))
+
+
+def _bytes(colour):
+    return tuple(round(c) for c in colour)

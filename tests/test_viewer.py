@@ -1,0 +1,141 @@
+"""The page of a replay: what is shown is the step that is asked for; who may see it is this machine alone."""
+
+import asyncio
+import http.client
+
+import numpy as np
+import pytest
+import viser
+import websockets
+from test_stage import _mesh, _scenery
+
+from sim.arm import READY_RAD, Arm
+from sim.pose import from_mm_deg
+from sim.recording import PHASES
+from sim.stage import way_lines
+from sim.viewer import Viewer
+from tactip_model.errors import TactipError
+
+STEPS = 12
+
+
+def _arrays(task="edge"):
+    """A tip that goes along x by a millimetre a step."""
+    mesh, T = _mesh(), Arm().forward(READY_RAD)
+    poses = np.repeat(T[None], STEPS, 0)
+    poses[:, 0, 3] += 1e-3 * np.arange(STEPS)
+    draw = np.random.default_rng(0)
+    skin = np.repeat(mesh.vertices[None, : mesh.surface_count], STEPS, 0) + 1e-4 * np.arange(STEPS)[:, None, None]
+    return {
+        "T_base_tcp": poses,
+        "angles_rad": READY_RAD + 0.01 * np.arange(STEPS)[:, None],
+        "skin_m": skin.astype(np.float32),
+        "tips_m": draw.normal(size=(STEPS, 5, 3)),
+        "directions": np.repeat([[[0.0, 0, -1]]], STEPS, 0).repeat(5, 1),
+        "felt": np.repeat(from_mm_deg([0, 0, -3, 0, 0, 0])[None], STEPS, 0),
+        "true": np.repeat(from_mm_deg([0, 0, -2.9, 0, 0, 0])[None], STEPS, 0),
+        "phase": np.array([0, 0, *[PHASES.index("follow")] * (STEPS - 2)], np.uint8),
+        "part": np.zeros(STEPS, int),
+        "force_n": np.ones((STEPS, 3)),
+        "penetration_m": np.zeros(STEPS),
+        "seconds": np.full((STEPS, 4), 0.01),
+        "images": 255 * draw.integers(0, 2, (STEPS, 32, 32)).astype(np.uint8),
+    }
+
+
+RECORD = {
+    "task": "edge",
+    "object": "sphere",
+    "steps": STEPS,
+    "events": [{"step": 7, "kind": "force", "what": "9.0 N on the tip"}],
+    "stopped_because": "the loop is closed",
+}
+
+
+@pytest.fixture(scope="module")
+def viewer():
+    viewer = Viewer(RECORD, _arrays(), _scenery(), port=8431)
+    yield viewer
+    viewer.close()
+
+
+def test_a_step_is_shown_as_it_was_recorded(viewer):
+    arrays = _arrays()
+    for step in (3, 7, STEPS - 1):
+        viewer.playback.go(step)
+        viewer.show()
+        assert np.allclose(viewer._tip.position, arrays["T_base_tcp"][step, :3, 3])
+        assert np.allclose(viewer._skin.vertices, arrays["skin_m"][step])
+        assert np.allclose(viewer._pins.points[:, 1], arrays["tips_m"][step])
+        poses = viewer._stage.poses(arrays["angles_rad"][step])
+        assert np.allclose(viewer._links["link_4"].position, poses["link_4"][:3, 3])
+        assert viewer._slider.value == step
+        assert f"**step {step}** of {STEPS - 1}" in viewer._told.content
+        assert ("9.0 N on the tip" in viewer._told.content) == (step == 7)
+    assert "ended: the loop is closed" in viewer._told.content
+
+
+def test_the_way_grows_with_the_steps():
+    arrays = _arrays()
+    lines, counts = way_lines(arrays)
+    assert counts[2] <= 1 and counts[-1] == len(lines)
+    assert np.all(np.diff(counts) >= 0)
+    pieces = [line for line in lines if abs(line[1, 2] - line[0, 2]) < 1e-6]
+    assert len(pieces) == STEPS - 3  # between the steps that follow
+    normals = [line for line in lines if abs(line[1, 2] - line[0, 2]) > 1e-3]
+    assert len(normals) == 4  # every 2.5 mm of 9
+
+
+def test_it_plays_by_itself(viewer):
+    viewer.playback.go(0)
+    viewer.playback.speed = 4.0
+    viewer.playback.toggle()
+    viewer.run(seconds=0.6)
+    assert 4 < viewer.playback.step <= STEPS - 1
+    assert viewer._shown == viewer.playback.step
+    viewer.playback.playing = False
+
+
+def test_the_page_is_served_here_alone(viewer):
+    page = http.client.HTTPConnection("127.0.0.1", viewer._server.get_port(), timeout=20)
+    page.request("GET", "/")
+    assert page.getresponse().status == 200
+    page.close()
+    assert viewer.address == f"http://127.0.0.1:{viewer._server.get_port()}"
+    assert viewer._server.get_host() == "127.0.0.1"
+
+
+@pytest.mark.parametrize(
+    ("origin", "let_in"),
+    [
+        ("http://127.0.0.1:8431", True),
+        ("http://localhost:8431", True),
+        (None, True),
+        ("http://example.com", False),
+        ("http://127.0.0.1.example.com:8431", False),
+        ("null", False),
+    ],
+)
+def test_other_sites_are_not_let_in(viewer, origin, let_in):
+    """As browsers have it: a page of any site may open a socket to this machine, and says from where it is."""
+
+    async def knock():
+        address, kind = f"ws://127.0.0.1:{viewer._server.get_port()}", f"viser-v{viser.__version__}"
+        async with websockets.connect(address, origin=origin, subprotocols=[kind], max_size=None) as socket:
+            return await asyncio.wait_for(socket.recv(), 20)
+
+    if let_in:
+        assert len(asyncio.run(knock())) > 0
+    else:
+        with pytest.raises(websockets.exceptions.InvalidStatus, match="403"):
+            asyncio.run(knock())
+
+
+def test_nothing_to_show_is_said():
+    with pytest.raises(TactipError, match="no step was made"):
+        Viewer(RECORD | {"steps": 0}, _arrays(), _scenery())
+
+
+def test_an_address_that_is_not_ours_is_said():
+    with pytest.raises(TactipError, match=r"cannot serve at 192\.0\.2\.1"):
+        Viewer(RECORD, _arrays(), _scenery(), host="192.0.2.1", port=8432)
