@@ -35,7 +35,7 @@ _CURVES = (("x", 0, "mm"), ("depth", 2, "mm"), ("Rx", 3, "deg"), ("Ry", 4, "deg"
 
 _LEARNED = {"surface": ("depth", "Rx", "Ry"), "edge": ("x", "depth", "Rx", "Ry", "Rz")}
 
-_PIN_M = 1.5e-3
+_PIN_M = 1.1e-3
 """Length at which a pin is drawn, m: less than its own, which goes into the skin."""
 
 
@@ -151,7 +151,7 @@ class Viewer:
                     (*data, _mark(data, 0)),
                     tuple(series),
                     title=f"{name}, {unit}",
-                    scales={"x": uplot.Scale(time=False)},
+                    scales={"x": uplot.Scale(time=False), "y": uplot.Scale(range=_span(data))},
                     legend=uplot.Legend(show=False),
                     aspect=3.0,
                 )
@@ -266,6 +266,12 @@ def _mark(data, k):
     out = np.full(len(data[0]), np.nan)
     out[k] = data[1][k]
     return out
+
+
+def _span(data):
+    """Lowest and highest value of the curves, with some room: what is not a number, as in a mark, has no part in it."""
+    low, high = float(min(d.min() for d in data[1:])), float(max(d.max() for d in data[1:]))
+    return low - 0.05 * (high - low) - 1e-3, high + 0.05 * (high - low) + 1e-3
 
 
 def _dot():
