@@ -22,7 +22,7 @@ from learning.device import device_named, is_half
 from learning.drawn import DrawnImages
 from learning.model import save_model, tensors_of, to_input, weights_bytes
 from learning.muon import Muon, inner_weights
-from learning.posenet import PoseNet, parameter_count
+from learning.posenet import PoseNet, PoseNetConfig, parameter_count
 from sim.dataset import write_file
 from sim.lock import locked
 from tactip_model.bounds import check, within
@@ -372,8 +372,13 @@ def _known(folder, record):
 
 
 def _refuse_other(folder, there, record):
+    # What there was no field for when the other was trained is as the field's default has it.
+    before = {"network": dataclasses.asdict(PoseNetConfig()), "settings": dataclasses.asdict(TrainSettings())}
     for part, asked in record.items():
-        if there.get(part) != asked:
+        found = there.get(part)
+        if part in before and isinstance(found, dict):
+            found = before[part] | found
+        if found != asked:
             raise TactipError(
                 f"the folder {folder} holds a training with another {part}: name another folder, or remove this one"
             )

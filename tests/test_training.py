@@ -188,6 +188,20 @@ def test_a_folder_is_one_commands_at_a_time(splits, tmp_path):
     assert load_model(tmp_path / "run").provenance["outcome"]["finished"]
 
 
+def test_a_training_from_before_a_setting_existed_is_known(splits, tmp_path):
+    """What a new field's default stands for is what was done before there was the field."""
+    history = quiet(*splits, NET, QUICK, tmp_path / "run")
+    path = tmp_path / "run" / "model.json"
+    description = json.loads(path.read_text())
+    del description["provenance"]["network"]["fold"], description["provenance"]["settings"]["optics"]
+    path.write_text(json.dumps(description))
+    assert quiet(*splits, NET, QUICK, tmp_path / "run") == history
+    description["provenance"]["network"]["filters"] += 1
+    path.write_text(json.dumps(description))
+    with pytest.raises(TactipError, match="holds a training with another network"):
+        quiet(*splits, NET, QUICK, tmp_path / "run")
+
+
 def test_another_training_in_the_folder_is_refused(splits, tmp_path):
     quiet(*splits, NET, QUICK, tmp_path / "run")
     with pytest.raises(TactipError, match="holds a training with another settings"):
