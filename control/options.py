@@ -84,7 +84,7 @@ class Options:
     scale: float = 1.0
     """Size of the object over that."""
     place_mm: tuple[float, float, float] | None = None
-    """Where the middle of its underside is in the base frame, mm."""
+    """Where the middle of its underside is in the base frame, mm; in front of the arm if not given."""
     turn_deg: tuple[float, float, float] | None = None
     """How it is turned, rotation vector, degrees."""
     model: str = ""

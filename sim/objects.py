@@ -30,8 +30,11 @@ _LEAST_M3 = 1e-12
 _FLAT = 0.02
 """How far from flat, in its width, a hole may be that is closed with a lid, -."""
 
-_MIDDLE_M = (0.38, 0.0)
-"""Where the middle of an object stands before the arm, x and y of its base frame, m."""
+_FOOT_M = (0.38, 0.0, 0.0)
+"""Where the middle of an object's underside stands before the arm, base frame, m."""
+
+_FEET_M = {"bust": (0.40, 0.0, 0.07)}
+"""The same where it is elsewhere: on the table, the bust's face brings the wrist to where the arm is singular."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +97,7 @@ def find_object(name, unit="mm", scale=1.0, place_mm=None, turn_deg=None):
     mesh, notes = checked(mesh, str(name))
     turn = Rotation.from_rotvec(np.radians(turn_deg)) if turn_deg is not None else _TURNS.get(str(name), Rotation.identity())
     low, high = (f(mesh.vertices @ turn.as_matrix().T, axis=0) for f in (np.min, np.max))
-    foot = np.array([*_MIDDLE_M, 0.0]) if place_mm is None else np.array(place_mm, float) / 1e3
+    foot = np.array(_FEET_M.get(str(name), _FOOT_M)) if place_mm is None else np.array(place_mm, float) / 1e3
     T = matrix(foot - [*(low + high)[:2] / 2, low[2]], turn)
     edge = _edge(MESHES / f"{name}.edge.csv", scale) if own else None
     middle = (mesh.vertices.min(0) + mesh.vertices.max(0)) / 2

@@ -25,6 +25,9 @@ _NORMAL_M = 6e-3
 _EVERY_M = 2.5e-3
 """Length of the normals that are drawn, and their distance along the way, m."""
 
+_STAND = 0.6
+"""Width of what an object stands on, over its own."""
+
 _TABLE_M = (0.9, 0.7)
 """Length and width of the table, m."""
 
@@ -53,7 +56,8 @@ class Stage:
 
     def __init__(self, scenery):
         """scenery: recording.Scenery."""
-        self.still = [object_prop(scenery), _table()]
+        thing = object_prop(scenery)
+        self.still = [thing, _table(thing)]
         """Props that stay as they are, base frame."""
         self.skin_triangles = scenery.skin_triangles
         """(t, 3) int."""
@@ -164,10 +168,15 @@ def tube(points, radius_m, colour, sides=8):
     return Prop(rings.reshape(-1, 3), triangles, normals.reshape(-1, 3), colour)
 
 
-def _table():
-    mesh = trimesh.creation.box([*_TABLE_M, 0.02])
-    mesh.apply_translation([0.3, 0, -0.0101])
-    return _prop(mesh, TABLE)
+def _table(thing):
+    """The table, and what an object stands on that is above it. thing: Prop, base frame."""
+    parts = [trimesh.creation.box([*_TABLE_M, 0.02])]
+    parts[0].apply_translation([0.3, 0, -0.0101])
+    low, high = thing.vertices.min(0), thing.vertices.max(0)
+    if low[2] > 1e-3:
+        parts.append(trimesh.creation.box([*(_STAND * (high - low)[:2]), low[2]]))
+        parts[-1].apply_translation([*(low + high)[:2] / 2, low[2] / 2])
+    return _prop(trimesh.util.concatenate(parts), TABLE)
 
 
 def _links(model):
