@@ -19,7 +19,7 @@ help:
 	@echo "make train         a PoseNet on OUT/TASK  [TASK=surface] [OUT=data] [RECIPE=laptop|paper]; into runs/TASK, with its evaluation"
 	@echo "make tune          search for a network  [TASK=surface] [OUT=data] [TRIALS=300]; into runs/tune-TASK"
 	@echo "make servo         follow a bust or a rim by touch  [TASK=bust|rim] [OBJECT=...]; into runs/servo-OBJECT"
-	@echo "make demo          a pass over the bust and once round a rim, with films (three minutes); into runs/demo"
+	@echo "make demo          a pass over the bust and once round a rim, with films (two minutes); into runs/demo"
 	@echo "make replay        a servo run in a browser  [RUN=runs/servo-bust]"
 	@echo "make report        measure errors and costs (45 min); write docs/*.md and the README's picture"
 	@echo "make test          all tests but the slow ones    make test-all   those too"

@@ -52,7 +52,7 @@ _SLOW_DEG = {"surface": 6.0, "edge": 0.0}
 """Settings.slow_deg where it is not given, by task."""
 
 _LEAST_PACE = 0.2
-"""Least share of the tangential step, -."""
+"""Least share of the tangential step, -: an estimate."""
 
 _GOOD = 3
 """Good steps after which troubles are forgotten."""

@@ -61,7 +61,7 @@ RECIPES = {
     },
     "paper": {task: Recipe(network, TrainSettings()) for task, network in _PAPER.items()},
 }
-"""By name and task. `laptop` is for two cores: per image, its convolutions multiply 320 times less than the paper's for the
+"""By name and task. `laptop` is for two cores: per image, its convolutions multiply some 300 times less than the paper's for the
 surface. `tactip bench learning` holds the two side by side."""
 
 
