@@ -103,7 +103,7 @@ def run(options, progress=lambda step: None, say=print):
     write_file(options.out / SCORE, (json.dumps(figures, indent=1) + "\n").encode())
     if options.renderer == "pyrender":
         write_figure(options.out / FIGURE, scenery, arrays, options.task)
-    if options.film and not stopped:
+    if options.film and not stopped and done["steps"]:
         write_video(options.out / FILM, pictures(scenery, done, arrays))
     if stopped:
         raise Stopped(f"what was recorded is in {options.out}")

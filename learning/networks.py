@@ -61,8 +61,8 @@ RECIPES = {
     },
     "paper": {task: Recipe(network, TrainSettings()) for task, network in _PAPER.items()},
 }
-"""By name and task. `laptop` is for two cores: per image, its convolutions multiply some 300 times less than the paper's for the
-surface. `tactip bench learning` holds the two side by side."""
+"""By name and task. `laptop` is for two cores: per image, its convolutions multiply some 300 times less than the paper's for
+the surface. `tactip bench learning` holds the two side by side."""
 
 
 def recipe_named(name, task):

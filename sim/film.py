@@ -33,6 +33,8 @@ def pictures(scenery, record, arrays, every=1):
 
     scenery, record, arrays: of sim.recording. every: int, steps a picture. Raises TactipError where OpenGL cannot be used.
     """
+    if not record["steps"]:
+        return
     task = record["task"]
     stage = Stage(scenery)
     studio = Studio(_VIEW, HEIGHT, stage.still)

@@ -137,7 +137,10 @@ def test_a_folder_in_use_is_not_written_over(ran, capsys):
 
 def test_a_start_out_of_reach_is_said(tmp_path):
     out = tmp_path / "run"
-    assert tactip.main([*QUICK, *SHORT, "--place-mm", "750", "0", "0", "--out", str(out)]) == 0
+    far = ["servo", "--fidelity", "draft", "--object", "plate", "--film", "--place-mm", "750", "0", "0", *SHORT]
+    assert tactip.main([*far, "--out", str(out)]) == 0
+    assert not (out / "film.mp4").exists()
+    assert tactip.main(["replay", str(out), "--gif", str(tmp_path / "a.gif")]) == 1
     assert "the start is out of reach" in json.loads((out / "score.json").read_text())["stopped_because"]
 
 
