@@ -556,12 +556,64 @@ class Replay:
 
         viewer = Viewer(record, arrays, scenery, self.host, self.port)
         print(f"{viewer.address} shows {self.run_}; Ctrl-C ends it", flush=True)
-        try:
-            viewer.run()
-        except KeyboardInterrupt:
-            return 0
-        finally:
-            viewer.close()
+        return _until_stopped(viewer)
+
+
+@dataclass(frozen=True)
+class View:
+    """The live scene in a browser: drag the stimulus, or move it by sliders, and see what the tip feels."""
+
+    task: str = "surface"
+    """surface or edge, or another stimulus: sphere, point, needle, knife, corner, hole."""
+    design: str = "tactip-127"
+    """tactip-127, tactip-331, or a design file (.json)."""
+    fidelity: str = "standard"
+    """draft, standard or reference."""
+    model: str = ""
+    """A shipped network or the folder of a training; the shipped one of task and design, if there is one and this is
+    empty; `none` for none."""
+    renderer: str = "pyrender"
+    """pyrender, or raster: without OpenGL."""
+    host: str = "127.0.0.1"
+    """Address to serve the page at: this machine alone."""
+    port: int = 8080
+    """Port, or the next that is free."""
+
+    def run(self):
+        from sim.fidelity import fidelity_named
+        from sim.live import Live
+        from tactip_model.presets import find_design
+        from tactip_model.renderer import renderer_named
+
+        design = find_design(self.design)
+        render = renderer_named(self.renderer, design)
+        live = Live(design, self.task, fidelity_named(self.fidelity), render, self._reader(design), self.host, self.port)
+        print(f"{live.address} shows the tip {design.name} on the stimulus {self.task}; Ctrl-C ends it", flush=True)
+        return _until_stopped(live)
+
+    def _reader(self, design):
+        """The function of a tactile image to what is felt (dict by component), or None."""
+        from learning.model import find_model, shipped_models
+
+        name = self.model or f"{self.task}-{self.design}"
+        if self.model == "none" or not (self.model or name in shipped_models()):
+            return None
+        model = find_model(name)
+        if model.size != design.image.size_px:
+            raise TactipError(
+                f"the network {name} takes images of {model.size} px and the design makes {design.image.size_px}"
+            )
+        return lambda image: dict(zip(model.labels.components, model.predict(image[None])[0].tolist(), strict=True))
+
+
+def _until_stopped(page):
+    """Serve a page (Viewer or Live) until Ctrl-C. Returns the exit status."""
+    try:
+        page.run()
+    except KeyboardInterrupt:
+        return 0
+    finally:
+        page.close()
 
 
 @dataclass(frozen=True)
@@ -666,6 +718,7 @@ def main(arguments=None):
                 "evaluate": Evaluate,
                 "servo": Servo,
                 "replay": Replay,
+                "view": View,
                 "bench": Bench,
             },
             args=arguments,

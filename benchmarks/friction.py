@@ -57,7 +57,7 @@ class Walker(ContactPlayer):
         goal, motion = from_mm_deg([*place_mm, 0, 0, 0]), self.scene.fidelity.motion
         way = goal - self._at
         step = motion.press_step_m if np.hypot(*way[:2]) < abs(way[2]) else motion.shear_step_m
-        self._move(path(self._at, goal, shares(np.linalg.norm(way) / step, motion)))
+        self.move(path(self._at, goal, shares(np.linalg.norm(way) / step, motion)))
         self._at = goal
 
     def rest(self):

@@ -10,6 +10,7 @@ from sim.pose import COMPONENTS, from_mm_deg
 from tactip_model.errors import TactipError
 from tactip_model.image import tactile_image
 from tactip_model.pins import neutral_pins
+from tactip_model.renderer import renderer_named
 
 
 @dataclass(frozen=True)
@@ -48,7 +49,7 @@ class Seen(Estimator):
         if design.image.size_px != model.size:
             raise TactipError(f"the network takes images of {model.size} px and the design makes {design.image.size_px}")
         self._model, self._settings = model, design.image
-        self._render = _renderer(renderer, design)
+        self._render = renderer_named(renderer, design)
         self._noise, self._draw = noise_grey, np.random.default_rng(seed)
         self._rows = [COMPONENTS.index(c) for c in model.labels.components]
         self._neutral = self._image(*neutral_pins(design)) > 127
@@ -87,16 +88,3 @@ class Oracle(Estimator):
 
 _LEAST_N = 0.02
 """Force from which the oracle says that there is contact, N."""
-
-
-def _renderer(name, design):
-    """The function that draws frames."""
-    if name == "raster":
-        from tactip_model.raster import Raster
-
-        return Raster(design).render
-    if name != "pyrender":
-        raise TactipError(f"unknown renderer {name!r}: choose one of pyrender, raster")
-    from tactip_model.camera import PinCamera
-
-    return PinCamera(design).render

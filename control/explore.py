@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sim.arm import Unreachable
-from sim.fingertip import Diverged
+from sim.contact import Diverged
 from sim.pose import COMPONENTS, from_mm_deg, inverse, sensor_in_contact, to_mm_deg
 from tactip_model.errors import TactipError
 

@@ -13,6 +13,7 @@ from sim.fidelity import finer
 from sim.pose import before_shear, from_mm_deg, inverse, path, sensor_in_contact, shear_between, turn_between
 from sim.scene import Scene
 from tactip_model.bounds import require
+from tactip_model.errors import TactipError
 from tactip_model.mesh import tetrahedron_volumes
 from tactip_model.pins import PinReader
 
@@ -203,8 +204,8 @@ class Contact:
         return [sentence for good, sentence in checks if not good]
 
 
-class _Diverged(Exception):
-    """The state of a contact is no longer finite."""
+class Diverged(TactipError):
+    """The state of the tip is no longer finite, or no longer a tip's."""
 
 
 @contextlib.contextmanager
@@ -232,11 +233,8 @@ class ContactPlayer:
         self.reader = PinReader(design, self.scene.mesh)
         """The design's pins on this scene's skin."""
         self._steps = self._unsolved = 0
-        # A heavy tip's waves are slow: the stimulus is to stay slow against them.
-        self._slowness = min(1.0, float(np.sqrt(HEAVIEST_KG_M3 / design.materials.density_kg_m3)))
-        # What is left of a slide is friction's work: the higher it is, the finer the steps of the slide must be.
-        self._stickiness = np.clip(EASY_FRICTION / max(design.materials.friction, EASY_FRICTION), LEAST_STICKINESS, 1.0)
-        self._longest_step = self.scene.stimulus.width_m / _STEPS_ACROSS
+        self.press_step_m, self.shear_step_m = self._paces()
+        """Approach, and travel of the skin in contact, per step, m (mean)."""
 
     def play(self, pose, shear, approach=True):
         """Press at `pose` minus `shear`, move to `pose`, settle. pose, shear: (6,), m and rad. Returns a Contact.
@@ -252,9 +250,9 @@ class ContactPlayer:
         self.scene.reset()
         self._steps = self._unsolved = 0
         # A state that is lost stays lost: the record shows it, and steps from it would only take long.
-        with counted_warnings() as messages, contextlib.suppress(_Diverged):
+        with counted_warnings() as messages, contextlib.suppress(Diverged):
             for labels in self._motions(pose, shear, approach):
-                self._move(labels)
+                self.move(labels)
             self._settle(pose)
         return self._record(pose, shear, len(messages))
 
@@ -271,31 +269,43 @@ class ContactPlayer:
         start = before_shear(pose, shear)
         here, approach = start, True
         for label in path(start, pose, shares):
-            with counted_warnings() as messages, contextlib.suppress(_Diverged):
+            with counted_warnings() as messages, contextlib.suppress(Diverged):
                 for labels in self._motions(label, shear_between(here, label), approach):
-                    self._move(labels)
+                    self.move(labels)
                 self._settle(label)
             warnings += len(messages)
             yield self._record(label, shear_between(start, label), warnings)
             here, approach = label, False
 
+    def _paces(self):
+        motion, materials = self.scene.fidelity.motion, self.scene.design.materials
+        # A heavy tip's waves are slow: the stimulus is to stay slow against them.
+        slowness = min(1.0, float(np.sqrt(HEAVIEST_KG_M3 / materials.density_kg_m3)))
+        # What is left of a slide is friction's work: the higher it is, the finer the steps of the slide must be.
+        stickiness = float(np.clip(EASY_FRICTION / max(materials.friction, EASY_FRICTION), LEAST_STICKINESS, 1.0))
+        longest = self.scene.stimulus.width_m / _STEPS_ACROSS
+        steps = motion.press_step_m * slowness, motion.shear_step_m * slowness * stickiness
+        return min(steps[0], longest), min(steps[1], longest)
+
+    def lift(self, label):
+        """How far (m) a tip with a label (6,) must rise along z to be clear; negative if it is clear by more."""
+        radius = self.scene.design.shape.radius_m
+        dome_centre = sensor_in_contact(label) @ [0, 0, -radius, 1]
+        return self.scene.stimulus.height_to_clear(dome_centre[:3], radius) + _CLEARANCE_M
+
     def _motions(self, pose, shear, approach):
         """The labels (n, 6) of each motion, first to last."""
-        motion, radius = self.scene.fidelity.motion, self.scene.design.shape.radius_m
-        start = before_shear(pose, shear)
-        dome_centre = sensor_in_contact(start) @ [0, 0, -radius, 1]
-        lift = self.scene.stimulus.height_to_clear(dome_centre[:3], radius) + _CLEARANCE_M
-        steps = motion.press_step_m * self._slowness, motion.shear_step_m * self._slowness * self._stickiness
-        press_step, shear_step = (min(step, self._longest_step) for step in steps)
+        motion, start = self.scene.fidelity.motion, before_shear(pose, shear)
+        lift = self.lift(start)
         if approach and lift > 0:
             above = start + np.array([0, 0, lift, 0, 0, 0])
-            yield path(above, start, shares(lift / press_step, motion))
+            yield path(above, start, shares(lift / self.press_step_m, motion))
         travel = np.linalg.norm(shear[:3]) + LEVER_M * turn_between(start, pose)
         if travel > 0:
-            yield path(start, pose, shares(travel / shear_step, motion))
+            yield path(start, pose, shares(travel / self.shear_step_m, motion))
 
-    def _move(self, labels):
-        """Carry the stimulus along labels (n, 6), one a step."""
+    def move(self, labels):
+        """Carry the stimulus along labels (n, 6), one a step. Raises Diverged."""
         h = self.scene.fidelity.motion.step_s
         self.scene.stiffen(resting=False)
         poses = [inverse(sensor_in_contact(label)) for label in labels]
@@ -304,24 +314,27 @@ class ContactPlayer:
             self._place(T, (T_next[:3, 3] - T[:3, 3]) / h, turn / h)
             self._step()
 
+    def hold(self, pose):
+        """One time step with the stimulus at rest at `pose` (6,). Raises Diverged."""
+        self.scene.stiffen(resting=True)
+        self._place(inverse(sensor_in_contact(pose)))
+        self._step()
+
     def _settle(self, pose):
         """Hold the stimulus at `pose` (6,) until the tip is at rest."""
         motion = self.scene.fidelity.motion
-        T = inverse(sensor_in_contact(pose))
-        self.scene.stiffen(resting=True)
         for step in range(1, motion.settle_limit + 1):
-            self._place(T)
-            self._step()
+            self.hold(pose)
             if step >= motion.settle_steps and self.scene.greatest_speed() < motion.settle_speed_m_s:
                 break
 
     def _step(self):
-        """One time step. Raises _Diverged where the state is no longer finite."""
+        """One time step. Raises Diverged where the state is no longer finite."""
         self.scene.step()
         self._steps += 1
         self._unsolved += self.scene.ran_out()
         if not np.isfinite(self.scene.greatest_speed()):
-            raise _Diverged
+            raise Diverged("the simulated tip is lost: its state is not finite any more")
 
     def _place(self, T, linear=(0, 0, 0), angular=(0, 0, 0)):
         quaternion = Rotation.from_matrix(T[:3, :3]).as_quat(scalar_first=True)

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sim.arm import housing_points
-from sim.contact import LEVER_M, counted_warnings, shares
+from sim.contact import LEVER_M, Diverged, counted_warnings, shares
 from sim.pose import inverse
 from sim.scene import Scene
 from sim.shape import Shape
@@ -19,10 +19,6 @@ from tactip_model.pins import PinReader
 
 _CLEAR_M = 0.5e-3
 """Gap between tip and object that counts as clear, m."""
-
-
-class Diverged(TactipError):
-    """The state of the tip is no longer finite, or no longer a tip's."""
 
 
 @dataclass(frozen=True)

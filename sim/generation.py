@@ -43,8 +43,7 @@ from sim.symmetry import SymmetricReader, keeps
 from tactip_model.errors import TactipError, choose
 from tactip_model.image import tactile_image
 from tactip_model.pins import neutral_pins
-
-RENDERERS = ("pyrender", "raster")
+from tactip_model.renderer import RENDERERS, renderer_named
 
 
 @dataclass(frozen=True)
@@ -142,7 +141,7 @@ class _SampleMaker:
         self._configuration, self._folder = configuration, folder
         c = configuration
         alike = [m for m in others if m._configuration.design == c.design and m._configuration.renderer == c.renderer]
-        self._render = alike[0]._render if alike else _renderer(c)
+        self._render = alike[0]._render if alike else renderer_named(c.renderer, c.design)
         played = [m for m in alike if _physics(m._configuration) == _physics(c)]
         self._player = played[0]._player if played else CarefulPlayer(c.design, _stimulus(c), c.fidelity, c.bounds)
         self._reader = SymmetricReader(c.design, self._player.skin()[1], c.symmetries) if c.symmetric else None
@@ -180,17 +179,6 @@ def _stimulus(configuration):
     if not configuration.bent:
         return configuration.task
     return Shape(bent_surface(0.0, 0.0, 0.0), sharpest_m=1 / MOST_BENT_PER_M)
-
-
-def _renderer(configuration):
-    """The function (tips, directions) to grey frame of a configuration's renderer."""
-    if configuration.renderer == "raster":
-        from tactip_model.raster import Raster
-
-        return Raster(configuration.design).render
-    from tactip_model.camera import PinCamera
-
-    return PinCamera(configuration.design).render
 
 
 class _Folder:

@@ -63,12 +63,10 @@ class Stage:
         """(t, 3) int."""
         self._model = arm_spec(scenery.tip_radius_m).compile()
         self._data = mujoco.MjData(self._model)
-        every = _links(self._model)
-        self.links = {body: props for body, props in every.items() if body != "sensor"} if scenery.with_arm else {}
+        names = [self._model.body(k).name for k in range(1, self._model.nbody)] if scenery.with_arm else []
+        self.links = {name: body_props(self._model, name) for name in names if name != "sensor"}
         """Props (lists) by the body of the arm that carries them, in its frame."""
-        home = self.poses(np.zeros(6))
-        T_tcp_sensor = np.linalg.inv(self._tcp()) @ home["sensor"]
-        self.sensor = [prop.moved(T_tcp_sensor) for prop in every["sensor"]]
+        self.sensor = sensor_props(scenery.tip_radius_m)
         """Props of the sensor but for its skin, sensor frame."""
 
     def skin(self, skin):
@@ -91,11 +89,6 @@ class Stage:
             poses = self.poses(angles)
             out += [prop.moved(poses[body]) for body, props in self.links.items() for prop in props]
         return out
-
-    def _tcp(self):
-        """T_base_tcp (4, 4) of the angles that were set last."""
-        site = self._model.site("tcp").id
-        return _pose(self._data.site_xmat[site], self._data.site_xpos[site])
 
 
 def _pose(turn, place):
@@ -179,20 +172,41 @@ def _table(thing):
     return _prop(trimesh.util.concatenate(parts), TABLE)
 
 
-def _links(model):
-    """Props (dict of lists) by the body that carries them, in its frame."""
-    out = {}
+def sensor_props(tip_radius_m):
+    """Props (list) of a sensor but for its skin, sensor frame."""
+    model = arm_spec(tip_radius_m).compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    site, body = model.site("tcp").id, model.body("sensor").id
+    T_base_tcp = _pose(data.site_xmat[site], data.site_xpos[site])
+    T_tcp_sensor = np.linalg.inv(T_base_tcp) @ _pose(data.xmat[body], data.xpos[body])
+    return [prop.moved(T_tcp_sensor) for prop in body_props(model, "sensor")]
+
+
+def body_props(model, name, colour=None):
+    """Props (list) of a body of a MuJoCo model, in its frame; in their materials' colours where there is no other."""
+    out = []
     for k in range(model.ngeom):
         geom = model.geom(k)
-        if geom.name == "dome":  # the skin itself is drawn
+        if model.body(model.geom_bodyid[k]).name != name or geom.name == "dome":  # the skin itself is drawn
             continue
+        mesh = _of_geom(model, k)
+        own = 255 * model.mat_rgba[model.geom_matid[k], :3] if colour is None else colour
         turn = np.zeros(9)
         mujoco.mju_quat2Mat(turn, geom.quat)
-        mesh = _primitive(int(geom.type[0]), geom.size)
         mesh.apply_transform(_pose(turn, geom.pos))
-        rgb = 255 * model.mat_rgba[model.geom_matid[k], :3]
-        out.setdefault(model.body(model.geom_bodyid[k]).name, []).append(_prop(mesh, tuple(rgb.tolist())))
+        out.append(_prop(mesh, tuple(float(c) for c in own)))
     return out
+
+
+def _of_geom(model, k):
+    """The trimesh.Trimesh of geom k of a MuJoCo model."""
+    if model.geom_type[k] != mujoco.mjtGeom.mjGEOM_MESH:
+        return _primitive(int(model.geom_type[k]), model.geom_size[k])
+    asset = model.mesh(model.geom_dataid[k])
+    first, count = int(asset.vertadr[0]), int(asset.vertnum[0])
+    faces, face_count = int(asset.faceadr[0]), int(asset.facenum[0])
+    return trimesh.Trimesh(model.mesh_vert[first : first + count], model.mesh_face[faces : faces + face_count])
 
 
 def _primitive(kind, size):

@@ -1,28 +1,17 @@
-"""A replay in a browser: arm, object, skin and pins, the tactile image, what is felt against what is true. By viser.
+"""A replay in a browser: arm, object, skin and pins, the tactile image, what is felt against what is true. By viser."""
 
-The page is served to this machine alone unless another address is asked for, and to pages of its own alone: a browser that
-is on another site is not let in.
-"""
-
-import functools
-import re
-import socket
 import threading
 import time
 
 import numpy as np
-import viser
-import websockets.asyncio.server
-from scipy.spatial.transform import Rotation
 from viser import uplot
 
+from sim.page import LOCAL, grey, mesh, pin_lines, place, rgb, serve, stop
 from sim.playback import SPEEDS, Playback
 from sim.pose import to_mm_deg
 from sim.recording import PHASES
 from sim.stage import COLOURS, PORCELAIN, SKIN, TABLE, Stage, way_lines
 from tactip_model.errors import TactipError
-
-LOCAL = "127.0.0.1"
 
 _PICTURES_HZ = 30.0
 """How often what moves is sent while it plays."""
@@ -34,9 +23,6 @@ _CURVES = (("x", 0, "mm"), ("depth", 2, "mm"), ("Rx", 3, "deg"), ("Ry", 4, "deg"
 """Components that can be felt: name, place in a label, unit."""
 
 _LEARNED = {"surface": ("depth", "Rx", "Ry"), "edge": ("x", "depth", "Rx", "Ry", "Rz")}
-
-_PIN_M = 1.1e-3
-"""Length at which a pin is drawn, m: less than its own, which goes into the skin."""
 
 
 class Viewer:
@@ -55,7 +41,7 @@ class Viewer:
         self.playback = Playback(record["steps"], [event["step"] for event in record["events"]])
         """Where the replay is."""
         self._lock, self._shown, self._marked_s = threading.RLock(), -1, 0.0
-        self._server = _serve(host, port)
+        self._server = serve(host, port)
         self.address = f"http://{host}:{self._server.get_port()}"
         """Where the page is."""
         self._build_scene()
@@ -76,7 +62,7 @@ class Viewer:
 
     def close(self):
         """Stop serving."""
-        self._server.stop()
+        stop(self._server)
 
     def show(self):
         """Show the step that the replay is at."""
@@ -87,16 +73,16 @@ class Viewer:
                 return
             self._shown = k
             self._slider.value = k
-            _place(self._tip, a["T_base_tcp"][k])
+            place(self._tip, a["T_base_tcp"][k])
             self._skin.vertices = a["skin_m"][k].astype(np.float32)
-            self._pins.points = _pins(a["tips_m"][k], a["directions"][k])
+            self._pins.points = pin_lines(a["tips_m"][k], a["directions"][k])
             if np.isfinite(a["angles_rad"][k]).all():
                 poses = self._stage.poses(a["angles_rad"][k])
                 for body, frame in self._links.items():
-                    _place(frame, poses[body])
+                    place(frame, poses[body])
             self._way.points = self._lines[: max(1, self._ends[k])]
             if self._image is not None:
-                self._image.image = _grey(a["images"][k])
+                self._image.image = grey(a["images"][k])
             self._told.content = self._words(k)
             now = time.monotonic()
             if not self.playback.playing or now - self._marked_s > 1 / _CURVES_HZ:
@@ -109,21 +95,21 @@ class Viewer:
         scene.set_up_direction("+z")
         scene.add_light_ambient("/lights/ambient", intensity=0.6)
         for name, prop, colour in zip(("object", "table"), stage.still, (PORCELAIN, TABLE), strict=True):
-            _mesh(scene, f"/{name}", prop, colour)
+            mesh(scene, f"/{name}", prop, colour)
         self._links = {}
         for body, props in stage.links.items():
             self._links[body] = scene.add_frame(f"/arm/{body}", show_axes=False)
             for n, prop in enumerate(props):
-                _mesh(scene, f"/arm/{body}/{n}", prop, prop.colour)
+                mesh(scene, f"/arm/{body}/{n}", prop, prop.colour)
         self._tip = scene.add_frame("/tip", show_axes=False)
         for n, prop in enumerate(stage.sensor):
-            _mesh(scene, f"/tip/{n}", prop, prop.colour)
+            mesh(scene, f"/tip/{n}", prop, prop.colour)
         skin = self._arrays["skin_m"][0].astype(np.float32)
         triangles = stage.skin_triangles.astype(np.uint32)
-        self._skin = scene.add_mesh_simple("/tip/skin", skin, triangles, color=_bytes(SKIN), side="double")
-        pins = _pins(self._arrays["tips_m"][0], self._arrays["directions"][0])
+        self._skin = scene.add_mesh_simple("/tip/skin", skin, triangles, color=rgb(SKIN), side="double")
+        pins = pin_lines(self._arrays["tips_m"][0], self._arrays["directions"][0])
         self._pins = scene.add_line_segments("/tip/pins", pins, (245, 245, 245), thickness=0.9e-3)
-        colour = _bytes(COLOURS[self._record["task"]])
+        colour = rgb(COLOURS[self._record["task"]])
         self._way = scene.add_line_segments("/way", self._lines[:1], colour, thickness=0.6e-3)
         self._look("overview", self._server.initial_camera)
 
@@ -139,7 +125,7 @@ class Viewer:
         clear = gui.add_checkbox("see through the skin", False)
         self._told = gui.add_markdown("")
         has_images = self._arrays["images"].size > 0
-        self._image = gui.add_image(_grey(self._arrays["images"][0]), label="felt", format="png") if has_images else None
+        self._image = gui.add_image(grey(self._arrays["images"][0]), label="felt", format="png") if has_images else None
         self._curves = []
         steps = np.arange(self._record["steps"], dtype=float)
         for name, k, unit in _CURVES:
@@ -224,43 +210,6 @@ class Viewer:
         return "\n\n".join(lines)
 
 
-def _serve(host, port):
-    """A viser server that lets in pages of its own alone. Raises TactipError where the address cannot be had."""
-    pages = re.compile(r"https?://(127\.0\.0\.1|localhost|\[::1\]|" + re.escape(host) + r")(:\d+)?")
-    try:
-        # viser waits for ever for an address that is not this machine's.
-        with socket.create_server((host, 0)):
-            pass
-    except OSError as error:
-        raise TactipError(f"cannot serve at {host}: {error.strerror or error}") from error
-    plain = websockets.asyncio.server.serve
-    # viser takes no list of origins, and its library does: None is a program that is no browser.
-    websockets.asyncio.server.serve = functools.partial(plain, origins=[pages, None])
-    try:
-        return viser.ViserServer(host=host, port=port, verbose=False)
-    finally:
-        websockets.asyncio.server.serve = plain
-
-
-def _mesh(scene, name, prop, colour):
-    vertices, triangles = prop.vertices.astype(np.float32), prop.triangles.astype(np.uint32)
-    return scene.add_mesh_simple(name, vertices, triangles, color=_bytes(colour), side="double")
-
-
-def _place(frame, T):
-    frame.position = T[:3, 3]
-    frame.wxyz = Rotation.from_matrix(T[:3, :3]).as_quat(scalar_first=True)
-
-
-def _pins(tips, directions):
-    """Segments (p, 2, 3) of pins, sensor frame."""
-    return np.stack([tips - _PIN_M * directions, tips], 1).astype(np.float32)
-
-
-def _grey(image):
-    return np.repeat(image[..., None], 3, axis=-1)
-
-
 def _mark(data, k):
     """The data of a curve's mark: nothing but at step k."""
     out = np.full(len(data[0]), np.nan)
@@ -276,7 +225,3 @@ def _span(data):
 
 def _dot():
     return uplot.Series(label="now", stroke="#2060c0", points=uplot.Series_Points(show=True, size=9))
-
-
-def _bytes(colour):
-    return tuple(round(c) for c in colour)

@@ -15,8 +15,9 @@ from control.servo import Gains, Servo
 from control.truth import EdgeTruth, SurfaceTruth
 from learning.labels import Labels
 from sim.carrier import carrier_named
+from sim.contact import Diverged
 from sim.fidelity import fidelity_named
-from sim.fingertip import Diverged, Fingertip
+from sim.fingertip import Fingertip
 from sim.objects import find_object
 from sim.pose import from_mm_deg, inverse, sensor_in_contact, to_mm_deg
 from tactip_model.errors import TactipError

@@ -1,0 +1,121 @@
+"""The pages in a real browser: headless Chromium draws them, and a mouse moves what is on them."""
+
+import re
+
+import numpy as np
+import pytest
+from test_stage import _scenery
+from test_viewer import RECORD, STEPS, _arrays
+
+from benchmarks.chromium import PROGRAM, Chromium
+from sim.fidelity import fidelity_named
+from sim.live import Live
+from sim.viewer import Viewer
+from tactip_model.presets import design_named
+from tactip_model.renderer import renderer_named
+
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(PROGRAM is None, reason="there is no Chromium here")]
+
+
+class Served:
+    """A page that is served in this process while a test goes on, by turns: nothing here is in a hurry."""
+
+    def __init__(self, page):
+        self.page, self.browser = page, Chromium(page.address)
+        # viser counts a browser as there when it has told its camera: what is clicked before is not heeded.
+        self.until(page._server.get_clients)
+
+    def until(self, holds, seconds=60.0):
+        def turn():
+            self.page.run(seconds=0.1)
+            return holds()
+
+        return self.browser.until(turn, seconds)
+
+    def text(self, pattern):
+        """Wait until a pattern is on the page; returns the match."""
+        return self.until(lambda: re.search(pattern, self.browser.text()))
+
+    def close(self):
+        self.browser.close()
+        self.page.close()
+
+
+@pytest.fixture(scope="module")
+def replay():
+    served = Served(Viewer(RECORD, _arrays(), _scenery(), port=8451))
+    yield served
+    served.close()
+
+
+def test_a_replay_is_drawn(replay):
+    replay.text("step 0")
+    replay.browser.click("close")
+
+    def drawn():
+        scene = replay.browser.picture()[:, :800].astype(int)
+        grey = np.ptp(scene, axis=2) < 30
+        # The skin is nearly black, the object nearly white, and what lies behind them is neither alone.
+        return (grey & (scene.max(2) < 80)).mean() > 0.004 and len(np.unique(scene.reshape(-1, 3), axis=0)) > 100
+
+    replay.until(drawn)
+
+
+def test_it_plays_and_pauses_by_a_click(replay):
+    replay.page.playback.go(0)
+    replay.browser.click("Play")
+    replay.until(lambda: replay.page.playback.step >= 3)
+    replay.text(r"step [1-9]\d* of|step [1-9]")
+    if replay.page.playback.playing:
+        replay.browser.click("Pause")
+        replay.until(lambda: not replay.page.playback.playing)
+    replay.text("Play")
+
+
+def test_it_is_scrubbed_by_the_slider(replay):
+    replay.page.playback.playing = False
+    replay.page.playback.go(0)
+    replay.page.show()
+    find = """(() => { const t = document.querySelector('[role=slider]'), r = t.parentElement.getBoundingClientRect();
+        const q = t.getBoundingClientRect(); return [q.x + q.width / 2, q.y + q.height / 2, r.x, r.x + r.width]; })()"""
+    x, y, low, high = replay.until(lambda: replay.browser.ask(find))
+    replay.browser.drag((x, y), (low + 0.75 * (high - low), y))
+    replay.until(lambda: replay.page.playback.step >= STEPS // 2)
+    replay.text(f"step {replay.page.playback.step}")
+
+
+def test_single_steps_and_events(replay):
+    replay.page.playback.go(2)
+    replay.page.show()
+    replay.browser.click(">")
+    replay.until(lambda: replay.page.playback.step == 3)
+    replay.browser.click("event >")
+    replay.until(lambda: replay.page.playback.step == 7)
+    replay.text("9.0 N on the tip")
+    replay.browser.click("<")
+    replay.until(lambda: replay.page.playback.step == 6)
+
+
+def test_a_key_steps(replay):
+    replay.page.playback.go(4)
+    replay.page.show()
+    replay.browser.mouse("mousePressed", (300, 400))
+    replay.browser.mouse("mouseReleased", (300, 400))
+    replay.browser.key("ArrowRight", "ArrowRight")
+    replay.until(lambda: replay.page.playback.step == 5)
+
+
+@pytest.fixture(scope="module")
+def live():
+    design = design_named("nominal-127")
+    served = Served(Live(design, "surface", fidelity_named("draft"), renderer_named("raster", design), port=8461))
+    yield served
+    served.close()
+
+
+def test_a_number_that_is_typed_moves_the_stimulus(live):
+    live.text("at rest")
+    live.browser.write(".mantine-NumberInput-input", "3")
+    live.until(lambda: abs(live.page._press.held().label[0] - 3e-3) < 1e-9)
+    live.text("at rest")
+    assert np.hypot(*live.page._press.held().force[:2]) > 0.05
