@@ -168,13 +168,39 @@ class Show:
 
 
 @dataclass(frozen=True)
+class Record:
+    """Play a sample's contact once more, the same, and keep every time step: for `tactip replay`."""
+
+    folder: tyro.conf.Positional[Path]
+    """Folder of the set."""
+    out: Path
+    """Folder of the recording."""
+    sample: int = 0
+    """Index of the sample."""
+    model: str = ""
+    """A shipped network or the folder of a training, that says what it feels; the shipped one of task and design, if there
+    is one and this is empty; `none` for none."""
+
+    def run(self):
+        from sim.contact_recording import record_contact
+        from sim.dataset import read_configuration, read_meta
+
+        configuration = read_configuration(read_meta(self.folder), self.folder)
+        read = _reader(self.model, configuration.task, configuration.design)
+        record, _ = record_contact(self.folder, self.sample, self.out, read)
+        print(f"{record['object']}: {record['steps']} steps recorded; see them: tactip replay {self.out}")
+        return 0
+
+
+@dataclass(frozen=True)
 class Dataset:
-    """Make, verify and show data sets."""
+    """Make, verify, show and record data sets."""
 
     action: Annotated[
         Annotated[Make, tyro.conf.subcommand("make")]
         | Annotated[Verify, tyro.conf.subcommand("verify")]
-        | Annotated[Show, tyro.conf.subcommand("show")],
+        | Annotated[Show, tyro.conf.subcommand("show")]
+        | Annotated[Record, tyro.conf.subcommand("record")],
         tyro.conf.arg(name=""),
     ]
 
@@ -586,24 +612,26 @@ class View:
         from tactip_model.renderer import renderer_named
 
         design = find_design(self.design)
-        render = renderer_named(self.renderer, design)
-        live = Live(design, self.task, fidelity_named(self.fidelity), render, self._reader(design), self.host, self.port)
+        render, read = renderer_named(self.renderer, design), _reader(self.model, self.task, design)
+        live = Live(design, self.task, fidelity_named(self.fidelity), render, read, self.host, self.port)
         print(f"{live.address} shows the tip {design.name} on the stimulus {self.task}; Ctrl-C ends it", flush=True)
         return _until_stopped(live)
 
-    def _reader(self, design):
-        """The function of a tactile image to what is felt (dict by component), or None."""
-        from learning.model import find_model, shipped_models
 
-        name = self.model or f"{self.task}-{self.design}"
-        if self.model == "none" or not (self.model or name in shipped_models()):
-            return None
-        model = find_model(name)
-        if model.size != design.image.size_px:
-            raise TactipError(
-                f"the network {name} takes images of {model.size} px and the design makes {design.image.size_px}"
-            )
-        return lambda image: dict(zip(model.labels.components, model.predict(image[None])[0].tolist(), strict=True))
+def _reader(name, task, design):
+    """The function of a tactile image to what a network feels (dict by component), or None.
+
+    name: str, as of the option `model`. task: str. design: Design.
+    """
+    from learning.model import find_model, shipped_models
+
+    chosen = name or f"{task}-{design.name}"
+    if name == "none" or not (name or chosen in shipped_models()):
+        return None
+    model, made = find_model(chosen), design.image.size_px
+    if model.size != made:
+        raise TactipError(f"the network {chosen} takes images of {model.size} px, and the design makes {made}")
+    return lambda image: dict(zip(model.labels.components, model.predict(image[None])[0].tolist(), strict=True))
 
 
 def _until_stopped(page):

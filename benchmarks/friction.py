@@ -43,8 +43,9 @@ class Walker(ContactPlayer):
         """Of each step since `begin`: force on the tip (3,) N and place of the stimulus (3,) m, in the sensor frame."""
         self._at = np.zeros(6)
 
-    def _step(self):
-        super()._step()
+        self.watch = self._keep
+
+    def _keep(self, phase, label):
         self.steps.append((self.scene.contact_force(), self.scene.data.qpos[:3].copy()))
 
     def begin(self, place_mm=(0.0, 0.0, 0.0)):

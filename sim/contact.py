@@ -232,6 +232,9 @@ class ContactPlayer:
         """The scene, at the end of the last contact."""
         self.reader = PinReader(design, self.scene.mesh)
         """The design's pins on this scene's skin."""
+        self.watch = None
+        """Called after each time step, if it is set, with the phase (str) and the label (6,) that it led to."""
+        self._phase = ""
         self._steps = self._unsolved = 0
         self.press_step_m, self.shear_step_m = self._paces()
         """Approach, and travel of the skin in contact, per step, m (mean)."""
@@ -251,7 +254,8 @@ class ContactPlayer:
         self._steps = self._unsolved = 0
         # A state that is lost stays lost: the record shows it, and steps from it would only take long.
         with counted_warnings() as messages, contextlib.suppress(Diverged):
-            for labels in self._motions(pose, shear, approach):
+            for phase, labels in self._motions(pose, shear, approach):
+                self._phase = phase
                 self.move(labels)
             self._settle(pose)
         return self._record(pose, shear, len(messages))
@@ -270,7 +274,8 @@ class ContactPlayer:
         here, approach = start, True
         for label in path(start, pose, shares):
             with counted_warnings() as messages, contextlib.suppress(Diverged):
-                for labels in self._motions(label, shear_between(here, label), approach):
+                for phase, labels in self._motions(label, shear_between(here, label), approach):
+                    self._phase = phase
                     self.move(labels)
                 self._settle(label)
             warnings += len(messages)
@@ -294,47 +299,49 @@ class ContactPlayer:
         return self.scene.stimulus.height_to_clear(dome_centre[:3], radius) + _CLEARANCE_M
 
     def _motions(self, pose, shear, approach):
-        """The labels (n, 6) of each motion, first to last."""
+        """Name and labels (n, 6) of each motion, first to last."""
         motion, start = self.scene.fidelity.motion, before_shear(pose, shear)
         lift = self.lift(start)
         if approach and lift > 0:
             above = start + np.array([0, 0, lift, 0, 0, 0])
-            yield path(above, start, shares(lift / self.press_step_m, motion))
+            yield "approach", path(above, start, shares(lift / self.press_step_m, motion))
         travel = np.linalg.norm(shear[:3]) + LEVER_M * turn_between(start, pose)
         if travel > 0:
-            yield path(start, pose, shares(travel / self.shear_step_m, motion))
+            yield "shear", path(start, pose, shares(travel / self.shear_step_m, motion))
 
     def move(self, labels):
         """Carry the stimulus along labels (n, 6), one a step. Raises Diverged."""
         h = self.scene.fidelity.motion.step_s
         self.scene.stiffen(resting=False)
         poses = [inverse(sensor_in_contact(label)) for label in labels]
-        for T, T_next in pairwise(poses):
+        for (T, T_next), label in zip(pairwise(poses), labels[1:], strict=True):
             turn = Rotation.from_matrix(T[:3, :3].T @ T_next[:3, :3]).as_rotvec()
             self._place(T, (T_next[:3, 3] - T[:3, 3]) / h, turn / h)
-            self._step()
+            self._step(label)
 
     def hold(self, pose):
         """One time step with the stimulus at rest at `pose` (6,). Raises Diverged."""
         self.scene.stiffen(resting=True)
         self._place(inverse(sensor_in_contact(pose)))
-        self._step()
+        self._step(pose)
 
     def _settle(self, pose):
         """Hold the stimulus at `pose` (6,) until the tip is at rest."""
-        motion = self.scene.fidelity.motion
+        motion, self._phase = self.scene.fidelity.motion, "settle"
         for step in range(1, motion.settle_limit + 1):
             self.hold(pose)
             if step >= motion.settle_steps and self.scene.greatest_speed() < motion.settle_speed_m_s:
                 break
 
-    def _step(self):
-        """One time step. Raises Diverged where the state is no longer finite."""
+    def _step(self, label):
+        """One time step, which leads to a label (6,). Raises Diverged where the state is no longer finite."""
         self.scene.step()
         self._steps += 1
         self._unsolved += self.scene.ran_out()
         if not np.isfinite(self.scene.greatest_speed()):
             raise Diverged("the simulated tip is lost: its state is not finite any more")
+        if self.watch:
+            self.watch(self._phase, label)
 
     def _place(self, T, linear=(0, 0, 0), angular=(0, 0, 0)):
         quaternion = Rotation.from_matrix(T[:3, :3]).as_quat(scalar_first=True)
@@ -382,6 +389,8 @@ class CarefulPlayer:
         """Stimulus of all tries."""
         self._last = self._players[0]
         self._design, self._bounds = design, bounds
+        self.watch = None
+        """Called as ContactPlayer.watch at the steps of every try."""
         self._catches = self.stimulus.catches or design.materials.friction > STICKY_FRICTION
         self.tries = TRIES + self._catches
         """Times that a contact is played before it is refused, int."""
@@ -394,6 +403,7 @@ class CarefulPlayer:
         faults, good = [], None
         for attempt in range(self.tries):
             self._last = self._player(attempt)
+            self._last.watch = self.watch
             contact = self._last.play(pose, shear, approach)
             found = contact.faults(self._bounds)
             if self._catches and not found:
@@ -402,6 +412,11 @@ class CarefulPlayer:
                 break
             faults.append(found)
         return contact, faults
+
+    @property
+    def last(self):
+        """The ContactPlayer of the last try."""
+        return self._last
 
     def skin(self):
         """Vertices (s, 3) m of the skin at the end of the last contact, sensor frame; and the mesh.Mesh that they are of."""

@@ -29,6 +29,7 @@ from sim.pose import COMPONENTS, to_mm_deg
 from sim.sampling import Ranges
 from sim.symmetry import SYMMETRIES
 from tactip_model.design import Design
+from tactip_model.design_file import built
 from tactip_model.errors import TactipError
 
 FORMAT = "tactip-twin data set"
@@ -236,6 +237,16 @@ def read_meta(folder):
     if meta.get("version") != VERSION:
         raise TactipError(f"{path} is of version {meta.get('version')!r}: this program reads version {VERSION}")
     return meta
+
+
+def read_configuration(meta, folder):
+    """The Configuration of a set that was simulated, from its meta.json (dict). folder: whose it is.
+
+    Raises TactipError where it has none, or one of another version of the project.
+    """
+    if not isinstance(meta.get("configuration"), dict) or "fidelity" not in meta["configuration"]:
+        raise TactipError(f"the set in {folder} was not simulated: it has no configuration to play its contacts by")
+    return built(Configuration, meta["configuration"], f"{folder}: configuration")
 
 
 def read_targets(folder):

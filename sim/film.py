@@ -19,6 +19,9 @@ _IMAGE = 256
 _EYE_M = (0.30, -0.44, 0.24)
 """From what is followed to the eye, m, base frame."""
 
+_NEARER = 0.55
+"""How near the eye is where no arm is to be seen, over that."""
+
 _FIELD_DEG = 40.0
 
 _CURVES = {
@@ -41,11 +44,12 @@ def pictures(scenery, record, arrays, every=1):
     curves, left, right = _curves(arrays, task)
     poses = arrays["T_base_tcp"]
     middle = (poses[:, :3, 3].min(0) + poses[:, :3, 3].max(0)) / 2 + [0, 0, 0.03]
+    eye = middle + np.multiply(_EYE_M, 1.0 if scenery.with_arm else _NEARER)
     for k in range(0, len(poses), every):
         props = stage.moving(arrays["angles_rad"][k], poses[k], arrays["skin_m"][k]) + way(arrays, task, k + 1)
         frame = np.empty((HEIGHT, WIDTH, 3), np.uint8)
         frame[:] = BACKGROUND
-        frame[:, :_VIEW] = studio.picture(props, middle + _EYE_M, middle, _FIELD_DEG)
+        frame[:, :_VIEW] = studio.picture(props, eye, middle, _FIELD_DEG)
         image = arrays["images"][k]
         if image.size:
             at = _VIEW + (WIDTH - _VIEW - _IMAGE) // 2

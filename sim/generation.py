@@ -143,16 +143,15 @@ class _SampleMaker:
         alike = [m for m in others if m._configuration.design == c.design and m._configuration.renderer == c.renderer]
         self._render = alike[0]._render if alike else renderer_named(c.renderer, c.design)
         played = [m for m in alike if _physics(m._configuration) == _physics(c)]
-        self._player = played[0]._player if played else CarefulPlayer(c.design, _stimulus(c), c.fidelity, c.bounds)
+        self._player = played[0]._player if played else CarefulPlayer(c.design, stimulus_of(c), c.fidelity, c.bounds)
         self._reader = SymmetricReader(c.design, self._player.skin()[1], c.symmetries) if c.symmetric else None
 
     def make(self, number):
         """Write the images and the record of contact `number`. Raises OSError."""
         c = self._configuration
-        draw = generator(c.seed, c.task, c.split, number)
-        pose, shear = c.pose.draw(draw), c.shear.draw(draw)
-        if c.bent:
-            self._player.stimulus.solid = bent_surface(*draw.uniform(*c.curvature_per_m, 2), draw.uniform(0, np.pi))
+        pose, shear, solid = drawn(c, number)
+        if solid is not None:
+            self._player.stimulus.solid = solid
         contact, faults = self._player.play(pose, shear)
         failed = len(faults) == self._player.tries
         contacts = self._reader.read(contact, self._player.skin()[0]) if self._reader and not failed else [contact]
@@ -174,8 +173,20 @@ def _physics(configuration):
     return configuration.task, configuration.bent, configuration.fidelity, configuration.bounds
 
 
-def _stimulus(configuration):
-    """What is pressed on: the task's own, or a surface that is bent anew for each contact."""
+def drawn(configuration, number):
+    """What is drawn for contact `number` of a Configuration: pose and shear (6,), m and rad, and the Solid that is pressed
+    on where it is bent anew for each contact, or None."""
+    c = configuration
+    draw = generator(c.seed, c.task, c.split, number)
+    pose, shear = c.pose.draw(draw), c.shear.draw(draw)
+    if not c.bent:
+        return pose, shear, None
+    return pose, shear, bent_surface(*draw.uniform(*c.curvature_per_m, 2), draw.uniform(0, np.pi))
+
+
+def stimulus_of(configuration):
+    """What the contacts of a Configuration are pressed on: the name of a stimulus, or a Stimulus whose solid is set for each
+    contact."""
     if not configuration.bent:
         return configuration.task
     return Shape(bent_surface(0.0, 0.0, 0.0), sharpest_m=1 / MOST_BENT_PER_M)

@@ -56,7 +56,8 @@ sensor's frame, force on the tip in the sensor's frame, labels as they are felt 
 is from that of a tip in the air, penetration, phase (of PHASES), part of the route, time steps, time for simulation,
 image, network and control, and packed images."""
 
-PHASES = ("search", "centre", "follow")
+PHASES = ("search", "centre", "follow", "approach", "shear", "settle")
+"""Phases of a servo run, and of a contact. New ones go to the end: a recording has their numbers."""
 
 
 @dataclass(frozen=True)

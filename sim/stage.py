@@ -186,27 +186,39 @@ def sensor_props(tip_radius_m):
 def body_props(model, name, colour=None):
     """Props (list) of a body of a MuJoCo model, in its frame; in their materials' colours where there is no other."""
     out = []
-    for k in range(model.ngeom):
-        geom = model.geom(k)
-        if model.body(model.geom_bodyid[k]).name != name or geom.name == "dome":  # the skin itself is drawn
-            continue
-        mesh = _of_geom(model, k)
-        own = 255 * model.mat_rgba[model.geom_matid[k], :3] if colour is None else colour
-        turn = np.zeros(9)
-        mujoco.mju_quat2Mat(turn, geom.quat)
-        mesh.apply_transform(_pose(turn, geom.pos))
-        out.append(_prop(mesh, tuple(float(c) for c in own)))
+    for k in _geoms(model, name):
+        if model.geom(k).name != "dome":  # the skin itself is drawn
+            own = 255 * model.mat_rgba[model.geom_matid[k], :3] if colour is None else colour
+            out.append(_prop(_of_geom(model, k), tuple(float(c) for c in own)))
     return out
 
 
+def body_mesh(model, name):
+    """Vertices (n, 3) m and triangles (k, 3) of a body of a MuJoCo model, in its frame."""
+    whole = trimesh.util.concatenate([_of_geom(model, k) for k in _geoms(model, name)])
+    return np.asarray(whole.vertices), np.asarray(whole.faces)
+
+
+def _geoms(model, name):
+    return [k for k in range(model.ngeom) if model.body(model.geom_bodyid[k]).name == name]
+
+
 def _of_geom(model, k):
-    """The trimesh.Trimesh of geom k of a MuJoCo model."""
-    if model.geom_type[k] != mujoco.mjtGeom.mjGEOM_MESH:
-        return _primitive(int(model.geom_type[k]), model.geom_size[k])
-    asset = model.mesh(model.geom_dataid[k])
-    first, count = int(asset.vertadr[0]), int(asset.vertnum[0])
-    faces, face_count = int(asset.faceadr[0]), int(asset.facenum[0])
-    return trimesh.Trimesh(model.mesh_vert[first : first + count], model.mesh_face[faces : faces + face_count])
+    """The trimesh.Trimesh of geom k of a MuJoCo model, in its body's frame."""
+    if model.geom_type[k] == mujoco.mjtGeom.mjGEOM_MESH:
+        asset = model.mesh(model.geom_dataid[k])
+        vertices, faces = (slice(int(a[0]), int(a[0] + n[0])) for a, n in _rows(asset))
+        mesh = trimesh.Trimesh(model.mesh_vert[vertices], model.mesh_face[faces])
+    else:
+        mesh = _primitive(int(model.geom_type[k]), model.geom_size[k])
+    turn = np.zeros(9)
+    mujoco.mju_quat2Mat(turn, model.geom_quat[k])
+    return mesh.apply_transform(_pose(turn, model.geom_pos[k]))
+
+
+def _rows(asset):
+    """Where the vertices and the faces of a mesh of a MuJoCo model begin, and how many they are."""
+    return (asset.vertadr, asset.vertnum), (asset.faceadr, asset.facenum)
 
 
 def _primitive(kind, size):

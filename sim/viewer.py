@@ -38,6 +38,8 @@ class Viewer:
         self._record, self._arrays, self._stage = record, arrays, Stage(scenery)
         self._felt, self._true = to_mm_deg(arrays["felt"]), to_mm_deg(arrays["true"])
         self._lines, self._ends = way_lines(arrays)
+        if not len(self._lines):
+            self._lines = np.zeros((1, 2, 3), np.float32)  # viser draws no line of none
         self.playback = Playback(record["steps"], [event["step"] for event in record["events"]])
         """Where the replay is."""
         self._lock, self._shown, self._marked_s = threading.RLock(), -1, 0.0
@@ -219,7 +221,8 @@ def _mark(data, k):
 
 def _span(data):
     """Lowest and highest value of the curves, with some room: what is not a number, as in a mark, has no part in it."""
-    low, high = float(min(d.min() for d in data[1:])), float(max(d.max() for d in data[1:]))
+    values = np.concatenate(data[1:])
+    low, high = float(np.nanmin(values)), float(np.nanmax(values))
     return low - 0.05 * (high - low) - 1e-3, high + 0.05 * (high - low) + 1e-3
 
 

@@ -8,11 +8,12 @@ A configuration calls `check(self)` as it is made: one that exists can be used.
 from dataclasses import field, fields
 from math import isfinite
 from numbers import Integral, Real
+from typing import Any
 
 from tactip_model.errors import TactipError
 
 
-def within(low, high, *, default):
+def within(low, high, *, default) -> Any:
     """A dataclass field whose number, or each of whose numbers, lies from low to high, both allowed.
 
     low, high: numbers, or tuples of them with one a number of the field. default: the field's default.

@@ -56,10 +56,10 @@ def read_design(path):
 
 def design_from(value, where):
     """The Design of a dict as JSON has it. where: str, what it is of. Raises TactipError where it is not a design."""
-    return _built(Design, value, where)
+    return built(Design, value, where)
 
 
-def _built(kind, value, where):
+def built(kind, value, where):
     """A dataclass of type `kind` from a dict; TactipError names a field that is unknown, missing or of the wrong type."""
     if not isinstance(value, dict):
         raise TactipError(f"{where} must be an object with the fields {', '.join(f.name for f in fields(kind))}")
@@ -74,7 +74,7 @@ def _built(kind, value, where):
     given = {}
     for name, item in value.items():
         if is_dataclass(hints[name]):
-            given[name] = _built(hints[name], item, f"{where}.{name}")
+            given[name] = built(hints[name], item, f"{where}.{name}")
         else:
             given[name] = _tuples(item)
             text = hints[name] is str
