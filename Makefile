@@ -21,6 +21,7 @@ help:
 	@echo "make servo         follow a bust or a rim by touch  [TASK=bust|rim] [OBJECT=...]; into runs/servo-OBJECT"
 	@echo "make demo          a pass over the bust and once round a rim, with films (two minutes); into runs/demo"
 	@echo "make replay        a servo run in a browser  [RUN=runs/servo-bust]"
+	@echo "make view          the live scene in a browser: drag the stimulus  [TASK=surface|edge]"
 	@echo "make report        measure errors and costs (45 min); write docs/*.md and the README's picture"
 	@echo "make test          all tests but the slow ones    make test-all   those too"
 	@echo "make lint          ruff and pyright"
@@ -63,6 +64,9 @@ demo: $(READY)
 replay: $(READY)
 	@$(BIN)/tactip replay "$(RUN)"
 
+view: $(READY)
+	@$(BIN)/tactip view --task "$(if $(filter all,$(TASK)),surface,$(TASK))"
+
 test: $(READY)
 	@$(BIN)/python -m pytest
 
@@ -92,4 +96,4 @@ lock:
 clean:
 	@rm -rf .venv build *.egg-info .pytest_cache .ruff_cache .hypothesis
 
-.PHONY: help setup sim-dataset train tune servo demo replay test test-all report lint lock clean
+.PHONY: help setup sim-dataset train tune servo demo replay view test test-all report lint lock clean

@@ -27,15 +27,20 @@ _BUTTON = """(() => {{
 class Chromium:
     """A page in a browser without a screen and without a GPU."""
 
-    def __init__(self, address, size=(1280, 860)):
-        """address: str. size: (2,) px."""
+    def __init__(self, address, size=(1280, 860), wait=True):
+        """address: str. size: (2,) px. wait: bool; without, the page is empty until `open`."""
         self._folder = tempfile.mkdtemp()
         options = ["--headless=new", "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader"]
         options += ["--enable-unsafe-swiftshader", "--ignore-gpu-blocklist", f"--window-size={size[0]},{size[1]}"]
         options += ["--remote-debugging-port=0", "--remote-allow-origins=*", f"--user-data-dir={self._folder}"]
         silent = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-        self._process = subprocess.Popen([str(PROGRAM), *options, address], **silent)  # noqa: S603
+        self._process = subprocess.Popen([str(PROGRAM), *options, address if wait else "about:blank"], **silent)  # noqa: S603
         self._socket, self._count = connect(self._find(), max_size=None), 0
+        self._address = address
+
+    def open(self):
+        """Go to the address."""
+        self.do("Page.navigate", url=self._address)
 
     def _find(self):
         """Address of the page's debugging socket."""

@@ -88,9 +88,9 @@ def cases(options):
             for renderer in ("pyrender", "raster"):
                 changed = replace(run, fidelity=fidelity, renderer=renderer)
                 out.append(Case("fidelity", f"{name}, {fidelity}, {renderer}", changed))
-        for settle in (1, 2):
-            changed = replace(run, settle_steps=settle)
-            out.append(Case("fidelity", f"{name}, standard, {settle} steps at rest", changed))
+        for settle, pace in ((2, 1.0), (1, 1.0), (2, 2.0), (1, 2.0)):
+            changed = replace(run, settle_steps=settle, pace=pace)
+            out.append(Case("fidelity", f"{name}, standard, {settle} at rest, pace {pace:g}", changed))
         changes = {"as it is": {}}
         changes |= {f"friction {mu:g}": {"friction": mu} for mu in (0.2, 0.4, 1.2)}
         changes |= {f"stiffness times {k:g}": {"stiffness": k} for k in (0.5, 1.5)}
@@ -152,8 +152,7 @@ def folder_of(runs, group, name):
 def identity(case):
     """What a Case is, as text: its options, and the checksum of its network's weights."""
     run = case.options
-    name = run.model if run.model not in ("", "oracle") else f"{run.task}-{run.design}"
-    return json.dumps([json.loads(json.dumps(dataclasses.asdict(run), default=str)), weights_sha256(name)])
+    return json.dumps([json.loads(json.dumps(dataclasses.asdict(run), default=str)), weights_sha256(run.network)])
 
 
 def run(options, say=print):

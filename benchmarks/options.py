@@ -75,3 +75,15 @@ class ServoOptions:
     """Folder for servo.json, servo.md and servo.png."""
     workers: str = "auto"
     """Worker processes; auto is one a core."""
+
+
+@dataclass(frozen=True)
+class ViewerOptions:
+    """Measure what a replay costs: host and browser."""
+
+    seconds: float = 10.0
+    """How long it plays, s."""
+    runs: Path = Path("runs/viewer-bench")
+    """Folder of the recording."""
+    out: Path = Path("docs")
+    """Folder for viewer.json and viewer.md."""

@@ -23,6 +23,9 @@ from tactip_model.errors import TactipError
 MOST_BYTES = 5_000_000
 """Weights of a shipped network are smaller."""
 
+_AS_MANY = {"laptop-most": "most"}
+"""Option of `tactip bench learning` that says how many contacts a row has, where it is not `contacts`."""
+
 EVALUATION, CARD = "evaluation.json", "card.md"
 
 
@@ -44,13 +47,14 @@ class Options:
 
 def ship(options):
     """Copy a network, judge it on the test set, write its card. Returns its folder (Path). Raises TactipError."""
-    run, test = options.runs / options.task / options.name, read_samples(options.data / "plain" / options.task / "test")
+    run = options.runs / options.task / options.name
     size = (run / WEIGHTS).stat().st_size if (run / WEIGHTS).exists() else 0
     model = load_model(run)
     if size >= MOST_BYTES:
         raise TactipError(f"the weights in {run} have {size} bytes: a network is shipped with fewer than {MOST_BYTES}")
     if not model.provenance["outcome"]["finished"]:
         raise TactipError(f"the training in {run} is unfinished: let it come to its end before it is shipped")
+    test = read_samples(options.data / ("bent" if _bent(model) else "plain") / options.task / "test")
     evaluation = evaluate(model, test)
     meta = test.dataset.meta
     record = {
@@ -59,13 +63,22 @@ def ship(options):
         "test": {"digest": meta["digest"], "targets_sha256": meta["files"].get("targets.csv")},
         "machine": machine(),
     }
-    folder = options.out / f"{options.task}-{DESIGN}"
+    folder = options.out / _name(model)
     folder.mkdir(parents=True, exist_ok=True)
     for name in (WEIGHTS, DESCRIPTION):
         shutil.copyfile(run / name, folder / name)
     write_file(folder / EVALUATION, (json.dumps(record, indent=1) + "\n").encode())
     write_file(folder / CARD, card(model, record, options).encode())
     return folder
+
+
+def _bent(model):
+    """Whether a Model has learned from bent surfaces: its set names their curvature (sim/dataset.py)."""
+    return "curvature_per_m" in model.provenance["train"]["configuration"]
+
+
+def _name(model):
+    return f"{model.labels.task}-{'bent-' if _bent(model) else ''}{DESIGN}"
 
 
 def card(model, record, options):
@@ -76,20 +89,26 @@ def card(model, record, options):
     # Of all of a set, what was asked for: a contact that could not be trusted may be missing among the samples.
     samples = made["samples"] if data.get("chosen") is None else data["samples"]
     contacts = samples // (len(SYMMETRIES[task]) if made["symmetric"] else 1)
-    what = {"surface": "a surface", "edge": "an edge"}[task]
+    what = {"surface": "a flat surface", "edge": "a straight edge"}[task]
+    if _bent(model):
+        what = "a surface bent by {:g} to {:g} /m, two ways{},".format(
+            *made["curvature_per_m"], " and changing along it" if made.get("skewed") else ""
+        )
+    # What the paper reached and what is asked is of flat surfaces.
+    beside = () if _bent(model) else (("the paper, real sensor", PAPER), ("what we ask", BARS))
     lines = [
-        f"# {task}-{DESIGN}",
+        f"# {_name(model)}",
         "",
         f"Reads the pose of {what} from one binary tactile image, {model.size} px wide, of the 127-pin TacTip "
         f"(`{DESIGN}`), however the skin was sheared within the ranges below. Trained in simulation alone; on a real "
         "sensor expect more than these errors. Frames and signs: sim/pose.py.",
         "",
-        "| component | mean error | rms | bias | 95 % below | the paper, real sensor | what we ask |",
-        "|---|---|---|---|---|---|---|",
+        "| " + " | ".join(["component", "mean error", "rms", "bias", "95 % below", *(title for title, _ in beside)]) + " |",
+        "|" + "---|" * (5 + len(beside)),
     ]
     for name, unit in zip(model.labels.names, model.labels.units, strict=True):
         cells = [f"{record[k][name]:.3f} {unit}" for k in ("mae", "rmse", "bias", "p95")]
-        cells += [f"{table[task][name]:g} {unit}" for table in (PAPER, BARS)]
+        cells += [f"{table[task][name]:g} {unit}" for _, table in beside]
         lines.append(f"| {name} | " + " | ".join(cells) + " |")
     ranges = ", ".join(
         f"{name} {low:g} to {high:g} {unit}"
@@ -114,7 +133,7 @@ def card(model, record, options):
         "To make it again:",
         "",
         "```",
-        f"tactip bench learning --task {task} --most {contacts} --only {options.name}",
+        f"tactip bench learning --task {task} --{_AS_MANY.get(options.name, 'contacts')} {contacts} --only {options.name}",
         f"python -m benchmarks.shipped --task {task} --name {options.name}",
         "```",
     ]

@@ -88,7 +88,8 @@ class Options:
     turn_deg: tuple[float, float, float] | None = None
     """How it is turned, rotation vector, degrees."""
     model: str = ""
-    """A shipped network or the folder of a training; the shipped one of the task if empty; `oracle` is the truth."""
+    """A shipped network or the folder of a training; `oracle` is the truth. If empty the shipped one: for surfaces that
+    which has felt bent ones."""
     design: str = "tactip-127"
     """Sensor."""
     fidelity: str = "standard"
@@ -111,6 +112,8 @@ class Options:
     """Make a film of the run, too."""
     settle_steps: int | None = None
     """Time steps at rest before an image is taken; the fidelity's if not given."""
+    pace: float = within(0.1, 4, default=1.0)
+    """Way of the tip in a time step, over the fidelity's."""
     route: RouteOptions = field(default_factory=RouteOptions)
     """Where to go."""
     settings: Settings = field(default_factory=Settings)
@@ -118,3 +121,12 @@ class Options:
 
     def __post_init__(self):
         check(self)
+
+    @property
+    def network(self):
+        """Name or folder (str) of the network, also where the truth stands in for it: its labels' ranges are used then."""
+        return f"{_SHIPPED[self.task]}-{self.design}" if self.model in ("", "oracle") else self.model
+
+
+_SHIPPED = {"surface": "surface", "edge": "edge"}
+"""What the shipped networks' names begin with, by task."""

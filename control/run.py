@@ -51,15 +51,16 @@ def run(options, progress=lambda step: None, say=print):
     fidelity, carrier = fidelity_named(options.fidelity), carrier_named(options.arm)
     gains = gains_named(options.gains, options.task)
     truth = _truth(options, thing)
-    name = options.model if options.model not in ("", "oracle") else f"{options.task}-{options.design}"
-    model = find_model(name)
+    model = find_model(options.network)
     if model.labels.task != options.task:
-        raise TactipError(f"the network {name} was trained for the {model.labels.task}, not for the {options.task}")
+        raise TactipError(
+            f"the network {options.network} was trained for the {model.labels.task}, not for the {options.task}"
+        )
     if options.model == "oracle":
         estimator = Oracle(truth, thing.T_base_object)
     else:
         estimator = Seen(model, design, options.renderer, options.noise_grey)
-    finger = Fingertip(design, thing.solid, fidelity, carrier, thing.T_base_object, options.settle_steps)
+    finger = Fingertip(design, thing.solid, fidelity, carrier, thing.T_base_object, options.settle_steps, options.pace)
     servo = Servo(gains)
     T_start, route, targets = _plan(options, thing, truth)
     description = {

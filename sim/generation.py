@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sim.bent import MOST_BENT_PER_M, MOST_HOLLOW_PER_M, bent_surface
+from sim.bent import MOST_BENT_PER_M, MOST_HOLLOW_PER_M, bent_surface, drawn_surface
 from sim.contact import CarefulPlayer, check_ranges
 from sim.crew import Crew, disk_error
 from sim.dataset import (
@@ -78,6 +78,8 @@ def _check_curvature(configuration):
     low, high = configuration.curvature_per_m
     if configuration.bent and configuration.task != "surface":
         raise TactipError(f"a curvature is asked for with the task {configuration.task!r}: only a surface can be bent")
+    if configuration.skewed and not configuration.bent:
+        raise TactipError("a skewed surface is asked for without a range of curvature: give --curvature-per-m, too")
     if not -MOST_HOLLOW_PER_M <= low <= high <= MOST_BENT_PER_M:
         raise TactipError(
             f"the range of curvature is ({low}, {high}) 1/m: it must be rising, and from -{MOST_HOLLOW_PER_M:g} "
@@ -181,7 +183,7 @@ def drawn(configuration, number):
     pose, shear = c.pose.draw(draw), c.shear.draw(draw)
     if not c.bent:
         return pose, shear, None
-    return pose, shear, bent_surface(*draw.uniform(*c.curvature_per_m, 2), draw.uniform(0, np.pi))
+    return pose, shear, drawn_surface(draw, *c.curvature_per_m, c.skewed)
 
 
 def stimulus_of(configuration):

@@ -42,6 +42,8 @@ class Viewer:
             self._lines = np.zeros((1, 2, 3), np.float32)  # viser draws no line of none
         self.playback = Playback(record["steps"], [event["step"] for event in record["events"]])
         """Where the replay is."""
+        self.pictures = 0
+        """Steps that were shown so far."""
         self._lock, self._shown, self._marked_s = threading.RLock(), -1, 0.0
         self._server = serve(host, port)
         self.address = f"http://{host}:{self._server.get_port()}"
@@ -73,7 +75,7 @@ class Viewer:
             self._buttons["play"].label = "Pause" if self.playback.playing else "Play"
             if k == self._shown:
                 return
-            self._shown = k
+            self._shown, self.pictures = k, self.pictures + 1
             self._slider.value = k
             place(self._tip, a["T_base_tcp"][k])
             self._skin.vertices = a["skin_m"][k].astype(np.float32)

@@ -7,6 +7,7 @@ import pytest
 import trimesh
 
 import tactip
+from sim import bent
 from sim.bent import MOST_BENT_PER_M, bent_surface
 from sim.contact import Bounds, ContactPlayer
 from sim.dataset import Configuration, read_dataset
@@ -90,3 +91,57 @@ def test_a_flat_configuration_is_what_it_was():
 def test_wrong_curvatures_are_one_sentence(tmp_path, capsys, options, words):
     assert tactip.main(["dataset", "make", *options, "--out", str(tmp_path / "set")]) == 1
     assert words in capsys.readouterr().err
+
+
+def test_a_skewed_surface_is_the_cubic():
+    first, second, turn, skew = 30.0, -10.0, 0.7, (3000.0, -1000.0, 500.0, -2000.0)
+    solid = bent_surface(first, second, turn, skew)
+    a, b, c, d = skew
+    u, v = np.random.default_rng(0).uniform(-0.008, 0.008, (2, 200))
+    cos, sin = np.cos(turn), np.sin(turn)
+    height = -(first * u**2 + second * v**2) / 2 - (a * u**3 + 3 * b * u**2 * v + 3 * c * u * v**2 + d * v**3) / 6
+    assert np.abs(solid.distance(np.stack([cos * u - sin * v, sin * u + cos * v, height], -1))).max() < 40e-6
+    # At the origin it is level, whatever its skew: the label's frame is there.
+    assert np.allclose(solid.smooth_normal(np.zeros((1, 3))), [0, 0, 1], atol=5e-3)
+
+
+def test_curvatures_of_a_drawn_surface_stay_in_their_range(monkeypatch):
+    """By differences of the heights, within the disc that is touched; and they do change there."""
+    low, high, step = -28.0, 80.0, 1e-4
+    drawn = []
+    monkeypatch.setattr(bent, "bent_surface", lambda *given: drawn.append(given))
+    for seed in range(40):
+        bent.drawn_surface(np.random.default_rng(seed), low, high, True)
+    changes = []
+    for first, second, _, (a, b, c, d) in drawn:
+
+        def height(u, v, k=(first, second, a, b, c, d)):
+            return (
+                -(k[0] * u**2 + k[1] * v**2) / 2
+                - (k[2] * u**3 + 3 * k[3] * u**2 * v + 3 * k[4] * u * v**2 + k[5] * v**3) / 6
+            )
+
+        u, v = np.random.default_rng(1).uniform(-bent.SKEW_M, bent.SKEW_M, (2, 400))
+        inside = np.hypot(u, v) < bent.SKEW_M
+        u, v = u[inside], v[inside]
+        uu = (height(u + step, v) - 2 * height(u, v) + height(u - step, v)) / step**2
+        vv = (height(u, v + step) - 2 * height(u, v) + height(u, v - step)) / step**2
+        both = height(u + step, v + step) - height(u + step, v - step) - height(u - step, v + step)
+        uv = (both + height(u - step, v - step)) / (4 * step**2)
+        principal = -np.linalg.eigvalsh(np.stack([np.stack([uu, uv], -1), np.stack([uv, vv], -1)], -2))
+        assert principal.min() > low - 1 and principal.max() < high + 1
+        changes.append(np.ptp(principal))
+    assert np.median(changes) > 10
+
+
+def test_a_set_without_skew_keeps_the_digest_that_it_had():
+    given = {"task": "surface", "split": "test", "samples": 1, "seed": 0, "renderer": "raster"}
+    given |= {"design": find_design("nominal-127"), "fidelity": fidelity_named("draft"), "pose": Ranges(), "shear": Ranges()}
+    even = Configuration(**given, curvature_per_m=(-10.0, 30.0))
+    assert "skewed" not in even.as_json()
+    assert Configuration(**given, curvature_per_m=(-10.0, 30.0), skewed=True).digest() != even.digest()
+
+
+def test_a_skew_without_a_curvature_is_refused(tmp_path, capsys):
+    assert tactip.main(["dataset", "make", "--skewed", "--out", str(tmp_path / "set"), "--samples", "1"]) == 1
+    assert "give --curvature-per-m, too" in capsys.readouterr().err

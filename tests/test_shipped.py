@@ -28,7 +28,7 @@ CONTACTS = 12
 TINY = Recipe(PoseNetConfig(conv_layers=1, filters=2, units=4, batch_size=8), TrainSettings(epochs=1))
 
 
-def test_both_tasks_are_shipped():
+def test_what_is_shipped():
     assert shipped_models() == ["edge-tactip-127", "surface-tactip-127"]
 
 
@@ -38,7 +38,9 @@ def test_a_card_is_of_its_network(name):
     record, card = json.loads((folder / "evaluation.json").read_text()), (folder / "card.md").read_text()
     model = find_model(name)
     assert (folder / "model.pt").stat().st_size < shipped.MOST_BYTES
-    assert 1990 <= record["samples"] <= 2000  # but for those that could not be trusted
+    # But for those that could not be trusted: few on the flat, more on ridges.
+    asked, least = (500, 0.95) if "bent" in name else (2000, 0.995)
+    assert least * asked <= record["samples"] <= asked
     assert record["test"]["digest"] != model.provenance["train"]["digest"]
     for component, error in record["mae"].items():
         assert f"| {component} | {error:.3f} " in card
@@ -64,18 +66,28 @@ def test_it_reads_contacts_of_another_seed(name):
     assert np.all(np.abs(errors).mean(0) < 2.5 * np.array(list(said["mae"].values())))
 
 
-def test_shipping(tmp_path, capsys):
-    """A finished training is copied, judged on the test set, and its card names how it is made again."""
-    data = write_fake_splits(tmp_path / "data" / "plain" / "surface")
+@pytest.mark.parametrize(
+    ("kind", "name", "changes"),
+    [
+        ("plain", "surface-tactip-127", {}),
+        ("bent", "surface-bent-tactip-127", {"curvature_per_m": (-20.0, 50.0)}),
+    ],
+)
+def test_shipping(tmp_path, kind, name, changes):
+    """A finished training is copied, judged on the test set of its kind, and its card names how it is made again."""
+    data = write_fake_splits(tmp_path / "data" / kind / "surface", **changes)
     options = shipped.Options(data=tmp_path / "data", runs=tmp_path / "runs", out=tmp_path / "models")
     with pytest.raises(TactipError, match="there is no model in"):
         shipped.ship(options)
     train(*read_splits(data), TINY.network, TINY.settings, tmp_path / "runs" / "surface" / "laptop-most", quiet=True)
     folder = shipped.ship(options)
-    assert folder.name == "surface-tactip-127"
+    assert folder.name == name
     record = json.loads((folder / "evaluation.json").read_text())
     card = (folder / "card.md").read_text()
+    assert card.startswith(f"# {name}\n")
     assert f"{record['mae']['pose_z']:.3f} mm" in card
+    assert ("the paper, real sensor" in card) == (kind == "plain")
+    assert ("bent by -20 to 50 /m" in card) == (kind == "bent")
     assert "tactip bench learning --task surface --most 24 --only laptop-most" in card
     model = find_model(folder)
     assert model.labels.task == "surface"

@@ -1,0 +1,49 @@
+"""tactip servo: follow a thing by touch."""
+
+import sys
+from dataclasses import dataclass
+
+from control.options import Options as ServoOptions
+
+
+@dataclass(frozen=True)
+class Servo(ServoOptions):
+    """Follow a surface or an edge by touch, with the soft tip on an arm: recording, score and picture into OUT."""
+
+    json: bool = False
+    """Print the score as one JSON object and nothing else."""
+
+    def run(self):
+        from json import dumps
+
+        from tqdm import tqdm
+
+        from control.run import FIGURE, SCORE, run
+
+        bars = []
+
+        def progress(step):
+            if not bars:  # nothing is shown before there is something to show: an error is one line
+                bars.append(tqdm(unit="step", file=sys.stderr, mininterval=0.5 if sys.stderr.isatty() else 15))
+            bars[0].set_postfix_str(f"{step.phase}, {1e3 * abs(float(step.sight.label[2])):.1f} mm deep", refresh=False)
+            bars[0].update()
+
+        try:
+            score = run(self, progress, say=(lambda line: None) if self.json else print)
+        finally:
+            for bar in bars:
+                bar.close()
+        if self.json:
+            print(dumps(score))
+            return 0
+        for name, unit in (
+            ("depth_mae_mm", "mm"),
+            ("lateral_mae_mm", "mm"),
+            ("angle_mean_deg", "°"),
+            ("angle_p95_deg", "°"),
+        ):
+            if score[name] is not None:
+                print(f"{name}: {score[name]:.3f} {unit}")
+        print(f"{score['steps']} steps, {score['contact_losses']} contact losses; {score['stopped_because']}")
+        print(f"{self.out / SCORE}{f' and {self.out / FIGURE}' if self.renderer == 'pyrender' else ''} written")
+        return 0

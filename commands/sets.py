@@ -1,0 +1,201 @@
+"""tactip dataset: make, verify, show and record data sets."""
+
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from commands.given import with_options
+from commands.read import reader_of
+
+Range = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class RangeOptions:
+    """Low and high of each component. What is not given is the paper's (Table 1) for the task."""
+
+    x_mm: Range | None = None
+    """Horizontal, square to the edge, mm."""
+    y_mm: Range | None = None
+    """Horizontal, along the edge, mm."""
+    depth_mm: Range | None = None
+    """Depth, negative into the object, mm."""
+    roll_deg: Range | None = None
+    """Rotation vector about x, degrees."""
+    pitch_deg: Range | None = None
+    """Rotation vector about y, degrees."""
+    yaw_deg: Range | None = None
+    """Rotation vector about the normal, degrees."""
+
+
+@dataclass(frozen=True)
+class Make:
+    """Make labelled, sheared tactile images with the simulated sensor. Run again, it goes on where it stopped."""
+
+    out: Path
+    """Folder of the set; of the sets (OUT/TASK/SPLIT) if task or split is all."""
+    task: str = "surface"
+    """surface, edge, or all."""
+    split: str = "train"
+    """train, val, test, or all: independent draws."""
+    samples: int = 200
+    """Contacts in a set; the paper has 2000."""
+    seed: int = 0
+    """Seed of the draws."""
+    workers: str = "auto"
+    """Worker processes; auto is one a core."""
+    fidelity: str = "standard"
+    """draft, standard or reference (sim/fidelity.py)."""
+    design: str = "tactip-127"
+    """tactip-127, tactip-331, or a design file (.json) as `tactip calibrate` writes it."""
+    symmetric: bool = False
+    """Make samples of each contact's turns and mirrors, too: 8 of a contact on the surface, 2 of one on the edge."""
+    curvature_per_m: Range = (0.0, 0.0)
+    """Both principal curvatures of the surface, 1/m, drawn from LOW to HIGH for each contact; positive bulges out. Not a
+    label."""
+    skewed: bool = False
+    """Let them change along the surface, as beside a nose."""
+    renderer: str = "pyrender"
+    """pyrender, or raster: the same image without OpenGL."""
+    pose: RangeOptions = field(default_factory=RangeOptions)
+    """Labelled poses."""
+    shear: RangeOptions = field(default_factory=RangeOptions)
+    """Unlabelled perturbations."""
+
+    def run(self):
+        from sim.crew import worker_count
+        from sim.generation import make
+
+        results = make(self._jobs(), worker_count(self.workers))
+        failed = 0
+        for r in results:
+            failed += r["failed"]
+            made = f", {r['made']} of them now" if r["made"] else ", complete already"
+            print(f"{r['folder']}: {r['kept']} of {r['asked']} samples{made}; {r['failed']} failed")
+        made, seconds = sum(r["made"] for r in results), max(r["seconds"] for r in results)
+        if made:
+            print(f"{made} samples in {seconds:.1f} s: {made / seconds:.2f} samples/s")
+        if failed:
+            print(f"{failed} contacts failed each try and were left out: meta.json names them and says why")
+        return 0
+
+    def _jobs(self):
+        from sim.dataset import Configuration
+        from sim.fidelity import fidelity_named
+        from sim.generation import Job
+        from sim.sampling import POSE_RANGES, SHEAR_RANGES, SPLITS
+        from sim.stimulus import TASKS
+        from tactip_model.errors import choose
+        from tactip_model.presets import find_design
+
+        choose("task", self.task, dict.fromkeys([*TASKS, "all"]))
+        choose("split", self.split, dict.fromkeys([*SPLITS, "all"]))
+        tasks = TASKS if self.task == "all" else (self.task,)
+        splits = SPLITS if self.split == "all" else (self.split,)
+        several = "all" in (self.task, self.split)
+        jobs = []
+        for task in tasks:
+            for split in splits:
+                configuration = Configuration(
+                    task=task,
+                    split=split,
+                    samples=self.samples,
+                    seed=self.seed,
+                    renderer=self.renderer,
+                    design=find_design(self.design),
+                    fidelity=fidelity_named(self.fidelity),
+                    pose=with_options(POSE_RANGES[task], self.pose),
+                    shear=with_options(SHEAR_RANGES, self.shear),
+                    symmetric=self.symmetric,
+                    curvature_per_m=self.curvature_per_m,
+                    skewed=self.skewed,
+                )
+                jobs.append(Job(configuration, self.out / task / split if several else self.out))
+        return jobs
+
+
+@dataclass(frozen=True)
+class Verify:
+    """Check that a set is whole: images, rows, pins, checksums, one configuration."""
+
+    folder: tyro.conf.Positional[Path]
+    """Folder of the set."""
+
+    def run(self):
+        from sim.dataset import read_meta
+        from sim.verification import verify
+
+        problems = verify(self.folder)
+        for problem in problems:
+            print(f"{self.folder}: {problem}", file=sys.stderr)
+        if problems:
+            print(f"{self.folder}: {len(problems)} problem(s)", file=sys.stderr)
+            return 1
+        samples = read_meta(self.folder).get("samples", {})
+        print(f"{self.folder}: whole; {samples.get('kept', 'some')} samples, {samples.get('failed', 0)} failed contacts")
+        return 0
+
+
+@dataclass(frozen=True)
+class Show:
+    """Write a contact sheet of a set: images over their labels (x y depth, roll pitch yaw)."""
+
+    folder: tyro.conf.Positional[Path]
+    """Folder of the set."""
+    out: Path = Path("sheet.png")
+    """PNG to write."""
+    count: int = 24
+    """Samples, spread over the set."""
+    columns: int = 6
+    """Samples in a line."""
+
+    def run(self):
+        from sim.sheet import write_sheet
+
+        write_sheet(self.folder, self.out, self.count, self.columns)
+        print(f"{self.out} written")
+        return 0
+
+
+@dataclass(frozen=True)
+class Record:
+    """Play a sample's contact once more, the same, and keep every time step: for `tactip replay`."""
+
+    folder: tyro.conf.Positional[Path]
+    """Folder of the set."""
+    out: Path
+    """Folder of the recording."""
+    sample: int = 0
+    """Index of the sample."""
+    model: str = ""
+    """A shipped network or the folder of a training, that says what it feels; the shipped one of task and design, if there
+    is one and this is empty; `none` for none."""
+
+    def run(self):
+        from sim.contact_recording import record_contact
+        from sim.dataset import read_configuration, read_meta
+
+        configuration = read_configuration(read_meta(self.folder), self.folder)
+        read = reader_of(self.model, configuration.task, configuration.design)
+        record, _ = record_contact(self.folder, self.sample, self.out, read)
+        print(f"{record['object']}: {record['steps']} steps recorded; see them: tactip replay {self.out}")
+        return 0
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """Make, verify, show and record data sets."""
+
+    action: Annotated[
+        Annotated[Make, tyro.conf.subcommand("make")]
+        | Annotated[Verify, tyro.conf.subcommand("verify")]
+        | Annotated[Show, tyro.conf.subcommand("show")]
+        | Annotated[Record, tyro.conf.subcommand("record")],
+        tyro.conf.arg(name=""),
+    ]
+
+    def run(self):
+        return self.action.run()
