@@ -1,5 +1,6 @@
 """tactip replay and view: pages in a browser, films."""
 
+import contextlib
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +26,8 @@ class Replay:
     """Steps a picture."""
     rate: int = 25
     """Pictures a second."""
+    window: bool = False
+    """Show it in MuJoCo's own window in the place of a page in a browser: for where there is a display."""
     host: str = "127.0.0.1"
     """Address to serve the page at: this machine alone."""
     port: int = 8080
@@ -51,7 +54,16 @@ class Replay:
             drawn = pictures(scenery, record, arrays, self.every)
             write_video(path, tqdm(drawn, total=count, unit="picture", file=sys.stderr, disable=not count), self.rate)
             print(f"{path} written")
-        return 0 if asked else self._serve(record, arrays, scenery)
+        if asked:
+            return 0
+        return self._open(record, arrays, scenery) if self.window else self._serve(record, arrays, scenery)
+
+    def _open(self, record, arrays, scenery):
+        from sim.window import Window
+
+        with contextlib.suppress(KeyboardInterrupt):
+            Window(record, arrays, scenery).run()
+        return 0
 
     def _serve(self, record, arrays, scenery):
         from sim.viewer import Viewer

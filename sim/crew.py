@@ -177,7 +177,7 @@ def _for_children():
     """What processes started here inherit: one thread each for numerics and for software OpenGL, since workers fill the
     cores; and deafness to Ctrl-C from their first instant, while this process hears it a moment later.
     """
-    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "LP_NUM_THREADS")
+    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "LP_NUM_THREADS", "IGL_NUM_THREADS")
     before = {name: os.environ.get(name) for name in names}
     for name in names:
         os.environ.setdefault(name, "1")

@@ -31,6 +31,12 @@ _FITS = 0.02
 _PROBES = 64
 """Probes at hand: more than there are facets in a patch on an edge."""
 
+_ODD_M = 0.02e-3
+"""Difference of the distance in a facet's middle from what its corners foresee, m: above, it is looked at all over ..."""
+
+_CREASED = 0.35
+"""... and difference of the normals at two corners, -: 20 degrees, more than a radius of 8 mm gives."""
+
 _GRID = 4
 """Intervals of a facet's side in the search for its deepest place."""
 
@@ -155,28 +161,49 @@ class Follower:
     def _ridges(self, skin, at):
         """Places (m, 3) and normals (m, 3) of the surface where it is nearer to a facet than to its corners.
 
-        at: Nearest of the skin's vertices. Facets are looked at closely where the normals at their corners differ by so much
-        that the surface between them can be higher by what a probe is worth, or where it is higher in their middle.
+        at: Nearest of the skin's vertices. What the distance is over a facet is foreseen from its corners; where it is as
+        foreseen in the middle, the surface is smooth there, and only the place foreseen as the deepest is looked at. Where
+        it is not, or the normals at the corners are far apart, there may be an edge, and the facet is looked at all over.
         """
         triangles = self._mesh.triangles
         lowest = at.distance[triangles].min(1)
         facets = np.flatnonzero(lowest < self._reach + self._near)
-        normals = at.normal[triangles[facets]]
-        spread = np.linalg.norm(normals - np.roll(normals, 1, axis=1), axis=2).max(1)
         middle = self._shape.solid.distance(skin[triangles[facets]].mean(1))
-        bulges = spread * self._reach[facets] / 0.6 > 8 * _WORTH_M
-        facets = facets[bulges | (middle < lowest[facets] - _WORTH_M / 2)]
-        if not len(facets):
+        foreseen, normals = self._foreseen(skin, at, triangles[facets]), at.normal[triangles[facets]]
+        spread = np.linalg.norm(normals - np.roll(normals, 1, axis=1), axis=2).max(1)
+        odd = (np.abs(foreseen[:, -1] - middle) > _ODD_M) | (spread > _CREASED)
+        foreseen, low = foreseen[:, :-1], lowest[facets]
+        deepest, least = foreseen.argmin(1), foreseen.min(1)
+        smooth = np.flatnonzero(~odd & (least < low - _WORTH_M / 2) & (least < self._near + _ODD_M))
+        odd = np.flatnonzero(odd)
+        if not len(smooth) + len(odd):
             return np.zeros((0, 3)), np.zeros((0, 3))
-        points = np.einsum("gc,fck->fgk", self._inside, skin[triangles[facets]])
-        close = self._shape.solid.nearest(points.reshape(-1, 3))
-        depth = close.distance.reshape(len(facets), -1)
-        deepest = depth.argmin(1)
-        low = depth[np.arange(len(facets)), deepest]
-        worth = np.flatnonzero((low < self._near) & (low < lowest[facets] - _WORTH_M))
-        worth = worth[np.argsort(low[worth], kind="stable")[:_PROBES]]
-        chosen = worth * len(self._inside) + deepest[worth]
+        corners = skin[triangles[facets]]
+        points = [
+            np.einsum("fc,fck->fk", self._inside[deepest[smooth]], corners[smooth]),
+            np.einsum("gc,fck->fgk", self._inside, corners[odd]).reshape(-1, 3),
+        ]
+        close = self._shape.solid.nearest(np.concatenate(points))
+        # Of each facet that is looked at all over, its deepest place.
+        every = close.distance[len(smooth) :].reshape(len(odd), len(self._inside))
+        rows = len(smooth) + len(self._inside) * np.arange(len(odd)) + every.argmin(1)
+        rows = np.concatenate([np.arange(len(smooth)), rows])
+        depth, low = close.distance[rows], low[np.concatenate([smooth, odd])]
+        worth = np.flatnonzero((depth < self._near) & (depth < low - _WORTH_M))
+        chosen = rows[worth[np.argsort(depth[worth], kind="stable")[:_PROBES]]]
         return close.place[chosen], close.normal[chosen]
+
+    def _foreseen(self, skin, at, triangles):
+        """Distances (f, g + 1) m over facets (f, 3), at the places `_inside` and in the middle, from those at their corners
+        and their gradients there, the normals.
+
+        To second order: sum(l_i d_i) - sum(l_i l_j (n_j - n_i) (x_j - x_i)) / 2, the second over the sides, with shares l of
+        the corners x and gradients n there. It is exact where the distance is a quadratic form.
+        """
+        shares = np.concatenate([self._inside, np.full((1, 3), 1 / 3)])
+        x, n = skin[triangles], at.normal[triangles]
+        sides = np.einsum("fik,fik->fi", np.roll(n, -1, 1) - n, np.roll(x, -1, 1) - x)
+        return at.distance[triangles] @ shares.T - sides @ (shares * np.roll(shares, -1, 1)).T / 2
 
     def _radii(self, places, normals):
         """Radii (m,) of the largest probes that touch the surface at places (m, 3) from inside."""
