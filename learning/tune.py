@@ -121,8 +121,7 @@ def _tune(data, folder, settings, jobs, device, say):
                 for index in _ended(running):
                     process = running.pop(index)
                     process.join()
-                    why = f"its process ended with exit code {process.exitcode}: is memory short?"
-                    results.append(result_of(folder, index, why))
+                    results.append(result_of(folder, index, _why_none(folder, index, process.exitcode)))
                     write_results(folder, results, settings)
                     bar.update()
                     bar.set_postfix(best=_best_loss(results))
@@ -258,6 +257,22 @@ def _ended(running):
     """Wait until at least one trial has ended. running: dict of index to process. Returns indices (list), in order."""
     ready = connection.wait([p.sentinel for p in running.values()])
     return [index for index, p in sorted(running.items()) if p.sentinel in ready]
+
+
+def _why_none(folder, index, exit_code):
+    """Why (str) a trial whose process has ended left no result, if it left none: it was killed, as by a system that is short
+    of memory.
+
+    Raises TactipError where it ended by an error of the program, which is no trial's: all others would end so, too.
+    """
+    if (trial_folder(folder, index) / TRIAL).exists():
+        return ""
+    if exit_code >= 0:
+        raise TactipError(
+            f"the process of trial {index} ended with exit code {exit_code}, and what it said is above: the search goes on "
+            "from where it was when it is run again"
+        )
+    return f"its process was ended by {signal.Signals(-exit_code).name}: is memory short?"
 
 
 def result_of(folder, index, why):

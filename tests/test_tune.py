@@ -142,6 +142,34 @@ def test_a_trial_that_fails_is_a_result(data, tmp_path, monkeypatch):
     assert "memory is short" in result["why"]
 
 
+class _Ended:
+    """A process that has ended."""
+
+    def __init__(self, exit_code):
+        self.exitcode, self.sentinel = exit_code, None
+
+    def join(self):
+        """Nothing is left to wait for."""
+
+
+@pytest.mark.parametrize(("exit_code", "kept"), [(-signal.SIGKILL, True), (1, False), (0, False)])
+def test_a_trial_that_is_killed_is_a_result_and_one_that_cannot_begin_is_not(data, tmp_path, monkeypatch, exit_code, kept):
+    """A system that is short of memory kills one trial; a program that is broken would fail them all."""
+    monkeypatch.setattr("learning.tune._start", lambda *arguments: _Ended(exit_code))
+    monkeypatch.setattr("learning.tune._ended", sorted)
+    folder = tmp_path / "search"
+    if kept:
+        with pytest.raises(TactipError, match="no trial ended well"):
+            tune(data, folder, SETTINGS, say=lambda line: None)
+        results = read_results(folder)
+        assert len(results) == SETTINGS.trials
+        assert all(r["status"] == "failed" and "SIGKILL" in r["why"] for r in results)
+        return
+    with pytest.raises(TactipError, match=f"the process of trial 0 ended with exit code {exit_code}"):
+        tune(data, folder, SETTINGS, say=lambda line: None)
+    assert read_results(folder) == []
+
+
 def test_hopeless_trials_are_ended(data, tmp_path):
     settings = TuneSettings(
         trials=6, startup=6, prune=True, least_epochs=2, space=SPACE, training=TrainSettings(epochs=4, patience=4)
