@@ -2,7 +2,7 @@
 
 `tactip bench servo`: follows each object with the shipped networks, with each arm and at each fidelity, under other
 friction, stiffness, noise and step, and from random starts, and writes docs/servo.md, .json and .png. Stopped, it goes on
-where it was: each run is a folder of RUNS. Some hours: it has not been run whole yet.
+where it was: each run is a folder of RUNS. Some hours.
 """
 
 import dataclasses

@@ -128,5 +128,5 @@ class Options:
         return f"{_SHIPPED[self.task]}-{self.design}" if self.model in ("", "oracle") else self.model
 
 
-_SHIPPED = {"surface": "surface", "edge": "edge"}
+_SHIPPED = {"surface": "surface-bent", "edge": "edge"}
 """What the shipped networks' names begin with, by task."""

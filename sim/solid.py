@@ -13,6 +13,9 @@ import numpy as np
 _ON_M = 1e-9
 """Distance below which a point is on the surface, m: its direction is then the surface's."""
 
+_MET_M = 1e-6
+"""Distance at which a ray has met the surface, m; it is the least step along a ray, too."""
+
 _STRAIGHT = 1 - 1e-9
 """Cosine to a triangle's normal from which on a point counts as straight above or below it, -."""
 
@@ -94,11 +97,15 @@ class Solid:
     def first_hit(self, origin, direction):
         """Distance (m) along a ray from `origin` (3,) m in `direction` (3,), unit, to the surface; infinite without a
         hit."""
-        found = self._tree.intersect_ray_first(
-            self.vertices, self.triangles, np.asarray(origin, float)[None], np.asarray(direction, float)[None]
-        )
-        hit, far = np.atleast_1d(found[0])[0], np.atleast_1d(found[1])[0]
-        return float(far) if hit >= 0 else np.inf
+        origin, direction = np.asarray(origin, float), np.asarray(direction, float)
+        # By steps that are as long as there is room: libigl's own rays pass through three triangles in a hundred.
+        gone, farthest = 0.0, float(np.linalg.norm(self.vertices - origin, axis=1).max())
+        while gone <= farthest:
+            room = float(self.distance(origin + gone * direction))
+            if room < _MET_M:
+                return gone + room
+            gone += room
+        return np.inf
 
     def _shares(self, which, place):
         """Barycentric coordinates (n, 3) of places (n, 3) on triangles `which` (n,)."""

@@ -16,7 +16,7 @@ ENDINGS = (".mp4", ".gif")
 _GIF_WIDTH = 560
 """Width to which a GIF is made smaller, px."""
 
-_GIF_COLOURS = 64
+_GIF_COLOURS = 128
 
 
 def write_video(path, pictures, rate=25):

@@ -29,7 +29,7 @@ TINY = Recipe(PoseNetConfig(conv_layers=1, filters=2, units=4, batch_size=8), Tr
 
 
 def test_what_is_shipped():
-    assert shipped_models() == ["edge-tactip-127", "surface-tactip-127"]
+    assert shipped_models() == ["edge-tactip-127", "surface-bent-tactip-127", "surface-tactip-127"]
 
 
 @pytest.mark.parametrize("name", shipped_models())
@@ -96,4 +96,4 @@ def test_shipping(tmp_path, kind, name, changes):
 def test_a_name_that_is_not_shipped_is_refused(tmp_path, capsys):
     assert tactip.main(["evaluate", "--model", "surface-tactip-9", "--data", str(tmp_path)]) == 1
     told = capsys.readouterr().err
-    assert "no shipped model of that name: edge-tactip-127, surface-tactip-127" in told
+    assert "no shipped model of that name: edge-tactip-127, surface-bent-tactip-127, surface-tactip-127" in told

@@ -101,3 +101,15 @@ def test_a_rim_s_edge_is_that_of_a_block(name):
     points = thing.edge.points * 1e3
     assert thing.edge.closed
     assert np.allclose(points[::72], rim.edge(np.linspace(0, 2 * np.pi, 11)), atol=1e-4)
+
+
+def test_no_ray_passes_between_triangles():
+    """On the bust, three in a hundred did: what they met was its far side."""
+    solid = find_object("bust").solid
+    draw = np.random.default_rng(0)
+    faces = solid.triangles[draw.integers(0, len(solid.triangles), 400)]
+    # Straight at the middle of a side, and at a corner: where a ray that misses misses.
+    for target in (solid.vertices[faces[:, :2]].mean(1), solid.vertices[faces[:, 0]]):
+        normals = solid.smooth_normal(target)
+        far = [solid.first_hit(p + 1e-3 * n, -n) for p, n in zip(target, normals, strict=True)]
+        assert np.allclose(far, 1e-3, atol=5e-6)
