@@ -156,7 +156,7 @@ def _serve(pipe, begin, arguments):
     while True:
         try:
             task = pipe.recv()
-        except EOFError:
+        except (EOFError, ConnectionError):  # the latter where the last reply was not read any more
             return
         start, error = time.perf_counter(), None
         try:
@@ -168,7 +168,7 @@ def _serve(pipe, begin, arguments):
         try:
             peak_mib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
             pipe.send({"error": error, "seconds": time.perf_counter() - start, "peak_mib": peak_mib})
-        except BrokenPipeError:
+        except ConnectionError:
             return
 
 
