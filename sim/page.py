@@ -41,9 +41,13 @@ def serve(host, port):
     websockets.asyncio.server.serve = functools.partial(plain, origins=[pages, None], logger=_logger())
     try:
         with _unsaid():
-            return viser.ViserServer(host=host, port=port, verbose=False)
+            server = viser.ViserServer(host=host, port=port, verbose=False)
     finally:
         websockets.asyncio.server.serve = plain
+    # Shadows and a mirrored surrounding cost a browser without a GPU five sixths of its pictures.
+    server.scene.configure_default_lights(cast_shadow=False)
+    server.scene.configure_environment_map(None)
+    return server
 
 
 def stop(server):
