@@ -34,7 +34,7 @@ def is_half(precision, device):
 
 @contextlib.contextmanager
 def one_thread():
-    """One thread for torch: a single image is read sooner so, and where other work shares the cores by far (176 ms for 3
+    """One thread for torch: a single image is read sooner so, and where other work shares the cores by far (176 ms for 4
     with two threads on two busy cores)."""
     threads = torch.get_num_threads()
     torch.set_num_threads(1)

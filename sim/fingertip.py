@@ -4,8 +4,6 @@ The tip stays fixed in its world and the object moves, as in the data-set scene:
 cost several times as much a step. What carries it (sim/carrier.py) says where it is.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -14,33 +12,12 @@ from sim.contact import LEVER_M, Diverged, counted_warnings, shares
 from sim.pose import inverse
 from sim.scene import Scene
 from sim.shape import Shape
+from sim.touch import read_touch
 from tactip_model.errors import TactipError
 from tactip_model.pins import PinReader
 
 _CLEAR_M = 0.5e-3
 """Gap between tip and object that counts as clear, m."""
-
-
-@dataclass(frozen=True)
-class Touch:
-    """What there is to know of the tip at one moment, sensor frame. (p pins, s vertices of the skin)"""
-
-    tips: np.ndarray
-    """(p, 3) m."""
-    directions: np.ndarray
-    """(p, 3), unit."""
-    skin: np.ndarray
-    """(s, 3) m."""
-    force: np.ndarray
-    """(3,) N, of the object on the tip."""
-    penetration_m: float
-    """Greatest penetration, m."""
-    speed_m_s: float
-    """Speed of the fastest vertex, m/s."""
-    steps: int
-    """Time steps since the touch before."""
-    clearance_m: float = np.inf
-    """Distance from the sensor's housing, which is not soft, to the object, m; negative inside."""
 
 
 class Fingertip:
@@ -104,14 +81,11 @@ class Fingertip:
 
     def touch(self):
         """The Touch of this moment. Raises Diverged."""
-        scene = self.scene
-        skin = scene.vertices()[: scene.mesh.surface_count]
-        if not (np.isfinite(skin).all() and np.abs(skin).max() < 4 * self._radius):
+        touch = read_touch(self.scene, self._reader, self._since, self._clearance())
+        if not (np.isfinite(touch.skin).all() and np.abs(touch.skin).max() < 4 * self._radius):
             raise Diverged("the simulated tip is lost: its state is not that of a tip any more")
-        tips, directions = self._reader.read(skin)
-        steps, self._since = self._since, 0
-        force, speed = scene.contact_force(), scene.greatest_speed()
-        return Touch(tips, directions, skin, force, scene.penetration(), speed, steps, self._clearance())
+        self._since = 0
+        return touch
 
     def _clearance(self):
         """Distance (m) of the housing to the object, at rings of points on it."""

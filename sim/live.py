@@ -59,7 +59,7 @@ class Live:
         """Where the page is."""
         self._build_scene()
         self._build_panel()
-        self._show(self._press.held(), 0.0)
+        self._show(self._press.touch(), 0.0)
 
     def run(self, seconds=None):
         """Serve until Ctrl-C, or for some seconds."""
@@ -71,12 +71,12 @@ class Live:
                 continue
             self._moved, began = False, time.perf_counter()
             try:
-                held = self._press.advance(_STEPS)
+                touch = self._press.advance(_STEPS)
             except Diverged as error:
                 self._said, self._moved = f"{error}: it was lifted", True
                 self._press.lift()
-                held = self._press.held()
-            self._show(held, time.perf_counter() - began)
+                touch = self._press.touch()
+            self._show(touch, time.perf_counter() - began)
 
     def close(self):
         """Stop serving."""
@@ -98,23 +98,23 @@ class Live:
             self._press.lift()
             self._moved = True
 
-    def _show(self, held, seconds):
-        """Show a press.Held; the simulation of its steps took so many seconds."""
-        image = tactile_image(self._render(held.tips, held.directions), self._design.image)
+    def _show(self, touch, seconds):
+        """Show a touch.Touch; the simulation of its steps took so many seconds."""
+        image = tactile_image(self._render(touch.tips, touch.directions), self._design.image)
         felt = self._read(image) if self._read else {}
         with self._server.atomic():
-            place(self._stimulus, _T_WORLD_SENSOR @ inverse(sensor_in_contact(held.label)))
-            self._skin.vertices = held.skin.astype(np.float32)
-            self._pins.points = pin_lines(held.tips, held.directions)
+            place(self._stimulus, _T_WORLD_SENSOR @ inverse(sensor_in_contact(self._press.label)))
+            self._skin.vertices = touch.skin.astype(np.float32)
+            self._pins.points = pin_lines(touch.tips, touch.directions)
             self._image.image = grey(image)
-            self._told.content = self._words(held, felt, seconds)
+            self._told.content = self._words(touch, felt, seconds)
 
-    def _words(self, held, felt, seconds):
+    def _words(self, touch, felt, seconds):
         """What is told, Markdown."""
-        now = dict(zip(COMPONENTS, zip(_NAMES, to_mm_deg(held.label), strict=True), strict=True))
+        now = dict(zip(COMPONENTS, zip(_NAMES, to_mm_deg(self._press.label), strict=True), strict=True))
         lines = [
-            f"force {np.linalg.norm(held.force):.2f} N, of it along the axis {-held.force[2]:.2f} N; "
-            f"penetration {1e3 * held.penetration_m:.3f} mm",
+            f"force {np.linalg.norm(touch.force):.2f} N, of it along the axis {-touch.force[2]:.2f} N; "
+            f"penetration {1e3 * touch.penetration_m:.3f} mm",
             "at rest" if self._press.at_rest else f"{1e3 * seconds / _STEPS:.0f} ms a time step",
         ]
         if felt:
@@ -123,7 +123,7 @@ class Live:
         return "\n\n".join([*lines, f"**{self._said}**" if self._said else ""])
 
     def _build_scene(self):
-        scene, held = self._server.scene, self._press.held()
+        scene, touch = self._server.scene, self._press.touch()
         scene.set_up_direction("+z")
         scene.add_light_ambient("/lights/ambient", intensity=0.6)
         self._stimulus = scene.add_frame("/stimulus", show_axes=False)
@@ -134,9 +134,9 @@ class Live:
         for n, prop in enumerate(sensor_props(self._design.shape.radius_m)):
             mesh(scene, f"/tip/{n}", prop)
         triangles = self._press.scene.mesh.triangles.astype(np.uint32)
-        skin = held.skin.astype(np.float32)
+        skin = touch.skin.astype(np.float32)
         self._skin = scene.add_mesh_simple("/tip/skin", skin, triangles, color=rgb(SKIN), side="double")
-        pins = pin_lines(held.tips, held.directions)
+        pins = pin_lines(touch.tips, touch.directions)
         self._pins = scene.add_line_segments("/tip/pins", pins, (245, 245, 245), thickness=0.9e-3)
         # What is dragged is where the stimulus is to be, and it comes after.
         self._handle = scene.add_transform_controls("/wanted", scale=0.03, depth_test=False)

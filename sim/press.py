@@ -1,34 +1,13 @@
 """A tip that is pressed by hand: it goes on from where it is to whatever pose is asked for, and remembers its shear."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from sim.contact import DEEPEST_M, LEVER_M, ContactPlayer, check_motion, counted_warnings
 from sim.pose import path, turn_between
+from sim.touch import read_touch
 
 _ABOVE_M = 1e-3
 """Room between the tip and what it is about to be pressed on, m."""
-
-
-@dataclass(frozen=True)
-class Held:
-    """What there is to know of the tip at one moment, sensor frame. (p pins, s vertices of the skin)"""
-
-    label: np.ndarray
-    """(6,) where it is, m and rad (sim/pose.py)."""
-    tips: np.ndarray
-    """(p, 3) m."""
-    directions: np.ndarray
-    """(p, 3), unit."""
-    skin: np.ndarray
-    """(s, 3) m."""
-    force: np.ndarray
-    """(3,) N, of the object on the tip."""
-    penetration_m: float
-    """Greatest penetration, m."""
-    speed_m_s: float
-    """Speed of the fastest vertex, m/s."""
 
 
 class Press:
@@ -64,7 +43,7 @@ class Press:
         return self._rested >= self.scene.fidelity.motion.settle_limit
 
     def advance(self, steps):
-        """Go on by at most `steps` (int) time steps. Returns the Held of this moment.
+        """Go on by at most `steps` (int) time steps. Returns the touch.Touch of this moment.
 
         Raises contact.Diverged, after which `lift` is the way on.
         """
@@ -85,12 +64,13 @@ class Press:
                 self._rested = motion.settle_limit if still else self._rested + 1
                 if self.at_rest:
                     break
-        return self.held()
+        return self.touch()
 
-    def held(self):
-        """The Held of this moment."""
-        scene = self.scene
-        skin = scene.vertices()[: scene.mesh.surface_count]
-        tips, directions = self._player.reader.read(skin)
-        label, force = self._here.copy(), scene.contact_force()
-        return Held(label, tips, directions, skin, force, scene.penetration(), scene.greatest_speed())
+    @property
+    def label(self):
+        """Where the tip is (6,), m and rad (sim/pose.py)."""
+        return self._here.copy()
+
+    def touch(self):
+        """The touch.Touch of this moment."""
+        return read_touch(self.scene, self._player.reader)

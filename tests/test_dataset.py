@@ -2,14 +2,12 @@
 
 import csv
 import json
-import multiprocessing
 import os
 import shutil
 import signal
 import subprocess
 import sys
 import time
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import cv2
@@ -19,7 +17,6 @@ import pytest
 import tactip
 from sim import generation
 from sim.contact import TRIES, Bounds, CarefulPlayer
-from sim.crew import _serve
 from sim.dataset import Configuration, read_dataset
 from sim.fidelity import fidelity_named, finer
 from sim.generation import Job
@@ -590,16 +587,3 @@ def test_missing_options_are_refused_by_the_command_line():
 def test_unknown_configuration_in_python(design, tmp_path):
     with pytest.raises(TactipError, match="surface, edge"):
         generation.make([Job(configuration(design, task="corner"), tmp_path / "x")], 1)
-
-
-def test_a_worker_whose_last_reply_is_not_read_ends_quietly():
-    """As at Ctrl-C: the parent closes its end with the reply still in it, which a socket tells as a reset."""
-    ours, theirs = multiprocessing.Pipe()
-    done = []
-    with ThreadPoolExecutor(1) as pool:
-        life = pool.submit(_serve, theirs, lambda: done.append, ())
-        ours.send("a task")
-        wait_for(ours.poll)
-        ours.close()
-        assert life.result(timeout=20) is None
-    assert done == ["a task"]

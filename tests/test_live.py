@@ -35,14 +35,14 @@ def test_the_sliders_move_the_stimulus_and_the_tip_feels_it(live):
         slider.value = value
     live._slid()
     _until_rest(live)
-    held = live._press.held()
-    assert np.allclose(to_mm_deg(held.label), [2, -1, -3, 5, 0, 20])
-    assert np.allclose(live._skin.vertices, held.skin, atol=1e-7)
-    assert np.allclose(live._pins.points[:, 1], held.tips, atol=1e-7)
-    wanted = _T_WORLD_SENSOR @ inverse(sensor_in_contact(held.label))
+    touch = live._press.touch()
+    assert np.allclose(to_mm_deg(live._press.label), [2, -1, -3, 5, 0, 20])
+    assert np.allclose(live._skin.vertices, touch.skin, atol=1e-7)
+    assert np.allclose(live._pins.points[:, 1], touch.tips, atol=1e-7)
+    wanted = _T_WORLD_SENSOR @ inverse(sensor_in_contact(live._press.label))
     assert np.allclose(live._stimulus.position, wanted[:3, 3])
     assert np.allclose(live._handle.position, wanted[:3, 3])
-    assert f"force {np.linalg.norm(held.force):.2f} N" in live._told.content
+    assert f"force {np.linalg.norm(touch.force):.2f} N" in live._told.content
     assert "| depth, mm | -3.00 | -9.00 |" in live._told.content
     assert "at rest" in live._told.content
 
@@ -52,7 +52,7 @@ def test_dragging_moves_the_sliders_and_the_stimulus(live):
     live._dragged()
     assert np.allclose([s.value for s in live._sliders], [-1, 2, -2, 0, 5, -10], atol=1e-9)
     _until_rest(live)
-    assert np.allclose(to_mm_deg(live._press.held().label), [-1, 2, -2, 0, 5, -10])
+    assert np.allclose(to_mm_deg(live._press.label), [-1, 2, -2, 0, 5, -10])
 
 
 def test_dragged_too_far_it_goes_to_the_end_of_the_sliders(live):
@@ -65,13 +65,13 @@ def test_dragged_too_far_it_goes_to_the_end_of_the_sliders(live):
 def test_lifting_forgets_the_shear(live):
     live._back()
     _until_rest(live)
-    first = live._press.held()
+    first = live._press.touch()
     for x in (4.0, 0.0):
         live._want([x, 0, -2, 0, 0, 0])
         _until_rest(live)
     live._back()
     _until_rest(live)
-    assert np.array_equal(live._press.held().tips, first.tips)
+    assert np.array_equal(live._press.touch().tips, first.tips)
 
 
 def test_out_of_reach_is_said(live):
