@@ -99,7 +99,7 @@ def rows(task, paper):
         Row("laptop-varied", "`laptop` with five times the variation of optics", "symmetric", varied),
         Row("laptop-most", "`laptop`, on more contacts", "most", laptop),
     ]
-    bent = f"`laptop`, on surfaces bent by {BENT_PER_M[0]:g} to {BENT_PER_M[1]:g} /m, changing along them"
+    bent = f"`laptop`, on surfaces bent by {BENT_PER_M[0]:g} to {BENT_PER_M[1]:g} /m, in waves"
     return out + [Row("laptop-bent", bent, "bent", laptop)] * (task == "surface")
 
 
@@ -133,7 +133,7 @@ def jobs(options, kinds):
             shear=shear,
             symmetric=kind == "symmetric" or (kind, split) == ("bent", "train"),
             curvature_per_m=BENT_PER_M if kind == "bent" else (0.0, 0.0),
-            skewed=kind == "bent",
+            wavy=kind == "bent",
         )
         out.append(Job(configuration, options.data / kind / task / split))
     return out

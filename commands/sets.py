@@ -56,8 +56,8 @@ class Make:
     curvature_per_m: Range = (0.0, 0.0)
     """Both principal curvatures of the surface, 1/m, drawn from LOW to HIGH for each contact; positive bulges out. Not a
     label."""
-    skewed: bool = False
-    """Let them change along the surface, as beside a nose."""
+    wavy: bool = False
+    """Let them go up and down along the surface, within LOW and HIGH, as about a nose."""
     renderer: str = "pyrender"
     """pyrender, or raster: the same image without OpenGL."""
     pose: RangeOptions = field(default_factory=RangeOptions)
@@ -111,7 +111,7 @@ class Make:
                     shear=with_options(SHEAR_RANGES, self.shear),
                     symmetric=self.symmetric,
                     curvature_per_m=self.curvature_per_m,
-                    skewed=self.skewed,
+                    wavy=self.wavy,
                 )
                 jobs.append(Job(configuration, self.out / task / split if several else self.out))
         return jobs

@@ -1,4 +1,6 @@
-"""A surface that is bent: what the tip feels on curved things, to second order, and to third where its curvatures change."""
+"""A surface that is bent, evenly or in waves: what the tip feels on curved things."""
+
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,53 +22,64 @@ _THICK_M = 10e-3
 """What is below the lowest point, m."""
 
 
-SKEW_M = 10e-3
-"""How far from the origin the curvatures of a skewed surface are drawn, m: about as wide as what is touched."""
+WAVES_M = (20e-3, 60e-3)
+"""Lengths of the waves in which curvature goes up and down along a surface, m: from the tip's radius to three of it."""
 
-_DRAWS = 1000
-"""Draws after which a surface is left without a skew: one in four or so is good."""
+_THIRD = 1 / 6
+"""The third harmonic in a wave: it flattens the tops, as solids made of round parts go from one radius to the other. With
+a sixth the greatest value is that of the first alone at 60 degrees, sqrt(3)/2, where the third is zero."""
 
 
-def drawn_surface(draw, low_per_m, high_per_m, skewed):
+def drawn_surface(draw, low_per_m, high_per_m, wavy):
     """A bent_surface (Solid) whose principal curvatures are drawn from low to high, 1/m, and turned at random.
 
-    draw: numpy Generator. skewed: bool; with it the curvatures change evenly along the surface, by as much as leaves them
-    within the range as far as SKEW_M: how they do is drawn again until it does.
+    draw: numpy Generator. wavy: bool; with it the curvatures go up and down along their directions, within the range
+    everywhere, between ends that are drawn from twice the range and cut to it: things are often as round as they may be.
     """
-    if not skewed:
+    if not wavy:
         return bent_surface(*draw.uniform(low_per_m, high_per_m, 2), draw.uniform(0, np.pi))
-    (first, second), turn = draw.uniform(low_per_m, high_per_m, 2), draw.uniform(0, np.pi)
-    around = 2 * np.pi * np.arange(16) / 16
-    u, v = SKEW_M * np.concatenate([[np.cos(around), np.sin(around)], 0.5 * np.array([np.cos(around), np.sin(around)])], 1)
-    room = np.array([min(k - low_per_m, high_per_m - k) for k in (first, second)]) / SKEW_M
-    for _ in range(_DRAWS):
-        skew = draw.uniform(-1, 1, 4) * room[[0, 0, 1, 1]]
-        mean, half, twist = _second_order(first, second, skew, u, v)
-        off = np.hypot(half, twist)
-        if np.all(mean - off >= low_per_m) and np.all(mean + off <= high_per_m):
-            return bent_surface(first, second, turn, tuple(skew))
-    return bent_surface(first, second, turn)
+    spare = (high_per_m - low_per_m) / 2
+    ends = np.clip(draw.uniform(low_per_m - spare, high_per_m + spare, (2, 2)), low_per_m, high_per_m)
+    lengths = np.exp(draw.uniform(*np.log(WAVES_M), 2))
+    phases = draw.uniform(0, 2 * np.pi, 2)
+    waves = [Wave((b - a) / 2, length, phase) for (a, b), length, phase in zip(ends, lengths, phases, strict=True)]
+    return bent_surface(*ends.mean(1), draw.uniform(0, np.pi), waves)
 
 
-def _second_order(first, second, skew, u, v):
-    """Half the sum and half the difference of the second derivatives along u and v, and the mixed one, of -z: (n,) each."""
-    a, b, c, d = skew
-    along, across = first + a * u + b * v, second + c * u + d * v
-    return (along + across) / 2, (along - across) / 2, b * u + c * v
+@dataclass(frozen=True)
+class Wave:
+    """How a curvature goes up and down about its mean along its direction: by height (sin t + sin 3t / 6) 2 / sqrt(3)."""
+
+    height_per_m: float
+    """By how much at most, 1/m; negative turns it over."""
+
+    length_m: float
+    """From one top to the next, m."""
+
+    phase_rad: float
+    """Of t at the origin, rad: t = 2 pi s / length + phase."""
+
+    def top(self, s):
+        """What it adds to z at s, m: (n,), m. Its second derivative is minus the curvature; at 0 it is 0, and level."""
+        out = np.zeros_like(s)
+        for order, part in ((1, 1.0), (3, _THIRD)):
+            per_m, phase = order * 2 * np.pi / self.length_m, order * self.phase_rad
+            out += part / per_m**2 * (np.sin(per_m * s + phase) - np.sin(phase) - per_m * s * np.cos(phase))
+        return self.height_per_m * out * 2 / np.sqrt(3)
 
 
-def bent_surface(first_per_m, second_per_m, turn_rad, skew_per_m2=(0.0, 0.0, 0.0, 0.0)):
-    """A Solid whose top is z = -(k1 u^2 + k2 v^2) / 2 - (a u^3 + 3 b u^2 v + 3 c u v^2 + d v^3) / 6, level at the origin.
+def bent_surface(first_per_m, second_per_m, turn_rad, waves=()):
+    """A Solid whose top is z = -(k1 u^2 + k2 v^2) / 2 and what the waves add, level at the origin.
 
-    first_per_m, second_per_m: float, its principal curvatures k1 and k2 at the origin, 1/m, positive where it bulges out.
-    turn_rad: float, from x to u. skew_per_m2: (4,), how the curvatures change: a to d, 1/m^2.
+    first_per_m, second_per_m: float, its principal curvatures k1 and k2, 1/m, positive where it bulges out. turn_rad: float,
+    from x to u. waves: up to two Waves, along u and along v.
     """
     count = round(2 * HALF_WIDTH_M / _SPACING_M) + 1
     line = np.linspace(-HALF_WIDTH_M, HALF_WIDTH_M, count)
     u, v = (a.ravel() for a in np.meshgrid(line, line, indexing="ij"))
-    a, b, c, d = skew_per_m2
     top = -(first_per_m * u**2 + second_per_m * v**2) / 2
-    top -= (a * u**3 + 3 * b * u**2 * v + 3 * c * u * v**2 + d * v**3) / 6
+    for wave, s in zip(waves, (u, v), strict=False):
+        top += wave.top(s)
     cos, sin = np.cos(turn_rad), np.sin(turn_rad)
     across = np.stack([cos * u - sin * v, sin * u + cos * v], -1)
     low = np.full(len(u), top.min() - _THICK_M)

@@ -81,8 +81,8 @@ class Configuration:
     curvature_per_m: tuple[float, float] = (0.0, 0.0)
     """Range of both principal curvatures of the surface that is touched, 1/m, positive where it bulges out; flat if both are
     0. Not a label."""
-    skewed: bool = False
-    """Whether these curvatures change along the surface (sim/bent.py). Not a label."""
+    wavy: bool = False
+    """Whether these curvatures go up and down along the surface (sim/bent.py). Not a label."""
 
     @property
     def bent(self):
@@ -100,8 +100,8 @@ class Configuration:
         fields = dataclasses.asdict(self)
         if not self.bent:
             del fields["curvature_per_m"]
-        if not self.skewed:
-            del fields["skewed"]
+        if not self.wavy:
+            del fields["wavy"]
         return json.loads(json.dumps(fields))
 
     def digest(self):

@@ -78,8 +78,8 @@ def _check_curvature(configuration):
     low, high = configuration.curvature_per_m
     if configuration.bent and configuration.task != "surface":
         raise TactipError(f"a curvature is asked for with the task {configuration.task!r}: only a surface can be bent")
-    if configuration.skewed and not configuration.bent:
-        raise TactipError("a skewed surface is asked for without a range of curvature: give --curvature-per-m, too")
+    if configuration.wavy and not configuration.bent:
+        raise TactipError("a wavy surface is asked for without a range of curvature: give --curvature-per-m, too")
     if not -MOST_HOLLOW_PER_M <= low <= high <= MOST_BENT_PER_M:
         raise TactipError(
             f"the range of curvature is ({low}, {high}) 1/m: it must be rising, and from -{MOST_HOLLOW_PER_M:g} "
@@ -183,7 +183,7 @@ def drawn(configuration, number):
     pose, shear = c.pose.draw(draw), c.shear.draw(draw)
     if not c.bent:
         return pose, shear, None
-    return pose, shear, drawn_surface(draw, *c.curvature_per_m, c.skewed)
+    return pose, shear, drawn_surface(draw, *c.curvature_per_m, c.wavy)
 
 
 def stimulus_of(configuration):

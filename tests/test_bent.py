@@ -5,10 +5,11 @@ import json
 import numpy as np
 import pytest
 import trimesh
+from scipy.integrate import cumulative_simpson
 
 import tactip
 from sim import bent
-from sim.bent import MOST_BENT_PER_M, bent_surface
+from sim.bent import MOST_BENT_PER_M, Wave, bent_surface
 from sim.contact import Bounds, ContactPlayer
 from sim.dataset import Configuration, read_dataset
 from sim.fidelity import fidelity_named
@@ -93,55 +94,58 @@ def test_wrong_curvatures_are_one_sentence(tmp_path, capsys, options, words):
     assert words in capsys.readouterr().err
 
 
-def test_a_skewed_surface_is_the_cubic():
-    first, second, turn, skew = 30.0, -10.0, 0.7, (3000.0, -1000.0, 500.0, -2000.0)
-    solid = bent_surface(first, second, turn, skew)
-    a, b, c, d = skew
+WAVES = (Wave(40.0, 25e-3, 1.2), Wave(-30.0, 20e-3, 4.0))
+
+
+def test_a_wavy_surface_has_the_curvature_of_its_waves():
+    """By integrating twice, from the origin, what the docstring says that it is."""
+    fine = np.linspace(0, 8e-3, 4001)
+    for wave in WAVES:
+        for sign in (-1, 1):
+            t = 2 * np.pi * sign * fine / wave.length_m + wave.phase_rad
+            curvature = wave.height_per_m * (np.sin(t) + np.sin(3 * t) / 6) * 2 / np.sqrt(3)
+            slope = cumulative_simpson(-curvature, x=fine, initial=0)
+            assert np.allclose(wave.top(sign * fine), cumulative_simpson(slope, x=fine, initial=0), atol=1e-9)
+            assert np.abs(curvature).max() <= abs(wave.height_per_m)
+    first, second, turn = 30.0, -10.0, 0.7
+    solid = bent_surface(first, second, turn, WAVES)
+    mesh = trimesh.Trimesh(solid.vertices, solid.triangles)
+    assert mesh.is_watertight and mesh.volume > 0
     u, v = np.random.default_rng(0).uniform(-0.008, 0.008, (2, 200))
     cos, sin = np.cos(turn), np.sin(turn)
-    height = -(first * u**2 + second * v**2) / 2 - (a * u**3 + 3 * b * u**2 * v + 3 * c * u * v**2 + d * v**3) / 6
+    height = -(first * u**2 + second * v**2) / 2 + WAVES[0].top(u) + WAVES[1].top(v)
     assert np.abs(solid.distance(np.stack([cos * u - sin * v, sin * u + cos * v, height], -1))).max() < 40e-6
-    # At the origin it is level, whatever its skew: the label's frame is there.
+    # At the origin it is level, whatever its waves: the label's frame is there.
     assert np.allclose(solid.smooth_normal(np.zeros((1, 3))), [0, 0, 1], atol=5e-3)
 
 
 def test_curvatures_of_a_drawn_surface_stay_in_their_range(monkeypatch):
-    """By differences of the heights, within the disc that is touched; and they do change there."""
+    """By differences of the heights; and they go through much of it within the piece."""
     low, high, step = -28.0, 80.0, 1e-4
     drawn = []
     monkeypatch.setattr(bent, "bent_surface", lambda *given: drawn.append(given))
     for seed in range(40):
         bent.drawn_surface(np.random.default_rng(seed), low, high, True)
-    changes = []
-    for first, second, _, (a, b, c, d) in drawn:
-
-        def height(u, v, k=(first, second, a, b, c, d)):
-            return (
-                -(k[0] * u**2 + k[1] * v**2) / 2
-                - (k[2] * u**3 + 3 * k[3] * u**2 * v + 3 * k[4] * u * v**2 + k[5] * v**3) / 6
-            )
-
-        u, v = np.random.default_rng(1).uniform(-bent.SKEW_M, bent.SKEW_M, (2, 400))
-        inside = np.hypot(u, v) < bent.SKEW_M
-        u, v = u[inside], v[inside]
-        uu = (height(u + step, v) - 2 * height(u, v) + height(u - step, v)) / step**2
-        vv = (height(u, v + step) - 2 * height(u, v) + height(u, v - step)) / step**2
-        both = height(u + step, v + step) - height(u + step, v - step) - height(u - step, v + step)
-        uv = (both + height(u - step, v - step)) / (4 * step**2)
-        principal = -np.linalg.eigvalsh(np.stack([np.stack([uu, uv], -1), np.stack([uv, vv], -1)], -2))
-        assert principal.min() > low - 1 and principal.max() < high + 1
-        changes.append(np.ptp(principal))
-    assert np.median(changes) > 10
+    s = np.arange(-bent.HALF_WIDTH_M, bent.HALF_WIDTH_M, step)
+    through = []
+    for *means, _, waves in drawn:
+        for mean, wave in zip(means, waves, strict=True):
+            assert bent.WAVES_M[0] <= wave.length_m <= bent.WAVES_M[1]
+            curvature = -np.diff(-mean * s**2 / 2 + wave.top(s), 2) / step**2
+            assert curvature.min() > low - 0.1 and curvature.max() < high + 0.1
+            through.append(np.ptp(curvature) / (high - low))
+    assert 0.3 < np.median(through) < 0.7
+    assert max(through) > 0.99
 
 
-def test_a_set_without_skew_keeps_the_digest_that_it_had():
+def test_an_even_set_keeps_the_digest_that_it_had():
     given = {"task": "surface", "split": "test", "samples": 1, "seed": 0, "renderer": "raster"}
     given |= {"design": find_design("nominal-127"), "fidelity": fidelity_named("draft"), "pose": Ranges(), "shear": Ranges()}
     even = Configuration(**given, curvature_per_m=(-10.0, 30.0))
-    assert "skewed" not in even.as_json()
-    assert Configuration(**given, curvature_per_m=(-10.0, 30.0), skewed=True).digest() != even.digest()
+    assert "wavy" not in even.as_json()
+    assert Configuration(**given, curvature_per_m=(-10.0, 30.0), wavy=True).digest() != even.digest()
 
 
-def test_a_skew_without_a_curvature_is_refused(tmp_path, capsys):
-    assert tactip.main(["dataset", "make", "--skewed", "--out", str(tmp_path / "set"), "--samples", "1"]) == 1
+def test_waves_without_a_curvature_are_refused(tmp_path, capsys):
+    assert tactip.main(["dataset", "make", "--wavy", "--out", str(tmp_path / "set"), "--samples", "1"]) == 1
     assert "give --curvature-per-m, too" in capsys.readouterr().err

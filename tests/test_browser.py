@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from test_stage import _scenery
 from test_viewer import RECORD, STEPS, _arrays
 
@@ -119,3 +120,33 @@ def test_a_number_that_is_typed_moves_the_stimulus(live):
     live.until(lambda: abs(live.page._press.label[0] - 3e-3) < 1e-9)
     live.text("at rest")
     assert np.hypot(*live.page._press.touch().force[:2]) > 0.05
+
+
+def _on_screen(point, camera, browser):
+    """Where a point of the world, m, is on the page, px: a pinhole in the middle of the canvas, fov from top to bottom."""
+    forward = np.subtract(camera.look_at, camera.position)
+    forward /= np.linalg.norm(forward)
+    right = np.cross(forward, camera.up_direction)
+    right /= np.linalg.norm(right)
+    seen = np.array([right, np.cross(right, forward), forward]) @ np.subtract(point, camera.position)
+    box = "document.querySelector('canvas').getBoundingClientRect()"
+    x, y, w, h = browser.ask(f"(() => {{ const q = {box}; return [q.x, q.y, q.width, q.height]; }})()")
+    scale = h / 2 / np.tan(camera.fov / 2) / seen[2]
+    return x + w / 2 + scale * seen[0], y + h / 2 - scale * seen[1]
+
+
+def test_the_handle_is_dragged_and_the_stimulus_follows(live):
+    """Along the arrow of the handle's own x: the stimulus goes where the mouse goes, as far as it goes."""
+    live.browser.click("back to the start")
+    live.until(lambda: abs(live.page._press.label[0]) < 1e-9)
+    live.text("at rest")
+    camera = next(iter(live.page._server.get_clients().values())).camera
+    handle = live.page._handle
+    origin, along = np.array(handle.position), Rotation.from_quat(handle.wxyz, scalar_first=True).as_matrix()[:, 0]
+    start, end = (_on_screen(origin + d * along, camera, live.browser) for d in (0.022, 0.026))
+    live.browser.drag(start, end, pieces=12)
+    live.until(lambda: np.allclose(handle.position, origin + 0.004 * along, atol=1e-3))
+    live.until(lambda: abs(abs(live.page._press.label[0]) - 4e-3) < 1e-3)
+    assert np.allclose(live.page._press.label[3:], 0, atol=1e-3)
+    assert abs(live.page._sliders[0].value - 1e3 * live.page._press.label[0]) < 1e-6
+    live.text("at rest")
