@@ -7,6 +7,7 @@ import tyro
 from commands.bench import Bench
 from commands.learn import Evaluate, Train, Tune
 from commands.look import Replay, View
+from commands.real import Import
 from commands.sensor import Calibrate
 from commands.servo import Servo
 from commands.sets import Dataset
@@ -20,6 +21,7 @@ def main(arguments=None):
         command = tyro.extras.subcommand_cli_from_dict(
             {
                 "dataset": Dataset,
+                "import": Import,
                 "calibrate": Calibrate,
                 "train": Train,
                 "tune": Tune,

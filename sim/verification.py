@@ -32,7 +32,7 @@ def verify(folder):
     except TactipError as error:
         return [*problems, str(error)]
     problems += _files(folder, meta) + _images(folder, meta, rows) + _rows(rows, meta)
-    if configuration is not None:
+    if _simulated(configuration):
         problems += _pins(folder, meta, rows)
     return problems
 
@@ -100,9 +100,14 @@ def _rows(rows, meta):
                     f"{where}: {column} is {row[column]}, outside the set's range {ranges[column]}: "
                     "a row of another configuration"
                 )
-        if configuration is not None and not _belongs(row, configuration):
+        if _simulated(configuration) and not _belongs(row, configuration):
             problems.append(f"{where}: its seed {row.get('seed')!r} or its image is not of this set: a mixed configuration")
     return problems
+
+
+def _simulated(configuration):
+    """Whether a set with a configuration (dict or None) was simulated, and not imported."""
+    return configuration is not None and "fidelity" in configuration
 
 
 def _belongs(row, configuration):

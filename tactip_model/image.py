@@ -6,12 +6,11 @@ import numpy as np
 from tactip_model.errors import TactipError
 
 
-def tactile_image(frame, settings):
-    """Threshold, crop and subsample a frame.
+def binary_frame(frame, threshold):
+    """A camera's frame with the pins white (h, w) uint8.
 
-    frame: (h, w) uint8 grey, or (h, w, 3) uint8 BGR. settings: design.TactileImage.
-    Returns (size_px, size_px) uint8, values 0 and 255 only, pins white.
-    Raises TactipError on a frame of another type or shape, and on a crop or threshold that does not fit it.
+    frame: (h, w) uint8 grey, or (h, w, 3) uint8 BGR. threshold: block and constant as in design.TactileImage, or None: the
+    frame is only made grey. Raises TactipError on a frame of another type or shape, and a block that does not do.
     """
     frame = np.asarray(frame)
     if frame.dtype != np.uint8 or frame.ndim not in (2, 3) or (frame.ndim == 3 and frame.shape[2] != 3):
@@ -21,11 +20,22 @@ def tactile_image(frame, settings):
         )
     if frame.ndim == 3:
         frame = cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY)
-    if settings.threshold is not None:
-        block, constant = settings.threshold
+    if threshold is not None:
+        block, constant = threshold
         if block % 2 == 0 or block < 3:
             raise TactipError(f"a threshold block of {block} px does not do: it must be odd and at least 3")
         frame = cv2.adaptiveThreshold(frame, 255, cv2.ADAPTIVE_THRESH_MEAN_C, cv2.THRESH_BINARY, block, constant)
+    return frame
+
+
+def tactile_image(frame, settings):
+    """Threshold, crop and subsample a frame.
+
+    frame: (h, w) uint8 grey, or (h, w, 3) uint8 BGR. settings: design.TactileImage.
+    Returns (size_px, size_px) uint8, values 0 and 255 only, pins white.
+    Raises TactipError on a frame of another type or shape, and on a crop or threshold that does not fit it.
+    """
+    frame = binary_frame(frame, settings.threshold)
     if settings.crop is not None:
         left, top, right, bottom = settings.crop
         height, width = frame.shape

@@ -1,0 +1,180 @@
+"""How a laboratory wrote its set down: what its columns mean, and how its camera sits. Told once, by options or a file.
+
+Each component of ours is a column of theirs, times a factor, plus an offset:
+
+    pose_z=-pose_2-5      depth was measured before a tap of 5 mm, and grew into the object
+    shear_x=move_1        the motion in contact that led to the pose
+    pose_Ry=0.5           a number where there is no column
+
+A component that is not told is the column of its own name, or 0 where there is none.
+"""
+
+import json
+import re
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from sim.dataset import LABELS, SHEARS
+from sim.pose import from_mm_deg, label_of, matrix, sensor_in_contact, shear_between, to_mm_deg
+from sim.stimulus import TASKS
+from tactip_model.bounds import check, require, within
+from tactip_model.errors import TactipError, choose
+
+_NUMBER = r"\d+\.?\d*(?:[eE][+-]?\d+)?"
+_TERM = re.compile(rf"(?P<sign>[+-]?)(?:(?P<factor>{_NUMBER})\*)?(?P<column>[A-Za-z_]\w*)(?P<offset>[+-]{_NUMBER})?")
+
+IMAGE_COLUMNS = ("sensor_image", "image_name", "image", "filename")
+"""Names under which tables have their frames."""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """A laboratory's conventions. Defaults are the project's own."""
+
+    task: str = "surface"
+    """surface or edge."""
+    columns: tuple[str, ...] = ()
+    """OURS=THEIRS, for pose_x to pose_Rz and shear_x to shear_Rz, mm and degrees: pose_z=-pose_2-5."""
+    image_column: str = ""
+    """Column that names the frames; sensor_image, image_name, image or filename if not given."""
+    angles: str = "vector"
+    """What their three angles are: `vector` (axis times angle), or Euler angles in the order of letters: xyz about fixed
+    axes, XYZ about turned ones."""
+    camera_turn_deg: float = within(-360, 360, default=0.0)
+    """Turn of their axes against the image's, about the axis of the tip, degrees: the labels are turned by it."""
+    tcp_behind_apex_mm: float = within(-100, 100, default=0.0)
+    """Distance of the point that their poses are of behind the apex, mm: the radius for a point in the dome's
+    middle."""
+    image_turn_deg: float = within(-360, 360, default=0.0)
+    """Turn of the frames before they are used, degrees, counter-clockwise: for an edge, whose yaw the camera's turn would
+    shift."""
+    mirrored: bool = False
+    """Whether the frames are mirror images, left for right; undone before they are turned."""
+    dark: bool = False
+    """Whether the pins are dark on light."""
+    crop: tuple[int, int, int, int] | None = within(0, 65536, default=None)
+    """Left, top, right, bottom of the part of the frame that is used, px; all if not given."""
+    threshold: tuple[int, float] | None = within((3, -255), (65535, 255), default=None)
+    """Block and constant of the adaptive threshold of grey frames; none for frames that are binary."""
+    size_px: int = within(8, 4096, default=128)
+    """Width of the images that are made, px."""
+    mask: str = "pins"
+    """pins: what is outside of the pins is made black (light at the rim); none: it stays."""
+
+    def __post_init__(self):
+        check(self)
+        choose("task", self.task, dict.fromkeys(TASKS))
+        choose("mask", self.mask, dict.fromkeys(("pins", "none")))
+        good = self.angles == "vector" or sorted(self.angles.lower()) == ["x", "y", "z"]
+        good = good and self.angles in ("vector", self.angles.lower(), self.angles.upper())
+        require(good, "Layout.angles", repr(self.angles), "vector, or three letters as xyz or ZYX")
+        for told in self.columns:
+            _parsed(told)
+
+
+def read_layout(path, base=None):
+    """The Layout in a JSON file: an object of the fields that are not as in base (Layout). Raises TactipError."""
+    path = Path(path)
+    try:
+        content = json.loads(path.read_text())
+    except FileNotFoundError:
+        raise TactipError(f"the layout file {path} does not exist") from None
+    except ValueError as error:
+        raise TactipError(f"the layout file {path} is not JSON: {error}") from error
+    known = {f.name for f in fields(Layout)}
+    if not isinstance(content, dict) or set(content) - known:
+        strange = sorted(set(content) - known) if isinstance(content, dict) else [type(content).__name__]
+        raise TactipError(f"the layout file {path} has {', '.join(strange)}: its fields are {', '.join(sorted(known))}")
+    values = {name: tuple(value) if isinstance(value, list) else value for name, value in content.items()}
+    try:
+        return replace(base or Layout(), **values)
+    except TypeError as error:
+        raise TactipError(f"the layout file {path} has a value of the wrong kind: {error}") from error
+
+
+def image_column(layout, columns):
+    """The column (str) that names the frames, of a table's columns (list of str). Raises TactipError."""
+    names = (layout.image_column,) if layout.image_column else IMAGE_COLUMNS
+    for name in names:
+        if name in columns:
+            return name
+    raise TactipError(f"the table has no column {' or '.join(names)} for the frames: its columns are {', '.join(columns)}")
+
+
+def labels(layout, table):
+    """Poses and shears (n, 6) each, mm and degrees, in the conventions of sim/pose.py; NaN where a cell is no number.
+
+    table: dict of column to its cells (n,), str. Raises TactipError on a column that is not there, and where none is told or
+    found.
+    """
+    told = dict(_parsed(each) for each in layout.columns)
+    found = [name for name in (*LABELS, *SHEARS) if name in table]
+    if not told and not found:
+        raise TactipError(
+            "the table has none of our columns (pose_x … shear_Rz): say by --columns which is what, as pose_z=-pose_2-5; "
+            f"its columns are {', '.join(table)}"
+        )
+    count = len(next(iter(table.values())))
+    values = {name: _column(table, *told.get(name, (1.0, name if name in found else None, 0.0)), count) for name in LABELS}
+    values |= {name: _column(table, *told.get(name, (1.0, name if name in found else None, 0.0)), count) for name in SHEARS}
+    ends = from_mm_deg(np.stack([values[name] for name in LABELS], -1))
+    moves = from_mm_deg(np.stack([values[name] for name in SHEARS], -1))
+    out = [_ours(layout, end, end - move) for end, move in zip(ends, moves, strict=True)]
+    return tuple(to_mm_deg(np.array(each)) for each in zip(*out, strict=True))
+
+
+def _ours(layout, end, start):
+    """Pose and shear (6,) m and rad of a motion from `start` to `end` (6,), in their conventions."""
+    if not (np.isfinite(end).all() and np.isfinite(start).all()):
+        return np.full(6, np.nan), np.full(6, np.nan)
+    last, first = (_placed(layout, command) for command in (end, start))
+    shear = shear_between(first, last)
+    # Where on it a surface is touched makes no difference, nor where along an edge.
+    last[[0, 1] if layout.task == "surface" else [1]] = 0.0
+    return last, shear
+
+
+def _placed(layout, command):
+    """Label (6,) of a pose in their conventions (6,), m and rad."""
+    turn = (
+        Rotation.from_rotvec(command[3:]) if layout.angles == "vector" else Rotation.from_euler(layout.angles, command[3:])
+    )
+    lever = np.array([0.0, 0.0, 1e-3 * layout.tcp_behind_apex_mm])
+    camera = matrix(np.zeros(3), Rotation.from_euler("z", layout.camera_turn_deg, degrees=True))
+    tool = matrix(command[:3] + lever - turn.apply(lever), turn) @ camera.T
+    # A surface looks the same from all sides: its own axes are turned with the camera's.
+    return label_of((camera if layout.task == "surface" else np.eye(4)) @ tool @ sensor_in_contact(np.zeros(6)))
+
+
+def _column(table, factor, column, offset, count):
+    """Numbers (count,) of a column: NaN where a cell is none."""
+    if column is None:
+        return np.full(count, offset)
+    if column not in table:
+        raise TactipError(f"the table has no column {column!r}: its columns are {', '.join(table)}")
+    return factor * np.array([_number(cell) for cell in table[column]]) + offset
+
+
+def _number(cell):
+    try:
+        return float(cell)
+    except (TypeError, ValueError):
+        return float("nan")
+
+
+def _parsed(told):
+    """Our component and (factor, column or None, offset) of an OURS=THEIRS (str). Raises TactipError."""
+    ours, equals, theirs = (part.strip() for part in str(told).partition("="))
+    theirs = theirs.replace(" ", "")
+    if ours not in (*LABELS, *SHEARS):
+        raise TactipError(f"{told!r} does not begin with a component: {', '.join((*LABELS, *SHEARS))}")
+    match = _TERM.fullmatch(theirs)
+    if match:
+        factor = float(match["factor"] or 1) * (-1 if match["sign"] == "-" else 1)
+        return ours, (factor, match["column"], float(match["offset"] or 0))
+    if equals and re.fullmatch(rf"[+-]?{_NUMBER}", theirs):
+        return ours, (0.0, None, float(theirs))
+    raise TactipError(f"{told!r} is not understood: it must be as pose_z=-pose_2-5, pose_Ry=0.5*angle or shear_x=0")

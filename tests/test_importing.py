@@ -1,0 +1,222 @@
+"""Sets of real sensors come in: frames as a rig might have written them, drawn here, and all that may be wrong with them."""
+
+import csv
+import json
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+import tactip
+from learning.samples import read_samples
+from sim.dataset import read_dataset
+from sim.importing import FrameReader
+from sim.layout import Layout
+from tactip_model.blobs import find_blobs
+from tactip_model.errors import TactipError
+from tactip_model.image import tactile_image
+from tactip_model.mask import pin_area
+from tactip_model.pins import neutral_pins
+from tactip_model.presets import design_named
+from tactip_model.raster import Raster
+
+SIZE = 256
+DESIGN = design_named("nominal-127")
+COLUMNS = ["pose_z=-pose_2-5", "pose_Ry=pose_6", "shear_x=move_1"]
+
+
+def frame(zoom=1.0, design=DESIGN):
+    """A binary frame of the tip, its pins spread by a zoom."""
+    tips, directions = neutral_pins(design)
+    settings = replace(design.image, size_px=SIZE)
+    return tactile_image(Raster(design).render(tips * [zoom, zoom, 1.0], directions), settings)
+
+
+def with_rim(image):
+    """The frame with light at the rim: a long patch, and a speck broken off it."""
+    lit = image.copy()
+    cv2.ellipse(lit, (SIZE // 2, SIZE // 2), (126, 126), 0, 20, 70, 255, 5)
+    cv2.circle(lit, (SIZE // 2 - 124, SIZE // 2 - 10), 3, 255, -1)
+    return lit
+
+
+def write_set(folder, count=12, name="frame_{}.png", **extra):
+    (folder / "images").mkdir(parents=True)
+    cv2.imwrite(str(folder / "init_0.png"), with_rim(frame()))
+    draw = np.random.default_rng(0)
+    rows = []
+    for k in range(count):
+        depth = draw.uniform(-4, 0)
+        cv2.imwrite(str(folder / "images" / name.format(k)), with_rim(frame(1 + 0.02 * (5 + depth))))
+        row = {"image_name": name.format(k), "pose_1": 0, "pose_2": depth, "pose_6": draw.uniform(-20, 20)}
+        rows.append(row | {"move_1": draw.uniform(-5, 5)} | extra)
+    write_table(folder, rows)
+    return rows
+
+
+def write_table(folder, rows):
+    with (folder / "targets.csv").open("w", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def bring(folder, out, *options):
+    return tactip.main(["import", str(folder), "--out", str(out), "--columns", *COLUMNS, *options])
+
+
+def test_a_set_comes_in_whole(tmp_path, capsys):
+    rows = write_set(tmp_path / "lab")
+    assert bring(tmp_path / "lab", tmp_path / "set", "--tcp-behind-apex-mm", "0") == 0
+    told = capsys.readouterr().out
+    assert "12 of 12 frames; 127 pins in most, 127 to 127" in told
+    assert "shear_x: " in told
+    assert tactip.main(["dataset", "verify", str(tmp_path / "set")]) == 0
+    dataset = read_dataset(tmp_path / "set")
+    assert np.allclose(dataset.poses[:, 2], [-row["pose_2"] - 5 for row in rows], atol=1e-6)
+    assert np.allclose(dataset.poses[:, 4], [row["pose_6"] for row in rows], atol=1e-6)
+    samples = read_samples(tmp_path / "set")  # as training and evaluation read it
+    assert samples.images.shape == (12, 128, 128)
+    assert samples.labels.components == ("z", "Rx", "Ry")
+    picture = cv2.imread(str(tmp_path / "set" / "import.png"))
+    assert picture is not None and picture.shape[1] > 1000
+    # The same command again finds it done; another one does not write over it.
+    assert bring(tmp_path / "lab", tmp_path / "set", "--tcp-behind-apex-mm", "0") == 0
+    assert "imported already" in capsys.readouterr().out
+    assert bring(tmp_path / "lab", tmp_path / "set", "--tcp-behind-apex-mm", "5") == 1
+    assert "is not empty" in capsys.readouterr().err
+
+
+def test_light_at_the_rim_is_masked_and_pins_are_not(tmp_path):
+    plain, lit = frame(1.08), with_rim(frame(1.08))
+    reader = FrameReader(Layout(), with_rim(frame()))
+    assert np.array_equal(reader.masked(lit), plain)
+    assert not np.array_equal(FrameReader(Layout(mask="none"), with_rim(frame())).masked(lit), plain)
+    # Without a neutral image, frames tell where the pins are.
+    told = FrameReader(Layout(), None, [with_rim(frame(z)) for z in (1.0, 1.04, 1.1)])
+    assert np.array_equal(told.masked(lit), plain)
+    with pytest.raises(TactipError, match="at most 0 pins are seen"):
+        pin_area([np.zeros((64, 64), np.uint8)])
+
+
+def test_frames_that_are_mirrored_turned_and_dark():
+    upright = frame()
+    assert len(find_blobs(upright).centres) == 127
+    for turn in (90, 180, -90):
+        given = np.ascontiguousarray(np.rot90(upright, -turn // 90)[:, ::-1])
+        reader = FrameReader(Layout(mirrored=True, dark=True, mask="none"))
+        assert not np.array_equal(reader.binary(255 - given), upright)
+        # What was turned and then mirrored is mirrored back, and then turned back.
+        reader = FrameReader(Layout(image_turn_deg=turn, mirrored=True, dark=True, mask="none"))
+        assert np.array_equal(reader.binary(255 - given), upright)
+    # An angle between: there and back is where it was, to a pixel's rounding.
+    turned = FrameReader(Layout(image_turn_deg=30.0, mask="none")).binary(upright)
+    back = FrameReader(Layout(image_turn_deg=-30.0, mask="none")).binary(turned)
+    assert (np.abs(back.astype(int) - upright) > 127).mean() < 0.01
+
+
+def test_grey_frames_are_thresholded_as_a_simulated_one():
+    grey = Raster(DESIGN).render(*neutral_pins(DESIGN))
+    reader = FrameReader(Layout(threshold=(61, -5.0), mask="none"))
+    assert np.array_equal(reader.read(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)), tactile_image(grey, DESIGN.image))
+
+
+def test_what_does_not_fit_is_left_out_and_named(tmp_path, capsys):
+    rows = write_set(tmp_path / "lab")
+    images = tmp_path / "lab" / "images"
+    (images / "frame_1.png").unlink()
+    (images / "frame_2.png").write_bytes(b"no image")
+    cv2.imwrite(str(images / "frame_3.png"), np.zeros((SIZE, SIZE), np.uint8))
+    cv2.imwrite(str(images / "frame_4.png"), np.zeros((SIZE, 300), np.uint8))
+    rows[5]["pose_2"] = ""
+    write_table(tmp_path / "lab", rows)
+    assert bring(tmp_path / "lab", tmp_path / "set") == 0
+    report = json.loads((tmp_path / "set" / "import.json").read_text())
+    assert report["kept"] == 7
+    why = {one["frame"]: one["why"] for one in report["left_out"]}
+    assert why["frame_1.png"] == "the frame is not there"
+    assert why["frame_2.png"] == "it cannot be read as an image"
+    assert why["frame_3.png"] == "0 pins are seen, 127 in most"
+    assert why["frame_4.png"] == "it is 300 by 256 px, the others are 256 by 256 px"
+    assert why["frame_5.png"] == "its row has a cell that is no finite number"
+    assert tactip.main(["dataset", "verify", str(tmp_path / "set")]) == 0
+
+
+@pytest.mark.parametrize(
+    ("spoil", "options", "words"),
+    [
+        (lambda lab: (lab / "targets.csv").unlink(), [], "targets.csv does not exist: name it by --targets"),
+        (lambda lab: (lab / "targets.csv").write_text("image_name,pose_2\n"), [], "has no rows"),
+        (lambda lab: None, ["--image-column", "photo"], "has no column photo"),
+        (lambda lab: [p.unlink() for p in (lab / "images").iterdir()], [], "no frame of the table is there"),
+        (
+            lambda lab: [cv2.imwrite(str(p), np.zeros((9, 9))) for p in (lab / "images").iterdir()],
+            [],
+            "12 of 12 frames do not",
+        ),
+        (lambda lab: None, ["--neutral", "none.png"], "the neutral image none.png does not exist"),
+        (lambda lab: None, ["--crop", "0", "0", "256", "128"], "is 256 by 128 px, and should be square"),
+        (lambda lab: None, ["--crop", "0", "0", "999", "999"], "does not fit a frame of 256 by 256 px"),
+        (lambda lab: None, ["--task", "corner"], "unknown task 'corner': choose one of"),
+    ],
+)
+def test_a_wrong_set_is_one_sentence(tmp_path, capsys, spoil, options, words):
+    write_set(tmp_path / "lab")
+    spoil(tmp_path / "lab")
+    assert bring(tmp_path / "lab", tmp_path / "set", *options) == 1
+    told = capsys.readouterr().err.strip().splitlines()[-1]
+    assert words in told
+    assert not (tmp_path / "set" / "meta.json").exists()
+
+
+def test_names_may_not_leave_the_folder(tmp_path, capsys):
+    rows = write_set(tmp_path / "lab")
+    cv2.imwrite(str(tmp_path / "secret.png"), frame())
+    rows[0]["image_name"] = "../secret.png"
+    write_table(tmp_path / "lab", rows)
+    assert bring(tmp_path / "lab", tmp_path / "set") == 0
+    report = json.loads((tmp_path / "set" / "import.json").read_text())
+    assert report["left_out"][0]["why"] == "the frame is not there"
+
+
+def test_what_a_kill_leaves_is_begun_anew(tmp_path, monkeypatch):
+    write_set(tmp_path / "lab")
+    real = cv2.imread
+
+    def stop(path, *flags):
+        if path.endswith("frame_7.png"):
+            raise KeyboardInterrupt
+        return real(path, *flags)
+
+    monkeypatch.setattr(cv2, "imread", stop)
+    assert bring(tmp_path / "lab", tmp_path / "set") == 130
+    monkeypatch.setattr(cv2, "imread", real)
+    assert not (tmp_path / "set" / "meta.json").exists()
+    assert bring(tmp_path / "lab", tmp_path / "set") == 0
+    assert bring(tmp_path / "lab", tmp_path / "other") == 0
+    for name in ("meta.json", "targets.csv", "import.json"):
+        assert (tmp_path / "set" / name).read_bytes() == (tmp_path / "other" / name).read_bytes()
+
+
+def test_layouts_of_other_families(tmp_path):
+    """128 px frames of a tip with 331 pins, named without an ending; depth positive, three components, no neutral image."""
+    design = design_named("nominal-331")
+    small = replace(design, image=replace(design.image, size_px=128))
+    tips, directions = neutral_pins(design)
+    folder = tmp_path / "lab"
+    (folder / "frames").mkdir(parents=True)
+    rows = []
+    for k in range(6):
+        image = tactile_image(Raster(small).render(tips * [1 + 0.01 * k, 1 + 0.01 * k, 1], directions), small.image)
+        cv2.imwrite(str(folder / "frames" / f"image_{k}.png"), image)
+        rows.append({"sensor_image": f"image_{k}", "depth": 1 + 0.5 * k, "roll": k, "pitch": -k})
+    write_table(folder, rows)
+    layout = tmp_path / "layout.json"
+    layout.write_text(json.dumps({"columns": ["pose_z=-depth", "pose_Rx=roll", "pose_Ry=pitch"]}))
+    out = tmp_path / "set"
+    assert tactip.main(["import", str(folder), "--out", str(out), "--layout", str(layout)]) == 0
+    dataset = read_dataset(out)
+    assert np.allclose(dataset.poses[:, 2], [-1 - 0.5 * k for k in range(6)], atol=1e-5)
+    assert not dataset.shears.any()
+    assert not json.loads((out / "import.json").read_text())["neutral_image"]
