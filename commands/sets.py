@@ -58,6 +58,9 @@ class Make:
     label."""
     wavy: bool = False
     """Let them go up and down along the surface, within LOW and HIGH, as about a nose."""
+    mechanics: str = "none"
+    """none, or real: stiffness, friction, thickness and pin length of the tip differ from contact to contact
+    (sim/variation.py)."""
     renderer: str = "pyrender"
     """pyrender, or raster: the same image without OpenGL."""
     pose: RangeOptions = field(default_factory=RangeOptions)
@@ -88,6 +91,7 @@ class Make:
         from sim.generation import Job
         from sim.sampling import POSE_RANGES, SHEAR_RANGES, SPLITS
         from sim.stimulus import TASKS
+        from sim.variation import VARIATIONS
         from tactip_model.errors import choose
         from tactip_model.presets import find_design
 
@@ -112,6 +116,7 @@ class Make:
                     symmetric=self.symmetric,
                     curvature_per_m=self.curvature_per_m,
                     wavy=self.wavy,
+                    mechanics=choose("mechanics", self.mechanics, VARIATIONS),
                 )
                 jobs.append(Job(configuration, self.out / task / split if several else self.out))
         return jobs

@@ -23,6 +23,7 @@ from learning.drawn import DrawnImages
 from learning.model import save_model, tensors_of, to_input, weights_bytes
 from learning.muon import Muon, inner_weights
 from learning.posenet import PoseNet, PoseNetConfig, parameter_count
+from learning.varied import OPTICS
 from sim.dataset import write_file
 from sim.lock import locked
 from tactip_model.bounds import check, within
@@ -73,11 +74,15 @@ class TrainSettings:
     """Share of the images that are drawn anew at every step, from their pins under varied optics (drawn.py); the rest are
     the plain images of the set [P]."""
     optics: float = within(0, 4, default=1.0)
-    """How far the optics are varied for that, of drawn.OpticsRanges; 0.2 is little more than which pixels a pin falls on."""
+    """How far the optics are varied for that, of the ranges `varied`; 0.2 of `lens` is little more than which pixels a pin
+    falls on."""
+    varied: str = "lens"
+    """What is varied: lens, real or rim (varied.py)."""
 
     def __post_init__(self):
         check(self)
         choose("schedule", self.schedule, SCHEDULES)
+        choose("varied", self.varied, OPTICS)
         is_half(self.precision, "cpu")
 
 
@@ -107,7 +112,7 @@ class Training:
         self._optimizers = _optimizers(self.net, settings, self._half)
         # The whole set lives on the device, as bytes.
         self._images, self._targets = self._resident(train)
-        self._drawn = DrawnImages(train, settings.optics, device=self.device) if settings.drawn else None
+        self._drawn = DrawnImages(train, settings.optics, OPTICS[settings.varied], self.device) if settings.drawn else None
         self._val_images, self._val_targets = self._resident(val)
         self.epoch = 0
         self.history = []
@@ -371,13 +376,20 @@ def _known(folder, record):
     return None
 
 
+def as_of_now(found, defaults):
+    """What was written of a configuration (a JSON value), with fields that came to it since as their defaults have it.
+
+    defaults: dict, of the configuration as it is now.
+    """
+    if not isinstance(found, dict) or not isinstance(defaults, dict):
+        return found
+    return defaults | {name: as_of_now(value, defaults.get(name)) for name, value in found.items()}
+
+
 def _refuse_other(folder, there, record):
-    # What there was no field for when the other was trained is as the field's default has it.
     before = {"network": dataclasses.asdict(PoseNetConfig()), "settings": dataclasses.asdict(TrainSettings())}
     for part, asked in record.items():
-        found = there.get(part)
-        if part in before and isinstance(found, dict):
-            found = before[part] | found
+        found = as_of_now(there.get(part), before.get(part))
         if found != asked:
             raise TactipError(
                 f"the folder {folder} holds a training with another {part}: name another folder, or remove this one"

@@ -27,7 +27,7 @@ from tqdm import tqdm
 
 from learning.samples import read_splits
 from learning.space import SearchSpace
-from learning.train import METRICS, Pruned, TrainSettings, read_metrics, train
+from learning.train import METRICS, Pruned, TrainSettings, as_of_now, read_metrics, train
 from sim.dataset import write_file
 from sim.lock import locked
 from tactip_model.bounds import check, within
@@ -148,8 +148,10 @@ def claim(folder, data, settings):
     path = folder / "search.json"
     if path.exists():
         there = json.loads(path.read_text())
+        before = {"settings": json.loads(json.dumps(dataclasses.asdict(TuneSettings())))}
+        del before["settings"]["trials"]
         for part, asked in identity.items():
-            if there.get(part) != asked:
+            if as_of_now(there.get(part), before.get(part)) != asked:
                 raise TactipError(f"the folder {folder} holds a search with other {part}: name another one, or remove it")
         return
     if folder.exists() and any(folder.iterdir()):

@@ -122,11 +122,6 @@ def _player(design, fidelity):
     return ContactPlayer(design, "surface", fidelity_named(fidelity))
 
 
-@lru_cache(maxsize=4)
-def _mesh(shape, fidelity):
-    return build_mesh(shape, fidelity_named(fidelity).mesh)
-
-
 def _mechanical(design):
     """A Design without what the mechanics do not depend on, so that players are shared."""
     plain = Design(design.name)
@@ -169,7 +164,7 @@ def _ignore_interrupts():
 def pixels(design, fidelity, skins):
     """Where a Design's pins appear, (..., p, 2) px of 256, with skins (..., s, 3) m of the mesh of a fidelity (str)."""
     lens = Lens(design)
-    tips, _ = PinReader(design, _mesh(design.shape, fidelity)).read(skins)
+    tips, _ = PinReader(design, build_mesh(design.shape, fidelity_named(fidelity).mesh)).read(skins)
     return reference_pixels(lens.project(tips), lens.width)
 
 

@@ -5,9 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from sim.contact import CarefulPlayer
 from sim.dataset import read_configuration, read_meta, read_targets, versions
-from sim.generation import drawn, stimulus_of
+from sim.generation import drawn, player_of
 from sim.pose import COMPONENTS, from_mm_deg, sensor_in_contact
 from sim.recording import Recorder, Scenery
 from sim.stage import body_mesh
@@ -40,9 +39,8 @@ def record_contact(folder, sample, out, read: Callable | None = None):
             else f"the set in {folder} has no sample"
         )
     number = sample // len(configuration.symmetries)
-    pose, shear, solid = drawn(configuration, number)
-    stimulus = stimulus_of(configuration)
-    player = CarefulPlayer(configuration.design, stimulus, configuration.fidelity, configuration.bounds)
+    given = drawn(configuration, number)
+    solid, player = given.solid, player_of(configuration, given.design)
     if solid is not None:
         player.stimulus.solid = solid
     scene = player.last.scene
@@ -50,7 +48,7 @@ def record_contact(folder, sample, out, read: Callable | None = None):
     T_base_object = np.eye(4)
     T_base_object[:3, 3] = [*_PLACE_M, -thing[0][:, 2].min()]
     player.watch = keeper = _Keeper(player, configuration, T_base_object, read)
-    contact, faults = player.play(pose, shear)
+    contact, faults = player.play(given.pose, given.shear)
     description = {
         "task": configuration.task,
         "object": f"sample {sample} of {Path(folder).name}",

@@ -28,6 +28,7 @@ from sim.fidelity import Fidelity
 from sim.pose import COMPONENTS, to_mm_deg
 from sim.sampling import Ranges
 from sim.symmetry import SYMMETRIES
+from sim.variation import Variation
 from tactip_model.design import Design
 from tactip_model.design_file import built
 from tactip_model.errors import TactipError
@@ -84,6 +85,9 @@ class Configuration:
     wavy: bool = False
     """Whether these curvatures go up and down along the surface (sim/bent.py). Not a label."""
 
+    mechanics: Variation = field(default_factory=Variation)
+    """How far the tip's mechanics differ from contact to contact (sim/variation.py); the optics do not."""
+
     @property
     def bent(self):
         """Whether the surface is not flat."""
@@ -102,6 +106,8 @@ class Configuration:
             del fields["curvature_per_m"]
         if not self.wavy:
             del fields["wavy"]
+        if self.mechanics.still:
+            del fields["mechanics"]
         return json.loads(json.dumps(fields))
 
     def digest(self):

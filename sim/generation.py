@@ -39,7 +39,9 @@ from sim.lock import locked
 from sim.record import contacts_of, pack_record, read_record, record_path, reopen, samples_of
 from sim.sampling import generator, seed_text
 from sim.shape import Shape
+from sim.solid import Solid
 from sim.symmetry import SymmetricReader, keeps
+from tactip_model.design import Design
 from tactip_model.errors import TactipError, choose
 from tactip_model.image import tactile_image
 from tactip_model.pins import neutral_pins
@@ -145,18 +147,22 @@ class _SampleMaker:
         alike = [m for m in others if m._configuration.design == c.design and m._configuration.renderer == c.renderer]
         self._render = alike[0]._render if alike else renderer_named(c.renderer, c.design)
         played = [m for m in alike if _physics(m._configuration) == _physics(c)]
-        self._player = played[0]._player if played else CarefulPlayer(c.design, stimulus_of(c), c.fidelity, c.bounds)
+        self._player = played[0]._player if played else player_of(c, c.design)
         self._reader = SymmetricReader(c.design, self._player.skin()[1], c.symmetries) if c.symmetric else None
 
     def make(self, number):
         """Write the images and the record of contact `number`. Raises OSError."""
         c = self._configuration
-        pose, shear, solid = drawn(c, number)
-        if solid is not None:
-            self._player.stimulus.solid = solid
-        contact, faults = self._player.play(pose, shear)
-        failed = len(faults) == self._player.tries
-        contacts = self._reader.read(contact, self._player.skin()[0]) if self._reader and not failed else [contact]
+        given = drawn(c, number)
+        player, reader = self._player, self._reader
+        if not c.mechanics.still:
+            player = player_of(c, given.design)
+            reader = SymmetricReader(given.design, player.skin()[1], c.symmetries) if c.symmetric else None
+        if given.solid is not None:
+            player.stimulus.solid = given.solid
+        contact, faults = player.play(given.pose, given.shear)
+        failed = len(faults) == player.tries
+        contacts = reader.read(contact, player.skin()[0]) if reader and not failed else [contact]
         indices = samples_of(c, number)
         contacts, rows, images = contacts[: len(indices)], [], {}
         for index, one in zip(indices, contacts, strict=False):
@@ -175,23 +181,35 @@ def _physics(configuration):
     return configuration.task, configuration.bent, configuration.fidelity, configuration.bounds
 
 
+@dataclass(frozen=True)
+class Drawn:
+    """What is drawn for a contact."""
+
+    pose: np.ndarray
+    """(6,) m and rad."""
+    shear: np.ndarray
+    """(6,) m and rad."""
+    solid: Solid | None
+    """What is pressed on, where it is bent anew for each contact."""
+    design: Design
+    """The tip, with the mechanics of this contact."""
+
+
 def drawn(configuration, number):
-    """What is drawn for contact `number` of a Configuration: pose and shear (6,), m and rad, and the Solid that is pressed
-    on where it is bent anew for each contact, or None."""
+    """What is drawn (Drawn) for contact `number` of a Configuration. Poses and shears are the same whatever else is."""
     c = configuration
     draw = generator(c.seed, c.task, c.split, number)
     pose, shear = c.pose.draw(draw), c.shear.draw(draw)
-    if not c.bent:
-        return pose, shear, None
-    return pose, shear, drawn_surface(draw, *c.curvature_per_m, c.wavy)
+    solid = drawn_surface(draw, *c.curvature_per_m, c.wavy) if c.bent else None
+    return Drawn(pose, shear, solid, c.design if c.mechanics.still else c.mechanics.draw(c.design, draw))
 
 
-def stimulus_of(configuration):
-    """What the contacts of a Configuration are pressed on: the name of a stimulus, or a Stimulus whose solid is set for each
-    contact."""
-    if not configuration.bent:
-        return configuration.task
-    return Shape(bent_surface(0.0, 0.0, 0.0), sharpest_m=1 / MOST_BENT_PER_M)
+def player_of(configuration, design):
+    """The CarefulPlayer of the contacts of a Configuration, by a Design: its own, or one of other mechanics. On a bent
+    surface, its stimulus is to be given the solid of each contact."""
+    c = configuration
+    bent = Shape(bent_surface(0.0, 0.0, 0.0), sharpest_m=1 / MOST_BENT_PER_M) if c.bent else None
+    return CarefulPlayer(design, bent or c.task, c.fidelity, c.bounds)
 
 
 class _Folder:

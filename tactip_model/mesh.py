@@ -7,7 +7,7 @@ averaging even out its elements.
 """
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from scipy.spatial import Delaunay
@@ -160,8 +160,9 @@ def _skin_triangles(points, tetrahedra, surface_count, bonded):
     return faces
 
 
+@lru_cache(maxsize=4)
 def build_mesh(shape, resolution):
-    """Mesh the tip.
+    """Mesh the tip. Meshes are kept, and not to be written to: tips of other mechanics stand on the same one.
 
     shape: design.Shape. resolution: Resolution. Returns a Mesh.
     Raises ValueError where a spacing does not suit the shape.
@@ -200,4 +201,7 @@ def build_mesh(shape, resolution):
     if len(np.unique(triangles)) != surface_count or len(np.unique(tetrahedra)) != len(points):
         raise ValueError(f"spacings of {resolution.surface_m} and {resolution.rim_m} m leave points outside the mesh")
     centre = np.array([0.0, 0.0, -shape.radius_m])
-    return Mesh(points + centre, surface_count, tetrahedra, triangles, bonded, centre)
+    mesh = Mesh(points + centre, surface_count, tetrahedra, triangles, bonded, centre)
+    for array in (mesh.vertices, mesh.tetrahedra, mesh.triangles, mesh.bonded, mesh.centre):
+        array.setflags(write=False)
+    return mesh

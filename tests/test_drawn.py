@@ -8,12 +8,14 @@ import pytest
 import torch
 from learning_sets import write_fake_set
 
-from learning.drawn import DrawnImages, OpticsRanges
+from learning.drawn import DrawnImages
 from learning.posenet import PoseNetConfig
 from learning.samples import read_samples
 from learning.train import TrainSettings, read_metrics, train
+from learning.varied import OPTICS, OpticsRanges
 from tactip_model.errors import Stopped, TactipError
 from tactip_model.image import tactile_image
+from tactip_model.pins import neutral_pins
 from tactip_model.raster import Raster
 
 
@@ -118,3 +120,70 @@ def test_training_on_drawn_images(samples, tmp_path):
     losses = [[h["loss"] for h in read_metrics(tmp_path / name)] for name in ("whole", "stopped", "plain")]
     assert losses[0] == losses[1]
     assert losses[0] != losses[2]
+
+
+def test_a_camera_that_does_not_move_sees_what_the_lens_sees(samples, design):
+    cameras = DrawnImages(samples, 1.0, OpticsRanges(**NONE, camera_height_m=1e-9))
+    places = cameras._cameras.seen(cameras._tips)
+    assert torch.allclose(places, cameras._centres, atol=0.03)
+
+
+def test_other_cameras_see_the_neutral_tip_alike_and_a_pressed_one_not(samples, design):
+    """The lens of each is fitted to the same neutral image; what comes nearer grows more for a camera that is near."""
+    drawn = DrawnImages(samples, 1.0, OpticsRanges(**NONE, camera_height_m=3e-3, camera_offset_m=0.5e-3))
+    tips = torch.from_numpy(neutral_pins(design)[0].astype(np.float32))
+    torch.manual_seed(0)
+    neutral = drawn._cameras.seen(tips.expand(100, -1, -1))
+    pressed = drawn._cameras.seen(drawn._tips[3:].expand(100, -1, -1))
+    assert neutral.std(0).norm(dim=-1).max() < 0.3
+    moved = (pressed - neutral).norm(dim=-1)
+    assert moved.std(0).max() > 0.05 * moved.mean()
+
+
+def count(images):
+    return np.array([cv2.connectedComponents(image.astype(np.uint8), connectivity=4)[0] - 1 for image in images])
+
+
+def test_pins_go_missing_merge_and_specks_come(samples):
+    missing = count(varied(samples, missing=0.1)[0])
+    # A tenth of 127 is 12.7; three standard deviations of chance more are 23.
+    assert missing.max() == 127 and 127 - 24 < missing.min() < 127 - 10
+    specks = count(varied(samples, speckles=5.0)[0])
+    assert specks.max() > 129 and np.median(specks) < 132
+    # The pins of this tip are three pixels apart and more: what bridges less leaves them alone.
+    assert np.array_equal(*(varied(samples, merged_px=m)[0][0] for m in (0.0, 1.0)))
+    off = varied(samples, jitter_px=0.5)[0][0]
+    assert count([off])[0] > 120
+    assert not np.array_equal(off, varied(samples)[1])
+
+
+@pytest.mark.parametrize("gap", [1.0, 2.0, 2.5])
+def test_two_discs_merge_where_their_gap_is_less_than_what_is_bridged(samples, gap):
+    drawn, radius = DrawnImages(samples), 3.0
+    places = torch.tensor([[[40.0, 64.0], [40.0 + 2 * radius + gap, 64.0]]])
+    for soft, blobs in ((0.6 * gap, 2), (1.5 * gap, 1)):
+        image = drawn._paint_soft(places, torch.full((1, 2), radius), torch.full((1, 1, 1), soft)).numpy()
+        assert count(image > 0) == [blobs]
+    # One disc alone is as large as it was.
+    alone = drawn._paint_soft(places[:, :1], torch.full((1, 1), radius), torch.full((1, 1, 1), 2.0))
+    assert torch.equal(alone, drawn._paint(places[:, :1], torch.full((1, 1), radius)))
+
+
+def test_light_at_the_rim_is_at_the_rim(samples):
+    lit, plain = varied(samples, rim_lights=6.0)
+    added = lit & ~plain
+    assert added.any((1, 2)).mean() > 0.5
+    y, x = np.nonzero(added.any(0))
+    assert np.hypot(x - 63.5, y - 63.5).min() > 0.42 * 128
+
+
+@pytest.mark.parametrize("name", OPTICS)
+def test_images_of_every_declared_variation_keep_most_of_their_pins(samples, name):
+    drawn = DrawnImages(samples, 1.0, OPTICS[name])
+    torch.manual_seed(0)
+    images = drawn.draw(torch.arange(4).repeat(20)).numpy()
+    assert set(np.unique(images)) == {0, 255}
+    blobs = count(images > 0)
+    assert 100 < np.median(blobs) < 140
+    torch.manual_seed(0)
+    assert np.array_equal(drawn.draw(torch.arange(4).repeat(20)).numpy(), images)

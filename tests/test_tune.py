@@ -81,6 +81,12 @@ def test_a_search(data, tmp_path):
     # Made longer, it goes on; with another space it is another search.
     longer = replace(SETTINGS, trials=4)
     assert [r["trial"] for r in tune(data, tmp_path / "search", longer, say=lambda line: None)] == [0, 1, 2, 3]
+    # One from before a field came to the settings is the search that it was.
+    path = tmp_path / "search" / "search.json"
+    there = json.loads(path.read_text())
+    del there["settings"]["training"]["varied"], there["settings"]["prune"]
+    path.write_text(json.dumps(there))
+    assert len(tune(data, tmp_path / "search", longer, say=lambda line: None)) == 4
     with pytest.raises(TactipError, match="holds a search with other settings"):
         tune(data, tmp_path / "search", replace(SETTINGS, seed=1), say=lambda line: None)
 
