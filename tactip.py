@@ -7,7 +7,7 @@ import tyro
 from commands.bench import Bench
 from commands.learn import Evaluate, Train, Tune
 from commands.look import Replay, View
-from commands.real import Import
+from commands.real import Import, Transfer
 from commands.sensor import Calibrate
 from commands.servo import Servo
 from commands.sets import Dataset
@@ -26,6 +26,7 @@ def main(arguments=None):
                 "train": Train,
                 "tune": Tune,
                 "evaluate": Evaluate,
+                "transfer": Transfer,
                 "servo": Servo,
                 "replay": Replay,
                 "view": View,

@@ -25,7 +25,7 @@ from benchmarks.plays import DESIGN, STANDARD, Plays, Variant
 from benchmarks.sweeps import refined_meshes, refined_steps, small_steps, sweeps
 from sim.dataset import write_file
 from sim.fidelity import FIDELITIES, finer
-from sim.stimulus import TASKS
+from sim.names import TASKS
 from tactip_model.blobs import find_blobs
 from tactip_model.camera import PinCamera
 from tactip_model.errors import TactipError

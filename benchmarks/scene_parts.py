@@ -24,7 +24,7 @@ from benchmarks.machine import machine
 from benchmarks.plays import DESIGN, STANDARD, UnloweredPlayer
 from sim.contact import ContactPlayer
 from sim.dataset import encode_image, write_file
-from sim.stimulus import TASKS
+from sim.names import TASKS
 from tactip_model import body
 from tactip_model.body import TOUCHES_VERTICES, skin_attributes
 from tactip_model.camera import PinCamera

@@ -1,11 +1,13 @@
-"""tactip import: sets of real sensors."""
+"""tactip import and transfer: sets of real sensors, and what a network of simulation makes of them."""
 
+import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
+from learning.transfer_settings import TransferSettings
 from sim.layout import Layout
 
 
@@ -47,3 +49,39 @@ class Import:
         plain = Layout()
         given = {f.name: getattr(self.told, f.name) for f in fields(Layout)}
         return replace(read_layout(self.layout), **{k: v for k, v in given.items() if v != getattr(plain, k)})
+
+
+@dataclass(frozen=True)
+class Transfer:
+    """From simulation to a real sensor: train on simulated contacts of its twin, test on its frames. Run again, it goes on
+    where it stopped."""
+
+    experiment: tyro.conf.Positional[str]
+    """zero-shot (no real label is used) or few-shot."""
+    real: Path
+    """Folder of an imported set (tactip import)."""
+    out: Path
+    """Folder for sets, networks, results.json and results.md."""
+    json: bool = False
+    """Print the results, as JSON, in the place of words."""
+    workers: str = "auto"
+    """Worker processes that make contacts; auto is one a core."""
+    device: str = "auto"
+    """auto, cpu or cuda."""
+    settings: Annotated[TransferSettings, tyro.conf.arg(name="")] = field(default_factory=TransferSettings)
+
+    def run(self):
+        from json import dumps
+
+        from learning.transfer import EXPERIMENTS, Experiment
+        from learning.transfer_page import PAGE, write_page
+        from tactip_model.errors import choose
+
+        run = choose("experiment", self.experiment, EXPERIMENTS)
+        say = (lambda line: print(line, file=sys.stderr)) if self.json else print
+        experiment = Experiment(self.real, self.out, self.settings, self.workers, self.device, say)
+        results = run(experiment)
+        record = experiment.keep(self.experiment, results)
+        write_page(record, experiment.task, self.out)
+        print(dumps(results) if self.json else f"{self.out / PAGE} written")
+        return 0

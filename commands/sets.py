@@ -89,8 +89,8 @@ class Make:
         from sim.dataset import Configuration
         from sim.fidelity import fidelity_named
         from sim.generation import Job
+        from sim.names import TASKS
         from sim.sampling import POSE_RANGES, SHEAR_RANGES, SPLITS
-        from sim.stimulus import TASKS
         from sim.variation import VARIATIONS
         from tactip_model.errors import choose
         from tactip_model.presets import find_design

@@ -25,7 +25,8 @@ import numpy as np
 
 from sim.contact import Bounds
 from sim.fidelity import Fidelity
-from sim.pose import COMPONENTS, to_mm_deg
+from sim.names import LABELS, SHEARS
+from sim.pose import to_mm_deg
 from sim.sampling import Ranges
 from sim.symmetry import SYMMETRIES
 from sim.variation import Variation
@@ -36,8 +37,6 @@ from tactip_model.errors import TactipError
 FORMAT = "tactip-twin data set"
 VERSION = 1
 
-LABELS = tuple(f"pose_{c}" for c in COMPONENTS)
-SHEARS = tuple(f"shear_{c}" for c in COMPONENTS)
 MEASURES = (
     "normal_force_N",
     "tangential_force_N",

@@ -6,7 +6,7 @@ import io
 import json
 import shutil
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -16,8 +16,6 @@ from tqdm import tqdm
 from sim.dataset import (
     COLUMNS,
     FORMAT,
-    LABELS,
-    SHEARS,
     VERSION,
     checksum,
     digest_of,
@@ -26,7 +24,8 @@ from sim.dataset import (
     versions,
     write_file,
 )
-from sim.layout import image_column, labels
+from sim.names import LABELS, SHEARS
+from sim.relabel import image_column, labels
 from sim.sampling import POSE_RANGES, SHEAR_RANGES, Ranges
 from tactip_model.blobs import find_blobs
 from tactip_model.design import TactileImage
@@ -38,7 +37,7 @@ FOLDERS = ("images", "frames", "frames_bw", "")
 """Where frames are looked for, inside the set's folder."""
 
 NEUTRAL, REPORT, PICTURE = "neutral.png", "import.json", "import.png"
-"""The undeformed tip in the size of the frames, what was found, and how it looks: files of an imported set."""
+"""The undeformed tip as large as the frames have it, what was found, and how it looks: files of an imported set."""
 
 _NEUTRALS = ("init*", "neutral*")
 
@@ -93,13 +92,21 @@ class FrameReader:
 
     def read(self, frame):
         """The tactile image (size, size) of a frame. Raises TactipError where it does not fit."""
+        return self._square(self.masked(frame), self._image.size_px)
+
+    def whole(self, frame):
+        """As `read`, as large as the frame has it."""
         binary = self.masked(frame)
-        left, top, right, bottom = self._image.crop or (0, 0, binary.shape[1], binary.shape[0])
+        left, top, right, bottom = self._image.crop or (0, 0, *binary.shape[::-1])
+        return self._square(binary, min(right - left, bottom - top))
+
+    def _square(self, binary, size):
+        left, top, right, bottom = self._image.crop or (0, 0, *binary.shape[::-1])
         if abs((right - left) / (bottom - top) - 1) > _OBLONG:
             raise TactipError(
                 f"what is used of it is {right - left} by {bottom - top} px, and should be square: give a crop"
             )
-        return tactile_image(binary, self._image)
+        return tactile_image(binary, replace(self._image, size_px=size))
 
 
 def _turned(frame, degrees):
@@ -247,7 +254,7 @@ def _import(source, layout, out, record, say, quiet):
     report = _report(source, kept, pins, left_out, neutral is not None)
     files = {"targets.csv": _targets(source, kept), REPORT: (json.dumps(report, indent=1) + "\n").encode()}
     if neutral is not None:
-        files[NEUTRAL] = encode_image(reader.masked(neutral))
+        files[NEUTRAL] = encode_image(reader.whole(neutral))
     files[PICTURE] = encode_image(_picture(source, kept, pins, reader, neutral))
     for name, data in files.items():
         write_file(out / name, data)

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sim.names import TASKS
 from sim.pose import from_mm_deg
-from sim.stimulus import TASKS
 from tactip_model.errors import TactipError, choose
 
 SPLITS = ("train", "val", "test")

@@ -345,9 +345,6 @@ STIMULI: dict[str, Stimulus] = {
 }
 """What the tip can be pressed on, by name."""
 
-TASKS = ("surface", "edge")
-"""The paper's two tasks, and so the stimuli of its data sets."""
-
 
 def stimulus_named(name):
     """Return the Stimulus called `name`; raise TactipError that lists them where there is none."""

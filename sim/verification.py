@@ -7,7 +7,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from sim.dataset import COLUMNS, LABELS, SHEARS, checksum, digest_of, image_name, read_meta, read_targets
+from sim.dataset import COLUMNS, checksum, digest_of, image_name, read_meta, read_targets
+from sim.names import LABELS, SHEARS
 from sim.sampling import seed_text
 from sim.symmetry import SYMMETRIES
 from tactip_model.errors import TactipError

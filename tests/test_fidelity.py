@@ -19,7 +19,8 @@ from benchmarks.plays import STANDARD, Played, Plays, Variant, without_timings
 from benchmarks.scene_parts import inventory
 from benchmarks.sweeps import REFINED_MM, small_steps, sweeps
 from sim.fidelity import FIDELITIES, Motion, fidelity_named
-from sim.stimulus import TASKS, add_stimulus
+from sim.names import TASKS
+from sim.stimulus import add_stimulus
 from tactip_model.errors import TactipError
 from tactip_model.pins import neutral_pins
 from tactip_model.raster import Raster

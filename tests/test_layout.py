@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sim.layout import Layout, image_column, labels, read_layout
-from sim.pose import from_mm_deg, to_mm_deg
+from sim.layout import Layout, read_layout
+from sim.names import LABELS, SHEARS
+from sim.pose import COMPONENTS, from_mm_deg, to_mm_deg
+from sim.relabel import image_column, labels
 from sim.rig import Rig, RigMotion
 from tactip_model.errors import TactipError
 
@@ -110,3 +112,8 @@ def test_a_layout_file(tmp_path):
         read_layout(path)
     with pytest.raises(TactipError, match=r"Layout\.angles is 'xxy'"):
         Layout(angles="xxy")
+
+
+def test_columns_are_named_after_the_components():
+    assert tuple(f"pose_{c}" for c in COMPONENTS) == LABELS
+    assert tuple(f"shear_{c}" for c in COMPONENTS) == SHEARS

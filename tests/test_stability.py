@@ -14,10 +14,11 @@ from benchmarks import stability
 from sim import stimulus as stimuli
 from sim.contact import TRIES, UNPROVEN, Bounds, CarefulPlayer, ContactPlayer, check_ranges
 from sim.fidelity import SHORTEST_STEP_S, Fidelity, Motion, Solver, fidelity_named, finer
+from sim.names import TASKS
 from sim.pose import from_mm_deg, inverse, sensor_in_contact
 from sim.sampling import POSE_RANGES, SHEAR_RANGES, Ranges
 from sim.scene import Scene
-from sim.stimulus import STIMULI, TASKS, stimulus_named
+from sim.stimulus import STIMULI, stimulus_named
 from tactip_model.body import ContactModel
 from tactip_model.design import Design, Materials, Optics, Pins, Shape, TactileImage
 from tactip_model.errors import TactipError

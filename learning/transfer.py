@@ -1,0 +1,226 @@
+"""From simulation to a real sensor: what is learned without one real label, and what a few of them are worth.
+
+    a real set ── neutral image ──► design ── contacts under varied mechanics ──► network ──► real test frames
+               └─ some frames with labels ──────────────────────────────────► fine-tuned ──┘
+
+Every step is kept in OUT and is not made again: a stopped command goes on where it was.
+"""
+
+import json
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from learning.fine_tuning import FineTuning, fine_tune
+from learning.model import load_model
+from learning.networks import recipe_named
+from learning.samples import Samples, read_samples
+from learning.train import train
+from learning.twin_of import twin_of
+from sim.crew import worker_count
+from sim.dataset import Configuration, write_file
+from sim.fidelity import fidelity_named
+from sim.generation import Job, make
+from sim.sampling import SHEAR_RANGES, Ranges
+from sim.variation import VARIATIONS
+from tactip_model.design_file import write_design
+from tactip_model.errors import TactipError
+from tactip_model.presets import find_design
+
+RESULTS = "results.json"
+
+_HELD = 200
+"""Real frames by which a training on real frames alone is stopped; of those that it is given."""
+
+_LEAST_HELD = 0.2
+"""... or this share of them, where they are few."""
+
+
+_STILL = 0.02
+"""A label that varies less than this share of its greatest value, as standard deviation, does not vary."""
+
+
+@dataclass(frozen=True)
+class RealSplit:
+    """A real set in two parts, drawn from its rows."""
+
+    known: Samples
+    """Frames whose labels may be used."""
+    test: Samples
+    """Frames that are tested on, and nothing else."""
+
+
+def split_of(samples, settings):
+    """The RealSplit of Samples. settings: TransferSettings. Raises TactipError where the set is too small."""
+    if len(samples) < settings.real + 20:
+        raise TactipError(
+            f"{samples.folder} has {len(samples)} frames: with {settings.real} to learn from, at least 20 must be left to "
+            f"test on; ask for at most {max(0, len(samples) - 20)} by --settings.real"
+        )
+    order = np.random.default_rng(settings.seed).permutation(len(samples))
+    return RealSplit(samples.take(order[: settings.real]), samples.take(np.sort(order[settings.real :])))
+
+
+class Experiment:
+    """What the experiments on one real set share: its sensor's design, simulated sets, networks."""
+
+    def __init__(self, real, out, settings, workers="auto", device="auto", say=print):
+        """real: path of an imported set. out: path. settings: TransferSettings. workers, device: str. say: called with
+        lines for the user.
+
+        Raises TactipError where the set cannot be used.
+        """
+        self.real, self.out, self.settings = Path(real), Path(out), settings
+        self._workers, self._device, self._say = worker_count(workers), device, say
+        self.samples = read_samples(self.real)
+        self.split = split_of(self.samples, settings)
+        self.task = self.samples.labels.task
+
+    @property
+    def recipe(self):
+        """The Recipe of a training on simulated samples."""
+        recipe = recipe_named(self.settings.recipe, self.task)
+        varied = replace(
+            recipe.settings, drawn=self.settings.drawn, optics=1.0, varied=self.settings.optics, seed=self.settings.seed
+        )
+        return replace(recipe, settings=varied)
+
+    def design(self):
+        """The sensor's Design: as it was told, or fitted to the neutral image."""
+        if self.settings.design:
+            design = find_design(self.settings.design)
+            return replace(design, image=replace(design.image, size_px=self.samples.size))
+        design, figures = twin_of(self.real, self.samples.size)
+        self.out.mkdir(parents=True, exist_ok=True)
+        write_design(self.out / "design.json", design, {"neutral_image_of": self.real.name, **figures})
+        return design
+
+    def simulated(self, design, name="sim"):
+        """Training and validation Samples of a Design, made if they are not there. name: folder in `out`."""
+        jobs = [self._job(design, name, split) for split in ("val", "train")]
+        make(jobs, self._workers, self._say)
+        val, trained = (read_samples(job.folder) for job in jobs)
+        return trained, val
+
+    def _job(self, design, name, split):
+        s = self.settings
+        symmetric = split == "train" and self.task == "surface"
+        configuration = Configuration(
+            task=self.task,
+            split=split,
+            samples=s.contacts * (8 if symmetric else 1) if split == "train" else s.held,
+            seed=s.seed,
+            renderer="raster",
+            design=design,
+            fidelity=fidelity_named(s.fidelity),
+            pose=self._poses(),
+            shear=SHEAR_RANGES,
+            symmetric=symmetric,
+            mechanics=VARIATIONS[s.mechanics],
+        )
+        return Job(configuration, self.out / name / split)
+
+    def _poses(self):
+        """Ranges of poses: those that the rig was told to go through. In the surface task every tilt is as wide as the
+        widest, and the tip is in touch."""
+        told = {k: tuple(v) for k, v in self.samples.dataset.meta["configuration"]["pose"].items()}
+        low, high = told["depth_mm"]
+        told["depth_mm"] = (low, min(high, 0.0))
+        if self.task == "surface":
+            widest = max(abs(x) for name in ("roll_deg", "pitch_deg") for x in told[name])
+            told |= {"roll_deg": (-widest, widest), "pitch_deg": (-widest, widest)}
+            told |= {name: (0.0, 0.0) for name in ("x_mm", "y_mm", "yaw_deg")}
+        return Ranges(**told)
+
+    def network(self, name="sim"):
+        """The Model that was trained on simulated samples alone; trained if it is not there."""
+        folder = self.out / f"network-{name}"
+        trained, val = self.simulated(self.design(), name)
+        train(trained, val, self.recipe.network, self.recipe.settings, folder, self._device, self._say)
+        return load_model(folder)
+
+    def real_network(self, count):
+        """The Model that was trained on `count` real frames alone, a part of them held to stop by."""
+        held = min(_HELD, round(_LEAST_HELD * count))
+        known = self.split.known.take(slice(0, count))
+        recipe = recipe_named(self.settings.recipe, self.task)
+        plain = replace(recipe.settings, drawn=0.0, seed=self.settings.seed)
+        folder = self.out / f"network-real-{count}"
+        train(
+            known.take(slice(held, None)), known.take(slice(0, held)), recipe.network, plain, folder, self._device, self._say
+        )
+        return load_model(folder)
+
+    def tuned(self, count, name="sim"):
+        """The Model of simulation, fine-tuned with `count` real frames."""
+        folder = self.out / f"network-{name}-and-{count}"
+        base = self.network(name)
+        trained, _ = self.simulated(self.design(), name)
+        settings = FineTuning(seed=self.settings.seed, optics=self.settings.optics)
+        fine_tune(base, trained, self.split.known.take(slice(0, count)), settings, folder, self._device, self._say)
+        return load_model(folder)
+
+    def score(self, model):
+        """Figures (dict) of a Model on the real test frames."""
+        return score(model, self.split.test)
+
+    def keep(self, name, results):
+        """Add results (dict) of an experiment to results.json. Returns all of it."""
+        path = self.out / RESULTS
+        record = json.loads(path.read_text()) if path.exists() else {}
+        record["real"] = {"set": self.real.name, "digest": self.samples.dataset.meta["digest"], "test": len(self.split.test)}
+        record["settings"] = json.loads(json.dumps(asdict(self.settings)))
+        record[name] = results
+        write_file(path, (json.dumps(record, indent=1) + "\n").encode())
+        return record
+
+
+def score(model, samples):
+    """Errors of a Model on Samples of a real set: dict of mae, rmse, bias, and mae with the depth's zero taken out.
+
+    Where a label's zero lies is not known of a rig better than to some tenths of a millimetre: for the depth, and for it
+    alone, the mean error is also taken out (`mae_zeroed`). Components that do not vary in the set are not what it can tell
+    of: `varies` says which do.
+    """
+    errors = model.predict(samples.images) - samples.targets
+    names = samples.labels.names
+    zeroed = errors - np.where([name == "pose_z" for name in names], np.median(errors, 0), 0.0)
+
+    varies = samples.targets.std(0) > _STILL * samples.labels.scale
+
+    def by_name(values):
+        return {name: float(value) for name, value in zip(names, values, strict=True)}
+
+    return {
+        "samples": len(samples),
+        "mae": by_name(np.abs(errors).mean(0)),
+        "mae_zeroed": by_name(np.abs(zeroed).mean(0)),
+        "rmse": by_name(np.sqrt((errors**2).mean(0))),
+        "bias": by_name(errors.mean(0)),
+        "varies": {name: bool(v) for name, v in zip(names, varies, strict=True)},
+    }
+
+
+def zero_shot(experiment):
+    """Simulation alone against real frames, beside a network trained on real frames. Returns results (dict)."""
+    return {
+        "simulation": experiment.score(experiment.network()),
+        "real": experiment.score(experiment.real_network(experiment.settings.real)),
+    }
+
+
+def few_shot(experiment):
+    """What some real frames are worth: fine-tuned, against trained on them alone, and on all. Returns results (dict)."""
+    s = experiment.settings
+    counts = [n for n in s.shots if n <= s.real]
+    out = {"0": {"fine_tuned": experiment.score(experiment.network())}}
+    for n in counts:
+        alone = {"alone": experiment.score(experiment.real_network(n))} if n >= 20 else {}
+        out[str(n)] = {"fine_tuned": experiment.score(experiment.tuned(n)), **alone}
+    out[str(s.real)] = {"alone": experiment.score(experiment.real_network(s.real))}
+    return out
+
+
+EXPERIMENTS = {"zero-shot": zero_shot, "few-shot": few_shot}
+"""By name: a function of an Experiment to its results (dict)."""

@@ -1,0 +1,39 @@
+"""How transfer experiments are made. Nothing heavy is imported here: the command line reads it."""
+
+from dataclasses import dataclass
+
+from learning.varied import OPTICS
+from tactip_model.bounds import check, within
+from tactip_model.errors import choose
+
+
+@dataclass(frozen=True)
+class TransferSettings:
+    """How the experiments are made."""
+
+    design: str = ""
+    """Design of the real sensor: a preset or a design file; fitted to the set's neutral image if empty."""
+    contacts: int = within(10, 10**7, default=2000)
+    """Simulated contacts to learn from; each is a sample for every symmetry of its task."""
+    held: int = within(10, 10**6, default=500)
+    """Simulated contacts by which a training is stopped."""
+    real: int = within(20, 10**6, default=1500)
+    """Real frames that may be learned from, where an experiment has labels; all others are what is tested on."""
+    shots: tuple[int, ...] = (10, 50, 100, 500)
+    """Real frames that a network is fine-tuned with."""
+    mechanics: str = "real"
+    """none or real: sim/variation.py."""
+    optics: str = "real"
+    """lens, real or rim: varied.py."""
+    drawn: float = within(0, 1, default=0.6)
+    """Share of the images that are drawn under varied optics."""
+    fidelity: str = "standard"
+    """draft, standard or reference."""
+    recipe: str = "laptop"
+    """Network and training: networks.py."""
+    seed: int = within(0, 2**31, default=0)
+    """Seed of sets, trainings and the split of the real frames."""
+
+    def __post_init__(self):
+        check(self)
+        choose("optics", self.optics, OPTICS)

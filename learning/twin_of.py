@@ -1,0 +1,58 @@
+"""A design of a real sensor from its neutral image alone: lens, camera and pins are fitted, the rest is as the field has it.
+
+No label is needed. What the image does not tell, the mechanics, is varied instead (sim/variation.py).
+"""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+
+from sim.importing import NEUTRAL
+from tactip_model.blobs import find_blobs
+from tactip_model.errors import TactipError
+from tactip_model.image import tactile_image
+from tactip_model.neutral import fit_neutral
+from tactip_model.pins import neutral_pins
+from tactip_model.presets import NOMINAL
+from tactip_model.raster import Raster
+
+_ROUNDS = 4
+"""Times that the pins' sizes are corrected."""
+
+
+def twin_of(folder, size_px):
+    """The Design that fits the neutral image of an imported set, and the figures (dict) of the fit.
+
+    folder: path. size_px: int, width of its tactile images. Raises TactipError where there is no neutral image, and
+    where its pins are of no known layout.
+    """
+    path = folder / NEUTRAL
+    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    if image is None:
+        raise TactipError(f"{folder} has no neutral image: import the set with --neutral, or name a design by --design")
+    blobs = len(find_blobs(image).centres)
+    layouts = {name: len(neutral_pins(design)[0]) for name, design in NOMINAL.items()}
+    name = min(layouts, key=lambda n: abs(layouts[n] - blobs))
+    design, fit = fit_neutral(replace(NOMINAL[name], name=folder.resolve().name), image)
+    design = replace(design, image=replace(design.image, size_px=size_px))
+    design = with_pin_sizes(design, cv2.resize(image, (size_px, size_px), interpolation=cv2.INTER_AREA) > 127)
+    return design, {"layout": name, "pins": blobs, "before_px": fit.before_px, "lattice_px": fit.lattice_px}
+
+
+def with_pin_sizes(design, image):
+    """The Design with pins as large as in a neutral tactile image (size, size) bool: in the middle, and at the rim."""
+    radius = np.linalg.norm(np.indices(image.shape) - (np.array(image.shape)[:, None, None] - 1) / 2, axis=0)
+    white = radius[image]
+    middle = radius < np.median(white)
+    for _ in range(_ROUNDS):
+        drawn = tactile_image(Raster(design).render(*neutral_pins(design)), design.image) > 127
+        inner, outer = (np.sqrt(max(image[part].sum(), 1) / max(drawn[part].sum(), 1)) for part in (middle, ~middle))
+        # Half of the pins are outside of the middle, most of them near the rim.
+        pins = replace(
+            design.pins,
+            diameter_m=float(np.clip(design.pins.diameter_m * inner, 0.1e-3, design.pins.pitch_m)),
+            rim_diameter_m=float(np.clip(design.pins.rim_diameter_m * outer, 0.1e-3, design.pins.pitch_m)),
+        )
+        design = replace(design, pins=pins)
+    return design
