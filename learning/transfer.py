@@ -53,13 +53,13 @@ class RealSplit:
 
 def split_of(samples, settings):
     """The RealSplit of Samples. settings: TransferSettings. Raises TactipError where the set is too small."""
-    if len(samples) < settings.real + 20:
+    if len(samples) < settings.real_frames + 20:
         raise TactipError(
-            f"{samples.folder} has {len(samples)} frames: with {settings.real} to learn from, at least 20 must be left to "
-            f"test on; ask for at most {max(0, len(samples) - 20)} by --settings.real"
+            f"{samples.folder} has {len(samples)} frames: with {settings.real_frames} to learn from, 20 or more must be "
+            f"left to test on; ask for at most {max(0, len(samples) - 20)} by --real-frames"
         )
     order = np.random.default_rng(settings.seed).permutation(len(samples))
-    return RealSplit(samples.take(order[: settings.real]), samples.take(np.sort(order[settings.real :])))
+    return RealSplit(samples.take(order[: settings.real_frames]), samples.take(np.sort(order[settings.real_frames :])))
 
 
 class Experiment:
@@ -76,9 +76,11 @@ class Experiment:
         self.samples = read_samples(self.real)
         self.split = split_of(self.samples, settings)
         self.task = self.samples.labels.task
+        # What is not known is said before anything is made.
+        fidelity_named(settings.fidelity)
+        self.recipe, self._told = self._recipe(), find_design(settings.design) if settings.design else None
 
-    @property
-    def recipe(self):
+    def _recipe(self):
         """The Recipe of a training on simulated samples."""
         recipe = recipe_named(self.settings.recipe, self.task)
         varied = replace(
@@ -88,9 +90,8 @@ class Experiment:
 
     def design(self):
         """The sensor's Design: as it was told, or fitted to the neutral image."""
-        if self.settings.design:
-            design = find_design(self.settings.design)
-            return replace(design, image=replace(design.image, size_px=self.samples.size))
+        if self._told:
+            return replace(self._told, image=replace(self._told.image, size_px=self.samples.size))
         design, figures = twin_of(self.real, self.samples.size)
         self.out.mkdir(parents=True, exist_ok=True)
         write_design(self.out / "design.json", design, {"neutral_image_of": self.real.name, **figures})
@@ -157,7 +158,7 @@ class Experiment:
         folder = self.out / f"network-{name}-and-{count}"
         base = self.network(name)
         trained, _ = self.simulated(self.design(), name)
-        settings = FineTuning(seed=self.settings.seed, optics=self.settings.optics)
+        settings = FineTuning(self.settings.seed, self.settings.tuning_steps, optics=self.settings.optics)
         fine_tune(base, trained, self.split.known.take(slice(0, count)), settings, folder, self._device, self._say)
         return load_model(folder)
 
@@ -206,19 +207,19 @@ def zero_shot(experiment):
     """Simulation alone against real frames, beside a network trained on real frames. Returns results (dict)."""
     return {
         "simulation": experiment.score(experiment.network()),
-        "real": experiment.score(experiment.real_network(experiment.settings.real)),
+        "real": experiment.score(experiment.real_network(experiment.settings.real_frames)),
     }
 
 
 def few_shot(experiment):
     """What some real frames are worth: fine-tuned, against trained on them alone, and on all. Returns results (dict)."""
     s = experiment.settings
-    counts = [n for n in s.shots if n <= s.real]
+    counts = [n for n in s.shots if n <= s.real_frames]
     out = {"0": {"fine_tuned": experiment.score(experiment.network())}}
     for n in counts:
         alone = {"alone": experiment.score(experiment.real_network(n))} if n >= 20 else {}
         out[str(n)] = {"fine_tuned": experiment.score(experiment.tuned(n)), **alone}
-    out[str(s.real)] = {"alone": experiment.score(experiment.real_network(s.real))}
+    out[str(s.real_frames)] = {"alone": experiment.score(experiment.real_network(s.real_frames))}
     return out
 
 

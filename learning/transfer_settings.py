@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from learning.varied import OPTICS
+from sim.variation import VARIATIONS
 from tactip_model.bounds import check, within
 from tactip_model.errors import choose
 
@@ -17,7 +18,7 @@ class TransferSettings:
     """Simulated contacts to learn from; each is a sample for every symmetry of its task."""
     held: int = within(10, 10**6, default=500)
     """Simulated contacts by which a training is stopped."""
-    real: int = within(20, 10**6, default=1500)
+    real_frames: int = within(20, 10**6, default=1500)
     """Real frames that may be learned from, where an experiment has labels; all others are what is tested on."""
     shots: tuple[int, ...] = (10, 50, 100, 500)
     """Real frames that a network is fine-tuned with."""
@@ -31,9 +32,12 @@ class TransferSettings:
     """draft, standard or reference."""
     recipe: str = "laptop"
     """Network and training: networks.py."""
+    tuning_steps: int = within(1, 10**6, default=800)
+    """Steps of a fine-tuning."""
     seed: int = within(0, 2**31, default=0)
     """Seed of sets, trainings and the split of the real frames."""
 
     def __post_init__(self):
         check(self)
+        choose("mechanics", self.mechanics, VARIATIONS)
         choose("optics", self.optics, OPTICS)

@@ -1,0 +1,197 @@
+"""Transfer, on a sensor that is real to the network alone: a second simulated tip with other rubber, lens and light."""
+
+import csv
+import json
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+import tactip
+from learning import networks
+from learning.fine_tuning import FineTuning, fine_tune
+from learning.model import load_model
+from learning.networks import Recipe
+from learning.posenet import PoseNetConfig
+from learning.samples import read_samples
+from learning.train import TrainSettings, train
+from learning.transfer import Experiment, score
+from learning.transfer_settings import TransferSettings
+from learning.twin_of import twin_of
+from sim.contact import ContactPlayer
+from sim.fidelity import fidelity_named
+from sim.pose import from_mm_deg
+from tactip_model.errors import TactipError
+from tactip_model.image import tactile_image
+from tactip_model.neutral import neutral_px
+from tactip_model.pins import neutral_pins
+from tactip_model.presets import design_named
+from tactip_model.raster import Raster
+
+SIZE = 256
+TINY = Recipe(
+    PoseNetConfig(conv_layers=2, filters=8, units=32, batch_size=16, reduce=2),
+    TrainSettings(epochs=3, rate=3e-3, drawn=0.5),
+)
+
+
+def hidden(design):
+    """A sensor that nobody has described: its camera sits elsewhere, its pins are thicker, its rubber is other."""
+    return replace(
+        design,
+        materials=replace(design.materials, friction=0.4, gel_young_pa=1.5e4),
+        pins=replace(design.pins, rotation_deg=24.0, diameter_m=1.0e-3, rim_diameter_m=0.9e-3),
+        optics=replace(design.optics, centre=(0.49, 0.51), neutral_radius=(11.6, 0.04, 0.0026)),
+    )
+
+
+def photo(design, tips, directions):
+    """A frame: pins, and light at the rim."""
+    image = tactile_image(Raster(design).render(tips, directions), replace(design.image, size_px=SIZE))
+    cv2.ellipse(image, (SIZE // 2, SIZE // 2), (126, 126), 0, 100, 150, 255, 4)
+    return image
+
+
+@pytest.fixture(scope="session")
+def lab(tmp_path_factory):
+    """A folder as a laboratory publishes it: depth before a tap, one tilt, shears that no network is told of."""
+    folder = tmp_path_factory.mktemp("lab") / "other_tip"
+    (folder / "images").mkdir(parents=True)
+    design = hidden(design_named("nominal-127"))
+    cv2.imwrite(str(folder / "init_0.png"), photo(design, *neutral_pins(design)))
+    player, draw, rows = ContactPlayer(design, "surface", fidelity_named("draft")), np.random.default_rng(0), []
+    for k in range(60):
+        depth, tilt, slid = draw.uniform(-4, 0), draw.uniform(-15, 15), draw.uniform(-3, 3)
+        contact = player.play(from_mm_deg([0, 0, -depth - 5, 0, tilt, 0]), from_mm_deg([slid, 0, 0, 0, 0, 0]))
+        cv2.imwrite(str(folder / "images" / f"frame_{k}.png"), photo(design, contact.tips, contact.directions))
+        rows.append({"image_name": f"frame_{k}.png", "pose_2": depth, "pose_6": tilt, "move_1": slid})
+    with (folder / "targets.csv").open("w", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+    out = folder.with_name("set")
+    columns = ["pose_z=-pose_2-5", "pose_Ry=pose_6", "shear_x=move_1"]
+    assert tactip.main(["import", str(folder), "--out", str(out), "--columns", *columns]) == 0
+    return out
+
+
+@pytest.fixture
+def tiny(monkeypatch):
+    monkeypatch.setitem(networks.RECIPES, "tiny", {"surface": TINY, "edge": TINY})
+
+
+def test_the_twin_has_the_hidden_sensors_pins_where_they_are(lab):
+    design, figures = twin_of(lab, 128)
+    true = hidden(design_named("nominal-127"))
+    assert figures["pins"] == 127 and figures["layout"] == "nominal-127"
+    assert design.pins.rotation_deg == pytest.approx(24.0, abs=0.5)
+    assert np.abs(neutral_px(design) - neutral_px(true)).max() < 0.6  # a tenth of a spacing, by blobs of whole pixels
+    # Its images are as white as the sensor's own, though another pipeline made these.
+    seen = cv2.resize(cv2.imread(str(lab / "neutral.png"), 0), (128, 128), interpolation=cv2.INTER_AREA) > 127
+    drawn = tactile_image(Raster(design).render(*neutral_pins(design)), design.image) > 127
+    assert drawn.sum() == pytest.approx(seen.sum(), rel=0.03)
+    assert design.pins.diameter_m == pytest.approx(1.0e-3, rel=0.2)
+
+
+def test_zero_and_few_shot_from_the_command_line(lab, tiny, tmp_path, capsys):
+    command = ["--real", str(lab), "--out", str(tmp_path / "out"), "--contacts", "12", "--held", "10", "--real-frames", "30"]
+    command += ["--recipe", "tiny", "--fidelity", "draft", "--shots", "10", "25", "--tuning-steps", "4", "--workers", "1"]
+    assert tactip.main(["transfer", "zero-shot", *command, "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert set(told) == {"simulation", "real"}
+    assert told["simulation"]["samples"] == 30
+    assert told["simulation"]["varies"] == {"pose_z": True, "pose_Rx": False, "pose_Ry": True}
+    assert all(np.isfinite(v) for part in told.values() for v in part["mae"].values())
+    assert tactip.main(["transfer", "few-shot", *command]) == 0
+    record = json.loads((tmp_path / "out" / "results.json").read_text())
+    assert list(record["few-shot"]) == ["0", "10", "25", "30"]
+    assert "alone" not in record["few-shot"]["10"] and "alone" in record["few-shot"]["25"]
+    assert record["few-shot"]["0"]["fine_tuned"] == record["zero-shot"]["simulation"]
+    assert record["few-shot"]["30"]["alone"] == record["zero-shot"]["real"]
+    page = (tmp_path / "out" / "results.md").read_text()
+    assert "| trained on simulation |" in page and "pose_Rx" not in page
+    # Nothing that is there is made again.
+    made = {p: p.stat().st_mtime_ns for p in (tmp_path / "out").rglob("*") if p.name in ("model.pt", "pins.npz")}
+    assert tactip.main(["transfer", "few-shot", *command]) == 0
+    assert made == {p: p.stat().st_mtime_ns for p in made}
+
+
+def test_what_is_tested_on_is_never_learned_from(lab):
+    settings = TransferSettings(real_frames=30)
+    experiment = Experiment(lab, "unused", settings, workers=1)
+    known, test = set(experiment.split.known.rows), set(experiment.split.test.rows)
+    assert not known & test and len(known | test) == 60
+    again = Experiment(lab, "unused", settings, workers=1)
+    assert np.array_equal(again.split.known.rows, experiment.split.known.rows)
+    ranges = experiment._poses()
+    assert ranges.roll_deg == ranges.pitch_deg  # no tilt is narrower than the widest
+    assert ranges.depth_mm[1] <= 0
+
+
+class Constant:
+    """A model that is off by the same everywhere, and by a little more at random in the depth."""
+
+    def __init__(self, samples):
+        draw = np.random.default_rng(0)
+        self.off = np.array([0.4, 0.0, 3.0])
+        self.noise = np.stack([draw.normal(0, 0.1, len(samples)), np.zeros(len(samples)), np.zeros(len(samples))], 1)
+        self.targets = samples.targets
+
+    def predict(self, images):
+        return self.targets + self.off + self.noise
+
+
+def test_the_zero_is_taken_out_of_the_depth_alone(lab):
+    samples = read_samples(lab)
+    figures = score(Constant(samples), samples)
+    assert figures["mae"]["pose_z"] == pytest.approx(0.4, abs=0.05)
+    assert figures["mae_zeroed"]["pose_z"] == pytest.approx(0.1 * np.sqrt(2 / np.pi), rel=0.3)
+    assert figures["mae_zeroed"]["pose_Ry"] == figures["mae"]["pose_Ry"] == pytest.approx(3.0)
+
+
+def test_fine_tuning_learns_the_real_frames_and_leaves_the_base_alone(lab, tiny, tmp_path):
+    few = TransferSettings(real_frames=30, contacts=12, held=10, fidelity="draft")
+    experiment = Experiment(lab, tmp_path, few, workers=1)
+    trained, val = experiment.simulated(experiment.design())
+    train(trained, val, TINY.network, TINY.settings, tmp_path / "base", "cpu", print, quiet=True)
+    base, known = load_model(tmp_path / "base"), experiment.split.known
+    before = {k: v.clone() for k, v in base.net.state_dict().items()}
+    settings = FineTuning(steps=300, rate=3e-3)
+    fine_tune(base, trained, known, settings, tmp_path / "tuned", "cpu")
+    assert all(torch.equal(v, before[k]) for k, v in base.net.state_dict().items())
+    tuned = load_model(tmp_path / "tuned")
+    errors = [np.abs((m.predict(known.images) - known.targets) / m.labels.scale).mean() for m in (base, tuned)]
+    assert errors[1] < 0.7 * errors[0]
+    fine_tune(base, trained, known, settings, tmp_path / "again", "cpu")
+    assert (tmp_path / "again" / "model.pt").read_bytes() == (tmp_path / "tuned" / "model.pt").read_bytes()
+    with pytest.raises(TactipError, match="holds another network"):
+        fine_tune(base, trained, known, replace(settings, seed=1), tmp_path / "tuned", "cpu")
+    with pytest.raises(TactipError, match="no real frames to fine-tune with"):
+        fine_tune(base, trained, known.take(slice(0, 0)), settings, tmp_path / "none", "cpu")
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--real-frames", "50"], "with 50 to learn from, 20 or more must be left to test on"),
+        (["--optics", "rainbow"], "unknown optics 'rainbow': choose one of lens, real, rim"),
+        (["--mechanics", "stone"], "unknown mechanics 'stone'"),
+        (["--recipe", "cake"], "unknown recipe 'cake'"),
+        (["--design", "cube"], "unknown design 'cube'"),
+    ],
+)
+def test_wrong_words_are_one_sentence(lab, tmp_path, capsys, options, words):
+    command = ["transfer", "zero-shot", "--real", str(lab), "--out", str(tmp_path / "out"), "--real-frames", "30"]
+    assert tactip.main([*command, *options]) == 1
+    assert words in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_unknown_experiment_and_a_set_without_a_neutral_image(lab, tmp_path, capsys):
+    assert tactip.main(["transfer", "many-shot", "--real", str(lab), "--out", str(tmp_path / "out")]) == 1
+    assert "choose one of zero-shot, few-shot" in capsys.readouterr().err
+    (tmp_path / "set").mkdir()
+    with pytest.raises(TactipError, match="has no neutral image"):
+        twin_of(tmp_path / "set", 128)
