@@ -7,7 +7,7 @@ import tyro
 from commands.bench import Bench
 from commands.learn import Evaluate, Train, Tune
 from commands.look import Replay, View
-from commands.real import Import, Transfer
+from commands.real import Camera, Import, Transfer
 from commands.sensor import Calibrate
 from commands.servo import Servo
 from commands.sets import Dataset
@@ -27,6 +27,7 @@ def main(arguments=None):
                 "tune": Tune,
                 "evaluate": Evaluate,
                 "transfer": Transfer,
+                "camera": Camera,
                 "servo": Servo,
                 "replay": Replay,
                 "view": View,

@@ -1,4 +1,4 @@
-"""tactip import and transfer: sets of real sensors, and what a network of simulation makes of them."""
+"""tactip import, transfer and camera: real sensors, their sets, and what a network of simulation makes of them."""
 
 import sys
 from dataclasses import dataclass, field
@@ -85,3 +85,81 @@ class Transfer:
         write_page(record, experiment.task, self.out)
         print(dumps(results) if self.json else f"{self.out / PAGE} written")
         return 0
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A real sensor, live: pins, tactile image and what the network feels, a JSON line a frame, and in a browser. The first
+    frame should show the tip untouched."""
+
+    device: int | None = None
+    """Number of a camera of this machine."""
+    video: Path | None = None
+    """A film in its place,"""
+    images: Path | None = None
+    """or a folder of images."""
+    model: str = "surface-tactip-127"
+    """A shipped network or the folder of a training; none for none."""
+    neutral: Path | None = None
+    """Image of the untouched tip; the first frame if not given."""
+    page: bool = False
+    """Show it in a browser, too."""
+    host: str = "127.0.0.1"
+    """Address that the page is served at."""
+    port: int = 8080
+    """Its port, or the next that is free."""
+    frames: int = 0
+    """Stop after so many frames; 0: go on to the end."""
+    layout: Annotated[Layout, tyro.conf.arg(name="")] = field(default_factory=lambda: Layout(threshold=(61, -5.0)))
+
+    def run(self):
+        from contextlib import suppress
+        from json import dumps
+
+        from learning.camera import Camera as Reader
+        from learning.model import find_model
+        from sim.importing import load
+
+        source = self._source()
+        page = None
+        try:
+            model = None if self.model == "none" else find_model(self.model)
+            neutral = None if self.neutral is None else load(self.neutral)
+            page = self._page()
+            count, faults, last = 0, 0, 0.0
+            # A camera never ends by itself: Ctrl-C is how it does.
+            with suppress(KeyboardInterrupt):
+                for sight in Reader(source, self.layout, model, neutral):
+                    print(dumps(sight.as_json()), flush=True)
+                    count, faults, last = count + 1, faults + bool(sight.fault), sight.time_s
+                    if page:
+                        page.show(sight, count / max(last, 1e-9))
+                    if count == self.frames:
+                        break
+            rate = (count - 1) / last if count > 1 else 0.0
+            print(f"{count} frames, {faults} of them faulty; {rate:.1f} frames/s", file=sys.stderr)
+        finally:
+            source.close()
+            if page:
+                page.close()
+        return 0
+
+    def _source(self):
+        from sim.frames import CameraFrames, FilmFrames, ImageFrames
+        from tactip_model.errors import TactipError
+
+        given = [x for x in (self.device, self.video, self.images) if x is not None]
+        if len(given) != 1:
+            raise TactipError(f"{len(given)} sources of frames are given: give one of --device, --video and --images")
+        if self.device is not None:
+            return CameraFrames(self.device)
+        return FilmFrames(self.video) if self.video is not None else ImageFrames(self.images)
+
+    def _page(self):
+        if not self.page:
+            return None
+        from learning.camera_page import CameraPage
+
+        page = CameraPage(f"camera, {self.model}", self.host, self.port)
+        print(f"the page is at {page.address}", file=sys.stderr)
+        return page

@@ -92,7 +92,11 @@ class FrameReader:
 
     def read(self, frame):
         """The tactile image (size, size) of a frame. Raises TactipError where it does not fit."""
-        return self._square(self.masked(frame), self._image.size_px)
+        return self.shrunk(self.masked(frame))
+
+    def shrunk(self, binary):
+        """The tactile image (size, size) of a `masked` frame."""
+        return self._square(binary, self._image.size_px)
 
     def whole(self, frame):
         """As `read`, as large as the frame has it."""
@@ -158,7 +162,7 @@ def read_source(folder, layout, targets=None, neutral=None):
     poses, shears = labels(layout, table)
     if neutral is not None and not Path(neutral).is_file():
         raise TactipError(f"the neutral image {neutral} does not exist")
-    found = [p for pattern in _NEUTRALS for p in sorted(folder.glob(pattern)) if p.suffix.lower() in _IMAGES]
+    found = [p for pattern in _NEUTRALS for p in sorted(folder.glob(pattern)) if p.suffix.lower() in IMAGES]
     paths = tuple(_found(folder, name) for name in names)
     if not any(paths):
         places = ", ".join(str(folder / f) for f in FOLDERS)
@@ -166,7 +170,7 @@ def read_source(folder, layout, targets=None, neutral=None):
     return Source(folder, names, paths, poses, shears, Path(neutral) if neutral else next(iter(found), None), checksum(data))
 
 
-_IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
+IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 
 
 def _found(folder, name):
@@ -237,7 +241,7 @@ def _import(source, layout, out, record, say, quiet):
             if path is None:
                 raise TactipError("the frame is not there")
             binary = reader.masked(load(path))
-            pins[i], images[i] = len(find_blobs(binary).centres), encode_image(reader.read(load(path)))
+            pins[i], images[i] = len(find_blobs(binary).centres), encode_image(reader.shrunk(binary))
         except TactipError as error:
             left_out.append({"row": i, "frame": name, "why": str(error)})
     usual = float(np.median(list(pins.values()))) if pins else 0.0
