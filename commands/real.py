@@ -57,7 +57,8 @@ class Transfer:
     where it stopped."""
 
     experiment: tyro.conf.Positional[str]
-    """zero-shot (no real label is used) or few-shot."""
+    """zero-shot (no real label is used), ablate (what each part of the simulation is worth),
+    few-shot, or gap (pins and images side by side)."""
     real: Path
     """Folder of an imported set (tactip import)."""
     out: Path

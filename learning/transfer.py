@@ -13,22 +13,24 @@ from pathlib import Path
 import numpy as np
 
 from learning.fine_tuning import FineTuning, fine_tune
+from learning.gap import draw, gap
 from learning.model import load_model
 from learning.networks import recipe_named
 from learning.samples import Samples, read_samples
 from learning.train import train
-from learning.twin_of import twin_of
+from learning.twin_of import nominal_of, twin_of
 from sim.crew import worker_count
 from sim.dataset import Configuration, write_file
 from sim.fidelity import fidelity_named
 from sim.generation import Job, make
+from sim.importing import REPORT
 from sim.sampling import SHEAR_RANGES, Ranges
 from sim.variation import VARIATIONS
 from tactip_model.design_file import write_design
 from tactip_model.errors import TactipError
 from tactip_model.presets import find_design
 
-RESULTS = "results.json"
+RESULTS, GAP = "results.json", "gap.png"
 
 _HELD = 200
 """Real frames by which a training on real frames alone is stopped; of those that it is given."""
@@ -62,6 +64,37 @@ def split_of(samples, settings):
     return RealSplit(samples.take(order[: settings.real_frames]), samples.take(np.sort(order[settings.real_frames :])))
 
 
+@dataclass(frozen=True)
+class Variant:
+    """How a network of simulation is made; None: as the settings have it."""
+
+    name: str = "sim"
+    """Part of its folder's name."""
+    contacts: str = "sim"
+    """Folder of its contacts: two that differ in images alone share them."""
+    calibrated: bool = True
+    """Whether the design is fitted to the sensor, or a preset."""
+    sheared: bool = True
+    """Whether its contacts are sheared."""
+    mechanics: str | None = None
+    """none or real."""
+    optics: str | None = None
+    """Of varied.OPTICS."""
+    drawn: float | None = None
+    """Share of the images that are drawn anew."""
+
+
+ABLATIONS = {
+    "all of it": Variant(),
+    "without calibration": Variant("uncalibrated", "uncalibrated", calibrated=False),
+    "without shear": Variant("unsheared", "unsheared", sheared=False),
+    "without varied optics": Variant("one-camera", drawn=0.0),
+    "without varied mechanics": Variant("one-tip", "one-tip", mechanics="none"),
+    "without image noise": Variant("noiseless", optics="clean"),
+}
+"""What is left out, one at a time."""
+
+
 class Experiment:
     """What the experiments on one real set share: its sensor's design, simulated sets, networks."""
 
@@ -78,14 +111,14 @@ class Experiment:
         self.task = self.samples.labels.task
         # What is not known is said before anything is made.
         fidelity_named(settings.fidelity)
-        self.recipe, self._told = self._recipe(), find_design(settings.design) if settings.design else None
+        self.recipe()
+        self._told = find_design(settings.design) if settings.design else None
 
-    def _recipe(self):
-        """The Recipe of a training on simulated samples."""
-        recipe = recipe_named(self.settings.recipe, self.task)
-        varied = replace(
-            recipe.settings, drawn=self.settings.drawn, optics=1.0, varied=self.settings.optics, seed=self.settings.seed
-        )
+    def recipe(self, variant=Variant()):
+        """The Recipe of a training on simulated samples of a Variant."""
+        s, recipe = self.settings, recipe_named(self.settings.recipe, self.task)
+        drawn = s.drawn if variant.drawn is None else variant.drawn
+        varied = replace(recipe.settings, drawn=drawn, optics=1.0, varied=variant.optics or s.optics, seed=s.seed)
         return replace(recipe, settings=varied)
 
     def design(self):
@@ -97,14 +130,19 @@ class Experiment:
         write_design(self.out / "design.json", design, {"neutral_image_of": self.real.name, **figures})
         return design
 
-    def simulated(self, design, name="sim"):
-        """Training and validation Samples of a Design, made if they are not there. name: folder in `out`."""
-        jobs = [self._job(design, name, split) for split in ("val", "train")]
+    def simulated(self, variant=Variant()):
+        """Training and validation Samples of a Variant, made if they are not there."""
+        design = self.design() if variant.calibrated else nominal_of(self._pins(), self.samples.size)
+        jobs = [self._job(design, variant, split) for split in ("val", "train")]
         make(jobs, self._workers, self._say)
         val, trained = (read_samples(job.folder) for job in jobs)
         return trained, val
 
-    def _job(self, design, name, split):
+    def _pins(self):
+        """Pins that are seen in most frames."""
+        return json.loads((self.real / REPORT).read_text())["pins"]["median"]
+
+    def _job(self, design, variant, split):
         s = self.settings
         symmetric = split == "train" and self.task == "surface"
         configuration = Configuration(
@@ -116,11 +154,11 @@ class Experiment:
             design=design,
             fidelity=fidelity_named(s.fidelity),
             pose=self._poses(),
-            shear=SHEAR_RANGES,
+            shear=SHEAR_RANGES if variant.sheared else Ranges(),
             symmetric=symmetric,
-            mechanics=VARIATIONS[s.mechanics],
+            mechanics=VARIATIONS[variant.mechanics or s.mechanics],
         )
-        return Job(configuration, self.out / name / split)
+        return Job(configuration, self.out / variant.contacts / split)
 
     def _poses(self):
         """Ranges of poses: those that the rig was told to go through. In the surface task every tilt is as wide as the
@@ -134,11 +172,10 @@ class Experiment:
             told |= {name: (0.0, 0.0) for name in ("x_mm", "y_mm", "yaw_deg")}
         return Ranges(**told)
 
-    def network(self, name="sim"):
-        """The Model that was trained on simulated samples alone; trained if it is not there."""
-        folder = self.out / f"network-{name}"
-        trained, val = self.simulated(self.design(), name)
-        train(trained, val, self.recipe.network, self.recipe.settings, folder, self._device, self._say)
+    def network(self, variant=Variant()):
+        """The Model that was trained on simulated samples of a Variant alone; trained if it is not there."""
+        folder, recipe = self.out / f"network-{variant.name}", self.recipe(variant)
+        train(*self.simulated(variant), recipe.network, recipe.settings, folder, self._device, self._say)
         return load_model(folder)
 
     def real_network(self, count):
@@ -153,11 +190,10 @@ class Experiment:
         )
         return load_model(folder)
 
-    def tuned(self, count, name="sim"):
+    def tuned(self, count):
         """The Model of simulation, fine-tuned with `count` real frames."""
-        folder = self.out / f"network-{name}-and-{count}"
-        base = self.network(name)
-        trained, _ = self.simulated(self.design(), name)
+        folder = self.out / f"network-sim-and-{count}"
+        base, (trained, _) = self.network(), self.simulated()
         settings = FineTuning(self.settings.seed, self.settings.tuning_steps, optics=self.settings.optics)
         fine_tune(base, trained, self.split.known.take(slice(0, count)), settings, folder, self._device, self._say)
         return load_model(folder)
@@ -223,5 +259,18 @@ def few_shot(experiment):
     return out
 
 
-EXPERIMENTS = {"zero-shot": zero_shot, "few-shot": few_shot}
+def ablate(experiment):
+    """What each part of the simulation is worth: networks that were made without it. Returns results (dict)."""
+    return {what: experiment.score(experiment.network(variant)) for what, variant in ABLATIONS.items()}
+
+
+def width_of_the_gap(experiment):
+    """Pins and images of real frames beside simulated ones at the same pose and shear. Returns results (dict)."""
+    s = experiment.settings
+    figures, arrays = gap(experiment.split.test, experiment.design(), s.fidelity, s.gap_frames, s.seed)
+    draw(arrays, f"simulated from real pins, {experiment.real.name}", experiment.out / GAP)
+    return figures
+
+
+EXPERIMENTS = {"zero-shot": zero_shot, "ablate": ablate, "few-shot": few_shot, "gap": width_of_the_gap}
 """By name: a function of an Experiment to its results (dict)."""

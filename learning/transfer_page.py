@@ -7,6 +7,7 @@ PAGE = "results.md"
 
 _TITLES = {
     "zero-shot": "Simulation alone, tested on real frames",
+    "ablate": "What each part of the simulation is worth",
     "few-shot": "Some real frames",
 }
 
@@ -37,7 +38,27 @@ def page(record, task):
         for what, figures in rows:
             cells = [_cell(figures, n) for n in kept]
             lines.append(f"| {what} | {' | '.join(cells)} |")
+    if "gap" in record:
+        lines += _gap(record["gap"])
     return "\n".join(lines) + "\n"
+
+
+def _gap(figures):
+    """Lines on the gap."""
+    told, best = figures["as_told"], figures["at_the_best_share_of_the_move"]
+    beside = f"Pins of {figures['frames']} real frames beside simulated ones, {figures['unit']}"
+    lines = ["", "## The gap itself", "", f"{beside}; they move by {figures['pins_move']:.1f} (rms)."]
+    lines += ["", "| | rms | median frame | 90 % of frames |", "|---|---|---|---|"]
+    for what, one in (("as the rows have it", told), ("at the share of the move that fits best", best)):
+        lines.append(f"| {what} | {one['rms']:.2f} | {one['median']:.2f} | {one['p90']:.2f} |")
+    images = figures["images"]
+    lines += ["", f"White pixels with white of the other within a pixel: {images['white_within_a_pixel']:.0%}; "]
+    lines[-1] += f"white: real {images['white_real']:.2%}, simulated {images['white_simulated']:.2%}."
+    lines += ["", "| median distance by | from | to | px |", "|---|---|---|---|"]
+    parts = figures["against"] | {"distance from the middle, px": figures["by_distance_from_the_middle"]}
+    for name, bins in parts.items():
+        lines += [f"| {name} | {b['from']:.2f} | {b['to']:.2f} | {b['median']:.2f} |" for b in bins]
+    return [*lines, "", "![where](gap.png)"]
 
 
 def _rows(results):

@@ -32,6 +32,8 @@ class TransferSettings:
     """draft, standard or reference."""
     recipe: str = "laptop"
     """Network and training: networks.py."""
+    gap_frames: int = within(8, 10**5, default=150)
+    """Real frames that are held against simulated ones, to see the gap."""
     tuning_steps: int = within(1, 10**6, default=800)
     """Steps of a fine-tuning."""
     seed: int = within(0, 2**31, default=0)

@@ -32,12 +32,23 @@ def twin_of(folder, size_px):
     if image is None:
         raise TactipError(f"{folder} has no neutral image: import the set with --neutral, or name a design by --design")
     blobs = len(find_blobs(image).centres)
-    layouts = {name: len(neutral_pins(design)[0]) for name, design in NOMINAL.items()}
-    name = min(layouts, key=lambda n: abs(layouts[n] - blobs))
+    name = _nearest(blobs)
     design, fit = fit_neutral(replace(NOMINAL[name], name=folder.resolve().name), image)
     design = replace(design, image=replace(design.image, size_px=size_px))
     design = with_pin_sizes(design, cv2.resize(image, (size_px, size_px), interpolation=cv2.INTER_AREA) > 127)
     return design, {"layout": name, "pins": blobs, "before_px": fit.before_px, "lattice_px": fit.lattice_px}
+
+
+def nominal_of(pins, size_px):
+    """The preset Design, fitted to nothing, whose number of pins is nearest to `pins` (float). size_px: as of twin_of."""
+    design = NOMINAL[_nearest(pins)]
+    return replace(design, image=replace(design.image, size_px=size_px))
+
+
+def _nearest(pins):
+    """Name of the preset whose number of pins is nearest."""
+    counts = {name: len(neutral_pins(design)[0]) for name, design in NOMINAL.items()}
+    return min(counts, key=lambda name: abs(counts[name] - pins))
 
 
 def with_pin_sizes(design, image):

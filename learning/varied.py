@@ -59,6 +59,14 @@ _REAL = OpticsRanges(
     speckles=2.0,
 )
 
-OPTICS = {"lens": OpticsRanges(), "real": _REAL, "rim": replace(_REAL, rim_lights=8.0)}
+_NO_NOISE = {"pin_each": 0.0, "jitter_px": 0.0, "missing": 0.0, "merged_px": 0.0, "speckles": 0.0}
+
+OPTICS = {
+    "lens": OpticsRanges(),
+    "real": _REAL,
+    "rim": replace(_REAL, rim_lights=8.0),
+    "clean": replace(_REAL, **_NO_NOISE),
+}
 """By name: `lens`, what the paper's own sensor may do from day to day; `real`, what real sensors of a kind differ in, after
-the calibration to a neutral image; `rim`, the same with light at the rim, for frames that are not masked."""
+the calibration to a neutral image; `rim`, the same with light at the rim, for frames that are not masked; `clean`, `real`
+without what is not the camera's."""

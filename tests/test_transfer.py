@@ -12,12 +12,13 @@ import torch
 import tactip
 from learning import networks
 from learning.fine_tuning import FineTuning, fine_tune
+from learning.gap import gap
 from learning.model import load_model
 from learning.networks import Recipe
 from learning.posenet import PoseNetConfig
 from learning.samples import read_samples
 from learning.train import TrainSettings, train
-from learning.transfer import Experiment, score
+from learning.transfer import ABLATIONS, Experiment, score
 from learning.transfer_settings import TransferSettings
 from learning.twin_of import twin_of
 from sim.contact import ContactPlayer
@@ -112,6 +113,14 @@ def test_zero_and_few_shot_from_the_command_line(lab, tiny, tmp_path, capsys):
     assert record["few-shot"]["30"]["alone"] == record["zero-shot"]["real"]
     page = (tmp_path / "out" / "results.md").read_text()
     assert "| trained on simulation |" in page and "pose_Rx" not in page
+    assert tactip.main(["transfer", "ablate", *command]) == 0
+    record = json.loads((tmp_path / "out" / "results.json").read_text())
+    assert list(record["ablate"]) == list(ABLATIONS)
+    assert record["ablate"]["all of it"] == record["zero-shot"]["simulation"]
+    others = [tuple(part["mae"].values()) for part in record["ablate"].values()]
+    assert len(set(others)) == len(ABLATIONS)  # each is a network of its own
+    flat = read_samples(tmp_path / "out" / "unsheared" / "train")
+    assert not flat.shears.any() and read_samples(tmp_path / "out" / "sim" / "train").shears.any()
     # Nothing that is there is made again.
     made = {p: p.stat().st_mtime_ns for p in (tmp_path / "out").rglob("*") if p.name in ("model.pt", "pins.npz")}
     assert tactip.main(["transfer", "few-shot", *command]) == 0
@@ -154,7 +163,7 @@ def test_the_zero_is_taken_out_of_the_depth_alone(lab):
 def test_fine_tuning_learns_the_real_frames_and_leaves_the_base_alone(lab, tiny, tmp_path):
     few = TransferSettings(real_frames=30, contacts=12, held=10, fidelity="draft")
     experiment = Experiment(lab, tmp_path, few, workers=1)
-    trained, val = experiment.simulated(experiment.design())
+    trained, val = experiment.simulated()
     train(trained, val, TINY.network, TINY.settings, tmp_path / "base", "cpu", print, quiet=True)
     base, known = load_model(tmp_path / "base"), experiment.split.known
     before = {k: v.clone() for k, v in base.net.state_dict().items()}
@@ -170,6 +179,20 @@ def test_fine_tuning_learns_the_real_frames_and_leaves_the_base_alone(lab, tiny,
         fine_tune(base, trained, known, replace(settings, seed=1), tmp_path / "tuned", "cpu")
     with pytest.raises(TactipError, match="no real frames to fine-tune with"):
         fine_tune(base, trained, known.take(slice(0, 0)), settings, tmp_path / "none", "cpu")
+
+
+def test_the_gap_is_seen_and_closes_with_the_right_design(lab, tmp_path, capsys):
+    """The hidden sensor's own design explains its frames; what is fitted to the neutral image alone, nearly."""
+    command = ["transfer", "gap", "--real", str(lab), "--out", str(tmp_path / "out"), "--real-frames", "20"]
+    assert tactip.main([*command, "--gap-frames", "20", "--fidelity", "draft", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["frames"] + told["frames_whose_pins_were_not_told_apart"] == 20 and told["frames"] > 15
+    assert told["at_the_best_share_of_the_move"]["median"] < 0.4 * told["pins_move"]
+    assert (tmp_path / "out" / "gap.png").stat().st_size > 10_000
+    assert {"pose_z", "pose_Ry", "shear_mm"} <= set(told["against"])
+    right, _ = gap(read_samples(lab), hidden(design_named("nominal-127")), "draft", 20)
+    assert right["at_the_best_share_of_the_move"]["median"] < 0.5  # a blob's middle in an image of 128 px
+    assert right["images"]["white_within_a_pixel"] > 0.9
 
 
 @pytest.mark.parametrize(
@@ -191,7 +214,7 @@ def test_wrong_words_are_one_sentence(lab, tmp_path, capsys, options, words):
 
 def test_an_unknown_experiment_and_a_set_without_a_neutral_image(lab, tmp_path, capsys):
     assert tactip.main(["transfer", "many-shot", "--real", str(lab), "--out", str(tmp_path / "out")]) == 1
-    assert "choose one of zero-shot, few-shot" in capsys.readouterr().err
+    assert "choose one of zero-shot, ablate, few-shot, gap" in capsys.readouterr().err
     (tmp_path / "set").mkdir()
     with pytest.raises(TactipError, match="has no neutral image"):
         twin_of(tmp_path / "set", 128)
