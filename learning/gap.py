@@ -70,12 +70,12 @@ def _played(samples, design, fidelity):
     poses, shears = samples.dataset.poses[samples.rows], samples.shears
     pins, images = [], []
     for pose, shear in zip(tqdm(poses, unit="contact", file=sys.stderr, mininterval=5), shears, strict=True):
-        skins, last = [], None
+        skins, seen = [], []
         for contact in player.stages(from_mm_deg(pose), from_mm_deg(shear), DONE):
             skins.append(player.scene.vertices()[: player.scene.mesh.surface_count])
-            last = contact.tips, contact.directions
+            seen.append((contact.tips, contact.directions))
         pins.append(pixels(design, fidelity, np.array(skins)))
-        images.append(tactile_image(raster.render(*last), design.image))
+        images.append(tactile_image(raster.render(*seen[-1]), design.image))
     return np.array(pins), np.array(images)
 
 
