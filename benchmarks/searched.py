@@ -13,7 +13,7 @@ from benchmarks import learned
 from benchmarks.machine import machine
 from benchmarks.options import LearningOptions
 from learning.space import SearchSpace
-from learning.train import TrainSettings
+from learning.train import TrainSettings, as_of_now
 from learning.tune import PARAMETERS, TuneSettings, draw, tune
 from sim.crew import worker_count
 from sim.dataset import write_file
@@ -113,4 +113,5 @@ def cuts(settings):
             elif ours[key] != value:
                 yield f"{name}{key} {ours[key]:g} instead of {value:g}"
 
-    return list(differing(settings, dataclasses.asdict(TuneSettings()), ""))
+    papers = dataclasses.asdict(TuneSettings())
+    return list(differing(as_of_now(settings, papers), papers, ""))

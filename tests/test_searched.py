@@ -63,3 +63,9 @@ def test_the_papers_search_has_no_cuts():
 def test_another_task_is_refused():
     with pytest.raises(TactipError, match="unknown task 'sphere': choose one of surface, edge"):
         searched.run(SearchOptions(task="sphere"))
+
+
+def test_a_record_from_before_a_field_came_is_not_a_cut():
+    settings = dataclasses.asdict(TuneSettings())
+    del settings["training"]["varied"]
+    assert searched.cuts(settings) == []
