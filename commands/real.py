@@ -57,12 +57,18 @@ class Transfer:
     where it stopped."""
 
     experiment: tyro.conf.Positional[str]
-    """zero-shot (no real label is used), ablate (what each part of the simulation is worth),
-    few-shot, or gap (pins and images side by side)."""
-    real: Path
-    """Folder of an imported set (tactip import)."""
+    """zero-shot (no real label is used), ablate (what each part of the simulation is worth), few-shot, gap (pins and images
+    side by side), or pseudo-real: all but the second on a hidden simulated sensor in the place of a real one."""
     out: Path
     """Folder for sets, networks, results.json and results.md."""
+    real: Path | None = None
+    """Folder of an imported set (tactip import); pseudo-real makes its own."""
+    task: str = "surface"
+    """surface or edge, of pseudo-real."""
+    kind: str = "nominal-127"
+    """nominal-127 or nominal-331: what the hidden sensor of pseudo-real is like."""
+    frames: int = 2500
+    """Frames of pseudo-real."""
     json: bool = False
     """Print the results, as JSON, in the place of words."""
     workers: str = "auto"
@@ -78,14 +84,32 @@ class Transfer:
         from learning.transfer_page import PAGE, write_page
         from tactip_model.errors import choose
 
-        run = choose("experiment", self.experiment, EXPERIMENTS)
+        choose("experiment", self.experiment, dict.fromkeys([*EXPERIMENTS, "pseudo-real"]))
         say = (lambda line: print(line, file=sys.stderr)) if self.json else print
-        experiment = Experiment(self.real, self.out, self.settings, self.workers, self.device, say)
-        results = run(experiment)
-        record = experiment.keep(self.experiment, results)
-        write_page(record, experiment.task, self.out)
-        print(dumps(results) if self.json else f"{self.out / PAGE} written")
+        pseudo = self.experiment == "pseudo-real"
+        names = ("zero-shot", "gap", "few-shot") if pseudo else (self.experiment,)
+        experiment = Experiment(self._set(say), self.out, self.settings, self.workers, self.device, say)
+        results = {}
+        for name in names:
+            results[name] = EXPERIMENTS[name](experiment)
+            write_page(experiment.keep(name, results[name]), experiment.task, self.out)
+        print(dumps(results if pseudo else results[self.experiment]) if self.json else f"{self.out / PAGE} written")
         return 0
+
+    def _set(self, say):
+        from learning.pseudo_real import make_pseudo_real
+        from sim.crew import worker_count
+        from tactip_model.errors import TactipError, choose
+
+        if self.experiment == "pseudo-real":
+            if self.real is not None:
+                raise TactipError(f"pseudo-real makes its own set, and --real {self.real} is given: leave it out")
+            choose("kind", self.kind, dict.fromkeys(("nominal-127", "nominal-331")))
+            seed, workers = self.settings.seed, worker_count(self.workers)
+            return make_pseudo_real(self.out / "hidden", self.task, self.kind, self.frames, seed, workers, say)
+        if self.real is None:
+            raise TactipError(f"{self.experiment} needs the folder of an imported set: give --real")
+        return self.real
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,6 @@
 """The page of the search: what was tried, what was cut of the paper's; more trials are added to those that are there."""
 
+import dataclasses
 import json
 from dataclasses import replace
 

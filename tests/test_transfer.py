@@ -16,6 +16,7 @@ from learning.gap import gap
 from learning.model import load_model
 from learning.networks import Recipe
 from learning.posenet import PoseNetConfig
+from learning.pseudo_real import hidden_design
 from learning.samples import read_samples
 from learning.train import TrainSettings, train
 from learning.transfer import ABLATIONS, Experiment, score
@@ -212,9 +213,26 @@ def test_wrong_words_are_one_sentence(lab, tmp_path, capsys, options, words):
     assert not (tmp_path / "out").exists()
 
 
+def test_pseudo_real_runs_without_any_real_data(tiny, tmp_path, capsys):
+    command = ["transfer", "pseudo-real", "--out", str(tmp_path / "out"), "--frames", "50", "--real-frames", "30"]
+    command += ["--contacts", "10", "--held", "10", "--recipe", "tiny", "--fidelity", "draft", "--shots", "10"]
+    command += ["--tuning-steps", "2", "--gap-frames", "8", "--workers", "2"]
+    assert tactip.main([*command, "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert set(told) == {"zero-shot", "gap", "few-shot"}
+    assert told["gap"]["at_the_best_share_of_the_move"]["median"] < told["gap"]["pins_move"]
+    # What is hidden is another sensor, and the same from its seed.
+    assert hidden_design("nominal-127", 0) == hidden_design("nominal-127", 0) != hidden_design("nominal-127", 1)
+    assert hidden_design("nominal-127", 0).optics != design_named("nominal-127").optics
+    assert tactip.main([*command[:-2], "--real", "x"]) == 1
+    assert "pseudo-real makes its own set" in capsys.readouterr().err
+    assert tactip.main(["transfer", "gap", "--out", str(tmp_path / "none")]) == 1
+    assert "gap needs the folder of an imported set: give --real" in capsys.readouterr().err
+
+
 def test_an_unknown_experiment_and_a_set_without_a_neutral_image(lab, tmp_path, capsys):
     assert tactip.main(["transfer", "many-shot", "--real", str(lab), "--out", str(tmp_path / "out")]) == 1
-    assert "choose one of zero-shot, ablate, few-shot, gap" in capsys.readouterr().err
+    assert "choose one of zero-shot, ablate, few-shot, gap, pseudo-real" in capsys.readouterr().err
     (tmp_path / "set").mkdir()
     with pytest.raises(TactipError, match="has no neutral image"):
         twin_of(tmp_path / "set", 128)
