@@ -97,9 +97,12 @@ def test_the_twin_has_the_hidden_sensors_pins_where_they_are(lab):
     assert design.pins.diameter_m == pytest.approx(1.0e-3, rel=0.2)
 
 
+FEW = ["--contacts", "10", "--held", "10", "--real-frames", "30", "--recipe", "tiny", "--fidelity", "draft"]
+FEW += ["--tuning-steps", "4", "--workers", "1"]
+
+
 def test_zero_and_few_shot_from_the_command_line(lab, tiny, tmp_path, capsys):
-    command = ["--real", str(lab), "--out", str(tmp_path / "out"), "--contacts", "12", "--held", "10", "--real-frames", "30"]
-    command += ["--recipe", "tiny", "--fidelity", "draft", "--shots", "10", "25", "--tuning-steps", "4", "--workers", "1"]
+    command = ["--real", str(lab), "--out", str(tmp_path / "out"), *FEW, "--shots", "10", "25"]
     assert tactip.main(["transfer", "zero-shot", *command, "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert set(told) == {"simulation", "real"}
@@ -114,6 +117,16 @@ def test_zero_and_few_shot_from_the_command_line(lab, tiny, tmp_path, capsys):
     assert record["few-shot"]["30"]["alone"] == record["zero-shot"]["real"]
     page = (tmp_path / "out" / "results.md").read_text()
     assert "| trained on simulation |" in page and "pose_Rx" not in page
+    # Nothing that is there is made again.
+    made = {p: p.stat().st_mtime_ns for p in (tmp_path / "out").rglob("*") if p.name in ("model.pt", "pins.npz")}
+    assert tactip.main(["transfer", "few-shot", *command]) == 0
+    assert made == {p: p.stat().st_mtime_ns for p in made}
+
+
+@pytest.mark.slow
+def test_each_part_is_left_out_by_itself(lab, tiny, tmp_path):
+    command = ["--real", str(lab), "--out", str(tmp_path / "out"), *FEW]
+    assert tactip.main(["transfer", "zero-shot", *command]) == 0
     assert tactip.main(["transfer", "ablate", *command]) == 0
     record = json.loads((tmp_path / "out" / "results.json").read_text())
     assert list(record["ablate"]) == list(ABLATIONS)
@@ -122,10 +135,6 @@ def test_zero_and_few_shot_from_the_command_line(lab, tiny, tmp_path, capsys):
     assert len(set(others)) == len(ABLATIONS)  # each is a network of its own
     flat = read_samples(tmp_path / "out" / "unsheared" / "train")
     assert not flat.shears.any() and read_samples(tmp_path / "out" / "sim" / "train").shears.any()
-    # Nothing that is there is made again.
-    made = {p: p.stat().st_mtime_ns for p in (tmp_path / "out").rglob("*") if p.name in ("model.pt", "pins.npz")}
-    assert tactip.main(["transfer", "few-shot", *command]) == 0
-    assert made == {p: p.stat().st_mtime_ns for p in made}
 
 
 def test_what_is_tested_on_is_never_learned_from(lab):
@@ -168,12 +177,12 @@ def test_fine_tuning_learns_the_real_frames_and_leaves_the_base_alone(lab, tiny,
     train(trained, val, TINY.network, TINY.settings, tmp_path / "base", "cpu", print, quiet=True)
     base, known = load_model(tmp_path / "base"), experiment.split.known
     before = {k: v.clone() for k, v in base.net.state_dict().items()}
-    settings = FineTuning(steps=300, rate=3e-3)
+    settings = FineTuning(steps=150, rate=5e-3)
     fine_tune(base, trained, known, settings, tmp_path / "tuned", "cpu")
     assert all(torch.equal(v, before[k]) for k, v in base.net.state_dict().items())
     tuned = load_model(tmp_path / "tuned")
     errors = [np.abs((m.predict(known.images) - known.targets) / m.labels.scale).mean() for m in (base, tuned)]
-    assert errors[1] < 0.7 * errors[0]
+    assert errors[1] < 0.8 * errors[0]
     fine_tune(base, trained, known, settings, tmp_path / "again", "cpu")
     assert (tmp_path / "again" / "model.pt").read_bytes() == (tmp_path / "tuned" / "model.pt").read_bytes()
     with pytest.raises(TactipError, match="holds another network"):
@@ -213,18 +222,19 @@ def test_wrong_words_are_one_sentence(lab, tmp_path, capsys, options, words):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_pseudo_real_runs_without_any_real_data(tiny, tmp_path, capsys):
-    command = ["transfer", "pseudo-real", "--out", str(tmp_path / "out"), "--frames", "50", "--real-frames", "30"]
-    command += ["--contacts", "10", "--held", "10", "--recipe", "tiny", "--fidelity", "draft", "--shots", "10"]
-    command += ["--tuning-steps", "2", "--gap-frames", "8", "--workers", "2"]
-    assert tactip.main([*command, "--json"]) == 0
+    command = ["transfer", "pseudo-real", "--out", str(tmp_path / "out"), "--frames", "50", "--gap-frames", "8", *FEW]
+    assert tactip.main([*command, "--shots", "10", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert set(told) == {"zero-shot", "gap", "few-shot"}
     assert told["gap"]["at_the_best_share_of_the_move"]["median"] < told["gap"]["pins_move"]
-    # What is hidden is another sensor, and the same from its seed.
+
+
+def test_what_is_hidden_is_another_sensor_and_the_same_from_its_seed(tmp_path, capsys):
     assert hidden_design("nominal-127", 0) == hidden_design("nominal-127", 0) != hidden_design("nominal-127", 1)
     assert hidden_design("nominal-127", 0).optics != design_named("nominal-127").optics
-    assert tactip.main([*command[:-2], "--real", "x"]) == 1
+    assert tactip.main(["transfer", "pseudo-real", "--out", str(tmp_path / "out"), "--real", "x"]) == 1
     assert "pseudo-real makes its own set" in capsys.readouterr().err
     assert tactip.main(["transfer", "gap", "--out", str(tmp_path / "none")]) == 1
     assert "gap needs the folder of an imported set: give --real" in capsys.readouterr().err
