@@ -68,6 +68,13 @@ class Chromium:
         """Value of an expression in the page."""
         return self.do("Runtime.evaluate", expression=expression, returnByValue=True)["result"].get("value")
 
+    def frames(self, count=3):
+        """Wait until so many pictures were drawn: what the page was told is then where it is drawn, and can be hit."""
+        wait = (
+            f"(async () => {{ for (let i = 0; i < {count}; i++) await new Promise(requestAnimationFrame); return true; }})()"
+        )
+        self.do("Runtime.evaluate", expression=wait, awaitPromise=True)
+
     def text(self):
         """All that is written on the page."""
         return self.ask("document.body ? document.body.innerText : ''") or ""
@@ -101,6 +108,8 @@ class Chromium:
 
     def drag(self, start, end, pieces=6):
         """Drag from a place to another, (2,) px each."""
+        self.mouse("mouseMoved", start)
+        self.frames(1)
         self.mouse("mousePressed", start)
         for share in np.linspace(0, 1, pieces):
             self.mouse("mouseMoved", [a + share * (b - a) for a, b in zip(start, end, strict=True)])

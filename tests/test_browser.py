@@ -140,6 +140,7 @@ def test_the_handle_is_dragged_and_the_stimulus_follows(live):
     live.browser.click("back to the start")
     live.until(lambda: abs(live.page._press.label[0]) < 1e-9)
     live.text("at rest")
+    live.browser.frames()
     camera = next(iter(live.page._server.get_clients().values())).camera
     handle = live.page._handle
     origin, along = np.array(handle.position), Rotation.from_quat(handle.wxyz, scalar_first=True).as_matrix()[:, 0]
