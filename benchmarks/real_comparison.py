@@ -69,7 +69,7 @@ class Options:
 
 DONE = np.linspace(0, 1, 6)
 """Shares of its move at which a frame was taken: the real frames lag behind their rows, by anything from nothing to all of
-the move alike (docs/your_own_sensor.md)."""
+the move alike (docs/your-own-sensor.md)."""
 
 ZEROS_MM = np.arange(-0.5, 0.51, 0.25)
 """Zeros of depth that are tried: it is known to 0.5 mm."""
