@@ -8,6 +8,8 @@ FIDELITY ?= standard
 RECIPE ?= laptop
 TRIALS ?= 300
 RUN ?= runs/servo-bust
+REAL ?= data/real
+EXPERIMENT ?= zero-shot
 PYTHON ?=
 
 BIN := .venv/bin
@@ -22,6 +24,7 @@ help:
 	@echo "make demo          a pass over the bust and once round a rim, with films (two minutes); into runs/demo"
 	@echo "make replay        a servo run in a browser  [RUN=runs/servo-bust]"
 	@echo "make view          the live scene in a browser: drag the stimulus  [TASK=surface|edge]"
+	@echo "make transfer      simulation against a real set  [REAL=data/real] [EXPERIMENT=zero-shot|ablate|few-shot|gap|pseudo-real]"
 	@echo "make report        measure errors and costs (45 min); write docs/*.md and the README's picture"
 	@echo "make test          all tests but the slow ones    make test-all   those too"
 	@echo "make lint          ruff and pyright"
@@ -67,6 +70,10 @@ replay: $(READY)
 view: $(READY)
 	@$(BIN)/tactip view --task "$(if $(filter all,$(TASK)),surface,$(TASK))"
 
+transfer: $(READY)
+	@$(BIN)/tactip transfer "$(EXPERIMENT)" --out "runs/transfer-$(notdir $(REAL))" \
+		$(if $(filter pseudo-real,$(EXPERIMENT)),,--real "$(REAL)")
+
 test: $(READY)
 	@$(BIN)/python -m pytest
 
@@ -96,4 +103,4 @@ lock:
 clean:
 	@rm -rf .venv build *.egg-info .pytest_cache .ruff_cache .hypothesis
 
-.PHONY: help setup sim-dataset train tune servo demo replay view test test-all report lint lock clean
+.PHONY: help setup sim-dataset train tune servo demo replay view transfer test test-all report lint lock clean
