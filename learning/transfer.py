@@ -217,7 +217,7 @@ def score(model, samples):
     """Errors of a Model on Samples of a real set: dict of mae, rmse, bias, and mae with the depth's zero taken out.
 
     Where a label's zero lies is not known of a rig better than to some tenths of a millimetre: for the depth, and for it
-    alone, the mean error is also taken out (`mae_zeroed`). Components that do not vary in the set are not what it can tell
+    alone, the median error is also taken out (`mae_zeroed`). Components that do not vary in the set are not what it can tell
     of: `varies` says which do.
     """
     errors = model.predict(samples.images) - samples.targets
