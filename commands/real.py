@@ -143,13 +143,13 @@ class Camera:
 
         from learning.camera import Camera as Reader
         from learning.model import find_model
-        from sim.importing import load
+        from sim.importing import load_neutral
 
         source = self._source()
         page = None
         try:
             model = None if self.model == "none" else find_model(self.model)
-            neutral = None if self.neutral is None else load(self.neutral)
+            neutral = None if self.neutral is None else load_neutral(self.neutral)
             page = self._page()
             count, faults, last = 0, 0, 0.0
             # A camera never ends by itself: Ctrl-C is how it does.

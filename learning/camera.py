@@ -5,12 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim.importing import FrameReader
+from sim.importing import FEW, FrameReader
 from tactip_model.blobs import find_blobs
 from tactip_model.errors import TactipError
-
-FEW = 0.8
-"""A frame with fewer of the pins than this share of the first one's is not to be trusted."""
 
 _LEAST_PINS = 20
 """Pins that the first frame must show."""

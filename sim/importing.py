@@ -1,5 +1,6 @@
 """A laboratory's set, published or one's own, brought into the project's format: checked, masked, reported and pictured."""
 
+import contextlib
 import csv
 import dataclasses
 import io
@@ -44,7 +45,7 @@ _NEUTRALS = ("init*", "neutral*")
 _UNTOLD = 40
 """Frames by which it is told where the pins are, if there is no neutral image."""
 
-_FEW = 0.8
+FEW = 0.8
 """A frame with fewer of the pins than this share of the usual number does not fit."""
 
 _OBLONG = 0.05
@@ -106,7 +107,7 @@ class FrameReader:
 
     def _square(self, binary, size):
         left, top, right, bottom = self._image.crop or (0, 0, *binary.shape[::-1])
-        if abs((right - left) / (bottom - top) - 1) > _OBLONG:
+        if abs((right - left) / max(bottom - top, 1) - 1) > _OBLONG:
             raise TactipError(
                 f"what is used of it is {right - left} by {bottom - top} px, and should be square: give a crop"
             )
@@ -194,6 +195,25 @@ def load(path):
     return frame
 
 
+def load_neutral(path):
+    """The neutral image (h, w, 3) uint8. Raises TactipError where it cannot be read."""
+    try:
+        return load(path)
+    except TactipError as error:
+        raise TactipError(f"the neutral image {path}: {error}") from error
+
+
+def _some(paths):
+    """_UNTOLD frames, spread over those of `paths` that are there, can be read, and are as large as the first of them."""
+    there = [path for path in paths if path]
+    chosen = [there[i] for i in np.unique(np.linspace(0, len(there) - 1, _UNTOLD).astype(int))]
+    frames = []
+    for path in chosen:
+        with contextlib.suppress(TactipError):  # it is left out, and said, when its turn comes
+            frames.append(load(path))
+    return [frame for frame in frames if frame.shape == frames[0].shape]
+
+
 def import_set(source, layout, out, say=print, quiet=False):
     """Bring a Source into a folder (path) of the project's format. Returns the report (dict).
 
@@ -204,10 +224,11 @@ def import_set(source, layout, out, say=print, quiet=False):
     out = Path(out)
     record = {"task": layout.task, "layout": json.loads(json.dumps(dataclasses.asdict(layout)))}
     record |= {"source": {"name": source.folder.resolve().name, "targets_sha256": source.digest}}
+    record["source"]["neutral_sha256"] = source.neutral and checksum(source.neutral.read_bytes())
     if (out / "meta.json").exists() and _same(out, record):
         say(f"{out} holds this set, imported already")
         return json.loads((out / REPORT).read_text())
-    if out.exists() and any(p.name not in ("images", _WORK) for p in out.iterdir()):
+    if out.exists() and not (out / _WORK).exists() and any(out.iterdir()):
         raise TactipError(f"the folder {out} is not empty: name another one")
     try:
         return _import(source, layout, out, record, say, quiet)
@@ -224,13 +245,12 @@ def _same(out, record):
 
 
 def _import(source, layout, out, record, say, quiet):
+    out.mkdir(parents=True, exist_ok=True)
+    write_file(out / _WORK, b"")  # first of all, so that what a kill leaves is known for ours
     shutil.rmtree(out / "images", ignore_errors=True)
-    (out / "images").mkdir(parents=True)
-    write_file(out / _WORK, b"")  # so that what a kill leaves is known for ours
-    neutral = None if source.neutral is None else load(source.neutral)
-    there = [p for p in source.paths if p]
-    some = [there[i] for i in np.unique(np.linspace(0, len(there) - 1, _UNTOLD).astype(int))]
-    reader = FrameReader(layout, neutral, [] if neutral is not None else [load(p) for p in some])
+    (out / "images").mkdir()
+    neutral = None if source.neutral is None else load_neutral(source.neutral)
+    reader = FrameReader(layout, neutral, [] if neutral is not None else _some(source.paths))
     images, pins, left_out = {}, {}, []
     bar = tqdm(source.names, unit="frame", file=sys.stderr, disable=quiet, mininterval=0.5 if sys.stderr.isatty() else 15)
     for i, name in enumerate(bar):
@@ -245,7 +265,7 @@ def _import(source, layout, out, record, say, quiet):
         except TactipError as error:
             left_out.append({"row": i, "frame": name, "why": str(error)})
     usual = float(np.median(list(pins.values()))) if pins else 0.0
-    for i in [i for i, count in pins.items() if count < _FEW * usual or not count]:
+    for i in [i for i, count in pins.items() if count < FEW * usual or not count]:
         left_out.append({"row": i, "frame": source.names[i], "why": f"{pins[i]} pins are seen, {usual:g} in most"})
         del images[i]
     kept = np.array(sorted(images), int)

@@ -11,7 +11,7 @@ A component that is not told is the column of its own name, or 0 where there is 
 
 import json
 import re
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 from sim.names import LABELS, SHEARS, TASKS
@@ -67,8 +67,8 @@ class Layout:
             parsed(told)
 
 
-def read_layout(path, base=None):
-    """The Layout in a JSON file: an object of the fields that are not as in base (Layout). Raises TactipError."""
+def read_layout(path):
+    """The Layout in a JSON file: an object of the fields that are not as Layout has them. Raises TactipError."""
     path = Path(path)
     try:
         content = json.loads(path.read_text())
@@ -82,7 +82,7 @@ def read_layout(path, base=None):
         raise TactipError(f"the layout file {path} has {', '.join(strange)}: its fields are {', '.join(sorted(known))}")
     values = {name: tuple(value) if isinstance(value, list) else value for name, value in content.items()}
     try:
-        return replace(base or Layout(), **values)
+        return Layout(**values)
     except TypeError as error:
         raise TactipError(f"the layout file {path} has a value of the wrong kind: {error}") from error
 

@@ -10,6 +10,7 @@ import pytest
 
 import tactip
 from learning.samples import read_samples
+from sim import importing
 from sim.dataset import read_dataset
 from sim.importing import FrameReader
 from sim.layout import Layout
@@ -157,6 +158,7 @@ def test_what_does_not_fit_is_left_out_and_named(tmp_path, capsys):
         ),
         (lambda lab: None, ["--neutral", "none.png"], "the neutral image none.png does not exist"),
         (lambda lab: None, ["--crop", "0", "0", "256", "128"], "is 256 by 128 px, and should be square"),
+        (lambda lab: None, ["--crop", "0", "0", "0", "0"], "is 0 by 0 px, and should be square"),
         (lambda lab: None, ["--crop", "0", "0", "999", "999"], "does not fit a frame of 256 by 256 px"),
         (lambda lab: None, ["--task", "corner"], "unknown task 'corner': choose one of"),
     ],
@@ -197,6 +199,47 @@ def test_what_a_kill_leaves_is_begun_anew(tmp_path, monkeypatch):
     assert bring(tmp_path / "lab", tmp_path / "other") == 0
     for name in ("meta.json", "targets.csv", "import.json"):
         assert (tmp_path / "set" / name).read_bytes() == (tmp_path / "other" / name).read_bytes()
+
+
+def test_a_kill_before_the_last_file_leaves_a_folder_that_is_ours(tmp_path, monkeypatch):
+    write_set(tmp_path / "lab")
+    real = importing.write_file
+
+    def killed(path, data):
+        if path.name == "meta.json":
+            raise KeyboardInterrupt
+        real(path, data)
+
+    monkeypatch.setattr(importing, "write_file", killed)
+    assert bring(tmp_path / "lab", tmp_path / "set") == 130
+    assert (tmp_path / "set" / "targets.csv").exists()
+    monkeypatch.setattr(importing, "write_file", real)
+    assert bring(tmp_path / "lab", tmp_path / "set") == 0
+    assert tactip.main(["dataset", "verify", str(tmp_path / "set")]) == 0
+
+
+def test_another_neutral_image_is_another_set_and_a_broken_one_is_named(tmp_path, capsys):
+    write_set(tmp_path / "lab")
+    assert bring(tmp_path / "lab", tmp_path / "set") == 0
+    other, broken = tmp_path / "other.png", tmp_path / "broken.png"
+    cv2.imwrite(str(other), frame(1.01))
+    broken.write_bytes(b"no image")
+    capsys.readouterr()
+    assert bring(tmp_path / "lab", tmp_path / "set", "--neutral", str(other)) == 1
+    assert "is not empty" in capsys.readouterr().err
+    assert bring(tmp_path / "lab", tmp_path / "third", "--neutral", str(broken)) == 1
+    assert "broken.png: it cannot be read as an image" in capsys.readouterr().err
+
+
+def test_without_a_neutral_image_a_frame_that_does_not_fit_spoils_nothing(tmp_path):
+    write_set(tmp_path / "lab")
+    (tmp_path / "lab" / "init_0.png").unlink()
+    images = tmp_path / "lab" / "images"
+    (images / "frame_1.png").write_bytes(b"no image")
+    cv2.imwrite(str(images / "frame_3.png"), np.zeros((SIZE, 300), np.uint8))
+    assert bring(tmp_path / "lab", tmp_path / "set") == 0
+    report = json.loads((tmp_path / "set" / "import.json").read_text())
+    assert [one["frame"] for one in report["left_out"]] == ["frame_1.png", "frame_3.png"]
 
 
 def test_layouts_of_other_families(tmp_path):
