@@ -1,8 +1,13 @@
 """What may be asked of the longer measurements. Nothing heavy is imported here: the command line reads it to tell what there
 is."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from learning.transfer_settings import TransferSettings
 
 
 @dataclass(frozen=True)
@@ -15,6 +20,8 @@ class LearningOptions:
     """Contacts to train on in all rows but `laptop-most`: as many as the paper had."""
     most: int = 8000
     """Contacts of that row, whose network is shipped."""
+    bent: int = 4000
+    """Contacts on bent surfaces, of the row `laptop-bent`."""
     judged: int = 2000
     """Sheared contacts each to validate and to test."""
     judged_taps: int = 500
@@ -57,6 +64,24 @@ class SearchOptions:
     """Folder for search.json, search.md and the figures."""
     workers: str = "auto"
     """Worker processes that make sets; auto is one a core."""
+
+
+@dataclass(frozen=True)
+class TransferredOptions:
+    """Measure what is learned in simulation against real sensors: the experiments of `tactip transfer`, on one page."""
+
+    real: tuple[Path, ...] = ()
+    """Folders of imported sets (tactip import)."""
+    experiments: tuple[str, ...] = ("gap", "zero-shot", "few-shot", "ablate")
+    """Which; the page keeps the others."""
+    runs: Path = Path("runs/transfer")
+    """Folder of sets and networks: RUNS/SET."""
+    out: Path = Path("docs")
+    """Folder for transfer.json, transfer.md and the figures."""
+    workers: str = "auto"
+    """Worker processes that make contacts; auto is one a core."""
+    settings: Annotated[TransferSettings, tyro.conf.arg(name="")] = field(default_factory=TransferSettings)
+    """How the experiments are made."""
 
 
 @dataclass(frozen=True)

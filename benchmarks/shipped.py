@@ -23,7 +23,7 @@ from tactip_model.errors import TactipError
 MOST_BYTES = 5_000_000
 """Weights of a shipped network are smaller."""
 
-_AS_MANY = {"laptop-most": "most"}
+_AS_MANY = {"laptop-most": "most", "laptop-bent": "bent"}
 """Option of `tactip bench learning` that says how many contacts a row has, where it is not `contacts`."""
 
 EVALUATION, CARD = "evaluation.json", "card.md"

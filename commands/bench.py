@@ -6,7 +6,7 @@ from typing import Annotated
 
 import tyro
 
-from benchmarks.options import LearningOptions, SearchOptions, ViewerOptions
+from benchmarks.options import LearningOptions, SearchOptions, TransferredOptions, ViewerOptions
 from benchmarks.options import ServoOptions as FollowedOptions
 
 
@@ -101,6 +101,17 @@ class Followed(FollowedOptions):
         return 0
 
 
+class Transferred(TransferredOptions):
+    __doc__ = TransferredOptions.__doc__
+
+    def run(self):
+        from benchmarks.transferred import run
+
+        run(self)
+        print(f"{self.out / 'transfer.md'} written")
+        return 0
+
+
 class Viewed(ViewerOptions):
     __doc__ = ViewerOptions.__doc__
 
@@ -123,6 +134,7 @@ class Bench:
         | Annotated[Learning, tyro.conf.subcommand("learning")]
         | Annotated[Search, tyro.conf.subcommand("search")]
         | Annotated[Followed, tyro.conf.subcommand("servo")]
+        | Annotated[Transferred, tyro.conf.subcommand("transfer")]
         | Annotated[Viewed, tyro.conf.subcommand("viewer")],
         tyro.conf.arg(name=""),
     ]

@@ -89,6 +89,9 @@ class Train:
     """laptop or paper (learning/networks.py)."""
     config: Path | None = None
     """Instead of a recipe: a JSON file, as `tactip tune` writes best.json."""
+    start: str = ""
+    """A shipped network or the folder of a training, whose weights it begins with; at random if empty. Its layers are the
+    recipe's then."""
     device: str = "auto"
     """auto, cpu or cuda."""
     network: NetworkOptions = field(default_factory=NetworkOptions)
@@ -98,19 +101,22 @@ class Train:
 
     def run(self):
         from learning.device import device_named
+        from learning.model import find_model
         from learning.networks import Recipe, read_recipe, recipe_named
         from learning.samples import read_splits
         from learning.train import train
 
         device_named(self.device)
         given = read_recipe(self.config) if self.config else None
+        start = find_model(self.start) if self.start else None
         train_samples, val_samples = read_splits(self.data)
         recipe = given or recipe_named(self.recipe, train_samples.labels.task)
+        recipe = replace(recipe, network=start.config) if start and not given else recipe
         recipe = Recipe(with_options(recipe.network, self.network), with_options(recipe.settings, self.training))
         if recipe.settings.drawn and self.training.drawn is None and not (train_samples.folder / "pins.npz").exists():
             print(f"{train_samples.folder} has no pins: its images are taken as they are, and none is drawn anew")
             recipe = replace(recipe, settings=replace(recipe.settings, drawn=0.0))
-        train(train_samples, val_samples, recipe.network, recipe.settings, self.out, self.device)
+        train(train_samples, val_samples, recipe.network, recipe.settings, self.out, self.device, start=start)
         print(f"{self.out / 'model.json'} written")
         return 0
 

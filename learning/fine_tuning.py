@@ -14,7 +14,7 @@ from tqdm import tqdm
 
 from learning.device import device_named
 from learning.drawn import DrawnImages
-from learning.model import DESCRIPTION, save_model, to_input
+from learning.model import DESCRIPTION, net_sha256, save_model, to_input
 from learning.train import cosine_rate
 from learning.varied import OPTICS
 from tactip_model.bounds import check, within
@@ -52,9 +52,7 @@ def fine_tune(model, simulated, real, settings, folder, device="auto", say=print
     folder = Path(folder)
     chosen = hashlib.sha256(real.rows.astype("<i8").tobytes()).hexdigest()
     record = {
-        "begun_from": hashlib.sha256(
-            b"".join(t.cpu().numpy().tobytes() for t in model.net.state_dict().values())
-        ).hexdigest(),
+        "begun_from": net_sha256(model.net),
         "real": {"digest": real.dataset.meta["digest"], "samples": len(real), "chosen": chosen},
         "simulated": simulated.dataset.meta["digest"],
         "fine_tuning": json.loads(json.dumps(asdict(settings))),
@@ -77,11 +75,6 @@ def fine_tune(model, simulated, real, settings, folder, device="auto", say=print
             raise Stopped("the same command begins this fine-tuning anew") from None
     folder.mkdir(parents=True, exist_ok=True)
     save_model(folder, state, model.config, model.labels, model.size, model.provenance | record)
-
-
-def _digest(net):
-    """Checksum (hex str) of a network's weights."""
-    return hashlib.sha256(b"".join(t.cpu().numpy().tobytes() for t in net.state_dict().values())).hexdigest()
 
 
 def _steps(model, simulated, real, settings, device):

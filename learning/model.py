@@ -97,6 +97,11 @@ def save_model(folder, state, config, labels, size, provenance):
     write_file(folder / DESCRIPTION, (json.dumps(description, indent=1) + "\n").encode())
 
 
+def net_sha256(net):
+    """Checksum (str) of a network's weights as they are in memory."""
+    return hashlib.sha256(b"".join(t.cpu().numpy().tobytes() for t in net.state_dict().values())).hexdigest()
+
+
 def shipped_models():
     """Names (list of str) of the networks that come with the package."""
     return sorted(path.parent.name for path in MODELS.glob(f"*/{DESCRIPTION}"))

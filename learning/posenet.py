@@ -9,7 +9,7 @@
 The paper's own setting is the default of every field that it does not have.
 """
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import torch
 from torch import nn
@@ -72,6 +72,10 @@ class PoseNetConfig:
         require(not (self.batch_norm and self.group_norm), "PoseNetConfig.group_norm", self.group_norm, "0 with batch norm")
         choose("halving", self.halving, dict.fromkeys(("pool", "stride")))
         require(not (self.fold and self.reduce == 1), "PoseNetConfig.reduce", self.reduce, "above 1 with fold")
+
+    def shape(self):
+        """What two networks must share (dict) for one to take the other's weights: all but how it is trained."""
+        return {k: v for k, v in asdict(self).items() if k not in ("dropout", "l1", "l2", "batch_size")}
 
     def widths(self):
         """Filters (list of int) of each convolution."""

@@ -20,7 +20,7 @@ from tqdm import tqdm
 
 from learning.device import device_named, is_half
 from learning.drawn import DrawnImages
-from learning.model import save_model, tensors_of, to_input, weights_bytes
+from learning.model import net_sha256, save_model, tensors_of, to_input, weights_bytes
 from learning.muon import Muon, inner_weights
 from learning.posenet import PoseNet, PoseNetConfig, parameter_count
 from learning.varied import OPTICS
@@ -97,10 +97,11 @@ class Pruned(TactipError):
 class Training:
     """A training in memory: network, optimiser, data, and the step from one epoch to the next."""
 
-    def __init__(self, train, val, config, settings, device="cpu"):
-        """train, val: Samples. config: PoseNetConfig. settings: TrainSettings. device: `auto`, `cpu` or `cuda`.
+    def __init__(self, train, val, config, settings, device="cpu", start=None):
+        """train, val: Samples. config: PoseNetConfig. settings: TrainSettings. device: `auto`, `cpu` or `cuda`. start:
+        Model whose weights it begins with; at random if None.
 
-        Raises TactipError where network and images do not fit each other.
+        Raises TactipError where network and images, or the start, do not fit each other.
         """
         self.config, self.settings, self.labels, self.size = config, settings, train.labels, train.size
         self.device = device_named(device)
@@ -108,6 +109,8 @@ class Training:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(settings.seed)
             net = PoseNet(config, train.size, len(self.labels.components))
+        if start is not None:
+            net.load_state_dict(_begun(start, config, train))
         self.net = net.to(device=self.device, memory_format=torch.channels_last)
         self._optimizers = _optimizers(self.net, settings, self._half)
         # The whole set lives on the device, as bytes.
@@ -231,6 +234,24 @@ class Training:
         self.best, self.epoch, self.history = state["best"], state["epoch"], json.loads(state["history"])
 
 
+def _begun(start, config, samples):
+    """The state dict that a training on Samples begins with: a Model's, its outputs over the scales of the samples' labels.
+
+    Raises TactipError where the Model does not fit them, or the network's config (PoseNetConfig).
+    """
+    here = {"layers": config.shape(), "width of images": samples.size, "components": samples.labels.components}
+    there = {"layers": start.config.shape(), "width of images": start.size, "components": start.labels.components}
+    for what, mine in here.items():
+        if mine != there[what]:
+            raise TactipError(f"the network to begin with has other {what} than what is trained: {there[what]}, not {mine}")
+    state = {name: tensor.detach().cpu().clone() for name, tensor in start.net.state_dict().items()}
+    share = torch.from_numpy((start.labels.scale / samples.labels.scale).astype(np.float32))
+    last = len(start.net.dense) - 1
+    state[f"dense.{last}.weight"] *= share[:, None]
+    state[f"dense.{last}.bias"] *= share
+    return state
+
+
 def _optimizers(net, settings, half):
     """Optimisers of a net's weights, each with its learning rate: a list of pairs."""
     inner = inner_weights(net) if settings.muon else []
@@ -240,8 +261,8 @@ def _optimizers(net, settings, half):
     return [*out, (Muon(inner, lr=settings.muon, half=half), settings.muon)] if inner else out
 
 
-def provenance(train, val, config, settings):
-    """What a training depends on (dict, JSON): data, network, settings."""
+def provenance(train, val, config, settings, start=None):
+    """What a training depends on (dict, JSON): data, network, settings, and the Model that it begins with, if any."""
 
     def data(samples):
         meta = samples.dataset.meta
@@ -260,37 +281,44 @@ def provenance(train, val, config, settings):
         "settings": dataclasses.asdict(settings),
         "torch": torch.__version__,
     }
+    if start is not None:
+        record["begun_from"] = net_sha256(start.net)
     return json.loads(json.dumps(record))
 
 
-def train(train_samples, val_samples, config, settings, folder, device="auto", say=print, hopeless=None, quiet=False):
+def train(
+    train_samples, val_samples, config, settings, folder, device="auto", say=print, hopeless=None, quiet=False, start=None
+):
     """Train a network in a folder, or go on with one that was stopped there.
 
     train_samples, val_samples: Samples. config: PoseNetConfig. settings: TrainSettings. folder: path. device: str.
     say: called with lines for the user. hopeless: called with the history after each epoch; training ends where it says so.
-    quiet: bool, without a progress bar.
+    quiet: bool, without a progress bar. start: Model whose weights it begins with, of the same layers; at random if None.
 
     Writes model.pt and model.json (the best network so far), metrics.jsonl and, while unfinished, checkpoint.pt. Returns the
     history (list of dict). Raises TactipError where the folder holds another training, where memory is short and where the
     loss diverges, Pruned where it is hopeless, and Stopped at Ctrl-C; nothing that was done is lost by any.
     """
     folder = Path(folder)
-    record = provenance(train_samples, val_samples, config, settings)
+    record = provenance(train_samples, val_samples, config, settings, start)
     if _known(folder, record) is None:
-        config.last_size(train_samples.size)  # what cannot be trained leaves no folder behind
+        # What cannot be trained leaves no folder behind.
+        if start is not None:
+            _begun(start, config, train_samples)
+        config.last_size(train_samples.size)
     folder.mkdir(parents=True, exist_ok=True)
     with locked(folder / LOCK, f"training in {folder}"):
-        return _train(train_samples, val_samples, config, settings, folder, device, say, hopeless, quiet, record)
+        return _train(train_samples, val_samples, config, settings, folder, device, say, hopeless, quiet, start, record)
 
 
-def _train(train_samples, val_samples, config, settings, folder, device, say, hopeless, quiet, record):
+def _train(train_samples, val_samples, config, settings, folder, device, say, hopeless, quiet, start, record):
     """`train`, in a folder that is ours."""
     known = _known(folder, record)
     if known == "finished":
         say(f"{folder} holds this training, finished already")
         return read_metrics(folder)
     try:
-        training = Training(train_samples, val_samples, config, settings, device)
+        training = Training(train_samples, val_samples, config, settings, device, start)
         if known:
             training.restore(known)
             say(f"going on after epoch {training.epoch}")
@@ -368,8 +396,7 @@ def _known(folder, record):
         _refuse_other(folder, there, record)
         return state
     if description.exists():
-        there = json.loads(description.read_text()).get("provenance", {})
-        _refuse_other(folder, {k: there.get(k) for k in record}, record)
+        _refuse_other(folder, json.loads(description.read_text()).get("provenance", {}), record)
         return "finished"
     if folder.exists() and any(path.name != LOCK for path in folder.iterdir()):
         raise TactipError(f"the folder {folder} is not empty and holds no training: name another one")
@@ -388,11 +415,12 @@ def as_of_now(found, defaults):
 
 def _refuse_other(folder, there, record):
     before = {"network": dataclasses.asdict(PoseNetConfig()), "settings": dataclasses.asdict(TrainSettings())}
-    for part, asked in record.items():
+    for part, asked in ({"begun_from": None} | record).items():
         found = as_of_now(there.get(part), before.get(part))
         if found != asked:
+            what = {"begun_from": "network to begin with"}.get(part, part)
             raise TactipError(
-                f"the folder {folder} holds a training with another {part}: name another folder, or remove this one"
+                f"the folder {folder} holds a training with another {what}: name another folder, or remove this one"
             )
 
 

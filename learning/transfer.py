@@ -18,6 +18,7 @@ from learning.model import load_model
 from learning.networks import recipe_named
 from learning.samples import Samples, read_samples
 from learning.train import train
+from learning.transfer_settings import GAP
 from learning.twin_of import nominal_of, twin_of
 from sim.crew import worker_count
 from sim.dataset import Configuration, write_file
@@ -30,7 +31,7 @@ from tactip_model.design_file import write_design
 from tactip_model.errors import TactipError
 from tactip_model.presets import find_design
 
-RESULTS, GAP = "results.json", "gap.png"
+RESULTS = "results.json"
 
 _HELD = 200
 """Real frames by which a training on real frames alone is stopped; of those that it is given."""
@@ -204,6 +205,7 @@ class Experiment:
 
     def keep(self, name, results):
         """Add results (dict) of an experiment to results.json. Returns all of it."""
+        self.out.mkdir(parents=True, exist_ok=True)
         path = self.out / RESULTS
         record = json.loads(path.read_text()) if path.exists() else {}
         record["real"] = {"set": self.real.name, "digest": self.samples.dataset.meta["digest"], "test": len(self.split.test)}

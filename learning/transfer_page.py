@@ -1,6 +1,7 @@
 """The results of transfer experiments as a page and figures."""
 
 from learning.labels import LEARNED
+from learning.transfer_settings import GAP
 from sim.dataset import write_file
 
 PAGE = "results.md"
@@ -18,10 +19,17 @@ def write_page(record, task, folder):
 
 
 def page(record, task):
-    """The Markdown (str)."""
+    """The Markdown (str) of results.json (record, dict)."""
+    return "\n".join(page_lines(record, task)) + "\n"
+
+
+def page_lines(record, task, level=1, figure=GAP):
+    """The lines (list of str) of a page, or of a part of one. level: int, of its title. figure: file name of the picture of
+    the gap."""
+    mark = "#" * level
     names = [f"pose_{c}" for c in LEARNED[task]]
     lines = [
-        f"# From simulation to {record['real']['set']}",
+        f"{mark} From simulation to {record['real']['set']}",
         "",
         "Written by `tactip transfer`; do not edit. Mean absolute errors on "
         f"{record['real']['test']} real frames that nothing was learned from; of the depth with its zero, the median error, "
@@ -33,21 +41,26 @@ def page(record, task):
         rows = list(_rows(record[name]))
         kept = [n for n in names if rows[0][1]["varies"][n]]
         units = ["°" if "_R" in n else "mm" for n in kept]
-        lines += ["", f"## {title}", "", "| | " + " | ".join(f"{n}, {u}" for n, u in zip(kept, units, strict=True)) + " |"]
+        lines += [
+            "",
+            f"{mark}# {title}",
+            "",
+            "| | " + " | ".join(f"{n}, {u}" for n, u in zip(kept, units, strict=True)) + " |",
+        ]
         lines.append("|" + "---|" * (1 + len(kept)))
         for what, figures in rows:
             cells = [_cell(figures, n) for n in kept]
             lines.append(f"| {what} | {' | '.join(cells)} |")
     if "gap" in record:
-        lines += _gap(record["gap"])
-    return "\n".join(lines) + "\n"
+        lines += _gap(record["gap"], mark, figure)
+    return lines
 
 
-def _gap(figures):
+def _gap(figures, mark, figure):
     """Lines on the gap."""
     told, best = figures["as_told"], figures["at_the_best_share_of_the_move"]
     beside = f"Pins of {figures['frames']} real frames beside simulated ones, {figures['unit']}"
-    lines = ["", "## The gap itself", "", f"{beside}; they move by {figures['pins_move']:.1f} (rms)."]
+    lines = ["", f"{mark}# The gap itself", "", f"{beside}; they move by {figures['pins_move']:.1f} (rms)."]
     lines += ["", "| | rms | median frame | 90 % of frames |", "|---|---|---|---|"]
     for what, one in (("as the rows have it", told), ("at the share of the move that fits best", best)):
         lines.append(f"| {what} | {one['rms']:.2f} | {one['median']:.2f} | {one['p90']:.2f} |")
@@ -58,7 +71,7 @@ def _gap(figures):
     parts = figures["against"] | {"distance from the middle, px": figures["by_distance_from_the_middle"]}
     for name, bins in parts.items():
         lines += [f"| {name} | {b['from']:.2f} | {b['to']:.2f} | {b['median']:.2f} |" for b in bins]
-    return [*lines, "", "![where](gap.png)"]
+    return [*lines, "", f"![where]({figure})"]
 
 
 def _rows(results):

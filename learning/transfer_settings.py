@@ -7,6 +7,9 @@ from sim.variation import VARIATIONS
 from tactip_model.bounds import check, within
 from tactip_model.errors import choose
 
+GAP = "gap.png"
+"""Figure of the gap."""
+
 
 @dataclass(frozen=True)
 class TransferSettings:

@@ -8,6 +8,7 @@ from learning_sets import write_fake_set
 
 from benchmarks import learned
 from benchmarks.options import LearningOptions
+from learning.model import find_model
 from learning.networks import Recipe
 from learning.posenet import PoseNetConfig
 from learning.train import TrainSettings
@@ -26,7 +27,7 @@ def options(tmp_path, monkeypatch):
     monkeypatch.setattr(learned, "make", lambda jobs, workers, say: None)
     monkeypatch.setattr(learned, "rows", _tiny)
     folders = {name: tmp_path / name for name in ("data", "runs", "out")}
-    options = LearningOptions(**folders, contacts=2, most=3, judged=8, judged_taps=8)
+    options = LearningOptions(**folders, contacts=2, most=3, bent=2, judged=8, judged_taps=8)
     for job in learned.jobs(options, KINDS):
         c = job.configuration
         write_fake_set(job.folder, c.task, c.split, c.samples, shear=c.shear)
@@ -37,7 +38,7 @@ ROWS = learned.rows
 
 
 def _tiny(task, paper):
-    return [replace(row, recipe=TINY) for row in ROWS(task, paper)]
+    return [replace(row, recipe=TINY, start="") for row in ROWS(task, paper)]
 
 
 def test_the_sets_are_what_the_page_says():
@@ -55,16 +56,22 @@ def test_the_sets_are_what_the_page_says():
 
 def test_only_what_is_needed_is_made():
     sets = [(j.folder.parts[-3], j.folder.parts[-1]) for j in learned.jobs(LearningOptions(), ("taps",))]
-    tests = [("plain", "val"), ("plain", "test"), ("taps", "test"), ("bent", "test")]
+    tests = [("plain", "test"), ("taps", "test"), ("bent", "test")]
     assert sorted(sets) == sorted([*tests, ("taps", "train"), ("taps", "val")])
 
 
 def test_bent_surfaces_are_of_the_surface_task():
     jobs = [j.configuration for j in learned.jobs(LearningOptions(), KINDS) if j.folder.parts[-3] == "bent"]
     sets = {c.split: (c.samples, c.symmetric) for c in jobs}
-    assert sets == {"train": (16000, True), "val": (500, False), "test": (500, False)}
+    assert sets == {"train": (32000, True), "val": (500, False), "test": (500, False)}
     assert {c.curvature_per_m for c in jobs} == {learned.BENT_PER_M}
     assert all(any(r.kind == "bent" for r in learned.rows(task, False)) == (task == "surface") for task in learned.PAPER)
+
+
+def test_what_is_taught_further_fits_what_it_begins_with():
+    further = [row for task in learned.PAPER for row in learned.rows(task, False) if row.start]
+    assert [row.name for row in further] == ["laptop-bent"]
+    assert all(find_model(row.start).config.shape() == row.recipe.network.shape() for row in further)
 
 
 def test_a_page_is_written_and_what_was_trained_is_kept(options):

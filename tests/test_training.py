@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,13 +15,14 @@ from learning_sets import write_fake_set, write_fake_splits
 
 import tactip
 from learning.evaluate import binned, evaluate, tables
-from learning.model import load_model
+from learning.model import load_model, net_sha256, to_input
 from learning.muon import Muon, inner_weights
 from learning.networks import Recipe, read_recipe, recipe_json
 from learning.posenet import PoseNetConfig
 from learning.samples import read_samples, read_splits
 from learning.train import Diverged, Training, TrainSettings, read_metrics, train
 from sim.dataset import encode_image, read_dataset
+from sim.sampling import POSE_RANGES
 from tactip_model.errors import Stopped, TactipError
 
 NET = PoseNetConfig(conv_layers=2, filters=6, units=24, dropout=0.1, l1=0, l2=1e-5, batch_size=8)
@@ -210,6 +212,39 @@ def test_another_training_in_the_folder_is_refused(splits, tmp_path):
     (tmp_path / "other" / "thesis.txt").write_text("mine")
     with pytest.raises(TactipError, match="holds no training"):
         quiet(*splits, NET, QUICK, tmp_path / "other")
+
+
+def test_a_training_begins_with_a_network(splits, tmp_path):
+    """It begins with what the other one says, also where labels have other ranges, and with nothing else."""
+    quiet(*splits, NET, QUICK, tmp_path / "first")
+    first = load_model(tmp_path / "first")
+    ranges = replace(POSE_RANGES["surface"], depth_mm=(-10, -1), roll_deg=(-5, 5))
+    wider = read_splits(write_fake_splits(tmp_path / "wider", pose=ranges))
+    training = Training(*wider, NET, QUICK, start=first)
+    begun = training.net.eval()(to_input(torch.from_numpy(wider[1].images))).detach().numpy() * training.labels.scale
+    np.testing.assert_allclose(begun, first.predict(wider[1].images), rtol=1e-4, atol=1e-3)
+
+    quiet(*splits, NET, QUICK, tmp_path / "second", start=first)
+    assert load_model(tmp_path / "second").provenance["begun_from"] == net_sha256(first.net)
+    assert read_metrics(tmp_path / "second")[0]["loss"] < read_metrics(tmp_path / "first")[0]["loss"]
+    for folder, start in (("first", first), ("second", None)):
+        with pytest.raises(TactipError, match="holds a training with another network to begin with"):
+            quiet(*splits, NET, QUICK, tmp_path / folder, start=start)
+    with pytest.raises(TactipError, match="other layers"):
+        quiet(*splits, replace(NET, units=8), QUICK, tmp_path / "third", start=first)
+    assert not (tmp_path / "third").exists()
+
+
+def test_a_network_to_begin_with_by_name(data, splits, tmp_path, capsys):
+    """Its layers are taken; one of other layers, or of another width of image, is refused by a sentence."""
+    quiet(*splits, NET, QUICK, tmp_path / "first")
+    given = ["train", "--data", str(data), "--training.epochs", "1", "--training.least-steps", "0"]
+    given += ["--training.drawn", "0"]
+    assert tactip.main([*given, "--out", str(tmp_path / "on"), "--start", str(tmp_path / "first")]) == 0
+    assert load_model(tmp_path / "on").config == NET
+    assert tactip.main([*given, "--out", str(tmp_path / "off"), "--start", "surface-tactip-127"]) == 1
+    assert "other width of images" in capsys.readouterr().err
+    assert not (tmp_path / "off").exists()
 
 
 @pytest.mark.parametrize("damage", [lambda b: b"rubbish", lambda b: b[: len(b) // 2], lambda b: b""])

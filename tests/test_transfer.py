@@ -10,6 +10,8 @@ import pytest
 import torch
 
 import tactip
+from benchmarks import transferred
+from benchmarks.options import TransferredOptions
 from learning import networks
 from learning.fine_tuning import FineTuning, fine_tune
 from learning.gap import gap
@@ -246,3 +248,28 @@ def test_an_unknown_experiment_and_a_set_without_a_neutral_image(lab, tmp_path, 
     (tmp_path / "set").mkdir()
     with pytest.raises(TactipError, match="has no neutral image"):
         twin_of(tmp_path / "set", 128)
+
+
+def test_the_page_of_all_sets_says_what_was_asked(lab, tmp_path, monkeypatch):
+    """Errors are held to what is asked and to those of real training; what was made before stays on the page."""
+
+    def figures(depth, tilt):
+        values = {"pose_z": depth, "pose_Rx": 0.0, "pose_Ry": tilt}
+        return {"mae": values, "mae_zeroed": values, "varies": {"pose_z": True, "pose_Rx": False, "pose_Ry": True}}
+
+    zero = {"simulation": figures(0.3, 1.5), "real": figures(0.1, 1.0)}
+    few = {"0": {"fine_tuned": figures(0.3, 1.5)}, "50": {"fine_tuned": figures(0.11, 1.2)}}
+    monkeypatch.setattr(transferred, "EXPERIMENTS", {"zero-shot": lambda e: zero, "few-shot": lambda e: few})
+    folders = {"runs": tmp_path / "runs", "out": tmp_path / "out", "settings": TransferSettings(real_frames=30)}
+    options = TransferredOptions((lab,), ("zero-shot",), **folders)
+    transferred.run(options, say=lambda line: None)
+    assert "| set | pose_z | 0.300 mm | 0.3 mm | 3.00 | 2 |  | 1.3 |" in (tmp_path / "out" / "transfer.md").read_text()
+    transferred.run(replace(options, experiments=("few-shot",)), say=lambda line: None)
+    page = (tmp_path / "out" / "transfer.md").read_text()
+    assert "| set | pose_z | 0.300 mm | 0.3 mm | 3.00 | 2 | 1.10 | 1.3 |" in page
+    assert "| set | pose_Ry | 1.500 ° | 2 ° | 1.50 | 2 | 1.20 | 1.3 |" in page and "| set | pose_Rx" not in page
+    assert page.index("## From simulation to set") < page.index("### Some real frames")
+    with pytest.raises(TactipError, match="unknown experiment 'many': choose one of zero-shot, few-shot"):
+        transferred.run(replace(options, experiments=("many",)))
+    with pytest.raises(TactipError, match="no imported set is named"):
+        transferred.run(replace(options, real=()))
