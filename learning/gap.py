@@ -23,7 +23,7 @@ from tactip_model.raster import Raster
 _BINS = 4
 """Bins of a label, of equally many frames."""
 
-_SEEN = 0.9
+_SEEN = 0.6
 """Share of the pins that must be told apart in a frame, or it is left out and counted."""
 
 

@@ -61,20 +61,29 @@ def check_motion(pose, shear, deepest=DEEPEST_M):
     """Raise TactipError where a pose and a shear (6,), m and rad, cannot be played, deeper than `deepest` (m) or so."""
     numbers = np.concatenate([pose, shear])
     require(np.isfinite(numbers).all(), "a pose or shear", numbers.tolist(), "finite in all components")
-    start = before_shear(pose, shear)
-    for label, which in ((pose, "pose"), (start, "pose before the shear")):
-        tilt = np.arccos(np.clip(-sensor_in_contact(label)[2, 2], -1, 1))
-        _check_reach(-label[2], deepest, tilt, which)
+    for label, which in ((pose, "pose"), (before_shear(pose, shear), "pose before the shear")):
+        _check_reach(-label[2], deepest, _tilt(label), which)
     slide = float(np.linalg.norm(shear[:3]))
     require(slide <= FARTHEST_M, "the shear", f"{1e3 * slide:g} mm long", f"at most {1e3 * FARTHEST_M:g} mm")
 
 
+def _tilt(label):
+    """Angle (rad) between the tip's axis and the normal in a pose (6,)."""
+    return np.arccos(np.clip(-sensor_in_contact(label)[2, 2], -1, 1))
+
+
+def too_steep(pose, shear):
+    """Whether a pose and a shear (6,), m and rad, tilt the tip further than can be played, at their end or their start."""
+    return max(_tilt(pose), _tilt(before_shear(pose, shear))) > STEEPEST_RAD
+
+
 def check_ranges(pose, shear):
-    """Raise TactipError where some draw from two sampling.Ranges might be one that check_motion refuses."""
+    """Raise TactipError where some draw from two sampling.Ranges might be deeper or slide farther than check_motion allows,
+    or no tilt about x or y as wide as its range can be played. What is too steep in the corners is drawn again
+    (sim/generation.py)."""
     pose, shear = (from_mm_deg(ranges.bounds().T).T for ranges in (pose, shear))
-    tilt, turn = (np.linalg.norm(np.abs(r[3:5]).max(1)) for r in (pose, shear))
     deepest = -pose[2, 0] + max(0.0, shear[2, 1])
-    _check_reach(deepest, DEEPEST_M, tilt + turn, "deepest and steepest pose of the ranges")
+    _check_reach(deepest, DEEPEST_M, np.abs(pose[3:5]).max(), "deepest and steepest pose of the ranges")
     slide = float(np.linalg.norm(np.abs(shear[:3]).max(1)))
     require(
         slide <= FARTHEST_M, "the longest shear of the ranges", f"{1e3 * slide:g} mm", f"at most {1e3 * FARTHEST_M:g} mm"

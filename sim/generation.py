@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from sim.bent import MOST_BENT_PER_M, MOST_HOLLOW_PER_M, bent_surface, drawn_surface
-from sim.contact import CarefulPlayer, check_ranges
+from sim.contact import STEEPEST_RAD, CarefulPlayer, check_ranges, too_steep
 from sim.crew import Crew, disk_error
 from sim.dataset import (
     PARTIAL,
@@ -63,10 +63,11 @@ def check(configuration):
     if configuration.seed < 0:
         raise TactipError(f"the seed {configuration.seed} does not do: it must be 0 or more")
     choose("renderer", configuration.renderer, dict.fromkeys(RENDERERS))
-    generator(configuration.seed, configuration.task, configuration.split, 0)
+    first = generator(configuration.seed, configuration.task, configuration.split, 0)
     configuration.pose.check("pose")
     configuration.shear.check("shear")
     check_ranges(configuration.pose, configuration.shear)
+    _motion(configuration, first)
     _check_curvature(configuration)
     for name in ("pose", "shear"):
         if not keeps(configuration.symmetries, getattr(configuration, name)):
@@ -195,11 +196,30 @@ class Drawn:
     """The tip, with the mechanics of this contact."""
 
 
+_MOST_DRAWS = 1000
+"""Draws of a motion before ranges are given up: of the corners of ±25 degrees every other one is too steep."""
+
+
+def _motion(configuration, generator):
+    """A pose and a shear (6,), m and rad: the first draw that is not too steep to be played.
+
+    Raises TactipError where there is none, or next to none.
+    """
+    for _ in range(_MOST_DRAWS):
+        pose, shear = configuration.pose.draw(generator), configuration.shear.draw(generator)
+        if not too_steep(pose, shear):
+            return pose, shear
+    raise TactipError(
+        f"of {_MOST_DRAWS} poses and shears drawn from the ranges all are steeper than {np.degrees(STEEPEST_RAD):g} "
+        "degrees: tilts nearer to 0 are needed"
+    )
+
+
 def drawn(configuration, number):
     """What is drawn (Drawn) for contact `number` of a Configuration. Poses and shears are the same whatever else is."""
     c = configuration
     draw = generator(c.seed, c.task, c.split, number)
-    pose, shear = c.pose.draw(draw), c.shear.draw(draw)
+    pose, shear = _motion(c, draw)
     solid = drawn_surface(draw, *c.curvature_per_m, c.wavy) if c.bent else None
     return Drawn(pose, shear, solid, c.design if c.mechanics.still else c.mechanics.draw(c.design, draw))
 

@@ -16,12 +16,12 @@ import pytest
 
 import tactip
 from sim import generation
-from sim.contact import TRIES, Bounds, CarefulPlayer
+from sim.contact import TRIES, Bounds, CarefulPlayer, too_steep
 from sim.dataset import Configuration, read_dataset
 from sim.fidelity import fidelity_named, finer
 from sim.generation import Job
 from sim.pose import from_mm_deg
-from sim.sampling import POSE_RANGES, SHEAR_RANGES, generator
+from sim.sampling import POSE_RANGES, SHEAR_RANGES, Ranges, generator
 from sim.verification import verify
 from tactip_model.camera import PinCamera
 from tactip_model.errors import TactipError
@@ -587,3 +587,27 @@ def test_missing_options_are_refused_by_the_command_line():
 def test_unknown_configuration_in_python(design, tmp_path):
     with pytest.raises(TactipError, match="surface, edge"):
         generation.make([Job(configuration(design, task="corner"), tmp_path / "x")], 1)
+
+
+def test_what_is_too_steep_is_drawn_again(design):
+    """±20 degrees two ways and what the shear adds to them leave the cone of 30 degrees in the corners alone: what is
+    inside is as it was drawn, so that a set of gentler ranges is the same as ever."""
+    wide = Ranges(depth_mm=(-5, -1), roll_deg=(-20, 20), pitch_deg=(-20, 20))
+    c = configuration(design, pose=wide)
+    again = 0
+    for number in range(400):
+        draw, given = generator(0, "surface", "train", number), generation.drawn(c, number)
+        assert not too_steep(given.pose, given.shear)
+        pose, shear = wide.draw(draw), SHEAR_RANGES.draw(draw)
+        again += too_steep(pose, shear)
+        assert too_steep(pose, shear) or ((given.pose == pose).all() and (given.shear == shear).all())
+    assert 0 < again < 20
+    gentle = configuration(design)
+    assert not any(too_steep(d.pose, d.shear) for d in (generation.drawn(gentle, number) for number in range(50)))
+
+
+def test_ranges_that_are_too_steep_throughout_are_refused(design, tmp_path):
+    c = configuration(design, pose=Ranges(depth_mm=(-3, -1), roll_deg=(25, 28), pitch_deg=(25, 28)))
+    with pytest.raises(TactipError, match="all are steeper than 30 degrees"):
+        generation.make([Job(c, tmp_path / "steep")], workers=1, say=lambda line: None)
+    assert not (tmp_path / "steep").exists()

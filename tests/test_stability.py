@@ -376,7 +376,7 @@ def test_ranges_out_of_reach_are_refused():
     with pytest.raises(TactipError, match="at most 20 mm"):
         check_ranges(POSE_RANGES["edge"], Ranges(x_mm=(-15, 15), y_mm=(-15, 15)))
     with pytest.raises(TactipError, match="at most 30 degrees"):
-        check_ranges(Ranges(depth_mm=(-3, -1), roll_deg=(-25, 25), pitch_deg=(-25, 25)), SHEAR_RANGES)
+        check_ranges(Ranges(depth_mm=(-3, -1), roll_deg=(-31, 25)), SHEAR_RANGES)
 
 
 def test_refinement_stays_within_bounds():
