@@ -20,7 +20,7 @@ class LearningOptions:
     """Contacts to train on in all rows but `laptop-most`: as many as the paper had."""
     most: int = 8000
     """Contacts of that row, whose network is shipped."""
-    bent: int = 4000
+    bent: int = 2000
     """Contacts on bent surfaces, of the row `laptop-bent`."""
     judged: int = 2000
     """Sheared contacts each to validate and to test."""

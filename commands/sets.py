@@ -56,8 +56,8 @@ class Make:
     curvature_per_m: Range = (0.0, 0.0)
     """Both principal curvatures of the surface, 1/m, drawn from LOW to HIGH for each contact; positive bulges out. Not a
     label."""
-    wavy: bool = False
-    """Let them go up and down along the surface, within LOW and HIGH, as about a nose."""
+    uneven: bool = False
+    """Let them change along the surface, within LOW and HIGH, as about a nose."""
     mechanics: str = "none"
     """none, or real: stiffness, friction, thickness and pin length of the tip differ from contact to contact
     (sim/variation.py)."""
@@ -115,7 +115,7 @@ class Make:
                     shear=with_options(SHEAR_RANGES, self.shear),
                     symmetric=self.symmetric,
                     curvature_per_m=self.curvature_per_m,
-                    wavy=self.wavy,
+                    uneven=self.uneven,
                     mechanics=choose("mechanics", self.mechanics, VARIATIONS),
                 )
                 jobs.append(Job(configuration, self.out / task / split if several else self.out))

@@ -8,7 +8,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from sim.importing import NEUTRAL
+from sim.importing import NEUTRAL, NEUTRAL_TACTILE
 from tactip_model.blobs import find_blobs
 from tactip_model.errors import TactipError
 from tactip_model.image import tactile_image
@@ -27,15 +27,16 @@ def twin_of(folder, size_px):
     folder: path. size_px: int, width of its tactile images. Raises TactipError where there is no neutral image, and
     where its pins are of no known layout.
     """
-    path = folder / NEUTRAL
-    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    image, tactile = (cv2.imread(str(folder / name), cv2.IMREAD_GRAYSCALE) for name in (NEUTRAL, NEUTRAL_TACTILE))
+    if image is not None and tactile is None:
+        raise TactipError(f"{folder} has no {NEUTRAL_TACTILE}, it was imported by an earlier version: import the set anew")
     if image is None:
         raise TactipError(f"{folder} has no neutral image: import the set with --neutral, or name a design by --design")
     blobs = len(find_blobs(image).centres)
     name = _nearest(blobs)
     design, fit = fit_neutral(replace(NOMINAL[name], name=folder.resolve().name), image)
     design = replace(design, image=replace(design.image, size_px=size_px))
-    design = with_pin_sizes(design, cv2.resize(image, (size_px, size_px), interpolation=cv2.INTER_AREA) > 127)
+    design = with_pin_sizes(design, tactile > 127)
     return design, {"layout": name, "pins": blobs, "before_px": fit.before_px, "lattice_px": fit.lattice_px}
 
 

@@ -1,4 +1,4 @@
-"""A surface that is bent, evenly or in waves: what the tip feels on curved things."""
+"""A surface that is bent, evenly or not: what the tip feels on curved things."""
 
 from dataclasses import dataclass
 
@@ -22,64 +22,66 @@ _THICK_M = 10e-3
 """What is below the lowest point, m."""
 
 
-WAVES_M = (20e-3, 60e-3)
-"""Lengths of the waves in which curvature goes up and down along a surface, m: from the tip's radius to three of it."""
-
-_THIRD = 1 / 6
-"""The third harmonic in a wave: it flattens the tops, as solids made of round parts go from one radius to the other. With
-a sixth the greatest value is that of the first alone at 60 degrees, sqrt(3)/2, where the third is zero."""
+STRETCHES_M = (4e-3, 40e-3)
+"""Lengths over which an unevenly bent surface is as round, m: from what is just felt to twice the tip's radius."""
 
 
-def drawn_surface(draw, low_per_m, high_per_m, wavy):
+def drawn_surface(draw, low_per_m, high_per_m, uneven):
     """A bent_surface (Solid) whose principal curvatures are drawn from low to high, 1/m, and turned at random.
 
-    draw: numpy Generator. wavy: bool; with it the curvatures go up and down along their directions, within the range
-    everywhere, between ends that are drawn from twice the range and cut to it: things are often as round as they may be.
+    draw: numpy Generator. uneven: bool; with it the curvature along each direction goes from one value to another at once,
+    after a length of STRETCHES_M, as on solids made of round parts, and so things are often as round as they may be: values
+    are drawn from twice the range and cut to it.
     """
-    if not wavy:
+    if not uneven:
         return bent_surface(*draw.uniform(low_per_m, high_per_m, 2), draw.uniform(0, np.pi))
-    spare = (high_per_m - low_per_m) / 2
-    ends = np.clip(draw.uniform(low_per_m - spare, high_per_m + spare, (2, 2)), low_per_m, high_per_m)
-    lengths = np.exp(draw.uniform(*np.log(WAVES_M), 2))
-    phases = draw.uniform(0, 2 * np.pi, 2)
-    waves = [Wave((b - a) / 2, length, phase) for (a, b), length, phase in zip(ends, lengths, phases, strict=True)]
-    return bent_surface(*ends.mean(1), draw.uniform(0, np.pi), waves)
+    profiles = [_drawn_profile(draw, low_per_m, high_per_m) for _ in range(2)]
+    return bent_surface(0.0, 0.0, draw.uniform(0, np.pi), profiles)
+
+
+def _drawn_profile(draw, low_per_m, high_per_m):
+    """A Profile, over the whole piece of surface."""
+    spare, ends = (high_per_m - low_per_m) / 2, []
+    end = -HALF_WIDTH_M * np.sqrt(2)
+    while not ends or ends[-1] < HALF_WIDTH_M * np.sqrt(2):
+        length = np.exp(draw.uniform(*np.log(STRETCHES_M)))
+        # Where the piece begins, the first stretch has begun at random.
+        end += length * (draw.uniform() if not ends else 1.0)
+        ends.append(end)
+    values = np.clip(draw.uniform(low_per_m - spare, high_per_m + spare, len(ends)), low_per_m, high_per_m)
+    return Profile(tuple(ends[:-1]), tuple(values))
 
 
 @dataclass(frozen=True)
-class Wave:
-    """How a curvature goes up and down about its mean along its direction: by height (sin t + sin 3t / 6) 2 / sqrt(3)."""
+class Profile:
+    """How a surface is bent along one direction: as round as one value, and then as another."""
 
-    height_per_m: float
-    """By how much at most, 1/m; negative turns it over."""
+    changes_m: tuple[float, ...]
+    """(n) where it changes, m, rising."""
 
-    length_m: float
-    """From one top to the next, m."""
-
-    phase_rad: float
-    """Of t at the origin, rad: t = 2 pi s / length + phase."""
+    per_m: tuple[float, ...]
+    """(n + 1) curvatures before, between and after, 1/m."""
 
     def top(self, s):
-        """What it adds to z at s, m: (n,), m. Its second derivative is minus the curvature; at 0 it is 0, and level."""
-        out = np.zeros_like(s)
-        for order, part in ((1, 1.0), (3, _THIRD)):
-            per_m, phase = order * 2 * np.pi / self.length_m, order * self.phase_rad
-            out += part / per_m**2 * (np.sin(per_m * s + phase) - np.sin(phase) - per_m * s * np.cos(phase))
-        return self.height_per_m * out * 2 / np.sqrt(3)
+        """z at s, m: (n,), m. Its second derivative is minus the curvature; at 0 it is 0, and level."""
+        out = -self.per_m[0] * s**2 / 2
+        for at, step in zip(self.changes_m, np.diff(self.per_m), strict=True):
+            out -= step * (np.maximum(s - at, 0) ** 2 - max(-at, 0) ** 2 - 2 * s * max(-at, 0)) / 2
+        return out
 
 
-def bent_surface(first_per_m, second_per_m, turn_rad, waves=()):
-    """A Solid whose top is z = -(k1 u^2 + k2 v^2) / 2 and what the waves add, level at the origin.
+def bent_surface(first_per_m, second_per_m, turn_rad, profiles=()):
+    """A Solid whose top is z = -(k1 u^2 + k2 v^2) / 2 and what the profiles add, level at the origin.
 
     first_per_m, second_per_m: float, its principal curvatures k1 and k2, 1/m, positive where it bulges out. turn_rad: float,
-    from x to u. waves: up to two Waves, along u and along v.
+    from x to u. profiles: up to two Profiles, along u and along v.
     """
     count = round(2 * HALF_WIDTH_M / _SPACING_M) + 1
     line = np.linspace(-HALF_WIDTH_M, HALF_WIDTH_M, count)
     u, v = (a.ravel() for a in np.meshgrid(line, line, indexing="ij"))
     top = -(first_per_m * u**2 + second_per_m * v**2) / 2
-    for wave, s in zip(waves, (u, v), strict=False):
-        top += wave.top(s)
+    for profile, s in zip(profiles, (u, v), strict=False):
+        top += profile.top(s)
     cos, sin = np.cos(turn_rad), np.sin(turn_rad)
     across = np.stack([cos * u - sin * v, sin * u + cos * v], -1)
     low = np.full(len(u), top.min() - _THICK_M)

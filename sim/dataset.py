@@ -81,8 +81,8 @@ class Configuration:
     curvature_per_m: tuple[float, float] = (0.0, 0.0)
     """Range of both principal curvatures of the surface that is touched, 1/m, positive where it bulges out; flat if both are
     0. Not a label."""
-    wavy: bool = False
-    """Whether these curvatures go up and down along the surface (sim/bent.py). Not a label."""
+    uneven: bool = False
+    """Whether these curvatures change along the surface (sim/bent.py). Not a label."""
 
     mechanics: Variation = field(default_factory=Variation)
     """How far the tip's mechanics differ from contact to contact (sim/variation.py); the optics do not."""
@@ -103,8 +103,8 @@ class Configuration:
         fields = dataclasses.asdict(self)
         if not self.bent:
             del fields["curvature_per_m"]
-        if not self.wavy:
-            del fields["wavy"]
+        if not self.uneven:
+            del fields["uneven"]
         if self.mechanics.still:
             del fields["mechanics"]
         return json.loads(json.dumps(fields))

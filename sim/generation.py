@@ -81,8 +81,8 @@ def _check_curvature(configuration):
     low, high = configuration.curvature_per_m
     if configuration.bent and configuration.task != "surface":
         raise TactipError(f"a curvature is asked for with the task {configuration.task!r}: only a surface can be bent")
-    if configuration.wavy and not configuration.bent:
-        raise TactipError("a wavy surface is asked for without a range of curvature: give --curvature-per-m, too")
+    if configuration.uneven and not configuration.bent:
+        raise TactipError("an unevenly bent surface is asked for without a range of curvature: give --curvature-per-m, too")
     if not -MOST_HOLLOW_PER_M <= low <= high <= MOST_BENT_PER_M:
         raise TactipError(
             f"the range of curvature is ({low}, {high}) 1/m: it must be rising, and from -{MOST_HOLLOW_PER_M:g} "
@@ -220,7 +220,7 @@ def drawn(configuration, number):
     c = configuration
     draw = generator(c.seed, c.task, c.split, number)
     pose, shear = _motion(c, draw)
-    solid = drawn_surface(draw, *c.curvature_per_m, c.wavy) if c.bent else None
+    solid = drawn_surface(draw, *c.curvature_per_m, c.uneven) if c.bent else None
     return Drawn(pose, shear, solid, c.design if c.mechanics.still else c.mechanics.draw(c.design, draw))
 
 

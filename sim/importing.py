@@ -37,8 +37,9 @@ from tactip_model.mask import pin_area
 FOLDERS = ("images", "frames", "frames_bw", "")
 """Where frames are looked for, inside the set's folder."""
 
-NEUTRAL, REPORT, PICTURE = "neutral.png", "import.json", "import.png"
-"""The undeformed tip as large as the frames have it, what was found, and how it looks: files of an imported set."""
+NEUTRAL, NEUTRAL_TACTILE, REPORT, PICTURE = "neutral.png", "neutral_tactile.png", "import.json", "import.png"
+"""Files of an imported set: the undeformed tip as large as the frames have it, binary, and as its tactile images are (other
+pixels, where frames are grey); what was found, and how it looks."""
 
 _NEUTRALS = ("init*", "neutral*")
 
@@ -279,6 +280,7 @@ def _import(source, layout, out, record, say, quiet):
     files = {"targets.csv": _targets(source, kept), REPORT: (json.dumps(report, indent=1) + "\n").encode()}
     if neutral is not None:
         files[NEUTRAL] = encode_image(reader.whole(neutral))
+        files[NEUTRAL_TACTILE] = encode_image(reader.read(neutral))
     files[PICTURE] = encode_image(_picture(source, kept, pins, reader, neutral))
     for name, data in files.items():
         write_file(out / name, data)

@@ -5,11 +5,11 @@ import json
 import numpy as np
 import pytest
 import trimesh
-from scipy.integrate import cumulative_simpson
+from scipy.integrate import cumulative_trapezoid
 
 import tactip
 from sim import bent
-from sim.bent import MOST_BENT_PER_M, Wave, bent_surface
+from sim.bent import MOST_BENT_PER_M, Profile, bent_surface
 from sim.contact import Bounds, ContactPlayer
 from sim.dataset import Configuration, read_dataset
 from sim.fidelity import fidelity_named
@@ -94,58 +94,62 @@ def test_wrong_curvatures_are_one_sentence(tmp_path, capsys, options, words):
     assert words in capsys.readouterr().err
 
 
-WAVES = (Wave(40.0, 25e-3, 1.2), Wave(-30.0, 20e-3, 4.0))
+PROFILES = (Profile((-6e-3, 1e-3, 5e-3), (80.0, -20.0, 60.0, 10.0)), Profile((2e-3,), (-28.0, 30.0)))
 
 
-def test_a_wavy_surface_has_the_curvature_of_its_waves():
+def test_an_unevenly_bent_surface_has_the_curvature_of_its_profiles():
     """By integrating twice, from the origin, what the docstring says that it is."""
-    fine = np.linspace(0, 8e-3, 4001)
-    for wave in WAVES:
+    fine = np.linspace(0, 8e-3, 8001)
+    for profile in PROFILES:
         for sign in (-1, 1):
-            t = 2 * np.pi * sign * fine / wave.length_m + wave.phase_rad
-            curvature = wave.height_per_m * (np.sin(t) + np.sin(3 * t) / 6) * 2 / np.sqrt(3)
-            slope = cumulative_simpson(-curvature, x=fine, initial=0)
-            assert np.allclose(wave.top(sign * fine), cumulative_simpson(slope, x=fine, initial=0), atol=1e-9)
-            assert np.abs(curvature).max() <= abs(wave.height_per_m)
-    first, second, turn = 30.0, -10.0, 0.7
-    solid = bent_surface(first, second, turn, WAVES)
+            curvature = np.array(profile.per_m)[np.searchsorted(profile.changes_m, sign * fine)]
+            slope = cumulative_trapezoid(-curvature, x=fine, initial=0)
+            assert np.allclose(
+                profile.top(sign * fine), cumulative_trapezoid(slope, x=fine, initial=0), atol=2e-7
+            )  # a cell at each change
+    first, second, turn = 10.0, -10.0, 0.7
+    solid = bent_surface(first, second, turn, PROFILES)
     mesh = trimesh.Trimesh(solid.vertices, solid.triangles)
     assert mesh.is_watertight and mesh.volume > 0
     u, v = np.random.default_rng(0).uniform(-0.008, 0.008, (2, 200))
     cos, sin = np.cos(turn), np.sin(turn)
-    height = -(first * u**2 + second * v**2) / 2 + WAVES[0].top(u) + WAVES[1].top(v)
+    height = -(first * u**2 + second * v**2) / 2 + PROFILES[0].top(u) + PROFILES[1].top(v)
     assert np.abs(solid.distance(np.stack([cos * u - sin * v, sin * u + cos * v, height], -1))).max() < 40e-6
-    # At the origin it is level, whatever its waves: the label's frame is there.
-    assert np.allclose(solid.smooth_normal(np.zeros((1, 3))), [0, 0, 1], atol=5e-3)
+    # At the origin it is level, however it is bent: the label's frame is there.
+    assert np.allclose(solid.smooth_normal(np.zeros((1, 3))), [0, 0, 1], atol=0.02)
 
 
 def test_curvatures_of_a_drawn_surface_stay_in_their_range(monkeypatch):
-    """By differences of the heights; and they go through much of it within the piece."""
-    low, high, step = -28.0, 80.0, 1e-4
+    """Everywhere on the piece; they are often at an end of the range, and change as often as told."""
+    low, high = -28.0, 80.0
     drawn = []
     monkeypatch.setattr(bent, "bent_surface", lambda *given: drawn.append(given))
-    for seed in range(40):
+    for seed in range(200):
         bent.drawn_surface(np.random.default_rng(seed), low, high, True)
-    s = np.arange(-bent.HALF_WIDTH_M, bent.HALF_WIDTH_M, step)
-    through = []
-    for *means, _, waves in drawn:
-        for mean, wave in zip(means, waves, strict=True):
-            assert bent.WAVES_M[0] <= wave.length_m <= bent.WAVES_M[1]
-            curvature = -np.diff(-mean * s**2 / 2 + wave.top(s), 2) / step**2
-            assert curvature.min() > low - 0.1 and curvature.max() < high + 0.1
-            through.append(np.ptp(curvature) / (high - low))
-    assert 0.3 < np.median(through) < 0.7
-    assert max(through) > 0.99
+    lengths, values = [], []
+    for first, second, _, profiles in drawn:
+        assert first == second == 0
+        for profile in profiles:
+            assert len(profile.per_m) == len(profile.changes_m) + 1
+            assert profile.changes_m[0] < 0.05 and np.abs(profile.changes_m).max() < bent.HALF_WIDTH_M * np.sqrt(2)
+            lengths += np.diff(profile.changes_m).tolist()
+            values += profile.per_m
+    assert bent.STRETCHES_M[0] <= min(lengths) and max(lengths) <= bent.STRETCHES_M[1]
+    values = np.array(values)
+    assert (values.min(), values.max()) == (low, high)
+    # A half of what is drawn from twice the range is beyond it, a quarter to each side.
+    assert np.mean(values == low) == pytest.approx(0.25, abs=0.03)
+    assert np.mean(values == high) == pytest.approx(0.25, abs=0.03)
 
 
 def test_an_even_set_keeps_the_digest_that_it_had():
     given = {"task": "surface", "split": "test", "samples": 1, "seed": 0, "renderer": "raster"}
     given |= {"design": find_design("nominal-127"), "fidelity": fidelity_named("draft"), "pose": Ranges(), "shear": Ranges()}
     even = Configuration(**given, curvature_per_m=(-10.0, 30.0))
-    assert "wavy" not in even.as_json()
-    assert Configuration(**given, curvature_per_m=(-10.0, 30.0), wavy=True).digest() != even.digest()
+    assert "uneven" not in even.as_json()
+    assert Configuration(**given, curvature_per_m=(-10.0, 30.0), uneven=True).digest() != even.digest()
 
 
-def test_waves_without_a_curvature_are_refused(tmp_path, capsys):
-    assert tactip.main(["dataset", "make", "--wavy", "--out", str(tmp_path / "set"), "--samples", "1"]) == 1
+def test_unevenness_without_a_curvature_are_refused(tmp_path, capsys):
+    assert tactip.main(["dataset", "make", "--uneven", "--out", str(tmp_path / "set"), "--samples", "1"]) == 1
     assert "give --curvature-per-m, too" in capsys.readouterr().err

@@ -63,7 +63,7 @@ def test_only_what_is_needed_is_made():
 def test_bent_surfaces_are_of_the_surface_task():
     jobs = [j.configuration for j in learned.jobs(LearningOptions(), KINDS) if j.folder.parts[-3] == "bent"]
     sets = {c.split: (c.samples, c.symmetric) for c in jobs}
-    assert sets == {"train": (32000, True), "val": (500, False), "test": (500, False)}
+    assert sets == {"train": (16000, True), "val": (500, False), "test": (500, False)}
     assert {c.curvature_per_m for c in jobs} == {learned.BENT_PER_M}
     assert all(any(r.kind == "bent" for r in learned.rows(task, False)) == (task == "surface") for task in learned.PAPER)
 

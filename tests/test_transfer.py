@@ -93,7 +93,7 @@ def test_the_twin_has_the_hidden_sensors_pins_where_they_are(lab):
     assert design.pins.rotation_deg == pytest.approx(24.0, abs=0.5)
     assert np.abs(neutral_px(design) - neutral_px(true)).max() < 0.6  # a tenth of a spacing, by blobs of whole pixels
     # Its images are as white as the sensor's own, though another pipeline made these.
-    seen = cv2.resize(cv2.imread(str(lab / "neutral.png"), 0), (128, 128), interpolation=cv2.INTER_AREA) > 127
+    seen = cv2.imread(str(lab / "neutral_tactile.png"), 0) > 127
     drawn = tactile_image(Raster(design).render(*neutral_pins(design)), design.image) > 127
     assert drawn.sum() == pytest.approx(seen.sum(), rel=0.03)
     assert design.pins.diameter_m == pytest.approx(1.0e-3, rel=0.2)
