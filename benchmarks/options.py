@@ -103,6 +103,20 @@ class ServoOptions:
 
 
 @dataclass(frozen=True)
+class SpeedOptions:
+    """Measure what everything costs, and how it grows: sets, images, training, estimates, servo, objects, start-up."""
+
+    groups: tuple[str, ...] = ()
+    """samples, images, learning, servo, faces, start-up; all if not given. The page keeps the others."""
+    contacts: int = 40
+    """Contacts that a set is larger by."""
+    steps: int = 60
+    """Steps of a servo run."""
+    out: Path = Path("docs")
+    """Folder for performance.json and performance.md."""
+
+
+@dataclass(frozen=True)
 class ViewerOptions:
     """Measure what a replay costs: host and browser."""
 

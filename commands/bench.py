@@ -6,7 +6,7 @@ from typing import Annotated
 
 import tyro
 
-from benchmarks.options import LearningOptions, SearchOptions, TransferredOptions, ViewerOptions
+from benchmarks.options import LearningOptions, SearchOptions, SpeedOptions, TransferredOptions, ViewerOptions
 from benchmarks.options import ServoOptions as FollowedOptions
 
 
@@ -112,6 +112,17 @@ class Transferred(TransferredOptions):
         return 0
 
 
+class Speed(SpeedOptions):
+    __doc__ = SpeedOptions.__doc__
+
+    def run(self):
+        from benchmarks.speed import run
+
+        run(self)
+        print(f"{self.out / 'performance.md'} written")
+        return 0
+
+
 class Viewed(ViewerOptions):
     __doc__ = ViewerOptions.__doc__
 
@@ -135,6 +146,7 @@ class Bench:
         | Annotated[Search, tyro.conf.subcommand("search")]
         | Annotated[Followed, tyro.conf.subcommand("servo")]
         | Annotated[Transferred, tyro.conf.subcommand("transfer")]
+        | Annotated[Speed, tyro.conf.subcommand("speed")]
         | Annotated[Viewed, tyro.conf.subcommand("viewer")],
         tyro.conf.arg(name=""),
     ]

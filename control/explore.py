@@ -48,7 +48,7 @@ class Step:
     """Time for simulation, image, network and control, s."""
 
 
-_SLOW_DEG = {"surface": 3.0, "edge": 0.0}
+_SLOW_DEG = {"surface": 2.0, "edge": 0.0}
 """Settings.slow_deg where it is not given, by task."""
 
 _LEAST_PACE = 0.2

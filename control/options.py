@@ -15,8 +15,8 @@ class Settings:
     """Tangential step, mm [P]."""
     slow_deg: float | None = within(0, 90, default=None)
     """Felt angle to the normal at which the step is down to a fifth, degrees; in between it shrinks evenly. 0: never, as the
-    paper. If not given 6 over surfaces (on the bust, from the truth: 1.7 for 2.5 degrees in the mean, 40 % more steps), and
-    0 along edges, whose pitch is felt to 2 degrees only."""
+    paper. If not given 2 over surfaces (docs/servo.md has what it buys on the bust, and at what price), and 0 along edges,
+    whose pitch is felt to 2 degrees only."""
     touch: float = within(0.01, 0.99, default=0.12)
     """How far an image must be from that of a tip in the air to count as touched, -: on a ball and a rim, presses of half a
     millimetre gave 0.1, of one 0.2. An estimate: what a camera's noise gives is not measured."""

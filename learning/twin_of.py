@@ -28,10 +28,10 @@ def twin_of(folder, size_px):
     where its pins are of no known layout.
     """
     image, tactile = (cv2.imread(str(folder / name), cv2.IMREAD_GRAYSCALE) for name in (NEUTRAL, NEUTRAL_TACTILE))
-    if image is not None and tactile is None:
-        raise TactipError(f"{folder} has no {NEUTRAL_TACTILE}, it was imported by an earlier version: import the set anew")
     if image is None:
         raise TactipError(f"{folder} has no neutral image: import the set with --neutral, or name a design by --design")
+    if tactile is None:
+        raise TactipError(f"{folder} has no {NEUTRAL_TACTILE}, it was imported by an earlier version: import the set anew")
     blobs = len(find_blobs(image).centres)
     name = _nearest(blobs)
     design, fit = fit_neutral(replace(NOMINAL[name], name=folder.resolve().name), image)

@@ -1,0 +1,316 @@
+"""What everything costs on one machine, and how it grows: `tactip bench speed` writes docs/performance.md and .json.
+
+Each group is measured alone and kept: the page has what was measured last. Rates of sets are marginal: the time of a set of
+n contacts less that of one of a few, over the difference, so that what is paid once stands by itself.
+"""
+
+import contextlib
+import json
+import resource
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.machine import machine
+from sim.dataset import Configuration, write_file
+from sim.fidelity import fidelity_named
+from sim.generation import Job, make
+from sim.sampling import POSE_RANGES, SHEAR_RANGES
+from tactip_model.errors import choose
+from tactip_model.presets import find_design
+
+_FEW = 4
+"""Contacts of the smaller of two sets, a worker."""
+
+_REPEATS = 5
+"""Times that what is short is measured; the median counts."""
+
+_BATCH = 64
+"""Images at a time, where they are drawn or judged in batches."""
+
+COMMANDS = (
+    (), ("dataset", "make"), ("dataset", "verify"), ("import",), ("calibrate",), ("train",), ("tune",), ("evaluate",),
+    ("transfer",), ("camera",), ("servo",), ("replay",), ("view",), ("bench",),
+)  # fmt: skip
+"""Commands whose help is timed."""
+
+
+def run(options, say=print):
+    """Measure. options: benchmarks.options.SpeedOptions. Returns the record (dict). say: called with lines for the user.
+
+    Raises TactipError.
+    """
+    names = [choose("group", name, dict(zip(GROUPS, GROUPS, strict=True))) for name in options.groups or GROUPS]
+    path = options.out / "performance.json"
+    groups = json.loads(path.read_text())["groups"] if path.exists() else {}
+    options.out.mkdir(parents=True, exist_ok=True)
+    for name in names:
+        say(f"{name}: {GROUPS[name][0]}")
+        groups[name] = {"machine": machine(), "rows": GROUPS[name][1](options)}
+        record = {"groups": {g: groups[g] for g in GROUPS if g in groups}}
+        write_file(path, (json.dumps(record, indent=1) + "\n").encode())
+        write_file(options.out / "performance.md", page(record).encode())
+    return record
+
+
+def _median(measured, repeats=_REPEATS):
+    """Median time (s) of a function's calls, the first left out."""
+    measured()
+    times = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        measured()
+        times.append(time.perf_counter() - start)
+    return statistics.median(times)
+
+
+def _set_seconds(contacts, workers, task, fidelity, renderer, symmetric, design):
+    """Time (s) and peak memory of a worker (MiB) of a set, made in a folder that is thrown away."""
+    each = {"surface": 8, "edge": 2}[task] if symmetric else 1
+    configuration = Configuration(
+        task=task,
+        split="train",
+        samples=contacts * each,
+        seed=0,
+        renderer=renderer,
+        design=find_design(design),
+        fidelity=fidelity_named(fidelity),
+        pose=POSE_RANGES[task],
+        shear=SHEAR_RANGES,
+        symmetric=symmetric,
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        start = time.perf_counter()
+        with contextlib.redirect_stderr(None):
+            make([Job(configuration, Path(folder) / "set")], workers, lambda line: None)
+        seconds = time.perf_counter() - start
+        run = json.loads((Path(folder) / "set" / "run.json").read_text())
+    return seconds, run["peak_memory_of_a_worker_MiB"]
+
+
+def _samples(options):
+    """Samples a second of whole sets: contact, image, record and file."""
+    plain = {"task": "surface", "fidelity": "standard", "renderer": "raster", "symmetric": False, "design": "tactip-127"}
+    cores = int(machine()["cores"])
+    cases = [(plain, workers) for workers in sorted({1, cores})]
+    changes = ({"symmetric": True}, {"renderer": "pyrender"}, {"fidelity": "draft"}, {"fidelity": "reference"})
+    cases += [(plain | change, cores) for change in (*changes, {"design": "nominal-331"}, {"task": "edge"})]
+    cases += [(plain | {"task": "edge", "symmetric": True}, cores)]
+    rows = []
+    for case, workers in cases:
+        few = _FEW * workers
+        base, _ = _set_seconds(few, workers, **case)
+        whole, peak = _set_seconds(few + options.contacts, workers, **case)
+        each = {"surface": 8, "edge": 2}[case["task"]] if case["symmetric"] else 1
+        rate = options.contacts / max(whole - base, 1e-9)
+        once = base - few / rate
+        rows.append({
+            "what": _name(case, plain), "workers": workers, "contacts/s": rate, "samples/s": rate * each,
+            "once, s": once, "a worker's memory, MiB": peak,
+        })  # fmt: skip
+    return rows
+
+
+def _name(case, plain):
+    """What a set is, in words."""
+    words = [case["task"], case["fidelity"], case["renderer"], case["design"]]
+    return ", ".join(words + ["symmetric"] * (case["symmetric"] != plain["symmetric"]))
+
+
+def _images(options):
+    """Images a second of each renderer, alone, and of the drawing in training, in batches."""
+    import torch
+
+    from learning.drawn import DrawnImages
+    from learning.samples import read_samples
+    from tactip_model.image import tactile_image
+    from tactip_model.pins import neutral_pins
+    from tactip_model.renderer import renderer_named
+
+    rows = []
+    for name in ("tactip-127", "nominal-331"):
+        design = find_design(name)
+        pins = neutral_pins(design)
+        for renderer in ("pyrender", "raster"):
+            render = renderer_named(renderer, design)
+            frame = render(*pins)
+            rows.append({
+                "design": name, "what": f"{renderer}, one at a time",
+                "frames/s": 1 / _median(lambda render=render, pins=pins: render(*pins), 20),
+                "tactile image of a frame/s": 1 / _median(lambda f=frame, d=design: tactile_image(f, d.image), 20),
+            })  # fmt: skip
+        with tempfile.TemporaryDirectory() as folder:
+            case = {"task": "surface", "fidelity": "draft", "renderer": "raster", "symmetric": True, "design": name}
+            samples = _small_set(Path(folder), **case)
+            for varied in ("lens", "real"):
+                from learning.varied import OPTICS
+
+                drawn = DrawnImages(read_samples(samples), 1.0, OPTICS[varied])
+                chosen = torch.arange(_BATCH) % 64
+                seconds = _median(lambda d=drawn, c=chosen: d.draw(c))
+                what = f"drawn in training, `{varied}`, {_BATCH} at a time"
+                rows.append({"design": name, "what": what, "frames/s": _BATCH / seconds})
+    return rows
+
+
+def _small_set(folder, task, fidelity, renderer, symmetric, design):
+    configuration = Configuration(
+        task=task, split="train", samples=64, seed=0, renderer=renderer, design=find_design(design),
+        fidelity=fidelity_named(fidelity), pose=POSE_RANGES[task], shear=SHEAR_RANGES, symmetric=symmetric,
+    )  # fmt: skip
+    with contextlib.redirect_stderr(None):
+        make([Job(configuration, folder / "set")], 1, lambda line: None)
+    return folder / "set"
+
+
+def _learning(options):
+    """Images a second in training, and the time of an estimate, on one core."""
+    import torch
+
+    from learning.device import one_thread
+    from learning.model import find_model
+    from learning.networks import recipe_named
+    from learning.samples import read_samples
+    from learning.train import Training
+
+    rows = []
+    with tempfile.TemporaryDirectory() as folder:
+        case = {"task": "surface", "fidelity": "draft", "renderer": "raster", "symmetric": True, "design": "tactip-127"}
+        samples = read_samples(_small_set(Path(folder), **case))
+        for recipe in ("laptop", "paper"):
+            its = recipe_named(recipe, "surface")
+            settings = replace(its.settings, drawn=0.0)
+            network = its.network if recipe == "laptop" else replace(its.network, batch_size=16)
+            for drawn in (0.0, its.settings.drawn) if its.settings.drawn else (0.0,):
+                training = Training(samples, samples, network, replace(settings, drawn=drawn))
+                seconds = _median(lambda t=training: t.train_epoch(), 3 if recipe == "laptop" else 1)
+                rows.append({
+                    "what": f"`{recipe}`, {drawn:.0%} of the images drawn anew", "images/s": len(samples) / seconds,
+                    "threads": torch.get_num_threads(),
+                })  # fmt: skip
+        for name in ("surface-tactip-127", "edge-tactip-127"):
+            model = find_model(name)
+            image = samples.images[:1]
+            one = _median(lambda m=model, i=image: m.predict(i), 50)
+            with one_thread():
+                many = _median(lambda m=model: m.predict(samples.images)) / len(samples)
+            rows.append({"what": f"an estimate of `{name}`", "ms, alone": 1e3 * one, "ms, of 64": 1e3 * many})
+    return rows
+
+
+def _following(options):
+    """Servo steps a second, and where their time goes."""
+    from control.options import Options, RouteOptions, Settings
+    from control.run import run as follow
+
+    rows = []
+    for task, thing in (("surface", "bust"), ("edge", "rim-round")):
+        for arm in ("none", "dynamic"):
+            for fidelity in ("draft", "standard"):
+                with tempfile.TemporaryDirectory() as folder:
+                    asked = Options(
+                        Path(folder) / "run", task, thing, arm=arm, fidelity=fidelity, route=RouteOptions(),
+                        settings=Settings(most_steps=options.steps),
+                    )  # fmt: skip
+                    done = follow(asked, say=lambda line: None)
+                what = f"{thing}, arm {arm}, {fidelity}"
+                rows.append({"what": what, "steps/s": done["steps_per_s"], **_split(done["ms_a_step"])})
+    return rows
+
+
+def _split(milliseconds):
+    return {f"ms, {name}": value for name, value in milliseconds.items()}
+
+
+def _faces(options):
+    """Time of a step on an object by the number of its triangles: a ball, pressed 3 mm and slid along."""
+    import trimesh
+
+    from sim.carrier import carrier_named
+    from sim.fingertip import Fingertip
+    from sim.solid import Solid
+
+    rows = []
+    for subdivisions in (3, 5, 7):
+        ball = trimesh.creation.icosphere(subdivisions=subdivisions, radius=0.04)
+        start = time.perf_counter()
+        solid = Solid(np.asarray(ball.vertices), np.asarray(ball.faces))
+        built = time.perf_counter() - start
+        finger = Fingertip(
+            find_design("tactip-127"), solid, fidelity_named("standard"), carrier_named("none"), np.eye(4)
+        )  # fmt: skip
+        facing = np.diag([1.0, -1, -1, 1])
+        pose = facing.copy()
+        pose[2, 3] = 0.05
+        finger.put(pose)
+        pose = pose.copy()
+        pose[2, 3] = 0.037
+        finger.go(pose)
+        seconds = []
+        for k in range(options.steps // 4):
+            turn = (k + 1) * 1e-3 / 0.04
+            c, s = np.cos(turn), np.sin(turn)
+            round_it = np.array([[c, 0, s, 0], [0, 1, 0, 0], [-s, 0, c, 0], [0, 0, 0, 1]])
+            start = time.perf_counter()
+            finger.go(round_it @ pose)
+            seconds.append(time.perf_counter() - start)
+        rows.append({
+            "triangles": len(ball.faces), "ms a millimetre of way": 1e3 * statistics.median(seconds), "built in, s": built,
+        })  # fmt: skip
+    return rows
+
+
+def _start_up(options):
+    """Time of every command's help: what is imported before anything is done."""
+    program = str(Path(sys.executable).parent / "tactip")
+    rows = []
+    for command in COMMANDS:
+        words = [program, *command, "--help"]
+        seconds = _median(lambda w=words: subprocess.run(w, check=True, capture_output=True))  # noqa: S603
+        before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
+        rows.append({"command": " ".join(["tactip", *command]), "s": seconds, "most memory so far, MiB": before / 1024})
+    return rows
+
+
+GROUPS = {
+    "samples": ("Sets: contacts and samples a second, from end to end", _samples),
+    "images": ("Images a second, one core", _images),
+    "learning": ("Training and estimates", _learning),
+    "servo": ("Servo steps a second", _following),
+    "faces": ("Steps on objects of more triangles", _faces),
+    "start-up": ("Every command's help", _start_up),
+}
+"""Title and function of each group."""
+
+
+def page(record):
+    """The Markdown (str) of performance.json."""
+    lines = [
+        "# What it costs",
+        "",
+        "Written by `tactip bench speed`; do not edit. Times on shared machines differ from day to day by a tenth and more: "
+        "ratios of rows of one table hold. Errors stand beside costs in [fidelity.md](fidelity.md), "
+        "[learning.md](learning.md) and [servo.md](servo.md).",
+    ]
+    for name, group in record["groups"].items():
+        rows = group["rows"]
+        columns = list(dict.fromkeys(key for row in rows for key in row))
+        state = "; ".join(f"{k} {v}" for k, v in group["machine"].items())
+        lines += ["", f"## {GROUPS[name][0]}", "", "| " + " | ".join(columns) + " |", "|" + "---|" * len(columns)]
+        lines += ["| " + " | ".join(_cell(row.get(key)) for key in columns) + " |" for row in rows]
+        lines += ["", f"On: {state}."]
+    return "\n".join(lines) + "\n"
+
+
+def _cell(value):
+    if value is None:
+        return ""
+    if not isinstance(value, float):
+        return str(value)
+    return f"{value:.3g}" if value < 100 else f"{value:.0f}"

@@ -1,0 +1,54 @@
+"""The page of costs: every group is measured and kept, and its rates are of what it says."""
+
+import json
+import re
+from dataclasses import replace
+
+import pytest
+
+import tactip
+from benchmarks import speed
+from benchmarks.options import SpeedOptions
+from tactip_model.errors import TactipError
+
+
+def test_every_command_is_timed(capsys):
+    """All that the program itself names."""
+    with pytest.raises(SystemExit):
+        tactip.main(["no-such-command"])
+    told = " ".join(re.sub(r"[^\w,:-]", " ", capsys.readouterr().err).split())
+    names = re.search(r"subcommands: ([\w-]+(?:, [\w-]+)*)", told).group(1).split(", ")
+    assert {command[0] for command in speed.COMMANDS if command} == set(names)
+
+
+def test_the_page_keeps_what_was_measured(tmp_path, monkeypatch):
+    measured = {
+        "faces": ("Objects", lambda o: [{"triangles": 20, "ms": 1.234}]),
+        "servo": ("Servo", lambda o: [{"s": None}]),
+    }
+    monkeypatch.setattr(speed, "GROUPS", measured)
+    options = SpeedOptions(("faces",), out=tmp_path)
+    speed.run(options, say=lambda line: None)
+    speed.run(replace(options, groups=("servo",)), say=lambda line: None)
+    page = (tmp_path / "performance.md").read_text()
+    assert "| triangles | ms |" in page and "| 20 | 1.23 |" in page
+    assert list(json.loads((tmp_path / "performance.json").read_text())["groups"]) == ["faces", "servo"]
+    with pytest.raises(TactipError, match="unknown group 'mesh': choose one of faces, servo"):
+        speed.run(replace(options, groups=("mesh",)))
+
+
+def test_the_rate_of_a_set_is_its_marginal_one(monkeypatch):
+    """A set that takes 3 s and half a second a contact of each worker: what is paid once are the 3 s."""
+    monkeypatch.setattr(speed, "_set_seconds", lambda n, workers, **case: (3.0 + n / (2.0 * workers), 500))
+    for row in speed._samples(SpeedOptions(contacts=10)):
+        assert row["contacts/s"] == pytest.approx(2.0 * row["workers"])
+        assert row["once, s"] == pytest.approx(3.0)
+        each = 8 if row["what"].endswith("symmetric") and "surface" in row["what"] else 1
+        each = 2 if row["what"].endswith("symmetric") and "edge" in row["what"] else each
+        assert row["samples/s"] == pytest.approx(each * row["contacts/s"])
+
+
+def test_a_median_leaves_the_first_call_out():
+    calls = []
+    speed._median(lambda: calls.append(None), 3)
+    assert len(calls) == 4
