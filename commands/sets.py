@@ -47,6 +47,9 @@ class Make:
     """Seed of the draws."""
     workers: str = "auto"
     """Worker processes; auto is one a core."""
+    cluster: str = ""
+    """Address of a Ray cluster that makes it, auto for that of this machine, local for one of it alone; OUT is a folder that
+    all its machines see. None if empty."""
     fidelity: str = "standard"
     """draft, standard or reference (sim/fidelity.py)."""
     design: str = "tactip-127"
@@ -72,7 +75,8 @@ class Make:
         from sim.crew import worker_count
         from sim.generation import make
 
-        results = make(self._jobs(), worker_count(self.workers))
+        workers = 0 if self.cluster and self.workers == "auto" else worker_count(self.workers)
+        results = make(self._jobs(), workers, cluster=self.cluster)
         failed = 0
         for r in results:
             failed += r["failed"]

@@ -22,11 +22,9 @@ from learning.tune import (
     values_of,
     write_results,
 )
+from sim.cluster import joined, ray_here
 from sim.lock import locked
 from tactip_model.errors import Stopped, TactipError
-
-_LOCAL = "local"
-"""Address of a cluster of this machine alone, started for the search."""
 
 
 def tune_on_cluster(data, folder, settings, jobs, address, device="auto"):
@@ -36,28 +34,22 @@ def tune_on_cluster(data, folder, settings, jobs, address, device="auto"):
     Returns the results (list of dict). Raises TactipError where Ray is missing, cannot be reached, or data and folder do not
     do, and Stopped at Ctrl-C.
     """
-    try:
-        import ray  # pyright: ignore[reportMissingImports]
-        from ray import tune as ray_tune  # pyright: ignore[reportMissingImports]
-    except ImportError as error:
-        raise TactipError(f"a cluster needs Ray ({error}): pip install 'tactip-twin[cluster]'") from error
     data, folder = Path(data).resolve(), Path(folder).resolve()
+    ray_here()
     claim(folder, data, settings)
     with locked(folder / LOCK, f"searching in {folder}"):
-        return _tune(ray, ray_tune, data, folder, settings, jobs, address, device)
+        results = read_results(folder)
+        if len(results) >= settings.trials:
+            return results
+        with joined(address) as ray:
+            return _tune(ray, data, folder, settings, jobs, device, results)
 
 
-def _tune(ray, ray_tune, data, folder, settings, jobs, address, device):
-    """`tune_on_cluster`, in a folder that is ours. ray, ray_tune: the modules."""
-    results = read_results(folder)
+def _tune(ray, data, folder, settings, jobs, device, results):
+    """`tune_on_cluster`, in a folder that is ours. ray: the module, joined. results: list of dict, so far."""
+    from ray import tune as ray_tune  # pyright: ignore[reportMissingImports]
+
     left = settings.trials - len(results)
-    if left <= 0:
-        return results
-    try:
-        options = {} if address == _LOCAL else {"address": address}
-        ray.init(**options, logging_level="ERROR", log_to_driver=False, include_dashboard=False)
-    except (ConnectionError, ValueError, RuntimeError) as error:
-        raise TactipError(f"there is no Ray cluster at {address!r}: {error}") from error
 
     def trial(point):
         """One trial, on whichever machine."""
@@ -87,8 +79,6 @@ def _tune(ray, ray_tune, data, folder, settings, jobs, address, device):
             tuner.fit()
         except KeyboardInterrupt:
             raise Stopped(_over(results, settings)) from None
-        finally:
-            ray.shutdown()
     if len(results) < settings.trials:  # Ray answers Ctrl-C itself, and then returns
         raise Stopped(_over(results, settings))
     draw(results, folder / "tune.png", settings.startup)

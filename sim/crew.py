@@ -81,6 +81,10 @@ class Crew:
             finally:
                 self._dismiss()
 
+    def places(self):
+        """Workers (int) that this machine has room for: a core each."""
+        return worker_count("auto")
+
     def _replies(self):
         """Wait for workers; yield (task, seconds, the worker's peak memory in MiB, whether it had done one before)."""
         ready = connection.wait([*self._workers, *(w.process.sentinel for w in self._workers.values())])
@@ -123,15 +127,18 @@ class Crew:
         worker = self._workers.pop(pipe)
         pipe.close()
         worker.process.join()
-        self._killed[worker.task] = self._killed.get(worker.task, 0) + 1
         code = worker.process.exitcode or 0
-        how = f"by signal {signal.Signals(-code).name}" if code < 0 else f"with exit code {code}"
-        what = f"{self._unit} {worker.task}"
-        if self._killed[worker.task] > 1:
+        self._lost(worker.task, f"by signal {signal.Signals(-code).name}" if code < 0 else f"with exit code {code}")
+        self._hire()
+
+    def _lost(self, task, how):
+        """Put a task back whose worker ended `how` (str). Raises TactipError where it is the second that this task ended."""
+        self._killed[task] = self._killed.get(task, 0) + 1
+        what = f"{self._unit} {task}"
+        if self._killed[task] > 1:
             raise TactipError(f"{what} has ended two workers (the last {how}): is memory short? {GOES_ON}")
         self._say(f"a worker ended {how} at {what}: another takes over")
-        self._queue.append(worker.task)
-        self._hire()
+        self._queue.append(task)
 
     def _dismiss(self):
         """Let workers finish what they hold, then make sure that they are gone."""
@@ -158,18 +165,28 @@ def _serve(pipe, begin, arguments):
             task = pipe.recv()
         except (EOFError, ConnectionError):  # the latter where the last reply was not read any more
             return
-        start, error = time.perf_counter(), None
+        reply = attempt(do, task)
         try:
-            do(task)
-        except TactipError as wrong:
-            error = str(wrong)
-        except OSError as wrong:
-            error = disk_error(wrong)
-        try:
-            peak_mib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-            pipe.send({"error": error, "seconds": time.perf_counter() - start, "peak_mib": peak_mib})
+            pipe.send(reply)
         except ConnectionError:
             return
+
+
+def attempt(do, task):
+    """Do a task; returns a dict: error (str or None), seconds, and peak_mib, the process's greatest memory in MiB."""
+    start, error = time.perf_counter(), None
+    try:
+        do(task)
+    except TactipError as wrong:
+        error = str(wrong)
+    except OSError as wrong:
+        error = disk_error(wrong)
+    peak_mib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    return {"error": error, "seconds": time.perf_counter() - start, "peak_mib": peak_mib}
+
+
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "LP_NUM_THREADS", "IGL_NUM_THREADS")
+"""Variables that say how many threads numerics and software OpenGL take."""
 
 
 @contextlib.contextmanager
@@ -177,9 +194,8 @@ def _for_children():
     """What processes started here inherit: one thread each for numerics and for software OpenGL, since workers fill the
     cores; and deafness to Ctrl-C from their first instant, while this process hears it a moment later.
     """
-    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "LP_NUM_THREADS", "IGL_NUM_THREADS")
-    before = {name: os.environ.get(name) for name in names}
-    for name in names:
+    before = {name: os.environ.get(name) for name in THREADS}
+    for name in THREADS:
         os.environ.setdefault(name, "1")
     resource_tracker.ensure_running()  # its own start, left to the first process, would lift the mask
     heard = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})

@@ -20,6 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from sim.bent import MOST_BENT_PER_M, MOST_HOLLOW_PER_M, bent_surface, drawn_surface
+from sim.cluster import ClusterCrew, joined, ray_here
 from sim.contact import STEEPEST_RAD, CarefulPlayer, check_ranges, too_steep
 from sim.crew import Crew, disk_error
 from sim.dataset import (
@@ -90,13 +91,17 @@ def _check_curvature(configuration):
         )
 
 
-def make(jobs, workers, say=print):
+def make(jobs, workers, say=print, cluster=""):
     """Make the sets of `jobs` (list of Job), or finish them where they were left.
 
-    workers: int. say: called with each line for the user. Returns a list of dict, one a job: samples kept, failed, made
-    now, and the seconds this took. Raises TactipError (wrong configuration, unwritable folder, no OpenGL, a set of
-    another configuration in the folder) and Stopped (Ctrl-C). Nothing that was done is lost by either.
+    workers: int; 0 for as many as there is room for. say: called with each line for the user. cluster: str, address of a Ray
+    cluster (sim/cluster.py) whose workers make them, in folders that all of its machines see; none if empty. Returns a list
+    of dict, one a job: samples kept, failed, made now, and the seconds this took. Raises TactipError (wrong configuration,
+    unwritable folder, no OpenGL, no cluster, a set of another configuration in the folder) and Stopped (Ctrl-C). Nothing
+    that was done is lost by either.
     """
+    if cluster:
+        ray_here()
     for job in jobs:
         check(job.configuration)
     with contextlib.ExitStack() as stack:
@@ -107,7 +112,6 @@ def make(jobs, workers, say=print):
         if todo and left < total:
             say(f"{total - left} of {total} samples are there already")
         start = time.perf_counter()
-        workers = min(workers, max(1, len(todo)))
 
         def done(task, *cost):
             folder = folders[task[0]]
@@ -116,9 +120,12 @@ def make(jobs, workers, say=print):
                 folder.finish(time.perf_counter() - start, workers)
 
         if todo:
-            arguments = [job.configuration for job in jobs], [str(job.folder) for job in jobs]
+            arguments = [job.configuration for job in jobs], [str(job.folder.resolve()) for job in jobs]
             unit = "contact" if any(job.configuration.symmetric for job in jobs) else "sample"
-            Crew(_Makers, arguments, todo, unit, say).work(workers, done)
+            given = _Makers, arguments, todo, unit, say
+            crew = ClusterCrew(stack.enter_context(joined(cluster)), *given) if cluster else Crew(*given)
+            workers = min(workers or crew.places(), len(todo))
+            crew.work(workers, done)
         return [folder.finish(time.perf_counter() - start, workers) for folder in folders]
 
 

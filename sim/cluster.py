@@ -1,0 +1,115 @@
+"""A crew whose workers live on the machines of a Ray cluster.
+
+Needs the extra `cluster`. The folders of the sets must be visible to every machine under the same path, as on a shared disk,
+and the package must be installed there. A worker holds one task at a time, so that nothing piles up; one that is lost with
+its machine gives its task to another, and what it had written counts.
+"""
+
+import contextlib
+from dataclasses import dataclass
+from typing import Any
+
+from sim.crew import THREADS, Crew, attempt
+from tactip_model.errors import TactipError
+
+_LOCAL = "local"
+"""Address of a cluster of this machine alone, started for the command."""
+
+_LEAVE_S = 10
+"""How long workers may take to finish what they hold, s."""
+
+
+def ray_here():
+    """The module ray. Raises TactipError where it is not installed."""
+    try:
+        import ray  # pyright: ignore[reportMissingImports]
+    except ImportError as error:
+        raise TactipError(f"a cluster needs Ray ({error}): pip install 'tactip-twin[cluster]'") from error
+    return ray
+
+
+@contextlib.contextmanager
+def joined(address):
+    """The module ray, joined to the cluster at `address` (str; auto: that of this machine; local: one of this machine
+    alone), and left at the end. Raises TactipError where Ray is missing or cannot be reached."""
+    ray = ray_here()
+    try:
+        options = {} if address == _LOCAL else {"address": address}
+        ray.init(**options, logging_level="ERROR", log_to_driver=False, include_dashboard=False)
+    except (ConnectionError, ValueError, RuntimeError) as error:
+        raise TactipError(f"there is no Ray cluster at {address!r}: {error}") from error
+    try:
+        yield ray
+    finally:
+        ray.shutdown()
+
+
+class _Remote:
+    """A worker, in a process of the cluster."""
+
+    def __init__(self, begin, arguments):
+        self._do = begin(*arguments)
+
+    def attempt(self, task):
+        """See crew.attempt."""
+        return attempt(self._do, task)
+
+
+@dataclass
+class _Hand:
+    actor: Any
+    task: Any
+    done: int = 0
+
+
+class ClusterCrew(Crew):
+    """Does a list of tasks on a cluster: as a Crew does, to the same files."""
+
+    def __init__(self, ray, begin, arguments, tasks, unit, say):
+        """ray: the module, joined. The rest: as of Crew."""
+        super().__init__(begin, arguments, tasks, unit, say)
+        self._ray = ray
+        variables = {"env_vars": dict.fromkeys(THREADS, "1")}
+        self._actor = ray.remote(num_cpus=1, max_restarts=0, runtime_env=variables)(_Remote)
+
+    def places(self):
+        """Workers (int) that the cluster has room for. Raises TactipError where it has none."""
+        count = int(self._ray.cluster_resources().get("CPU", 0))
+        if count < 1:
+            raise TactipError("the cluster has no processor to work on")
+        return count
+
+    def _hire(self):
+        if self._queue:
+            self._give(_Hand(self._actor.remote(self._begin, self._arguments), None))
+
+    def _give(self, hand):
+        """Give a worker the next task."""
+        hand.task = self._queue.pop()
+        self._workers[hand.actor.attempt.remote(hand.task)] = hand
+
+    def _replies(self):
+        (reference,), _ = self._ray.wait(list(self._workers), num_returns=1)
+        hand = self._workers.pop(reference)
+        try:
+            reply = self._ray.get(reference)
+        except self._ray.exceptions.RayActorError:
+            self._lost(hand.task, "with its process or its machine")
+            self._hire()
+            return
+        if reply["error"]:
+            self._ray.kill(hand.actor)
+            raise TactipError(reply["error"])
+        hand.done += 1
+        yield hand.task, reply["seconds"], reply["peak_mib"], hand.done > 1
+        if self._queue:
+            self._give(hand)
+        else:
+            self._ray.kill(hand.actor)
+
+    def _dismiss(self):
+        if self._workers:
+            self._ray.wait(list(self._workers), num_returns=len(self._workers), timeout=_LEAVE_S)
+        for hand in self._workers.values():
+            self._ray.kill(hand.actor)
+        self._workers.clear()
