@@ -11,7 +11,7 @@ from pathlib import Path
 import tyro
 
 from assets import MODELS
-from benchmarks.learned import BARS, DESIGN, PAPER
+from benchmarks.learned import BARS, DESIGN, PAPER, rows
 from benchmarks.machine import machine
 from learning.evaluate import evaluate, tables
 from learning.model import DESCRIPTION, WEIGHTS, load_model
@@ -81,6 +81,14 @@ def _name(model):
     return f"{model.labels.task}-{'bent-' if _bent(model) else ''}{DESIGN}"
 
 
+def _begun(model, options):
+    """A line (list of str) on the network that a training began with, if it did."""
+    if "begun_from" not in model.provenance:
+        return []
+    (start,) = (row.start for row in rows(model.labels.task, False) if row.name == options.name)
+    return [f"- Begun from the weights of `{start}` (checksum {model.provenance['begun_from'][:16]})."]
+
+
 def card(model, record, options):
     """The Markdown (str) of a network's card. model: Model. record: dict, its evaluation.json. options: Options."""
     task, p = model.labels.task, model.provenance
@@ -126,6 +134,7 @@ def card(model, record, options):
         f"- Trained on {data['samples']} images of {contacts} contacts (fidelity `{made['fidelity']['name']}`, seed "
         f"{made['seed']}, `{made['renderer']}`), configuration {data['digest'][:16]}; tested on configuration "
         f"{record['test']['digest'][:16]}. In full, and with checksums of the tables, in model.json and evaluation.json.",
+        *_begun(model, options),
         f"- Network: {json.dumps(network)}",
         f"- Training: {json.dumps(settings)}; best epoch {p['outcome']['best_epoch']} of {p['outcome']['epochs']}; "
         f"torch {p['torch']}",

@@ -14,7 +14,7 @@ import numpy as np
 
 from learning.fine_tuning import FineTuning, fine_tune
 from learning.gap import draw, gap
-from learning.model import load_model
+from learning.model import find_model, load_model
 from learning.networks import recipe_named
 from learning.samples import Samples, read_samples
 from learning.train import train
@@ -114,6 +114,7 @@ class Experiment:
         fidelity_named(settings.fidelity)
         self.recipe()
         self._told = find_design(settings.design) if settings.design else None
+        self._start = find_model(settings.start) if settings.start else None
 
     def recipe(self, variant=Variant()):
         """The Recipe of a training on simulated samples of a Variant."""
@@ -176,7 +177,8 @@ class Experiment:
     def network(self, variant=Variant()):
         """The Model that was trained on simulated samples of a Variant alone; trained if it is not there."""
         folder, recipe = self.out / f"network-{variant.name}", self.recipe(variant)
-        train(*self.simulated(variant), recipe.network, recipe.settings, folder, self._device, self._say)
+        sets = self.simulated(variant)
+        train(*sets, recipe.network, recipe.settings, folder, self._device, self._say, start=self._start)
         return load_model(folder)
 
     def real_network(self, count):

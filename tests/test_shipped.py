@@ -1,6 +1,7 @@
 """Shipped networks are what their cards say, and read contacts that are made here and now."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ import tactip
 from assets import MODELS
 from benchmarks import shipped
 from learning.labels import labels_of
-from learning.model import find_model, shipped_models
+from learning.model import find_model, net_sha256, shipped_models
 from learning.networks import Recipe
 from learning.posenet import PoseNetConfig
 from learning.samples import read_splits
@@ -46,6 +47,10 @@ def test_a_card_is_of_its_network(name):
         assert f"| {component} | {error:.3f} " in card
     assert model.provenance["outcome"]["finished"]
     assert model.labels == labels_of(model.provenance["train"]["configuration"])
+    told = re.search(r"Begun from the weights of `([\w-]+)`", card)
+    assert bool(told) == ("begun_from" in model.provenance)
+    if told:
+        assert net_sha256(find_model(told.group(1)).net) == model.provenance["begun_from"]
 
 
 @pytest.mark.parametrize("name", shipped_models())

@@ -215,6 +215,7 @@ def test_the_gap_is_seen_and_closes_with_the_right_design(lab, tmp_path, capsys)
         (["--mechanics", "stone"], "unknown mechanics 'stone'"),
         (["--recipe", "cake"], "unknown recipe 'cake'"),
         (["--design", "cube"], "unknown design 'cube'"),
+        (["--start", "nobody"], "no shipped model of that name"),
     ],
 )
 def test_wrong_words_are_one_sentence(lab, tmp_path, capsys, options, words):
