@@ -36,7 +36,7 @@ class TransferSettings:
     recipe: str = "laptop"
     """Network and training: networks.py."""
     start: str = ""
-    """A shipped network, or the folder of a training, that training on simulated contacts begins with; at random if empty."""
+    """A shipped network, or the folder of a training, that training on simulated contacts begins with; none if empty."""
     gap_frames: int = within(8, 10**5, default=150)
     """Real frames that are held against simulated ones, to see the gap."""
     tuning_steps: int = within(1, 10**6, default=800)
