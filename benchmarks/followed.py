@@ -276,6 +276,11 @@ def _starts(rows):
     return lines
 
 
+_MARKERS = {"draft": "^", "standard": "o", "reference": "s", "2 at rest, pace 1": "+", "1 at rest, pace 1": "x"}
+_MARKERS |= {"2 at rest, pace 2": "1", "1 at rest, pace 2": "2"}
+"""Markers in the figure, by what differs."""
+
+
 def draw(rows, path):
     """Error against time a step. rows: list of dict, of the group `fidelity`. path: Path, .png."""
     import matplotlib
@@ -288,13 +293,17 @@ def draw(rows, path):
         for row in rows:
             if "error" in row:
                 continue
-            followed_thing, what = row["name"].split(", ", 1)
-            x, y = 1e3 / row["steps_per_s"], row[name]
-            axis.plot(x, y, "o", color={"bust": "C3", "rim": "C0"}[followed_thing], mfc="none" if "raster" in what else None)
-            axis.annotate(what, (x, y), xytext=(4, 3), textcoords="offset points", fontsize=7)
+            thing, what = row["name"].split(", ", 1)
+            kind = what.split(", ")[0] if "at rest" not in what else what.removeprefix("standard, ")
+            axis.plot(
+                1e3 / row["steps_per_s"], row[name], _MARKERS.get(kind, "o"), label=kind if thing == "bust" else None,
+                color={"bust": "C3", "rim": "C0"}[thing], mfc="none" if "raster" in what else None,
+            )  # fmt: skip
         axis.set(xscale="log", xlabel="ms a step", ylabel=f"mean error: {label}")
         axis.set_ylim(bottom=0)
     axes[0].set_title("red: a pass over the bust; blue: a rim; hollow: raster", fontsize=9)
+    entries = dict(zip(*axes[1].get_legend_handles_labels()[::-1], strict=True))
+    axes[1].legend(entries.values(), entries.keys(), fontsize=8)
     figure.tight_layout()
     figure.savefig(path, dpi=90, metadata={"Software": None})
     plt.close(figure)

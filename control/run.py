@@ -146,7 +146,12 @@ def _plan(options, thing, truth):
         corners = serpentine(middle, along, across, r.length_mm / 1e3, width, r.spacing_mm / 1e3)
         targets = surface_targets(thing, corners, UP)
         hit = thing.solid.first_hit((inverse(T) @ [*corners[0, :2], 2.0, 1])[:3], inverse(T)[:3, :3] @ -UP)
-        require(np.isfinite(hit), "the start of the route", (1e3 * corners[0, :2]).tolist(), "above the object, mm")
+        require(
+            np.isfinite(hit),
+            "the start of the route",
+            f"{1e3 * corners[0, 0]:.1f}, {1e3 * corners[0, 1]:.1f} mm",
+            "above the object",
+        )
         place = (inverse(T) @ [*corners[0, :2], 2.0 - hit, 1])[:3]
         route = Plan(corners, UP)
     T_there = np.eye(4)
