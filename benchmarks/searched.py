@@ -35,7 +35,7 @@ BEST = 5
 def jobs(options):
     """The sets (list of Job) that are needed, made already or not."""
     judged = LearningOptions(task=options.task, judged=options.judged, data=options.data)
-    (val,) = (job for job in learned.jobs(judged, ()) if job.folder == options.data / "plain" / options.task / "val")
+    (val,) = (job for job in learned.jobs(judged, ("plain",)) if job.folder == options.data / "plain" / options.task / "val")
     train = replace(val.configuration, split="train", samples=options.contacts)
     return [val, Job(train, val.folder.with_name("train"))]
 
