@@ -6,7 +6,7 @@ n contacts less that of one of a few, over the difference, so that what is paid 
 
 import contextlib
 import json
-import resource
+import os
 import statistics
 import subprocess
 import sys
@@ -70,6 +70,13 @@ def _median(measured, repeats=_REPEATS):
     return statistics.median(times)
 
 
+@contextlib.contextmanager
+def _quietly():
+    """Without the bars of what is timed."""
+    with Path(os.devnull).open("w") as nowhere, contextlib.redirect_stderr(nowhere):
+        yield
+
+
 def _set_seconds(contacts, workers, task, fidelity, renderer, symmetric, design):
     """Time (s) and peak memory of a worker (MiB) of a set, made in a folder that is thrown away."""
     each = {"surface": 8, "edge": 2}[task] if symmetric else 1
@@ -87,7 +94,7 @@ def _set_seconds(contacts, workers, task, fidelity, renderer, symmetric, design)
     )
     with tempfile.TemporaryDirectory() as folder:
         start = time.perf_counter()
-        with contextlib.redirect_stderr(None):
+        with _quietly():
             make([Job(configuration, Path(folder) / "set")], workers, lambda line: None)
         seconds = time.perf_counter() - start
         run = json.loads((Path(folder) / "set" / "run.json").read_text())
@@ -164,7 +171,7 @@ def _small_set(folder, task, fidelity, renderer, symmetric, design):
         task=task, split="train", samples=64, seed=0, renderer=renderer, design=find_design(design),
         fidelity=fidelity_named(fidelity), pose=POSE_RANGES[task], shear=SHEAR_RANGES, symmetric=symmetric,
     )  # fmt: skip
-    with contextlib.redirect_stderr(None):
+    with _quietly():
         make([Job(configuration, folder / "set")], 1, lambda line: None)
     return folder / "set"
 
@@ -273,8 +280,7 @@ def _start_up(options):
     for command in COMMANDS:
         words = [program, *command, "--help"]
         seconds = _median(lambda w=words: subprocess.run(w, check=True, capture_output=True))  # noqa: S603
-        before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
-        rows.append({"command": " ".join(["tactip", *command]), "s": seconds, "most memory so far, MiB": before / 1024})
+        rows.append({"command": " ".join(["tactip", *command]), "s": seconds})
     return rows
 
 
