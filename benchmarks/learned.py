@@ -38,7 +38,7 @@ BARS = {
 """What this project asks of itself."""
 
 _FURTHER = {"epochs": 16, "rate": 7e-4, "muon": 0.007}
-"""What a training that begins with a network has of its own: half of the rates, and fewer epochs."""
+"""What a training that begins with a network has of its own: half of the rates, and fewer epochs; estimates [?]."""
 
 FILTERS = (4, 8, 16)
 """First filters of the other networks on the curve."""

@@ -22,6 +22,7 @@ from sim.dataset import Configuration, write_file
 from sim.fidelity import fidelity_named
 from sim.generation import Job, make
 from sim.sampling import POSE_RANGES, SHEAR_RANGES
+from sim.symmetry import SYMMETRIES
 from tactip_model.errors import choose
 from tactip_model.presets import find_design
 
@@ -32,7 +33,7 @@ _REPEATS = 5
 """Times that what is short is measured; the median counts."""
 
 _BATCH = 64
-"""Images at a time, where they are drawn or judged in batches."""
+"""Images at a time, where they are drawn, learned from or judged in batches."""
 
 COMMANDS = (
     (), ("dataset", "make"), ("dataset", "verify"), ("import",), ("calibrate",), ("train",), ("tune",), ("evaluate",),
@@ -77,13 +78,12 @@ def _quietly():
         yield
 
 
-def _set_seconds(contacts, workers, task, fidelity, renderer, symmetric, design):
-    """Time (s) and peak memory of a worker (MiB) of a set, made in a folder that is thrown away."""
-    each = {"surface": 8, "edge": 2}[task] if symmetric else 1
+def _made(folder, samples, workers, task, fidelity, renderer, symmetric, design):
+    """The folder (Path) of a set of `samples`, made in `folder`."""
     configuration = Configuration(
         task=task,
         split="train",
-        samples=contacts * each,
+        samples=samples,
         seed=0,
         renderer=renderer,
         design=find_design(design),
@@ -92,12 +92,19 @@ def _set_seconds(contacts, workers, task, fidelity, renderer, symmetric, design)
         shear=SHEAR_RANGES,
         symmetric=symmetric,
     )
+    with _quietly():
+        make([Job(configuration, Path(folder) / "set")], workers, lambda line: None)
+    return Path(folder) / "set"
+
+
+def _set_seconds(contacts, workers, **case):
+    """Time (s) and peak memory of a worker (MiB) of a set, made in a folder that is thrown away."""
+    each = len(SYMMETRIES[case["task"]]) if case["symmetric"] else 1
     with tempfile.TemporaryDirectory() as folder:
         start = time.perf_counter()
-        with _quietly():
-            make([Job(configuration, Path(folder) / "set")], workers, lambda line: None)
+        made = _made(folder, contacts * each, workers, **case)
         seconds = time.perf_counter() - start
-        run = json.loads((Path(folder) / "set" / "run.json").read_text())
+        run = json.loads((made / "run.json").read_text())
     return seconds, run["peak_memory_of_a_worker_MiB"]
 
 
@@ -114,7 +121,7 @@ def _samples(options):
         few = _FEW * workers
         base, _ = _set_seconds(few, workers, **case)
         whole, peak = _set_seconds(few + options.contacts, workers, **case)
-        each = {"surface": 8, "edge": 2}[case["task"]] if case["symmetric"] else 1
+        each = len(SYMMETRIES[case["task"]]) if case["symmetric"] else 1
         rate = options.contacts / max(whole - base, 1e-9)
         once = base - few / rate
         rows.append({
@@ -134,8 +141,10 @@ def _images(options):
     """Images a second of each renderer, alone, and of the drawing in training, in batches."""
     import torch
 
+    from learning.device import one_thread
     from learning.drawn import DrawnImages
     from learning.samples import read_samples
+    from learning.varied import OPTICS
     from tactip_model.image import tactile_image
     from tactip_model.pins import neutral_pins
     from tactip_model.renderer import renderer_named
@@ -154,30 +163,19 @@ def _images(options):
             })  # fmt: skip
         with tempfile.TemporaryDirectory() as folder:
             case = {"task": "surface", "fidelity": "draft", "renderer": "raster", "symmetric": True, "design": name}
-            samples = _small_set(Path(folder), **case)
+            samples = read_samples(_made(folder, _BATCH, 1, **case))
+            chosen = torch.arange(len(samples))
             for varied in ("lens", "real"):
-                from learning.varied import OPTICS
-
-                drawn = DrawnImages(read_samples(samples), 1.0, OPTICS[varied])
-                chosen = torch.arange(_BATCH) % 64
-                seconds = _median(lambda d=drawn, c=chosen: d.draw(c))
+                drawn = DrawnImages(samples, 1.0, OPTICS[varied])
+                with one_thread():
+                    seconds = _median(lambda d=drawn, c=chosen: d.draw(c))
                 what = f"drawn in training, `{varied}`, {_BATCH} at a time"
-                rows.append({"design": name, "what": what, "frames/s": _BATCH / seconds})
+                rows.append({"design": name, "what": what, "frames/s": len(samples) / seconds})
     return rows
 
 
-def _small_set(folder, task, fidelity, renderer, symmetric, design):
-    configuration = Configuration(
-        task=task, split="train", samples=64, seed=0, renderer=renderer, design=find_design(design),
-        fidelity=fidelity_named(fidelity), pose=POSE_RANGES[task], shear=SHEAR_RANGES, symmetric=symmetric,
-    )  # fmt: skip
-    with _quietly():
-        make([Job(configuration, folder / "set")], 1, lambda line: None)
-    return folder / "set"
-
-
 def _learning(options):
-    """Images a second in training, and the time of an estimate, on one core."""
+    """Images a second in training, judged on as many as it learns from, and the time of an estimate."""
     import torch
 
     from learning.device import one_thread
@@ -189,16 +187,16 @@ def _learning(options):
     rows = []
     with tempfile.TemporaryDirectory() as folder:
         case = {"task": "surface", "fidelity": "draft", "renderer": "raster", "symmetric": True, "design": "tactip-127"}
-        samples = read_samples(_small_set(Path(folder), **case))
+        samples = read_samples(_made(folder, _BATCH, 1, **case))
         for recipe in ("laptop", "paper"):
             its = recipe_named(recipe, "surface")
             settings = replace(its.settings, drawn=0.0)
-            network = its.network if recipe == "laptop" else replace(its.network, batch_size=16)
             for drawn in (0.0, its.settings.drawn) if its.settings.drawn else (0.0,):
-                training = Training(samples, samples, network, replace(settings, drawn=drawn))
+                training = Training(samples, samples, its.network, replace(settings, drawn=drawn))
                 seconds = _median(lambda t=training: t.train_epoch(), 3 if recipe == "laptop" else 1)
                 rows.append({
-                    "what": f"`{recipe}`, {drawn:.0%} of the images drawn anew", "images/s": len(samples) / seconds,
+                    "what": f"an epoch of `{recipe}`, {drawn:.0%} of the images drawn anew",
+                    "images/s": len(samples) / seconds,
                     "threads": torch.get_num_threads(),
                 })  # fmt: skip
         for name in ("surface-tactip-127", "edge-tactip-127"):

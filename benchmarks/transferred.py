@@ -62,7 +62,7 @@ def page(whole):
         "tested on real frames that nothing was learned from. The sets are published ones, imported as "
         "[your-own-sensor.md](your-own-sensor.md) says.",
         "",
-        "| set | component | error | asked | of real training | asked | after 50 frames, of real training | asked |",
+        f"| set | component | error | asked | of real training | asked | after {SHOTS} frames, of real training | asked |",
         "|" + "---|" * 8,
     ]
     for name, record in whole.items():

@@ -23,7 +23,7 @@ _THICK_M = 10e-3
 
 
 STRETCHES_M = (4e-3, 40e-3)
-"""Lengths over which an unevenly bent surface is as round, m: from what is just felt to twice the tip's radius."""
+"""Lengths over which an unevenly bent surface is as round, m: from what is just felt to twice the tip's radius [?]."""
 
 
 def drawn_surface(draw, low_per_m, high_per_m, uneven):
