@@ -100,7 +100,7 @@ def card(model, record, options):
     what = {"surface": "a flat surface", "edge": "a straight edge"}[task]
     if _bent(model):
         what = "a surface bent by {:g} to {:g} /m, two ways{},".format(
-            *made["curvature_per_m"], " and unevenly" if made.get("uneven") else ""
+            *made["curvature_per_m"], " and half of the time unevenly" if made.get("uneven") else ""
         )
     # What the paper reached and what is asked is of flat surfaces.
     beside = () if _bent(model) else (("the paper, real sensor", PAPER), ("what we ask", BARS))

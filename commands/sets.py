@@ -59,8 +59,8 @@ class Make:
     curvature_per_m: Range = (0.0, 0.0)
     """Both principal curvatures of the surface, 1/m, drawn from LOW to HIGH for each contact; positive bulges out. Not a
     label."""
-    uneven: bool = False
-    """Let them change along the surface, within LOW and HIGH, as about a nose."""
+    uneven: float = 0.0
+    """Share of the contacts, 0 to 1, where they change along the surface, within LOW and HIGH, as about a nose."""
     mechanics: str = "none"
     """none, or real: stiffness, friction, thickness and pin length of the tip differ from contact to contact
     (sim/variation.py)."""

@@ -29,11 +29,12 @@ STRETCHES_M = (4e-3, 40e-3)
 def drawn_surface(draw, low_per_m, high_per_m, uneven):
     """A bent_surface (Solid) whose principal curvatures are drawn from low to high, 1/m, and turned at random.
 
-    draw: numpy Generator. uneven: bool; with it the curvature along each direction goes from one value to another at once,
-    after a length of STRETCHES_M, as on solids made of round parts, and so things are often as round as they may be: values
-    are drawn from twice the range and cut to it.
+    draw: numpy Generator. uneven: float, the chance that the curvature along each direction goes from one value to another
+    at once, after a length of STRETCHES_M, as on solids made of round parts. So things are often as round as they may be:
+    values are drawn from twice the range and cut to it.
     """
-    if not uneven:
+    # An even surface draws nothing for it: its set keeps the bytes that it had before there were others.
+    if not (uneven and draw.uniform() < uneven):
         return bent_surface(*draw.uniform(low_per_m, high_per_m, 2), draw.uniform(0, np.pi))
     profiles = [_drawn_profile(draw, low_per_m, high_per_m) for _ in range(2)]
     return bent_surface(0.0, 0.0, draw.uniform(0, np.pi), profiles)

@@ -81,8 +81,8 @@ class Configuration:
     curvature_per_m: tuple[float, float] = (0.0, 0.0)
     """Range of both principal curvatures of the surface that is touched, 1/m, positive where it bulges out; flat if both are
     0. Not a label."""
-    uneven: bool = False
-    """Whether these curvatures change along the surface (sim/bent.py). Not a label."""
+    uneven: float = 0.0
+    """Share of surfaces along which these curvatures change (sim/bent.py), 0 to 1. Not a label."""
 
     mechanics: Variation = field(default_factory=Variation)
     """How far the tip's mechanics differ from contact to contact (sim/variation.py); the optics do not."""

@@ -82,6 +82,8 @@ def _check_curvature(configuration):
     low, high = configuration.curvature_per_m
     if configuration.bent and configuration.task != "surface":
         raise TactipError(f"a curvature is asked for with the task {configuration.task!r}: only a surface can be bent")
+    if not 0 <= configuration.uneven <= 1:
+        raise TactipError(f"the share of uneven surfaces is {configuration.uneven}: it must be from 0 to 1")
     if configuration.uneven and not configuration.bent:
         raise TactipError("an unevenly bent surface is asked for without a range of curvature: give --curvature-per-m, too")
     if not -MOST_HOLLOW_PER_M <= low <= high <= MOST_BENT_PER_M:

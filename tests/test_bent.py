@@ -125,7 +125,7 @@ def test_curvatures_of_a_drawn_surface_stay_in_their_range(monkeypatch):
     drawn = []
     monkeypatch.setattr(bent, "bent_surface", lambda *given: drawn.append(given))
     for seed in range(200):
-        bent.drawn_surface(np.random.default_rng(seed), low, high, True)
+        bent.drawn_surface(np.random.default_rng(seed), low, high, 1.0)
     lengths, values = [], []
     for first, second, _, profiles in drawn:
         assert first == second == 0
@@ -142,14 +142,31 @@ def test_curvatures_of_a_drawn_surface_stay_in_their_range(monkeypatch):
     assert np.mean(values == high) == pytest.approx(0.25, abs=0.03)
 
 
+def test_the_share_of_uneven_surfaces_is_kept_and_the_others_are_even(monkeypatch):
+    drawn = []
+    monkeypatch.setattr(bent, "bent_surface", lambda *given: drawn.append(given))
+    for seed in range(400):
+        bent.drawn_surface(np.random.default_rng(seed), -28.0, 80.0, 0.3)
+    even = np.array([given[:2] for given in drawn if len(given) == 3])
+    assert len(even) == pytest.approx(280, abs=30)
+    assert even.mean() == pytest.approx(26.0, abs=4.0) and even.min() < -20 and even.max() > 70
+
+
 def test_an_even_set_keeps_the_digest_that_it_had():
     given = {"task": "surface", "split": "test", "samples": 1, "seed": 0, "renderer": "raster"}
     given |= {"design": find_design("nominal-127"), "fidelity": fidelity_named("draft"), "pose": Ranges(), "shear": Ranges()}
     even = Configuration(**given, curvature_per_m=(-10.0, 30.0))
     assert "uneven" not in even.as_json()
-    assert Configuration(**given, curvature_per_m=(-10.0, 30.0), uneven=True).digest() != even.digest()
+    assert Configuration(**given, curvature_per_m=(-10.0, 30.0), uneven=0.5).digest() != even.digest()
 
 
-def test_unevenness_without_a_curvature_are_refused(tmp_path, capsys):
-    assert tactip.main(["dataset", "make", "--uneven", "--out", str(tmp_path / "set"), "--samples", "1"]) == 1
-    assert "give --curvature-per-m, too" in capsys.readouterr().err
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--uneven", "0.5"], "give --curvature-per-m, too"),
+        (["--uneven", "2", "--curvature-per-m", "0", "10"], "it must be from 0 to 1"),
+    ],
+)
+def test_wrong_unevenness_is_one_sentence(tmp_path, capsys, options, words):
+    assert tactip.main(["dataset", "make", *options, "--out", str(tmp_path / "set"), "--samples", "1"]) == 1
+    assert words in capsys.readouterr().err
