@@ -16,7 +16,7 @@ from benchmarks.machine import machine
 from learning.evaluate import evaluate, tables
 from learning.model import DESCRIPTION, WEIGHTS, load_model
 from learning.samples import read_samples
-from sim.dataset import write_file
+from sim.dataset import labels_sha256, write_file
 from sim.symmetry import SYMMETRIES
 from tactip_model.errors import TactipError
 
@@ -60,7 +60,7 @@ def ship(options):
     record = {
         **evaluation.figures,
         **tables(evaluation, test, model.labels),
-        "test": {"digest": meta["digest"], "targets_sha256": meta["files"].get("targets.csv")},
+        "test": {"digest": meta["digest"], "targets_sha256": labels_sha256(meta)},
         "machine": machine(),
     }
     folder = options.out / _name(model)

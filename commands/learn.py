@@ -113,7 +113,7 @@ class Train:
         recipe = given or recipe_named(self.recipe, train_samples.labels.task)
         recipe = replace(recipe, network=start.config) if start and not given else recipe
         recipe = Recipe(with_options(recipe.network, self.network), with_options(recipe.settings, self.training))
-        if recipe.settings.drawn and self.training.drawn is None and not (train_samples.folder / "pins.npz").exists():
+        if recipe.settings.drawn and self.training.drawn is None and not train_samples.dataset.simulated:
             print(f"{train_samples.folder} has no pins: its images are taken as they are, and none is drawn anew")
             recipe = replace(recipe, settings=replace(recipe.settings, drawn=0.0))
         train(train_samples, val_samples, recipe.network, recipe.settings, self.out, self.device, start=start)

@@ -66,6 +66,8 @@ class Make:
     (sim/variation.py)."""
     renderer: str = "pyrender"
     """pyrender, or raster: the same image without OpenGL."""
+    shard_samples: int = 10_000
+    """Samples of a shard: a larger set is a folder of shards, which all commands take as one set."""
     pose: RangeOptions = field(default_factory=RangeOptions)
     """Labelled poses."""
     shear: RangeOptions = field(default_factory=RangeOptions)
@@ -120,6 +122,7 @@ class Make:
                     symmetric=self.symmetric,
                     curvature_per_m=self.curvature_per_m,
                     uneven=self.uneven,
+                    shard_samples=self.shard_samples,
                     mechanics=choose("mechanics", self.mechanics, VARIATIONS),
                 )
                 jobs.append(Job(configuration, self.out / task / split if several else self.out))

@@ -8,13 +8,13 @@ A pin is a disc here, and a pixel is white if its middle lies on one; the discs 
 the set's own images have. That is 50 times faster than a frame and its pipeline, and nine of ten white pixels are the same.
 """
 
-import zipfile
 from dataclasses import replace
 
 import numpy as np
 import torch
 
 from learning.varied import OPTICS
+from sim.dataset import read_pins
 from tactip_model.design_file import design_from
 from tactip_model.errors import TactipError
 from tactip_model.optics import Lens
@@ -166,17 +166,12 @@ class DrawnImages:
 
 def _pins_of(samples):
     """Tips and directions (n, p, 3) of Samples."""
-    path = samples.folder / "pins.npz"
-    try:
-        with np.load(path, allow_pickle=False) as pins:
-            tips, directions = pins["tips"], pins["directions"]
-    except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile) as error:
-        raise TactipError(
-            f"{path} cannot be read ({error}): only simulated sets, which have pins, can be drawn anew"
-        ) from error
+    tips, directions = read_pins(samples.folder, samples.dataset.meta)
     count = len(samples.dataset.images)
     if len(tips) != count:
-        raise TactipError(f"{path} has {len(tips)} records for {count} images: the set is damaged")
+        raise TactipError(
+            f"the pins of the set in {samples.folder} are damaged: it has {len(tips)} records for {count} images"
+        )
     return tips[samples.rows], directions[samples.rows]
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from sim.dataset import Configuration, encode_image, read_dataset, write_file
+from sim.dataset import Configuration, encode_image, read_dataset, read_pins, write_file
 from sim.fidelity import fidelity_named
 from sim.generation import Job, make
 from sim.importing import import_set, read_source
@@ -102,8 +102,7 @@ def _publish(contacts, design, lab, seed):
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(["image_name", *(name for name, _ in _COLUMNS.values()), *SHEARS])
-    with np.load(contacts / "pins.npz", allow_pickle=False) as pins:
-        tips, directions = pins["tips"].astype(float), pins["directions"].astype(float)
+    tips, directions = (pins.astype(float) for pins in read_pins(contacts, dataset.meta))
     for k, (pose, shear) in enumerate(zip(dataset.poses, dataset.shears, strict=True)):
         write_file(lab / "images" / f"frame_{k}.png", encode_image(camera.frame(tips[k], directions[k], draw)))
         told = [f"{sign * pose[LABELS.index(ours)]:.6f}" for ours, (_, sign) in _COLUMNS.items()]

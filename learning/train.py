@@ -24,7 +24,7 @@ from learning.model import net_sha256, save_model, tensors_of, to_input, weights
 from learning.muon import Muon, inner_weights
 from learning.posenet import PoseNet, PoseNetConfig, parameter_count
 from learning.varied import OPTICS
-from sim.dataset import write_file
+from sim.dataset import labels_sha256, write_file
 from sim.lock import locked
 from tactip_model.bounds import check, within
 from tactip_model.errors import Stopped, TactipError, choose
@@ -270,7 +270,7 @@ def provenance(train, val, config, settings, start=None):
             "digest": meta.get("digest"),
             "samples": len(samples),
             "chosen": samples.chosen(),
-            "targets_sha256": meta.get("files", {}).get("targets.csv"),
+            "targets_sha256": labels_sha256(meta),
             "configuration": meta.get("configuration"),
         }
 

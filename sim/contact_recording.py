@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sim.dataset import read_configuration, read_meta, read_targets, versions
+from sim.dataset import read_configuration, read_meta, read_rows, versions
 from sim.generation import drawn, player_of
 from sim.pose import COMPONENTS, from_mm_deg, sensor_in_contact
 from sim.recording import Recorder, Scenery
@@ -30,7 +30,7 @@ def record_contact(folder, sample, out, read: Callable | None = None):
     """
     meta = read_meta(folder)
     configuration = read_configuration(meta, folder)
-    rows = read_targets(folder)
+    rows = read_rows(folder, meta)
     kept = sorted(int(row["index"]) for row in rows)
     if sample not in kept:
         raise TactipError(

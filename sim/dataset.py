@@ -6,9 +6,11 @@
     meta.json                  configuration, versions, seed, failures, and a checksum of every file above
     run.json                   simulated sets: when, where and how fast it was made; alone not the same in two runs
 
-meta.json is written last: a folder that has one is complete.
+meta.json is written last: a folder that has one is complete. Large sets are folders of such folders (sim/shards.py), which
+readers take as one.
 """
 
+import bisect
 import csv
 import dataclasses
 import hashlib
@@ -16,6 +18,7 @@ import io
 import json
 import os
 import platform
+import zipfile
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
@@ -83,7 +86,10 @@ class Configuration:
     0. Not a label."""
     uneven: float = 0.0
     """Share of surfaces along which these curvatures change (sim/bent.py), 0 to 1. Not a label."""
-
+    shard_samples: int = 10_000
+    """Samples of a shard: a set of more is a folder of shards (sim/shards.py)."""
+    first: int = 0
+    """Index of its first sample, where it is a shard of a larger set."""
     mechanics: Variation = field(default_factory=Variation)
     """How far the tip's mechanics differ from contact to contact (sim/variation.py); the optics do not."""
 
@@ -105,6 +111,9 @@ class Configuration:
             del fields["curvature_per_m"]
         if not self.uneven:
             del fields["uneven"]
+        for name in ("shard_samples", "first"):
+            if fields[name] == type(self).__dataclass_fields__[name].default:
+                del fields[name]
         if self.mechanics.still:
             del fields["mechanics"]
         return json.loads(json.dumps(fields))
@@ -187,23 +196,22 @@ def targets_csv(rows):
     return text.getvalue().encode()
 
 
-def meta_json(configuration, rows, failures, checksums, image_checksums):
+def meta_json(configuration, samples, checksums, more):
     """The bytes of meta.json.
 
-    configuration: Configuration. rows: of targets.csv. failures: list of dict. checksums, image_checksums: dict of file
-    name to checksum.
+    configuration: Configuration. samples: dict of how many were asked, kept and failed. checksums: dict of file name to
+    checksum. more: dict of what this set has besides.
     """
     meta = {
         "format": FORMAT,
         "version": VERSION,
         "digest": configuration.digest(),
-        "samples": {"asked": configuration.samples, "kept": len(rows), "failed": len(failures)},
-        "failures": failures,
+        "samples": samples,
         "configuration": configuration.as_json(),
         "versions": versions(),
         "timings": "run.json",
         "files": checksums,
-        "images": image_checksums,
+        **more,
     }
     return (json.dumps(meta, indent=1) + "\n").encode()
 
@@ -215,15 +223,23 @@ class Dataset:
     folder: Path
     meta: dict
     images: tuple[str, ...]
-    """(n) file names inside `images/`."""
+    """(n) file names inside `images/`, of the folder or of its shards."""
     poses: np.ndarray
     """(n, 6) labels, mm and degrees."""
     shears: np.ndarray
     """(n, 6), mm and degrees."""
+    ends: tuple[int, ...]
+    """Where in the rows its shards end, or the set itself, which is then its only one."""
+
+    @property
+    def simulated(self):
+        """Whether it was simulated, so that where its pins are is known."""
+        return all((part / "pins.npz").exists() for part in parts_of(self.folder, self.meta))
 
     def image(self, i):
         """Image i, (size, size) uint8. Raises TactipError where it cannot be read."""
-        path = self.folder / "images" / self.images[i]
+        place = parts_of(self.folder, self.meta)[bisect.bisect_right(self.ends, i)]
+        path = place / "images" / self.images[i]
         image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) if path.exists() else None
         if image is None:
             raise TactipError(f"the image {path} cannot be read: the set is damaged, see `tactip dataset verify`")
@@ -274,13 +290,56 @@ def read_targets(folder):
     return rows
 
 
+def parts_of(folder, meta):
+    """Folders (list of Path) in which a set's images and tables are: its shards, or its own. meta: dict, its meta.json."""
+    return [Path(folder) / name for name in meta["shards"]] if "shards" in meta else [Path(folder)]
+
+
+def read_rows(folder, meta):
+    """Rows (list of dict of str) of a finished set, of all its shards. Raises TactipError as read_targets does."""
+    return [row for part in parts_of(folder, meta) for row in read_targets(part)]
+
+
 def read_dataset(folder):
     """Read a finished set's labels and names. Raises TactipError where it is damaged beyond reading."""
     folder = Path(folder)
-    meta, rows = read_meta(folder), read_targets(folder)
-    try:
-        poses = np.array([[float(row[c]) for c in LABELS] for row in rows]).reshape(-1, 6)
-        shears = np.array([[float(row[c]) for c in SHEARS] for row in rows]).reshape(-1, 6)
-    except (TypeError, ValueError) as error:
-        raise TactipError(f"{folder / 'targets.csv'} has a cell that is no number: {error}") from error
-    return Dataset(folder, meta, tuple(row["sensor_image"] for row in rows), poses, shears)
+    meta = read_meta(folder)
+    names, poses, shears, ends = [], [], [], []
+    for part in parts_of(folder, meta):
+        rows = read_targets(part)
+        try:
+            poses.append(np.array([[float(row[c]) for c in LABELS] for row in rows]).reshape(-1, 6))
+            shears.append(np.array([[float(row[c]) for c in SHEARS] for row in rows]).reshape(-1, 6))
+        except (TypeError, ValueError) as error:
+            raise TactipError(f"{part / 'targets.csv'} has a cell that is no number: {error}") from error
+        names += [row["sensor_image"] for row in rows]
+        ends.append(len(names))
+    return Dataset(folder, meta, tuple(names), np.concatenate(poses), np.concatenate(shears), tuple(ends))
+
+
+def read_pins(folder, meta):
+    """Tips and directions of all pins of a simulated set, (n, p, 3) float32 each; rows as of read_dataset.
+
+    meta: dict, its meta.json. Raises TactipError where it has none, or they cannot be read.
+    """
+    tips, directions = [], []
+    for part in parts_of(folder, meta):
+        path = part / "pins.npz"
+        try:
+            with path.open("rb") as file, np.load(file, allow_pickle=False) as pins:
+                tips.append(pins["tips"])
+                directions.append(pins["directions"])
+        except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile) as error:
+            raise TactipError(
+                f"{path} cannot be read ({error}): only simulated sets, which have pins, can do this"
+            ) from error
+    return np.concatenate(tips), np.concatenate(directions)
+
+
+def labels_sha256(meta):
+    """Checksum (hex str) of a set's labels, None where it has none. meta: dict, its meta.json.
+
+    Of shards, it is a checksum of theirs, which cover everything.
+    """
+    files = meta.get("files", {})
+    return checksum(json.dumps(files, sort_keys=True).encode()) if "shards" in meta else files.get("targets.csv")

@@ -7,14 +7,8 @@ set grows in the same way: it becomes records again, and those that it lacks are
 """
 
 import contextlib
-import io
-import json
-import os
-import platform
-import shutil
 import time
 from dataclasses import dataclass
-from datetime import datetime, timezone
 from pathlib import Path
 
 import numpy as np
@@ -22,30 +16,17 @@ import numpy as np
 from sim.bent import MOST_BENT_PER_M, MOST_HOLLOW_PER_M, bent_surface, drawn_surface
 from sim.cluster import ClusterCrew, joined, ray_here
 from sim.contact import STEEPEST_RAD, CarefulPlayer, check_ranges, too_steep
-from sim.crew import Crew, disk_error
-from sim.dataset import (
-    PARTIAL,
-    Configuration,
-    checksum,
-    encode_image,
-    image_name,
-    meta_json,
-    read_meta,
-    row_of,
-    targets_csv,
-    versions,
-    write_file,
-)
-from sim.lock import locked
-from sim.record import contacts_of, pack_record, read_record, record_path, reopen, samples_of
+from sim.crew import Crew
+from sim.dataset import Configuration, checksum, encode_image, image_name, row_of, write_file
+from sim.record import pack_record, record_path, samples_of
 from sim.sampling import generator, seed_text
 from sim.shape import Shape
+from sim.shards import folder_of, home_of
 from sim.solid import Solid
 from sim.symmetry import SymmetricReader, keeps
 from tactip_model.design import Design
 from tactip_model.errors import TactipError, choose
 from tactip_model.image import tactile_image
-from tactip_model.pins import neutral_pins
 from tactip_model.renderer import RENDERERS, renderer_named
 
 
@@ -69,6 +50,9 @@ def check(configuration):
     configuration.shear.check("shear")
     check_ranges(configuration.pose, configuration.shear)
     _motion(configuration, first)
+    each = len(configuration.symmetries)
+    if configuration.shard_samples < each or configuration.shard_samples % each:
+        raise TactipError(f"shards of {configuration.shard_samples} samples cannot be made: {each} go together")
     _check_curvature(configuration)
     for name in ("pose", "shear"):
         if not keeps(configuration.symmetries, getattr(configuration, name)):
@@ -107,7 +91,7 @@ def make(jobs, workers, say=print, cluster=""):
     for job in jobs:
         check(job.configuration)
     with contextlib.ExitStack() as stack:
-        folders = [stack.enter_context(_Folder(job)) for job in jobs]
+        folders = [stack.enter_context(folder_of(job.configuration, job.folder)) for job in jobs]
         todo = [(k, number) for k, folder in enumerate(folders) for number in folder.missing()]
         total = sum(job.configuration.samples for job in jobs)
         left = sum(len(samples_of(jobs[k].configuration, number)) for k, number in todo)
@@ -116,10 +100,7 @@ def make(jobs, workers, say=print, cluster=""):
         start = time.perf_counter()
 
         def done(task, *cost):
-            folder = folders[task[0]]
-            folder.costs.append(cost)
-            if len(folder.costs) == sum(job == task[0] for job, _ in todo):
-                folder.finish(time.perf_counter() - start, workers)
+            folders[task[0]].done(task[1], cost, workers, time.perf_counter() - start)
 
         if todo:
             arguments = [job.configuration for job in jobs], [str(job.folder.resolve()) for job in jobs]
@@ -128,7 +109,7 @@ def make(jobs, workers, say=print, cluster=""):
             crew = ClusterCrew(stack.enter_context(joined(cluster)), *given) if cluster else Crew(*given)
             workers = min(workers or crew.places(), len(todo))
             crew.work(workers, done)
-        return [folder.finish(time.perf_counter() - start, workers) for folder in folders]
+        return [folder.finish(workers, time.perf_counter() - start) for folder in folders]
 
 
 class _Makers:
@@ -173,18 +154,18 @@ class _SampleMaker:
         contact, faults = player.play(given.pose, given.shear)
         failed = len(faults) == player.tries
         contacts = reader.read(contact, player.skin()[0]) if reader and not failed else [contact]
-        indices = samples_of(c, number)
+        indices, folder = samples_of(c, number), home_of(c, self._folder, number)
         contacts, rows, images = contacts[: len(indices)], [], {}
         for index, one in zip(indices, contacts, strict=False):
             rows.append(row_of(one, index, len(faults) + 1, seed_text(c.seed, c.task, c.split, number)))
             if not failed:
                 image = tactile_image(self._render(one.tips, one.directions), c.design.image)
                 data = encode_image(image)
-                write_file(self._folder / "images" / image_name(index), data)
+                write_file(folder / "images" / image_name(index), data)
                 images[image_name(index)] = checksum(data)
         record = {"rows": rows, "faults": faults, "failed": failed, "images": images}
         pins = ([getattr(one, k) for one in contacts] for k in ("tips", "directions"))
-        write_file(record_path(self._folder, number), pack_record(record, *pins))
+        write_file(record_path(folder, number), pack_record(record, *pins))
 
 
 def _physics(configuration):
@@ -239,159 +220,3 @@ def player_of(configuration, design):
     c = configuration
     bent = Shape(bent_surface(0.0, 0.0, 0.0), sharpest_m=1 / MOST_BENT_PER_M) if c.bent else None
     return CarefulPlayer(design, bent or c.task, c.fidelity, c.bounds)
-
-
-class _Folder:
-    """A set's folder while it is made: whose it is, what is done, and the step from records to a finished set."""
-
-    def __init__(self, job):
-        self._configuration, self._path = job.configuration, job.folder
-        self._partial = job.folder / PARTIAL
-        self._held = contextlib.ExitStack()
-        self._samples = None
-        """The counts in meta.json, once there is one."""
-        self.costs = []
-        """(seconds, peak memory of the worker in MiB) of each sample made now."""
-
-    def __enter__(self):
-        with contextlib.ExitStack() as held:
-            try:
-                self._open(held)
-            except OSError as error:
-                raise TactipError(f"cannot write to the folder {self._path}: {error.strerror or error}") from error
-            self._held = held.pop_all()
-        return self
-
-    def __exit__(self, *_):
-        self._held.close()
-
-    def _open(self, held):
-        identity = {"configuration": self._configuration.as_json(), "versions": versions()}
-        grows = (self._path / "meta.json").exists()
-        if grows:
-            meta = read_meta(self._path)
-            self._refuse_other({k: meta.get(k) for k in identity}, _of_size(identity, meta))
-            if meta["configuration"]["samples"] == self._configuration.samples:
-                self._samples = meta["samples"]
-                shutil.rmtree(self._partial, ignore_errors=True)  # a kill came between the last two steps
-                return
-        elif self._path.exists() and not self._partial.exists() and any(self._path.iterdir()):
-            raise TactipError(f"the folder {self._path} is not empty and holds no data set: name another one")
-        # First of all what makes the folder ours, so that a kill before the next line does not make it a stranger's.
-        self._partial.mkdir(parents=True, exist_ok=True)
-        (self._path / "images").mkdir(exist_ok=True)
-        held.enter_context(locked(self._partial / "lock", f"making the set in {self._path}"))
-        known = self._partial / "configuration.json"
-        if known.exists() and not grows:
-            self._refuse_other(json.loads(known.read_text()), identity)
-        else:
-            write_file(known, json.dumps(identity, indent=1).encode())
-        if grows:
-            reopen(self._path)
-        for place in (self._path, self._partial, self._path / "images"):
-            for leftover in place.glob(".*.tmp"):
-                leftover.unlink(missing_ok=True)  # a worker that outlived its command may just have renamed it
-
-    def _refuse_other(self, there, asked):
-        difference = _first_difference(there, asked, "")
-        if difference:
-            name, old, new = difference
-            raise TactipError(
-                f"the folder {self._path} holds a set of another configuration: {name} is {old} there and {new} here; "
-                "name another folder, or remove this one"
-            )
-
-    def missing(self):
-        """Numbers (list of int) of the contacts that are still to be made."""
-        if self._samples:
-            return []
-        return [n for n in range(contacts_of(self._configuration)) if not self._done(n)]
-
-    def _done(self, number):
-        record = record_path(self._path, number)
-        names = (image_name(i) for i in samples_of(self._configuration, number))
-        return record.exists() and (
-            all((self._path / "images" / n).exists() for n in names) or read_record(record)["failed"]
-        )
-
-    def finish(self, seconds, workers):
-        """Turn records into a finished set, if it is not one. Returns a dict: folder, asked, kept, failed, made, seconds.
-
-        seconds: float, since the command began. workers: int. Raises TactipError where the disk is full.
-        """
-        if not self._samples:
-            try:
-                self._samples = self._assemble(workers, seconds)
-            except OSError as error:
-                raise TactipError(disk_error(error)) from error
-        return {"folder": str(self._path), **self._samples, "made": self._made(), "seconds": seconds}
-
-    def _made(self):
-        """Samples made now; the last contact of a set may have been cut short."""
-        return min(len(self.costs) * len(self._configuration.symmetries), self._configuration.samples)
-
-    def _assemble(self, workers, seconds):
-        rows, failures, images, tips, directions = [], [], {}, [], []
-        for number in range(contacts_of(self._configuration)):
-            with np.load(record_path(self._path, number), allow_pickle=False) as data:
-                record = json.loads(str(data["record"]))
-                if record["failed"]:
-                    for index in samples_of(self._configuration, number):
-                        seed = record["rows"][0]["seed"]
-                        failures.append({"index": index, "seed": seed, "tries": record["faults"]})
-                    continue
-                rows += record["rows"]
-                images |= record["images"]
-                tips += list(data["tips"])
-                directions += list(data["directions"])
-        neutral_tips, neutral_directions = neutral_pins(self._configuration.design)
-        pins = io.BytesIO()
-        shape = (-1, len(neutral_tips), 3)
-        np.savez(
-            pins,
-            tips=np.array(tips, np.float32).reshape(shape),
-            directions=np.array(directions, np.float32).reshape(shape),
-            neutral_tips=neutral_tips.astype(np.float32),
-            neutral_directions=neutral_directions.astype(np.float32),
-            digest=np.array(self._configuration.digest()),
-        )
-        files = {"targets.csv": targets_csv(rows), "pins.npz": pins.getvalue()}
-        for name, data in files.items():
-            write_file(self._path / name, data)
-        write_file(self._path / "run.json", self._run_json(workers, seconds))
-        sums = {name: checksum(data) for name, data in files.items()}
-        write_file(self._path / "meta.json", meta_json(self._configuration, rows, failures, sums, images))
-        shutil.rmtree(self._partial)
-        return {"asked": self._configuration.samples, "kept": len(rows), "failed": len(failures)}
-
-    def _run_json(self, workers, seconds):
-        """The facts of this very run, which are not the same in the next."""
-        run = {
-            "finished": datetime.now(timezone.utc).isoformat(timespec="seconds"),
-            "machine": {"system": platform.platform(), "processor": platform.machine(), "cores": os.cpu_count()},
-            "workers": workers,
-            "samples_made_by_the_last_command": self._made(),
-            "seconds_from_the_commands_start": round(seconds, 3),
-        }
-        if self.costs:  # none if a kill came just before the end
-            run["seconds_a_contact_and_worker_median"] = round(float(np.median([c[0] for c in self.costs])), 4)
-            run["peak_memory_of_a_worker_MiB"] = round(max(c[1] for c in self.costs))
-        return (json.dumps(run, indent=1) + "\n").encode()
-
-
-def _of_size(identity, meta):
-    """An `identity` with the samples of a finished set's `meta` where these are fewer: such a set can grow."""
-    there, asked = meta.get("configuration", {}).get("samples"), identity["configuration"]["samples"]
-    small = there if isinstance(there, int) and there < asked else asked
-    return {**identity, "configuration": {**identity["configuration"], "samples": small}}
-
-
-def _first_difference(there, asked, name):
-    """The first (name, value there, value asked) in which two JSON values differ, or None."""
-    if isinstance(there, dict) and isinstance(asked, dict):
-        for key in sorted(set(there) | set(asked)):
-            difference = _first_difference(there.get(key), asked.get(key), f"{name}.{key}" if name else key)
-            if difference:
-                return difference
-        return None
-    return None if there == asked else (name, json.dumps(there), json.dumps(asked))

@@ -11,18 +11,19 @@ from sim.symmetry import SYMMETRIES
 from tactip_model.errors import TactipError
 
 
-def contacts_of(configuration):
-    """Contacts (int) that the samples of a set's Configuration take."""
-    return -(-configuration.samples // len(configuration.symmetries))
+def numbers_of(configuration):
+    """Numbers (range) of the contacts that the samples of a set's Configuration take."""
+    each = len(configuration.symmetries)
+    return range(configuration.first // each, -(-(configuration.first + configuration.samples) // each))
 
 
 def samples_of(configuration, number):
     """Indices (range) of the samples that contact `number` of a Configuration makes."""
-    return _samples(number, len(configuration.symmetries), configuration.samples)
+    return _samples(number, len(configuration.symmetries), configuration.first + configuration.samples)
 
 
-def _samples(number, each, samples):
-    return range(number * each, min((number + 1) * each, samples))
+def _samples(number, each, end):
+    return range(number * each, min((number + 1) * each, end))
 
 
 def record_path(folder, number):
@@ -65,8 +66,10 @@ def reopen(folder):
         failures = {f["index"]: f for f in meta["failures"]}
         if len(tips) != len(rows):
             raise ValueError(f"{len(tips)} records of pins for {len(rows)} rows")
-        for number in range(configuration["samples"] // each):
-            indices = _samples(number, each, configuration["samples"])
+        first = configuration.get("first", 0)
+        end = first + configuration["samples"]
+        for number in range(first // each, end // each):
+            indices = _samples(number, each, end)
             failure = failures.get(indices[0])
             record = {"rows": [], "faults": [], "failed": False, "images": {}}
             if failure:

@@ -7,9 +7,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from sim.dataset import COLUMNS, checksum, digest_of, image_name, read_meta, read_targets
+from sim.dataset import COLUMNS, checksum, digest_of, image_name, read_configuration, read_meta, read_targets
 from sim.names import LABELS, SHEARS
 from sim.sampling import seed_text
+from sim.shards import shards_of
 from sim.symmetry import SYMMETRIES
 from tactip_model.errors import TactipError
 
@@ -24,10 +25,45 @@ def verify(folder):
     """
     folder = Path(folder)
     meta = read_meta(folder)
+    return _shards(folder, meta) if "shards" in meta else _whole(folder, meta)
+
+
+def _shards(folder, meta):
+    """What is wrong with a set of shards: with its manifest, or with one of them."""
+    problems, found = _files(folder, meta) + _altered(meta), {"asked": 0, "kept": 0, "failed": 0}
+    try:
+        wanted = shards_of(read_configuration(meta, folder))
+    except TactipError as error:
+        return [*problems, str(error)]
+    if meta["shards"] != list(wanted):
+        problems.append(f"meta.json: its shards are {meta['shards']} instead of {list(wanted)}")
+    for name in sorted({path.name for path in folder.glob("shard-*")} - set(wanted)):
+        problems.append(f"{name}: it is no shard of this set")
+    for name, configuration in wanted.items():
+        try:
+            own = read_meta(folder / name)
+            for key in found:
+                found[key] += own["samples"][key]
+            if own.get("configuration") != configuration.as_json():
+                problems.append(f"{name}: it is of another configuration")
+            problems += [f"{name}/{problem}" for problem in verify(folder / name)]
+        except (TactipError, KeyError) as error:
+            problems.append(f"{name}: {error}")
+    if found != meta.get("samples"):
+        problems.append(f"meta.json: it promises samples {meta.get('samples')}, its shards have {found}")
+    return problems
+
+
+def _altered(meta):
     configuration = meta.get("configuration")
-    problems = []
     if configuration is not None and digest_of(configuration) != meta.get("digest"):
-        problems.append("meta.json: its configuration was altered: it does not have the digest that it was made with")
+        return ["meta.json: its configuration was altered: it does not have the digest that it was made with"]
+    return []
+
+
+def _whole(folder, meta):
+    configuration = meta.get("configuration")
+    problems = _altered(meta)
     try:
         rows = read_targets(folder)
     except TactipError as error:
@@ -118,7 +154,8 @@ def _belongs(row, configuration):
     index = int(row["index"])
     each = len(SYMMETRIES[configuration["task"]]) if configuration.get("symmetric") else 1
     seed = seed_text(configuration["seed"], configuration["task"], configuration["split"], index // each)
-    return index < configuration["samples"] and row["seed"] == seed and row["sensor_image"] == image_name(index)
+    inside = 0 <= index - configuration.get("first", 0) < configuration["samples"]
+    return inside and row["seed"] == seed and row["sensor_image"] == image_name(index)
 
 
 def _pins(folder, meta, rows):

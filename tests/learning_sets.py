@@ -46,7 +46,7 @@ def write_fake_set(folder, task="surface", split="train", samples=24, size=40, s
         images[image_name(i)] = checksum(data)
         assert np.allclose(from_mm_deg([rows[-1]["pose_z"]] * 6)[0], contact.pose[2])
     (folder / "targets.csv").write_bytes(targets_csv(rows))
-    (folder / "meta.json").write_bytes(meta_json(configuration, rows, [], {}, images))
+    (folder / "meta.json").write_bytes(meta_json(configuration, {"kept": samples}, {}, {"images": images}))
     return folder
 
 

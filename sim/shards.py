@@ -1,0 +1,89 @@
+"""Large sets: folders of shards, each a whole set of its own, and a manifest that makes one set of them.
+
+    shard-00000/ …   a set of at most `shard_samples` samples; their indices go on from shard to shard
+    meta.json        the manifest: configuration of the whole, its shards, and a checksum of the meta.json of each
+    run.json         when, where and how fast it was made
+
+What is held in memory while a set is made, and how many files a folder has, is then a matter of a shard and not of the set.
+Readers (sim/dataset.py) take shards as one set. A set that grows out of one shard is moved into its first.
+"""
+
+import shutil
+from dataclasses import replace
+
+from sim.dataset import checksum, meta_json, write_file
+from sim.set_folder import SetFolder
+
+
+def is_sharded(configuration):
+    """Whether a set of a Configuration is a folder of shards (bool)."""
+    return configuration.samples > configuration.shard_samples
+
+
+def folder_of(configuration, path):
+    """The folder (SetFolder) in which a set of a Configuration is made at a Path."""
+    return (ShardedFolder if is_sharded(configuration) else SetFolder)(configuration, path)
+
+
+def home_of(configuration, folder, number):
+    """Path of the set or shard to which contact `number` of the set of a Configuration in a folder (Path) belongs."""
+    if not is_sharded(configuration):
+        return folder
+    return folder / _shard_name(number * len(configuration.symmetries) // configuration.shard_samples)
+
+
+def shards_of(configuration):
+    """Configurations of the shards of a Configuration, by the names of their folders (dict)."""
+    each, total = configuration.shard_samples, configuration.samples
+    starts = range(0, total, each)
+    return {
+        _shard_name(k): replace(configuration, first=first, samples=min(each, total - first))
+        for k, first in enumerate(starts)
+    }
+
+
+def _shard_name(k):
+    return f"shard-{k:05d}"
+
+
+class ShardedFolder(SetFolder):
+    """The folder of a set of shards while it is made."""
+
+    def __init__(self, configuration, path):
+        """configuration: Configuration. path: Path."""
+        super().__init__(configuration, path)
+        parts = shards_of(configuration).items()
+        self._shards = {name: SetFolder(part, path / name, alone=False) for name, part in parts}
+
+    def _begin(self, held, meta):
+        if meta and "shards" in meta:
+            for name in ("meta.json", "run.json"):
+                (self._path / name).unlink(missing_ok=True)
+        # meta.json goes first: after a kill it is an unfinished set, and the next command moves what it finds.
+        first = self._path / _shard_name(0)
+        first.mkdir(exist_ok=True)
+        for name in ("meta.json", "images", "targets.csv", "pins.npz", "run.json"):
+            if (self._path / name).exists():
+                (self._path / name).rename(first / name)
+        for shard in self._shards.values():
+            held.enter_context(shard)
+
+    def missing(self):
+        """See SetFolder."""
+        return [] if self.finished else [number for shard in self._shards.values() for number in shard.missing()]
+
+    def done(self, number, cost, workers, seconds):
+        """See SetFolder."""
+        self.costs.append(cost)
+        self._shards[home_of(self._configuration, self._path, number).name].done(number, cost, workers, seconds)
+        if all(shard.finished for shard in self._shards.values()):
+            self.finish(workers, seconds)
+
+    def _assemble(self, workers, seconds):
+        counts = {name: shard.finish(workers, seconds) for name, shard in self._shards.items()}
+        samples = {key: sum(count[key] for count in counts.values()) for key in ("asked", "kept", "failed")}
+        write_file(self._path / "run.json", self._run_json(workers, seconds))
+        sums = {f"{name}/meta.json": checksum((self._path / name / "meta.json").read_bytes()) for name in counts}
+        write_file(self._path / "meta.json", meta_json(self._configuration, samples, sums, {"shards": list(counts)}))
+        shutil.rmtree(self._partial)
+        return samples

@@ -1,0 +1,172 @@
+"""Sets of shards: the samples of a set in one folder, whatever happens on the way, and one set to all who read them."""
+
+import json
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import torch
+
+import tactip
+from learning.drawn import DrawnImages
+from learning.samples import read_samples
+from sim.dataset import labels_sha256, read_dataset, read_meta, read_pins
+from tests.test_dataset import contents, run, wait_for
+
+SAMPLES, SHARD = 10, 4
+
+
+def options(folder, *more, samples=SAMPLES, shard=SHARD):
+    given = ["--fidelity", "draft", "--renderer", "raster", "--samples", str(samples), "--shard-samples", str(shard)]
+    return ["dataset", "make", *given, "--out", str(folder), *more]
+
+
+@pytest.fixture(scope="module")
+def flat(tmp_path_factory):
+    """The set in one folder."""
+    folder = tmp_path_factory.mktemp("flat") / "set"
+    assert tactip.main(options(folder, "--workers", "1", shard=10_000)) == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """The set of shards."""
+    folder = tmp_path_factory.mktemp("whole") / "set"
+    assert tactip.main(options(folder, "--workers", "1")) == 0
+    return folder
+
+
+@pytest.fixture
+def copy(whole, tmp_path):
+    shutil.copytree(whole, tmp_path / "set")
+    return tmp_path / "set"
+
+
+def test_its_samples_are_those_of_one_folder(flat, whole):
+    assert sorted(path.name for path in whole.iterdir()) == ["meta.json", "run.json", *(f"shard-0000{k}" for k in range(3))]
+    one, many = read_dataset(flat), read_dataset(whole)
+    assert one.images == many.images
+    assert np.array_equal(one.poses, many.poses) and np.array_equal(one.shears, many.shears)
+    assert all(np.array_equal(one.image(i), many.image(i)) for i in range(SAMPLES))
+    for ours, theirs in zip(read_pins(flat, one.meta), read_pins(whole, many.meta), strict=True):
+        assert np.array_equal(ours, theirs)
+    tables = [(part / "targets.csv").read_text().splitlines()[1:] for part in sorted(whole.glob("shard-*"))]
+    assert [len(rows) for rows in tables] == [4, 4, 2]
+    assert [row for rows in tables for row in rows] == (flat / "targets.csv").read_text().splitlines()[1:]
+    assert many.meta["samples"] == {"asked": SAMPLES, "kept": SAMPLES, "failed": 0}
+
+
+def test_all_who_read_sets_take_it_as_one(flat, whole, tmp_path):
+    samples = read_samples(whole)
+    assert len(samples) == SAMPLES and samples.chosen() is None
+    drawn, plain = DrawnImages(samples).plain(torch.arange(SAMPLES)).numpy() > 0, samples.images > 0
+    assert (drawn == plain).mean() > 0.98
+    assert labels_sha256(read_meta(whole)) != labels_sha256(read_meta(flat))
+    for folder in (flat, whole):
+        name = f"{folder.parent.name}.png"
+        assert tactip.main(["dataset", "show", str(folder), "--out", str(tmp_path / name)]) == 0
+        recording = ["dataset", "record", str(folder), "--sample", "9", "--out", str(tmp_path / folder.parent.name)]
+        assert tactip.main(recording) == 0
+    one, other = sorted(tmp_path.glob("*.png"))
+    assert one.read_bytes() == other.read_bytes()
+
+
+def test_two_workers_make_the_same_bytes(whole, tmp_path):
+    assert tactip.main(options(tmp_path / "set", "--workers", "2")) == 0
+    assert contents(tmp_path / "set") == contents(whole)
+
+
+def test_a_contact_that_makes_eight_samples_stays_in_one_shard(tmp_path, capsys):
+    assert tactip.main(options(tmp_path / "odd", "--symmetric")) == 1
+    assert "shards of 4 samples cannot be made: 8 go together" in capsys.readouterr().err
+    assert tactip.main(options(tmp_path / "set", "--symmetric", samples=20, shard=16)) == 0
+    assert tactip.main(options(tmp_path / "flat", "--symmetric", samples=20, shard=32)) == 0
+    one, other = read_dataset(tmp_path / "set"), read_dataset(tmp_path / "flat")
+    assert np.array_equal(one.poses, other.poses)
+    assert tactip.main(["dataset", "verify", str(tmp_path / "set")]) == 0
+
+
+@pytest.mark.parametrize("before", [3, 4, 6])
+def test_it_grows_from_one_folder_or_from_fewer_shards(whole, tmp_path, before):
+    assert tactip.main(options(tmp_path / "set", samples=before)) == 0
+    assert (tmp_path / "set" / "targets.csv").exists() == (before <= SHARD)
+    assert tactip.main(options(tmp_path / "set")) == 0
+    assert contents(tmp_path / "set") == contents(whole)
+
+
+@pytest.mark.parametrize("moved", [1, 2, 4])
+def test_growth_that_is_killed_while_it_moves_goes_on(whole, tmp_path, monkeypatch, capsys, moved):
+    folder = tmp_path / "set"
+    assert tactip.main(options(folder, samples=3)) == 0
+
+    rename, left = type(folder).rename, iter(range(moved))
+
+    def killed(path, target):
+        if next(left, None) is None:
+            raise KeyboardInterrupt
+        return rename(path, target)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(type(folder), "rename", killed)
+        assert tactip.main(options(folder)) != 0
+    assert tactip.main(["dataset", "verify", str(folder)]) == 1
+    assert "unfinished" in capsys.readouterr().err
+    assert tactip.main(options(folder, samples=3)) == 1
+    assert "samples is 10 there and 3 here" in capsys.readouterr().err
+    assert tactip.main(options(folder)) == 0
+    assert contents(folder) == contents(whole)
+
+
+def test_a_kill_loses_no_shard(whole, tmp_path):
+    folder = tmp_path / "set"
+    command = [sys.executable, "-m", "tactip", *options(folder, "--workers", "2")]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    wait_for((folder / "shard-00000" / "meta.json").exists)
+    process.kill()
+    process.wait()
+    assert not (folder / "meta.json").exists()
+    resumed = run(command)
+    assert resumed.returncode == 0, resumed.stderr
+    assert int(resumed.stdout.split(" of 10 samples are there already")[0]) >= SHARD
+    assert contents(folder) == contents(whole)
+
+
+def test_fewer_samples_than_there_are_are_refused(copy, capsys):
+    for fewer in (3, 8):
+        assert tactip.main(options(copy, samples=fewer)) == 1
+        assert f"samples is 10 there and {fewer} here" in capsys.readouterr().err
+
+
+def _alter_manifest(folder):
+    meta = json.loads((folder / "meta.json").read_text())
+    meta["samples"]["kept"] = 11
+    (folder / "meta.json").write_text(json.dumps(meta))
+
+
+def _swap_shards(folder):
+    (folder / "shard-00000").rename(folder / "x")
+    (folder / "shard-00001").rename(folder / "shard-00000")
+    (folder / "x").rename(folder / "shard-00001")
+
+
+@pytest.mark.parametrize(
+    ("damage", "words"),
+    [
+        (
+            lambda f: (f / "shard-00001" / "images" / "image_00005.png").unlink(),
+            "shard-00001/images/image_00005.png: missing",
+        ),
+        (lambda f: shutil.rmtree(f / "shard-00002"), "shard-00002/meta.json: missing"),
+        (lambda f: (f / "shard-00007").mkdir(), "shard-00007: it is no shard of this set"),
+        (lambda f: (f / "shard-00000" / "meta.json").write_text("{}"), "shard-00000/meta.json: altered"),
+        (_alter_manifest, "meta.json: it promises samples"),
+        (_swap_shards, "shard-00000: it is of another configuration"),
+    ],
+)
+def test_damage_is_told_by_shard(copy, capsys, damage, words):
+    damage(copy)
+    assert tactip.main(["dataset", "verify", str(copy)]) == 1
+    assert words in capsys.readouterr().err
