@@ -207,11 +207,15 @@ class Follower:
 
     def _radii(self, places, normals):
         """Radii (m,) of the largest probes that touch the surface at places (m, 3) from inside."""
-        centres = places - _PROBE_RADII_M[:, None, None] * normals
-        room = -self._shape.solid.distance(centres)
-        fits = room >= (1 - _FITS) * _PROBE_RADII_M[:, None]
-        fits[-1] = True
-        return _PROBE_RADII_M[fits.argmax(0)]
+        out, left = np.full(len(places), _PROBE_RADII_M[-1]), np.arange(len(places))
+        # Where it is smooth the first one fits: the others are only asked about where they are needed.
+        for radius in _PROBE_RADII_M[:-1]:
+            fits = -self._shape.solid.distance(places[left] - radius * normals[left]) >= (1 - _FITS) * radius
+            out[left[fits]] = radius
+            left = left[~fits]
+            if not len(left):
+                break
+        return out
 
 
 def _inside(n):
