@@ -1,11 +1,12 @@
 """A crew whose workers live on the machines of a Ray cluster.
 
 Needs the extra `cluster`. The folders of the sets must be visible to every machine under the same path, as on a shared disk,
-and the package must be installed there. A worker holds one task at a time, so that nothing piles up; one that is lost with
-its machine gives its task to another, and what it had written counts.
+and the package must be installed there. A worker holds a second's work at a time, so that nothing piles up and few messages
+keep many workers busy; one that is lost with its machine gives its tasks to another, and what it had written counts.
 """
 
 import contextlib
+import statistics
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,6 +15,12 @@ from tactip_model.errors import TactipError
 
 _LOCAL = "local"
 """Address of a cluster of this machine alone, started for the command."""
+
+_HELD_S = 1.0
+"""Work that a worker holds, s: a driver passes about a thousand messages a second (docs/scale.md)."""
+
+_MOST_HELD = 256
+"""Tasks that a worker holds at most, however short they are."""
 
 _LEAVE_S = 10
 """How long workers may take to finish what they hold, s."""
@@ -50,16 +57,23 @@ class _Remote:
     def __init__(self, begin, arguments):
         self._do = begin(*arguments)
 
-    def attempt(self, task):
-        """See crew.attempt."""
-        return attempt(self._do, task)
+    def attempt(self, tasks):
+        """Do tasks, up to the first that cannot be done: a list of replies as of crew.attempt."""
+        replies = []
+        for task in tasks:
+            replies.append(attempt(self._do, task))
+            if replies[-1]["error"]:
+                break
+        return replies
 
 
 @dataclass
 class _Hand:
     actor: Any
-    task: Any
+    tasks: tuple = ()
     done: int = 0
+    seconds: float = _HELD_S
+    """What a task of the last ones took."""
 
 
 class ClusterCrew(Crew):
@@ -81,27 +95,43 @@ class ClusterCrew(Crew):
 
     def _hire(self):
         if self._queue:
-            self._give(_Hand(self._actor.remote(self._begin, self._arguments), None))
+            self._give(_Hand(self._actor.remote(self._begin, self._arguments)))
 
     def _give(self, hand):
-        """Give a worker the next task."""
-        hand.task = self._queue.pop()
-        self._workers[hand.actor.attempt.remote(hand.task)] = hand
+        """Give a worker its next tasks: as many as it does in _HELD_S, but towards the end no more than its share.
+
+        One that a worker was lost with goes alone, so that it is known if it ends another.
+        """
+        share = len(self._queue) // (2 * len(self._workers) + 2)
+        many = max(1, min(round(_HELD_S / max(hand.seconds, 1e-6)), share, _MOST_HELD))
+        tasks = [self._queue.pop()]
+        while len(tasks) < many and not self._killed.keys() & {tasks[0], self._queue[-1]}:
+            tasks.append(self._queue.pop())
+        hand.tasks = tuple(tasks)
+        self._workers[hand.actor.attempt.remote(hand.tasks)] = hand
 
     def _replies(self):
-        (reference,), _ = self._ray.wait(list(self._workers), num_returns=1)
-        hand = self._workers.pop(reference)
+        self._ray.wait(list(self._workers), num_returns=1)
+        ready, _ = self._ray.wait(list(self._workers), num_returns=len(self._workers), timeout=0)
+        for reference in ready:
+            yield from self._answered(self._workers.pop(reference), reference)
+
+    def _answered(self, hand, reference):
+        """What a worker did, as of _replies."""
         try:
-            reply = self._ray.get(reference)
+            replies = self._ray.get(reference)
         except self._ray.exceptions.RayActorError:
-            self._lost(hand.task, "with its process or its machine")
+            self._lost(hand.tasks, "with its process or its machine")
             self._hire()
             return
-        if reply["error"]:
-            self._ray.kill(hand.actor)
-            raise TactipError(reply["error"])
-        hand.done += 1
-        yield hand.task, reply["seconds"], reply["peak_mib"], hand.done > 1
+        for task, reply in zip(hand.tasks, replies, strict=False):
+            if reply["error"]:
+                self._ray.kill(hand.actor)
+                raise TactipError(reply["error"])
+            hand.done += 1
+            yield task, reply["seconds"], reply["peak_mib"], hand.done > 1
+        # The first task was slowed by its worker's start.
+        hand.seconds = statistics.fmean(reply["seconds"] for reply in replies)
         if self._queue:
             self._give(hand)
         else:

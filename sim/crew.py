@@ -129,17 +129,18 @@ class Crew:
         pipe.close()
         worker.process.join()
         code = worker.process.exitcode or 0
-        self._lost(worker.task, f"by signal {signal.Signals(-code).name}" if code < 0 else f"with exit code {code}")
+        self._lost((worker.task,), f"by signal {signal.Signals(-code).name}" if code < 0 else f"with exit code {code}")
         self._hire()
 
-    def _lost(self, task, how):
-        """Put a task back whose worker ended `how` (str). Raises TactipError where it is the second that this task ended."""
-        self._killed[task] = self._killed.get(task, 0) + 1
-        what = f"{self._unit} {task}"
-        if self._killed[task] > 1:
-            raise TactipError(f"{what} has ended two workers (the last {how}): is memory short? {GOES_ON}")
-        self._say(f"a worker ended {how} at {what}: another takes over")
-        self._queue.append(task)
+    def _lost(self, tasks, how):
+        """Put tasks back whose worker ended `how` (str). Raises TactipError where one of them has ended another before."""
+        for task in tasks:
+            self._killed[task] = self._killed.get(task, 0) + 1
+            if self._killed[task] > 1:
+                raise TactipError(f"{self._unit} {task} has ended two workers (the last {how}): is memory short? {GOES_ON}")
+        more = f" and {len(tasks) - 1} more" if len(tasks) > 1 else ""
+        self._say(f"a worker ended {how} at {self._unit} {tasks[0]}{more}: another takes over")
+        self._queue += reversed(tasks)
 
     def _dismiss(self):
         """Let workers finish what they hold, then make sure that they are gone."""

@@ -68,7 +68,7 @@ class FakeRay:
             pass
 
     def __init__(self, places, deadly=()):
-        self.places, self.deadly, self.alive = places, list(deadly), 0
+        self.places, self.deadly, self.alive, self.given = places, list(deadly), 0, []
 
     def cluster_resources(self):
         return {"CPU": float(self.places)}
@@ -80,7 +80,7 @@ class FakeRay:
             def actor(*arguments):
                 self.alive += 1
                 inner = kind(*arguments)
-                method = type("Method", (), {"remote": staticmethod(lambda task: (inner, task))})
+                method = type("Method", (), {"remote": staticmethod(lambda tasks: (inner, tasks))})
                 return type("Actor", (), {"attempt": method})
 
             return type("Kind", (), {"remote": staticmethod(actor)})
@@ -91,12 +91,14 @@ class FakeRay:
         return references[:num_returns], references[num_returns:]
 
     def get(self, reference):
-        inner, task = reference
-        if task in self.deadly:
-            self.deadly.remove(task)
-            self.alive -= 1
-            raise self.exceptions.RayActorError
-        return inner.attempt(task)
+        inner, tasks = reference
+        self.given.append(tasks)
+        for task in tasks:
+            if task in self.deadly:
+                self.deadly.remove(task)
+                self.alive -= 1
+                raise self.exceptions.RayActorError
+        return inner.attempt(tasks)
 
     def kill(self, actor):
         self.alive -= 1
@@ -132,6 +134,22 @@ def test_a_lost_worker_gives_its_task_to_another_once():
     assert said == ["a worker ended with its process or its machine at sample 4: another takes over"]
     hands, made, said = crew(FakeRay(2, deadly=[4, 4]), list(range(6)))
     with pytest.raises(TactipError, match="sample 4 has ended two workers"):
+        hands.work(2, lambda *done: None)
+
+
+def test_short_tasks_go_many_at_a_time_and_a_deadly_one_is_found_among_them():
+    """What a worker holds when it is lost is done by another, the tasks that may have been its end one by one."""
+    ray = FakeRay(2, deadly=[400])
+    hands, made, said = crew(ray, list(range(1000)))
+    hands.work(2, lambda *done: None)
+    assert sorted(made) == list(range(1000)) and ray.alive == 0
+    (block,) = [tasks for tasks in ray.given if 400 in tasks and len(tasks) > 1]
+    assert f" and {len(block) - 1} more: another takes over" in said[0]
+    assert all((task,) in ray.given for task in block)
+    assert len(ray.given) - len(block) < 40
+    assert len(ray.given[-1]) == 1  # towards the end nobody waits for one who has much
+    hands, made, said = crew(FakeRay(2, deadly=[400, 400]), list(range(1000)))
+    with pytest.raises(TactipError, match="sample 400 has ended two workers"):
         hands.work(2, lambda *done: None)
 
 
