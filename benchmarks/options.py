@@ -117,6 +117,20 @@ class SpeedOptions:
 
 
 @dataclass(frozen=True)
+class ScaleOptions:
+    """Reckon what a million contacts cost on many machines, from rates measured on this one."""
+
+    contacts: int = 60
+    """Contacts of a set that is measured."""
+    few: int = 4
+    """Contacts of the set that is taken off, for what is paid once."""
+    messages: int = 5000
+    """Tasks that are handed out to see how many can be."""
+    out: Path = Path("docs")
+    """Folder for scale.json and scale.md."""
+
+
+@dataclass(frozen=True)
 class ViewerOptions:
     """Measure what a replay costs: host and browser."""
 

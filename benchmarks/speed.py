@@ -78,7 +78,7 @@ def _quietly():
         yield
 
 
-def _made(folder, samples, workers, task, fidelity, renderer, symmetric, design):
+def made_set(folder, samples, workers, task, fidelity, renderer, symmetric, design):
     """The folder (Path) of a set of `samples`, made in `folder`."""
     configuration = Configuration(
         task=task,
@@ -97,12 +97,12 @@ def _made(folder, samples, workers, task, fidelity, renderer, symmetric, design)
     return Path(folder) / "set"
 
 
-def _set_seconds(contacts, workers, **case):
+def set_seconds(contacts, workers, **case):
     """Time (s) and peak memory of a worker (MiB) of a set, made in a folder that is thrown away."""
     each = len(SYMMETRIES[case["task"]]) if case["symmetric"] else 1
     with tempfile.TemporaryDirectory() as folder:
         start = time.perf_counter()
-        made = _made(folder, contacts * each, workers, **case)
+        made = made_set(folder, contacts * each, workers, **case)
         seconds = time.perf_counter() - start
         run = json.loads((made / "run.json").read_text())
     return seconds, run["peak_memory_of_a_worker_MiB"]
@@ -119,8 +119,8 @@ def _samples(options):
     rows = []
     for case, workers in cases:
         few = _FEW * workers
-        base, _ = _set_seconds(few, workers, **case)
-        whole, peak = _set_seconds(few + options.contacts, workers, **case)
+        base, _ = set_seconds(few, workers, **case)
+        whole, peak = set_seconds(few + options.contacts, workers, **case)
         each = len(SYMMETRIES[case["task"]]) if case["symmetric"] else 1
         rate = options.contacts / max(whole - base, 1e-9)
         once = base - few / rate
@@ -163,7 +163,7 @@ def _images(options):
             })  # fmt: skip
         with tempfile.TemporaryDirectory() as folder:
             case = {"task": "surface", "fidelity": "draft", "renderer": "raster", "symmetric": True, "design": name}
-            samples = read_samples(_made(folder, _BATCH, 1, **case))
+            samples = read_samples(made_set(folder, _BATCH, 1, **case))
             chosen = torch.arange(len(samples))
             for varied in ("lens", "real"):
                 drawn = DrawnImages(samples, 1.0, OPTICS[varied])
@@ -187,7 +187,7 @@ def _learning(options):
     rows = []
     with tempfile.TemporaryDirectory() as folder:
         case = {"task": "surface", "fidelity": "draft", "renderer": "raster", "symmetric": True, "design": "tactip-127"}
-        samples = read_samples(_made(folder, _BATCH, 1, **case))
+        samples = read_samples(made_set(folder, _BATCH, 1, **case))
         for recipe in ("laptop", "paper"):
             its = recipe_named(recipe, "surface")
             settings = replace(its.settings, drawn=0.0)

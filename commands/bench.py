@@ -6,7 +6,7 @@ from typing import Annotated
 
 import tyro
 
-from benchmarks.options import LearningOptions, SearchOptions, SpeedOptions, TransferredOptions, ViewerOptions
+from benchmarks.options import LearningOptions, ScaleOptions, SearchOptions, SpeedOptions, TransferredOptions, ViewerOptions
 from benchmarks.options import ServoOptions as FollowedOptions
 
 
@@ -123,6 +123,17 @@ class Speed(SpeedOptions):
         return 0
 
 
+class Scaled(ScaleOptions):
+    __doc__ = ScaleOptions.__doc__
+
+    def run(self):
+        from benchmarks.scaled import run
+
+        run(self)
+        print(f"{self.out / 'scale.md'} written")
+        return 0
+
+
 class Viewed(ViewerOptions):
     __doc__ = ViewerOptions.__doc__
 
@@ -147,6 +158,7 @@ class Bench:
         | Annotated[Followed, tyro.conf.subcommand("servo")]
         | Annotated[Transferred, tyro.conf.subcommand("transfer")]
         | Annotated[Speed, tyro.conf.subcommand("speed")]
+        | Annotated[Scaled, tyro.conf.subcommand("scale")]
         | Annotated[Viewed, tyro.conf.subcommand("viewer")],
         tyro.conf.arg(name=""),
     ]

@@ -19,9 +19,6 @@ _LOCAL = "local"
 _HELD_S = 1.0
 """Work that a worker holds, s: a driver passes about a thousand messages a second (docs/scale.md)."""
 
-_MOST_HELD = 256
-"""Tasks that a worker holds at most, however short they are."""
-
 _LEAVE_S = 10
 """How long workers may take to finish what they hold, s."""
 
@@ -79,6 +76,9 @@ class _Hand:
 class ClusterCrew(Crew):
     """Does a list of tasks on a cluster: as a Crew does, to the same files."""
 
+    most_held = 256
+    """Tasks that a worker holds at most, however short they are."""
+
     def __init__(self, ray, begin, arguments, tasks, unit, say):
         """ray: the module, joined. The rest: as of Crew."""
         super().__init__(begin, arguments, tasks, unit, say)
@@ -103,7 +103,7 @@ class ClusterCrew(Crew):
         One that a worker was lost with goes alone, so that it is known if it ends another.
         """
         share = len(self._queue) // (2 * len(self._workers) + 2)
-        many = max(1, min(round(_HELD_S / max(hand.seconds, 1e-6)), share, _MOST_HELD))
+        many = max(1, min(round(_HELD_S / max(hand.seconds, 1e-6)), share, self.most_held))
         tasks = [self._queue.pop()]
         while len(tasks) < many and not self._killed.keys() & {tasks[0], self._queue[-1]}:
             tasks.append(self._queue.pop())

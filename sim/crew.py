@@ -8,6 +8,7 @@ import contextlib
 import os
 import resource
 import signal
+import statistics
 import sys
 import time
 from dataclasses import dataclass
@@ -19,6 +20,9 @@ from typing import Any
 from tqdm import tqdm
 
 from tactip_model.errors import Stopped, TactipError
+
+_TELLING, _TELLING_S = 8, 20.0
+"""Tasks, or seconds of a worker's, after which it is told how long all will take."""
 
 GOES_ON = "what is done so far is kept, and the same command goes on from there"
 
@@ -67,14 +71,17 @@ class Crew:
             try:
                 for _ in range(workers):
                     self._hire()
-                estimated = False
+                known, told = [], False
                 while self._workers:
                     for task, seconds, peak_mib, repeated in self._replies():
                         done(task, seconds, peak_mib)
                         bar.update()
-                        if repeated and not estimated:  # a worker's first task was slowed by its start
-                            estimated = True
-                            about = _duration(seconds * self._count / workers)
+                        if repeated:  # a worker's first task was slowed by its start
+                            known.append(seconds)
+                        # One alone may be one that is tried again and again.
+                        if not told and (len(known) == _TELLING or sum(known) > _TELLING_S):
+                            told = True
+                            about = _duration(statistics.fmean(known) * self._count / workers)
                             text = f"{self._count} {self._unit}s on {workers} worker(s): about {about} in all"
                             bar.write(text, file=sys.stderr)
             except KeyboardInterrupt:

@@ -39,7 +39,7 @@ def test_the_page_keeps_what_was_measured(tmp_path, monkeypatch):
 
 def test_the_rate_of_a_set_is_its_marginal_one(monkeypatch):
     """A set that takes 3 s and half a second a contact of each worker: what is paid once are the 3 s."""
-    monkeypatch.setattr(speed, "_set_seconds", lambda n, workers, **case: (3.0 + n / (2.0 * workers), 500))
+    monkeypatch.setattr(speed, "set_seconds", lambda n, workers, **case: (3.0 + n / (2.0 * workers), 500))
     for row in speed._samples(SpeedOptions(contacts=10)):
         assert row["contacts/s"] == pytest.approx(2.0 * row["workers"])
         assert row["once, s"] == pytest.approx(3.0)
