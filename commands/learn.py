@@ -4,6 +4,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from commands.given import with_options
+from commands.waiting import Waiting
 from tactip_model.errors import TactipError
 
 
@@ -100,16 +101,17 @@ class Train:
     """Changes to the training."""
 
     def run(self):
-        from learning.device import device_named
-        from learning.model import find_model
-        from learning.networks import Recipe, read_recipe, recipe_named
-        from learning.samples import read_splits
-        from learning.train import train
+        with Waiting("reading the sets"):
+            from learning.device import device_named
+            from learning.model import find_model
+            from learning.networks import Recipe, read_recipe, recipe_named
+            from learning.samples import read_splits
+            from learning.train import train
 
-        device_named(self.device)
-        given = read_recipe(self.config) if self.config else None
-        start = find_model(self.start) if self.start else None
-        train_samples, val_samples = read_splits(self.data)
+            device_named(self.device)
+            given = read_recipe(self.config) if self.config else None
+            start = find_model(self.start) if self.start else None
+            train_samples, val_samples = read_splits(self.data)
         recipe = given or recipe_named(self.recipe, train_samples.labels.task)
         recipe = replace(recipe, network=start.config) if start and not given else recipe
         recipe = Recipe(with_options(recipe.network, self.network), with_options(recipe.settings, self.training))
@@ -167,10 +169,11 @@ class Tune:
     """Changes to each training; the paper's otherwise."""
 
     def run(self):
-        from learning.device import device_named
-        from learning.space import SearchSpace
-        from learning.train import TrainSettings
-        from learning.tune import TuneSettings, tune
+        with Waiting("loading the libraries"):
+            from learning.device import device_named
+            from learning.space import SearchSpace
+            from learning.train import TrainSettings
+            from learning.tune import TuneSettings, tune
 
         device_named(self.device)
         if self.jobs < 1:
@@ -212,14 +215,15 @@ class Evaluate:
     def run(self):
         from json import dumps
 
-        from learning.device import device_named
-        from learning.evaluate import evaluate
-        from learning.evaluation_page import write_evaluation
-        from learning.model import find_model
-        from learning.samples import read_samples
+        with Waiting("reading the set and the network"):
+            from learning.device import device_named
+            from learning.evaluate import evaluate
+            from learning.evaluation_page import write_evaluation
+            from learning.model import find_model
+            from learning.samples import read_samples
 
-        model, samples = find_model(self.model, device_named(self.device)), read_samples(self.data)
-        evaluation = evaluate(model, samples)
+            model, samples = find_model(self.model, device_named(self.device)), read_samples(self.data)
+            evaluation = evaluate(model, samples)
         if self.out:
             write_evaluation(evaluation, samples, model, self.out)
         figures = evaluation.figures

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import tyro
 
+from commands.waiting import Waiting
 from learning.transfer_settings import TransferSettings
 from sim.layout import Layout
 
@@ -80,15 +81,17 @@ class Transfer:
     def run(self):
         from json import dumps
 
-        from learning.transfer import EXPERIMENTS, Experiment
-        from learning.transfer_page import PAGE, write_page
-        from tactip_model.errors import choose
+        with Waiting("loading the libraries"):
+            from learning.transfer import EXPERIMENTS, Experiment
+            from learning.transfer_page import PAGE, write_page
+            from tactip_model.errors import choose
 
         choose("experiment", self.experiment, dict.fromkeys([*EXPERIMENTS, "pseudo-real"]))
         say = (lambda line: print(line, file=sys.stderr)) if self.json else print
         pseudo = self.experiment == "pseudo-real"
         names = ("zero-shot", "gap", "few-shot") if pseudo else (self.experiment,)
-        experiment = Experiment(self._set(say), self.out, self.settings, self.workers, self.device, say)
+        with Waiting("reading the real set and its design"):
+            experiment = Experiment(self._set(say), self.out, self.settings, self.workers, self.device, say)
         results = {}
         for name in names:
             results[name] = EXPERIMENTS[name](experiment)

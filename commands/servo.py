@@ -3,6 +3,7 @@
 import sys
 from dataclasses import dataclass
 
+from commands.waiting import Waiting
 from control.options import Options as ServoOptions
 
 
@@ -18,18 +19,20 @@ class Servo(ServoOptions):
 
         from tqdm import tqdm
 
-        from control.run import FIGURE, SCORE, run
-
-        bars = []
+        bars, waiting = [], Waiting("loading the object, the network and the arm")
 
         def progress(step):
+            waiting.over()
             if not bars:  # nothing is shown before there is something to show: an error is one line
                 bars.append(tqdm(unit="step", file=sys.stderr, mininterval=0.5 if sys.stderr.isatty() else 15))
             bars[0].set_postfix_str(f"{step.phase}, {1e3 * abs(float(step.sight.label[2])):.1f} mm deep", refresh=False)
             bars[0].update()
 
         try:
-            score = run(self, progress, say=(lambda line: None) if self.json else print)
+            with waiting:
+                from control.run import FIGURE, SCORE, run
+
+                score = run(self, progress, say=(lambda line: None) if self.json else print)
         finally:
             for bar in bars:
                 bar.close()

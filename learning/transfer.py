@@ -127,6 +127,7 @@ class Experiment:
         """The sensor's Design: as it was told, or fitted to the neutral image."""
         if self._told:
             return replace(self._told, image=replace(self._told.image, size_px=self.samples.size))
+        self._say("the tip and its camera are fitted to the neutral image")
         design, figures = twin_of(self.real, self.samples.size)
         self.out.mkdir(parents=True, exist_ok=True)
         write_design(self.out / "design.json", design, {"neutral_image_of": self.real.name, **figures})
