@@ -8,6 +8,7 @@ import sys
 
 import cv2
 import numpy as np
+from scipy.spatial import cKDTree
 from tqdm import tqdm
 
 from sim.calibration import DONE, best_share, distances, pixels
@@ -22,6 +23,9 @@ from tactip_model.raster import Raster
 
 _BINS = 4
 """Bins of a label, of equally many frames."""
+
+_VARIES = 0.5
+"""Range, mm or degrees, from which on a label varies."""
 
 _SEEN = 0.6
 """Share of the pins that must be told apart in a frame, or it is left out and counted."""
@@ -42,6 +46,11 @@ def gap(samples, design, fidelity, frames, seed=0):
     simulated, images = _played(chosen.take(good), design, fidelity)
     real, chosen = real[good], chosen.take(good)
     shares, fitted, _ = best_share(simulated, real)
+    # A frame that is off by half of what lies between pins is one whose pins were taken for their neighbours.
+    between = np.median(cKDTree(neutral).query(neutral, 2)[0][:, 1])
+    right = np.nanmedian(np.linalg.norm(fitted - real, axis=-1), 1) < between / 2
+    taken = (real, chosen, shares, fitted, simulated, images)
+    real, chosen, shares, fitted, simulated, images = (a.take(right) if a is chosen else a[right] for a in taken)
     told = simulated[:, -1]
     off = fitted - real
     rms = distances(fitted, real)
@@ -52,13 +61,14 @@ def gap(samples, design, fidelity, frames, seed=0):
     figures = {
         "frames": len(chosen),
         "frames_whose_pins_were_not_told_apart": int((~good).sum()),
+        "frames_whose_pins_were_taken_for_others": int((~right).sum()),
         "unit": "px of a 256 px image",
         "as_told": _spread(distances(told, real)),
         "at_the_best_share_of_the_move": _spread(rms),
         "pins_move": float(np.sqrt(np.nanmean(moved**2))),
         "frames_by_share_of_the_move": np.histogram(shares, [0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.001])[0].tolist(),
         "images": _likeness(chosen.images, images),
-        "against": {name: _binned(values, rms) for name, values in labels.items() if values.std() > 1e-6},
+        "against": {name: _binned(values, rms) for name, values in labels.items() if np.ptp(values) > _VARIES},
         "by_distance_from_the_middle": _binned(rings, np.sqrt(np.nanmean((off**2).sum(-1), 0))),
     }
     return figures, {"neutral": neutral, "off": np.nanmean(off, 0), "rms": np.sqrt(np.nanmean((off**2).sum(-1), 0))}

@@ -61,6 +61,9 @@ def _gap(figures, mark, figure):
     told, best = figures["as_told"], figures["at_the_best_share_of_the_move"]
     beside = f"Pins of {figures['frames']} real frames beside simulated ones, {figures['unit']}"
     lines = ["", f"{mark}# The gap itself", "", f"{beside}; they move by {figures['pins_move']:.1f} (rms)."]
+    hidden, slipped = (figures[f"frames_whose_pins_were_{how}"] for how in ("not_told_apart", "taken_for_others"))
+    lines[-1] += f" {hidden} frames are left out since their pins were not told apart, {slipped} since they were taken for"
+    lines[-1] += " their neighbours."
     lines += ["", "| | rms | median frame | 90 % of frames |", "|---|---|---|---|"]
     for what, one in (("as the rows have it", told), ("at the share of the move that fits best", best)):
         lines.append(f"| {what} | {one['rms']:.2f} | {one['median']:.2f} | {one['p90']:.2f} |")
