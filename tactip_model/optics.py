@@ -36,6 +36,7 @@ class Lens:
         angle = self.angle_to(tips)
         self.coefficients = np.linalg.lstsq(_odd(angle), wanted, rcond=None)[0]
         self._straight = angle.max()
+        self._slope = float((_odd(self._straight) / self._straight) @ (self.coefficients * [1, 3, 5]))
         self.residual_px = float(np.sqrt(np.mean((self._polynomial(angle) - wanted) ** 2)))
 
     def angle_to(self, points):
@@ -44,13 +45,14 @@ class Lens:
         return np.arctan2(np.hypot(rays[..., 0], rays[..., 1]), rays[..., 2])
 
     def _polynomial(self, angle):
-        return _odd(angle) @ self.coefficients
+        k1, k3, k5 = self.coefficients
+        square = angle * angle
+        return angle * (k1 + square * (k3 + square * k5))
 
     def radius(self, angle):
         """Distance from the image centre, px of the frame, of rays at `angle` (rad, array)."""
         near = np.minimum(angle, self._straight)
-        slope = (self._polynomial(np.array(self._straight)) - self._polynomial(np.array(self._straight - 1e-6))) / 1e-6
-        return (self._polynomial(near) + slope * (angle - near)) * self._scale
+        return (self._polynomial(near) + self._slope * (angle - near)) * self._scale
 
     def angle(self, radius):
         """Angle (rad) of the rays seen at `radius` px of the frame from the image centre: the inverse of `radius`."""
@@ -89,12 +91,10 @@ class LedRing:
         self._scale = 255 * optics.exposure / (optics.pin_albedo * self._irradiance(apex, np.array([0.0, 0.0, -1.0])))
 
     def _irradiance(self, points, normals):
-        total = np.zeros(points.shape[:-1])
-        for lamp in self._lamps:
-            to_lamp = lamp - points
-            distance2 = (to_lamp**2).sum(-1)
-            total += np.maximum((to_lamp * normals).sum(-1), 0) / distance2**1.5
-        return total
+        (x, y, z), (nx, ny, nz) = np.moveaxis(points, -1, 0)[..., None], np.moveaxis(normals, -1, 0)[..., None]
+        right, down, away = self._lamps[:, 0] - x, self._lamps[:, 1] - y, self._lamps[:, 2] - z
+        distance2 = right * right + down * down + away * away
+        return (np.maximum(right * nx + down * ny + away * nz, 0) / (distance2 * np.sqrt(distance2))).sum(-1)
 
     def grey(self, points, normals, albedo):
         """Grey levels (...), 0 to 255, of surface points (..., 3) m with unit normals (..., 3) towards the camera."""
@@ -111,10 +111,13 @@ def tip_radii(design):
 
 def across(directions):
     """Two unit vectors (2, p, 3) that span the discs square to directions (p, 3)."""
-    other = np.where(np.abs(directions[:, :1]) < 0.9, [[1.0, 0, 0]], [[0, 1.0, 0]])
-    u = np.cross(directions, other)
-    u /= np.linalg.norm(u, axis=1, keepdims=True)
-    return np.stack([u, np.cross(directions, u)])
+    x, y, z = directions.T
+    # Square to the direction and to an axis that is not near it: y, where it is near x. Written out: it is asked a lot.
+    steep, flat = np.abs(x) >= 0.9, np.zeros_like(x)
+    u = np.stack([np.where(steep, -z, flat), np.where(steep, flat, z), np.where(steep, x, -y)])
+    u /= np.sqrt((u * u).sum(0))
+    a, b, c = u
+    return np.stack([u.T, np.stack([y * c - z * b, z * a - x * c, x * b - y * a], 1)])
 
 
 def dome_centre(design):

@@ -36,7 +36,9 @@ class Raster:
         x, y = nearest[:, :1] + span, nearest[:, 1:] + span
         # A pixel's place in the unit disc, and its distance to the disc's edge in pixels along the gradient. Entry by entry:
         # these are small matrices and many pixels.
-        (a, b), (c, d) = np.moveaxis(np.linalg.inv(axes), 0, -1)[..., None, None]
+        (p, q), (r, s) = axes.transpose(1, 2, 0)[..., None, None]
+        size = p * s - q * r
+        a, b, c, d = s / size, -q / size, -r / size, p / size
         right, down = (x - centre[:, :1])[:, None, :], (y - centre[:, 1:])[:, :, None]
         u, v = a * right + b * down, c * right + d * down
         length = np.sqrt(u * u + v * v)
