@@ -35,8 +35,9 @@ UP = np.array([0.0, 0, 1])
 """From where routes over a surface are seen: above the table."""
 
 
-def run(options, progress=lambda step: None, say=print):
+def run(options, progress=lambda step: None, say=print, estimator=None):
     """Run a servo. options: Options. progress: called with each explore.Step. say: called with lines for the user.
+    estimator: an Estimator in the place of the network, whose ranges of labels are kept to all the same.
 
     Writes recording, score and picture. Returns the score (dict). Raises TactipError on what cannot be done, and Stopped at
     Ctrl-C; what was recorded by then is kept, scored and drawn.
@@ -56,9 +57,9 @@ def run(options, progress=lambda step: None, say=print):
         raise TactipError(
             f"the network {options.network} was trained for the {model.labels.task}, not for the {options.task}"
         )
-    if options.model == "oracle":
+    if estimator is None and options.model == "oracle":
         estimator = Oracle(truth, thing.T_base_object)
-    else:
+    elif estimator is None:
         estimator = Seen(model, design, options.renderer, options.noise_grey)
     finger = Fingertip(design, thing.solid, fidelity, carrier, thing.T_base_object, options.settle_steps, options.pace)
     servo = Servo(gains)
@@ -67,7 +68,8 @@ def run(options, progress=lambda step: None, say=print):
         "task": options.task,
         "object": thing.name,
         "options": json.loads(json.dumps(dataclasses.asdict(options), default=str)),
-        "network": model.provenance if options.model != "oracle" else None,
+        "estimator": type(estimator).__name__,
+        "network": model.provenance if isinstance(estimator, Seen) else None,
         "versions": {p: version(p) for p in ("mujoco", "numpy", "torch", "mink", "libigl")},
     }
     scenery = Scenery(

@@ -1,0 +1,88 @@
+"""Every script in examples/ does what its first line says."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+import tactip
+from tests.learning_sets import write_fake_splits
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+
+
+def run(script, *options, **variables):
+    """What a script prints."""
+    command = [sys.executable, str(script), *map(str, options)]
+    variables = {**os.environ, "MPLBACKEND": "Agg", "PYTHONPATH": str(EXAMPLES.parent), **variables}
+    done = subprocess.run(command, capture_output=True, text=True, env=variables, timeout=300)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def followed(tmp_path_factory):
+    """A folder of a run with an estimator that learned from 60 contacts, and what was printed."""
+    folder = tmp_path_factory.mktemp("run")
+    made = [
+        "dataset",
+        "make",
+        "--fidelity",
+        "draft",
+        "--renderer",
+        "raster",
+        "--samples",
+        "60",
+        "--out",
+        str(folder / "set"),
+    ]
+    assert tactip.main(made) == 0
+    told = run(EXAMPLES / "own_estimator.py", "--data", folder / "set", "--out", folder / "run", "--length-mm", "8")
+    return folder / "run", told
+
+
+def test_one_contact_is_one_image(tmp_path):
+    told = run(EXAMPLES / "one_contact.py", "--out", tmp_path / "contact.png", "--renderer", "raster")
+    image = cv2.imread(str(tmp_path / "contact.png"), cv2.IMREAD_GRAYSCALE)
+    assert image.shape == (128, 128) and set(np.unique(image)) == {0, 255}
+    assert " N, " in told
+
+
+def test_a_narrower_pipe_presses_less(tmp_path):
+    told = run(EXAMPLES / "own_stimulus.py", "--fidelity", "draft", "--radii-mm", "8", "20")
+    narrow, wide = (float(x) for x in re.findall(r"mm: ([\d.]+) N", told))
+    assert 0.3 < narrow < wide
+    assert all(int(x) < 50 for x in re.findall(r"is (\d+) µm inside", told))
+
+
+def test_a_network_is_trained_on_a_folder(tmp_path):
+    data = write_fake_splits(tmp_path / "data", samples=16, size=128)
+    told = run(
+        EXAMPLES / "train_on_a_folder.py", "--data", data, "--out", tmp_path / "run", "--epochs", "1", "--filters", "2"
+    )
+    assert (tmp_path / "run" / "model.json").exists()
+    assert len(re.findall(r"pose_\w+: [\d.]+ (mm|°)", told)) == 3
+
+
+def test_an_estimator_of_ones_own_follows_a_sphere(followed):
+    folder, told = followed
+    score = json.loads((folder / "score.json").read_text())
+    assert "the route is done" in told
+    assert score["contact_losses"] == 0 and score["depth_mae_mm"] < 1 and score["angle_mean_deg"] < 8
+
+
+def test_a_run_is_replayed_in_a_notebook(followed, tmp_path):
+    """Its cells, one after another, as a script."""
+    folder, _ = followed
+    cells = json.loads((EXAMPLES / "replay.ipynb").read_text())["cells"]
+    script = tmp_path / "cells.py"
+    script.write_text("\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"))
+    told = run(script, RUN=str(folder))
+    assert "steps on sphere: the route is done" in told
+    assert (folder / "pass.gif").read_bytes()[:3] == b"GIF"
