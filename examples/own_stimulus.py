@@ -38,9 +38,8 @@ def main(radii_mm: tuple[float, ...] = (10.0, 15.0, 30.0), depth_mm: float = 3.0
     for radius_mm in radii_mm:
         player = ContactPlayer(design, Pipe(radius_mm / 1e3), fidelity_named(fidelity))
         contact = player.play(from_mm_deg([0, 0, -depth_mm, 0, 0, 0]), np.zeros(6))
-        print(
-            f"radius {radius_mm:g} mm: {contact.normal_force_n:.3f} N; the skin is {1e6 * contact.overlap_m:.0f} µm inside the pipe"
-        )
+        inside_um = 1e6 * contact.overlap_m
+        print(f"radius {radius_mm:g} mm: {contact.normal_force_n:.3f} N; the skin is {inside_um:.0f} µm inside the pipe")
 
 
 if __name__ == "__main__":
