@@ -74,8 +74,9 @@ transfer: $(READY)
 	@$(BIN)/tactip transfer "$(EXPERIMENT)" --out "runs/transfer-$(notdir $(REAL))" \
 		$(if $(filter pseudo-real,$(EXPERIMENT)),,--real "$(REAL)")
 
+# A test process a core, and one thread in each: what they do in threads, they do beside each other.
 test: $(READY)
-	@$(BIN)/python -m pytest
+	@OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses auto --dist loadscope
 
 test-all: $(READY)
 	@$(BIN)/python -m pytest -m ""

@@ -23,7 +23,7 @@ from sim.fidelity import fidelity_named
 from sim.generation import Job, make
 from sim.sampling import POSE_RANGES, SHEAR_RANGES
 from sim.symmetry import SYMMETRIES
-from tactip_model.errors import choose
+from tactip_model.errors import TactipError, choose
 from tactip_model.presets import find_design
 
 _FEW = 4
@@ -273,13 +273,54 @@ def _faces(options):
 
 def _start_up(options):
     """Time of every command's help: what is imported before anything is done."""
-    program = str(Path(sys.executable).parent / "tactip")
     rows = []
     for command in COMMANDS:
-        words = [program, *command, "--help"]
+        words = [_program(), *command, "--help"]
         seconds = _median(lambda w=words: subprocess.run(w, check=True, capture_output=True))  # noqa: S603
         rows.append({"command": " ".join(["tactip", *command]), "s": seconds})
     return rows
+
+
+def _first_words(options):
+    """Time until a command that is given something to do says its first word; it is ended then."""
+    case = {"task": "surface", "fidelity": "draft", "renderer": "raster", "symmetric": False, "design": "tactip-127"}
+    rows = []
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place)
+        for split in ("train", "val"):
+            made_set(folder, 8, 1, **case).rename(folder / split)
+        data = str(folder / "train")
+        for command in (
+            ("dataset", "make"), ("dataset", "verify", data), ("dataset", "show", data), ("dataset", "record", data),
+            ("train", "--data", place), ("tune", "--data", place), ("transfer", "pseudo-real"),
+            ("evaluate", "--model", "surface-tactip-127", "--data", data),
+            ("servo", "--task", "surface"), ("servo", "--task", "edge", "--object", "rim-round"),
+        ):  # fmt: skip
+            seconds = []
+            for k in range(3):
+                out = folder / f"out-{len(rows)}-{k}"
+                out = out.with_suffix(".png") if "show" in command else out
+                given = [] if {"verify", "evaluate"} & set(command) else ["--out", str(out)]
+                seconds.append(_first_word([_program(), *command, *given]))
+            told = (word for word in command if not word.startswith(place))
+            rows.append({"command": " ".join(["tactip", *told]), "s": statistics.median(seconds)})
+    return rows
+
+
+def _first_word(words):
+    """Time (s) from a command's start to its first byte, on either stream."""
+    start = time.perf_counter()
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT) as process:  # noqa: S603
+        first = process.stdout.read(1) if process.stdout else b""
+        seconds = time.perf_counter() - start
+        process.kill()
+    if not first:
+        raise TactipError(f"the command {' '.join(words)} said nothing")
+    return seconds
+
+
+def _program():
+    return str(Path(sys.executable).parent / "tactip")
 
 
 GROUPS = {
@@ -289,6 +330,7 @@ GROUPS = {
     "servo": ("Servo steps a second", _following),
     "faces": ("Steps on objects of more triangles", _faces),
     "start-up": ("Every command's help", _start_up),
+    "first-words": ("Time until a command at work says its first word", _first_words),
 }
 """Title and function of each group."""
 

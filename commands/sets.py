@@ -9,6 +9,7 @@ import tyro
 
 from commands.given import with_options
 from commands.read import reader_of
+from commands.waiting import Waiting
 
 Range = tuple[float, float]
 
@@ -187,12 +188,13 @@ class Record:
     is one and this is empty; `none` for none."""
 
     def run(self):
-        from sim.contact_recording import record_contact
-        from sim.dataset import read_configuration, read_meta
+        with Waiting("playing the contact"):
+            from sim.contact_recording import record_contact
+            from sim.dataset import read_configuration, read_meta
 
-        configuration = read_configuration(read_meta(self.folder), self.folder)
-        read = reader_of(self.model, configuration.task, configuration.design)
-        record, _ = record_contact(self.folder, self.sample, self.out, read)
+            configuration = read_configuration(read_meta(self.folder), self.folder)
+            read = reader_of(self.model, configuration.task, configuration.design)
+            record, _ = record_contact(self.folder, self.sample, self.out, read)
         print(f"{record['object']}: {record['steps']} steps recorded; see them: tactip replay {self.out}")
         return 0
 

@@ -2,6 +2,7 @@
 
 import json
 import re
+import sys
 from dataclasses import replace
 
 import pytest
@@ -52,3 +53,14 @@ def test_a_median_leaves_the_first_call_out():
     calls = []
     speed._median(lambda: calls.append(None), 3)
     assert len(calls) == 4
+
+
+def test_a_first_word_is_waited_for():
+    program = [
+        sys.executable,
+        "-c",
+        "import sys, time; time.sleep(0.5); print('a', file=sys.stderr, flush=True); time.sleep(60)",
+    ]
+    assert 0.5 < speed._first_word(program) < 30
+    with pytest.raises(TactipError, match="said nothing"):
+        speed._first_word([sys.executable, "-c", ""])
