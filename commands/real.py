@@ -7,7 +7,7 @@ from typing import Annotated
 
 import tyro
 
-from commands.waiting import Waiting
+from commands.waiting import Waiting, to_stderr
 from learning.transfer_settings import TransferSettings
 from sim.layout import Layout
 
@@ -87,7 +87,7 @@ class Transfer:
             from tactip_model.errors import choose
 
         choose("experiment", self.experiment, dict.fromkeys([*EXPERIMENTS, "pseudo-real"]))
-        say = (lambda line: print(line, file=sys.stderr)) if self.json else print
+        say = to_stderr if self.json else print
         pseudo = self.experiment == "pseudo-real"
         names = ("zero-shot", "gap", "few-shot") if pseudo else (self.experiment,)
         with Waiting("reading the real set and its design"):

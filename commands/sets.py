@@ -9,7 +9,7 @@ import tyro
 
 from commands.given import with_options
 from commands.read import reader_of
-from commands.waiting import Waiting
+from commands.waiting import Waiting, to_stderr
 
 Range = tuple[float, float]
 
@@ -43,7 +43,7 @@ class Make:
     split: str = "train"
     """train, val, test, or all: independent draws."""
     samples: int = 200
-    """Contacts in a set; the paper has 2000."""
+    """Samples of a set: contacts, or with --symmetric what is made of them; the paper has 2000."""
     seed: int = 0
     """Seed of the draws."""
     workers: str = "auto"
@@ -73,13 +73,20 @@ class Make:
     """Labelled poses."""
     shear: RangeOptions = field(default_factory=RangeOptions)
     """Unlabelled perturbations."""
+    json: bool = False
+    """Print a JSON list, an object a set, and nothing else."""
 
     def run(self):
+        from json import dumps
+
         from sim.crew import worker_count
         from sim.generation import make
 
         workers = 0 if self.cluster and self.workers == "auto" else worker_count(self.workers)
-        results = make(self._jobs(), workers, cluster=self.cluster)
+        results = make(self._jobs(), workers, to_stderr if self.json else print, self.cluster)
+        if self.json:
+            print(dumps(results))
+            return 0
         failed = 0
         for r in results:
             failed += r["failed"]
@@ -89,7 +96,7 @@ class Make:
         if made:
             print(f"{made} samples in {seconds:.1f} s: {made / seconds:.2f} samples/s")
         if failed:
-            print(f"{failed} contacts failed each try and were left out: meta.json names them and says why")
+            print(f"{failed} samples failed each try and were left out: meta.json names them and says why")
         return 0
 
     def _jobs(self):
@@ -136,19 +143,27 @@ class Verify:
 
     folder: tyro.conf.Positional[Path]
     """Folder of the set."""
+    json: bool = False
+    """Print one JSON object and nothing else."""
 
     def run(self):
+        from json import dumps
+
         from sim.dataset import read_meta
         from sim.verification import verify
 
         problems = verify(self.folder)
+        if self.json:
+            told = {"folder": str(self.folder), "problems": problems, "samples": read_meta(self.folder).get("samples")}
+            print(dumps(told))
+            return 1 if problems else 0
         for problem in problems:
             print(f"{self.folder}: {problem}", file=sys.stderr)
         if problems:
             print(f"{self.folder}: {len(problems)} problem(s)", file=sys.stderr)
             return 1
         samples = read_meta(self.folder).get("samples", {})
-        print(f"{self.folder}: whole; {samples.get('kept', 'some')} samples, {samples.get('failed', 0)} failed contacts")
+        print(f"{self.folder}: whole; {samples.get('kept', 'some')} samples, {samples.get('failed', 0)} failed")
         return 0
 
 

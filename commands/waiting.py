@@ -3,6 +3,12 @@
 import sys
 import threading
 
+
+def to_stderr(line):
+    """Say a line (str) where it is not taken for a result."""
+    print(line, file=sys.stderr, flush=True)
+
+
 _PATIENCE_S = 1.0
 """How long nothing is said, s: what fails at once is one line, the error's."""
 
@@ -28,4 +34,4 @@ class Waiting:
 
     @staticmethod
     def _say(doing):
-        print(f"{doing} …", file=sys.stderr, flush=True)
+        to_stderr(f"{doing} …")

@@ -170,3 +170,14 @@ def test_damage_is_told_by_shard(copy, capsys, damage, words):
     damage(copy)
     assert tactip.main(["dataset", "verify", str(copy)]) == 1
     assert words in capsys.readouterr().err
+
+
+def test_results_are_json_for_scripts(copy, tmp_path, capsys):
+    assert tactip.main(options(copy, "--json")) == 0
+    (made,) = json.loads(capsys.readouterr().out)
+    assert (made["kept"], made["failed"], made["made"]) == (SAMPLES, 0, 0)
+    assert tactip.main(["dataset", "verify", str(copy), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["problems"] == []
+    shutil.rmtree(copy / "shard-00001")
+    assert tactip.main(["dataset", "verify", str(copy), "--json"]) == 1
+    assert "shard-00001/meta.json: missing" in json.loads(capsys.readouterr().out)["problems"]
