@@ -273,6 +273,7 @@ def width_of_the_gap(experiment):
     """Pins and images of real frames beside simulated ones at the same pose and shear. Returns results (dict)."""
     s = experiment.settings
     figures, arrays = gap(experiment.split.test, experiment.design(), s.fidelity, s.gap_frames, s.seed)
+    experiment.out.mkdir(parents=True, exist_ok=True)  # a design that was told is not written there
     draw(arrays, f"simulated from real pins, {experiment.real.name}", experiment.out / GAP)
     return figures
 

@@ -203,6 +203,10 @@ def test_the_gap_is_seen_and_closes_with_the_right_design(lab, tmp_path, capsys)
     assert told["at_the_best_share_of_the_move"]["median"] < 0.4 * told["pins_move"]
     assert (tmp_path / "out" / "gap.png").stat().st_size > 10_000
     assert {"pose_z", "pose_Ry", "shear_mm"} <= set(told["against"])
+    # The same with a design that is told, into a folder that is not there yet.
+    told = [*command[:-3], str(tmp_path / "other"), *command[-2:], "--design", "nominal-127", "--gap-frames", "8"]
+    assert tactip.main([*told, "--fidelity", "draft"]) == 0
+    assert (tmp_path / "other" / "gap.png").exists()
     right, _ = gap(read_samples(lab), hidden(design_named("nominal-127")), "draft", 20)
     assert right["at_the_best_share_of_the_move"]["median"] < 0.5  # a blob's middle in an image of 128 px
     assert right["images"]["white_within_a_pixel"] > 0.9
