@@ -47,8 +47,8 @@ BENT_PER_M = (-28.0, 80.0)
 """Principal curvatures of bent surfaces, 1/m: as those of the bust: from hollows of 36 mm radius to ridges of 12.5 mm."""
 
 UNEVEN = 0.5
-"""Share of them that are bent unevenly: of even ones alone, a network feels tilts about a nose wrong by 2 degrees; of uneven
-ones alone, the depth on a sphere by 0.2 mm."""
+"""Share of them that are bent unevenly: a network of gently bent ones alone felt tilts about a nose wrong by 2 degrees, one
+of uneven ones alone the depth on a sphere by 0.2 mm."""
 
 BENT_SHEARS = replace(SHEAR_RANGES, x_mm=(-8, 8), y_mm=(-8, 8))
 """Shears on bent surfaces: those of the paper are too short for deep contacts to slide, as in a servo they always do."""
