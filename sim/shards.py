@@ -13,6 +13,7 @@ from dataclasses import replace
 
 from sim.dataset import checksum, meta_json, write_file
 from sim.set_folder import SetFolder
+from tactip_model.errors import TactipError
 
 
 def is_sharded(configuration):
@@ -59,6 +60,11 @@ class ShardedFolder(SetFolder):
         if meta and "shards" in meta:
             for name in ("meta.json", "run.json"):
                 (self._path / name).unlink(missing_ok=True)
+        elif meta and (there := meta["configuration"]["samples"]) > self._configuration.shard_samples:
+            raise TactipError(
+                f"the set in {self._path} cannot grow: it has {there} samples in one folder, more than the "
+                f"{self._configuration.shard_samples} of a shard; make the larger one in another folder"
+            )
         # meta.json goes first: after a kill it is an unfinished set, and the next command moves what it finds.
         first = self._path / _shard_name(0)
         first.mkdir(exist_ok=True)

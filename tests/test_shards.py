@@ -140,6 +140,20 @@ def test_fewer_samples_than_there_are_are_refused(copy, capsys):
         assert f"samples is 10 there and {fewer} here" in capsys.readouterr().err
 
 
+def test_a_set_of_one_folder_that_is_too_large_for_a_shard_is_left_as_it_is(tmp_path, capsys):
+    """As they were made before there were shards."""
+    folder = tmp_path / "set"
+    assert tactip.main(options(folder, samples=3)) == 0
+    meta = json.loads((folder / "meta.json").read_text())
+    meta["configuration"]["samples"] = 6
+    (folder / "meta.json").write_text(json.dumps(meta))
+    before = {path.name for path in folder.iterdir()}
+    assert tactip.main(options(folder)) == 1
+    assert "it has 6 samples in one folder, more than the 4 of a shard" in capsys.readouterr().err
+    assert before <= {path.name for path in folder.iterdir()}
+    assert len(read_dataset(folder).images) == 3
+
+
 def _alter_manifest(folder):
     meta = json.loads((folder / "meta.json").read_text())
     meta["samples"]["kept"] = 11
