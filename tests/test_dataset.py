@@ -123,7 +123,7 @@ def wait_for(condition, seconds=60):
 
 
 def samples_found(told):
-    """How many samples a command that goes on found there: "4 of 6 samples are there already" or "6 of 6 samples, complete already"."""
+    """How many samples a command that goes on found: of "4 of 6 samples are there already", or "6 of 6 samples, complete"."""
     return int(re.search(r"(\d+) of \d+ samples", told)[1])
 
 
