@@ -123,7 +123,7 @@ def wait_for(condition, seconds=60):
 
 
 def samples_found(told):
-    """How many samples a command that goes on found: of "4 of 6 samples are there already", or "6 of 6 samples, complete"."""
+    """How many samples a command that goes on found, by its "4 of 6 samples are there already" or "6 of 6 samples"."""
     return int(re.search(r"(\d+) of \d+ samples", told)[1])
 
 
