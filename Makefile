@@ -26,6 +26,7 @@ help:
 	@echo "make view          the live scene in a browser: drag the stimulus  [TASK=surface|edge]"
 	@echo "make transfer      simulation against a real set  [REAL=data/real] [EXPERIMENT=zero-shot|ablate|few-shot|gap|pseudo-real]"
 	@echo "make report        measure errors and costs (45 min); write docs/*.md and the README's picture"
+	@echo "make reference     write docs/commands.md anew from what the commands say of themselves"
 	@echo "make test          all tests but the slow ones    make test-all   those too"
 	@echo "make lint          ruff and pyright"
 	@echo "make lock          write requirements.lock anew"
@@ -95,6 +96,9 @@ report: $(READY)
 lint: $(READY)
 	@$(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/pyright
 
+reference: $(READY)
+	@$(BIN)/python scripts/commands_page.py docs/commands.md
+
 lock:
 	@rm -rf .venv-lock && python3.11 -m venv .venv-lock
 	@.venv-lock/bin/pip install --quiet torch==2.13.0 && .venv-lock/bin/pip install --quiet '.[dev]'
@@ -104,4 +108,4 @@ lock:
 clean:
 	@rm -rf .venv build *.egg-info .pytest_cache .ruff_cache .hypothesis
 
-.PHONY: help setup sim-dataset train tune servo demo replay view transfer test test-all report lint lock clean
+.PHONY: help setup sim-dataset train tune servo demo replay view transfer test test-all report reference lint lock clean

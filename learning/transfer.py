@@ -18,8 +18,9 @@ from learning.model import find_model, load_model
 from learning.networks import recipe_named
 from learning.samples import Samples, read_samples
 from learning.train import train
-from learning.transfer_settings import GAP
-from learning.twin_of import nominal_of, twin_of
+from learning.transfer_settings import AUTO, GAP
+from learning.twin_of import camera_of, in_use, nominal_of, twin_of
+from learning.varied import noiseless
 from sim.crew import worker_count
 from sim.dataset import Configuration, write_file
 from sim.fidelity import fidelity_named
@@ -79,8 +80,8 @@ class Variant:
     """Whether its contacts are sheared."""
     mechanics: str | None = None
     """none or real."""
-    optics: str | None = None
-    """Of varied.OPTICS."""
+    noise: bool = True
+    """Whether pins are off, of another size or missing, and light is where no pin is."""
     drawn: float | None = None
     """Share of the images that are drawn anew."""
 
@@ -91,7 +92,7 @@ ABLATIONS = {
     "without shear": Variant("unsheared", "unsheared", sheared=False),
     "without varied optics": Variant("one-camera", drawn=0.0),
     "without varied mechanics": Variant("one-tip", "one-tip", mechanics="none"),
-    "without image noise": Variant("noiseless", optics="clean"),
+    "without image noise": Variant("noiseless", noise=False),
 }
 """What is left out, one at a time."""
 
@@ -120,13 +121,22 @@ class Experiment:
         """The Recipe of a training on simulated samples of a Variant."""
         s, recipe = self.settings, recipe_named(self.settings.recipe, self.task)
         drawn = s.drawn if variant.drawn is None else variant.drawn
-        varied = replace(recipe.settings, drawn=drawn, optics=1.0, varied=variant.optics or s.optics, seed=s.seed)
+        varied = replace(recipe.settings, drawn=drawn, optics=1.0, varied=self.optics(variant), seed=s.seed)
         return replace(recipe, settings=varied)
+
+    def optics(self, variant=Variant()):
+        """Name of the OpticsRanges that a Variant's images are drawn under; if uncalibrated, of an unknown camera."""
+        measured = variant.calibrated and camera_of(self.real)
+        name = self.settings.optics
+        if name == AUTO:
+            name = "steady" if measured else "real"
+        return name if variant.noise else noiseless(name)
 
     def design(self):
         """The sensor's Design: as it was told, or fitted to the neutral image."""
         if self._told:
-            return replace(self._told, image=replace(self._told.image, size_px=self.samples.size))
+            told = in_use(self._told, camera_of(self.real))
+            return replace(told, image=replace(told.image, size_px=self.samples.size))
         self._say("the tip and its camera are fitted to the neutral image")
         design, figures = twin_of(self.real, self.samples.size)
         self.out.mkdir(parents=True, exist_ok=True)
@@ -198,7 +208,7 @@ class Experiment:
         """The Model of simulation, fine-tuned with `count` real frames."""
         folder = self.out / f"network-sim-and-{count}"
         base, (trained, _) = self.network(), self.simulated()
-        settings = FineTuning(self.settings.seed, self.settings.tuning_steps, optics=self.settings.optics)
+        settings = FineTuning(self.settings.seed, self.settings.tuning_steps, optics=self.optics())
         fine_tune(base, trained, self.split.known.take(slice(0, count)), settings, folder, self._device, self._say)
         return load_model(folder)
 

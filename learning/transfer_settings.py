@@ -7,6 +7,9 @@ from sim.variation import VARIATIONS
 from tactip_model.bounds import check, within
 from tactip_model.errors import choose
 
+AUTO = "auto"
+"""Name of the optics that are chosen by the set."""
+
 GAP = "gap.png"
 """Figure of the gap."""
 
@@ -27,8 +30,9 @@ class TransferSettings:
     """Real frames that a network is fine-tuned with."""
     mechanics: str = "real"
     """none or real: sim/variation.py."""
-    optics: str = "real"
-    """lens, real or rim: varied.py."""
+    optics: str = AUTO
+    """auto, or one of varied.py: lens, real, rim, steady; auto is steady where light at the rim has told how the camera
+    changed since the neutral image, and real elsewhere."""
     drawn: float = within(0, 1, default=0.6)
     """Share of the images that are drawn under varied optics."""
     fidelity: str = "standard"
@@ -47,4 +51,4 @@ class TransferSettings:
     def __post_init__(self):
         check(self)
         choose("mechanics", self.mechanics, VARIATIONS)
-        choose("optics", self.optics, OPTICS)
+        choose("optics", self.optics, dict.fromkeys((AUTO, *OPTICS)))

@@ -1,14 +1,16 @@
-"""A design of a real sensor from its neutral image alone: lens, camera and pins are fitted, the rest is as the field has it.
+"""A design of a real sensor from its neutral image: lens, camera and pins are fitted, the rest is as the field has it.
 
-No label is needed. What the image does not tell, the mechanics, is varied instead (sim/variation.py).
+No label is needed. How the camera has changed since that image is told by the light at the rim of unlabelled frames, where
+it shows. What neither tells, the mechanics, is varied instead (sim/variation.py).
 """
 
+import json
 from dataclasses import replace
 
 import cv2
 import numpy as np
 
-from sim.importing import NEUTRAL, NEUTRAL_TACTILE
+from sim.importing import NEUTRAL, NEUTRAL_TACTILE, REPORT
 from tactip_model.blobs import find_blobs
 from tactip_model.errors import TactipError
 from tactip_model.image import tactile_image
@@ -37,7 +39,23 @@ def twin_of(folder, size_px):
     design, fit = fit_neutral(replace(NOMINAL[name], name=folder.resolve().name), image)
     design = replace(design, image=replace(design.image, size_px=size_px))
     design = with_pin_sizes(design, tactile > 127)
-    return design, {"layout": name, "pins": blobs, "before_px": fit.before_px, "lattice_px": fit.lattice_px}
+    camera = camera_of(folder)
+    design = in_use(design, camera)
+    found = {"layout": name, "pins": blobs, "before_px": fit.before_px, "lattice_px": fit.lattice_px}
+    return design, found | {"camera": camera}
+
+
+def camera_of(folder):
+    """How the camera of an imported set (path) has changed since its neutral image: dict of zoom (-), drift (2, of width)
+    and what one frame tells of them (`of_one_frame`); None where the light at the rim does not tell it."""
+    return json.loads((folder / REPORT).read_text()).get("camera")
+
+
+def in_use(design, camera):
+    """A Design that was fitted to a neutral image, with its camera as it was after that. camera: of camera_of."""
+    if not camera:
+        return design
+    return replace(design, optics=replace(design.optics, zoom=camera["zoom"], drift=tuple(camera["drift"])))
 
 
 def nominal_of(pins, size_px):

@@ -59,14 +59,24 @@ _REAL = OpticsRanges(
     speckles=2.0,
 )
 
-_NO_NOISE = {"pin_each": 0.0, "jitter_px": 0.0, "missing": 0.0, "merged_px": 0.0, "speckles": 0.0}
+STEADY = {"zoom": 0.002, "drift": 0.003}
+"""What is left of zoom and drift where they were measured, by the light at the rim: one frame tells the zoom to 1e-3."""
+
+_NO_NOISE = dict.fromkeys(("pin_each", "jitter_px", "missing", "merged_px", "speckles", "rim_lights"), 0.0)
 
 OPTICS = {
     "lens": OpticsRanges(),
     "real": _REAL,
     "rim": replace(_REAL, rim_lights=8.0),
-    "clean": replace(_REAL, **_NO_NOISE),
+    "steady": replace(_REAL, **STEADY),
 }
+OPTICS |= {f"{name}-clean": replace(ranges, **_NO_NOISE) for name, ranges in OPTICS.items()}
 """By name: `lens`, what the paper's own sensor may do from day to day; `real`, what real sensors of a kind differ in, after
-the calibration to a neutral image; `rim`, the same with light at the rim, for frames that are not masked; `clean`, `real`
-without what is not the camera's."""
+the calibration to a neutral image; `rim`, the same with light at the rim, for frames that are not masked; `steady`, as
+`real`, of a camera whose zoom and drift since the neutral image were measured, which is worth much: a pin of a larger image
+lies farther out, as of a deeper contact. Each with `-clean`: without what is not the camera's, and without rim lights."""
+
+
+def noiseless(name):
+    """Name of the OpticsRanges without noise."""
+    return name if name.endswith("-clean") else f"{name}-clean"

@@ -33,6 +33,7 @@ from tactip_model.design import TactileImage
 from tactip_model.errors import Stopped, TactipError
 from tactip_model.image import binary_frame, tactile_image
 from tactip_model.mask import pin_area
+from tactip_model.neutral import camera_change
 
 FOLDERS = ("images", "frames", "frames_bw", "")
 """Where frames are looked for, inside the set's folder."""
@@ -44,7 +45,7 @@ pixels, where frames are grey); what was found, and how it looks."""
 _NEUTRALS = ("init*", "neutral*")
 
 _UNTOLD = 40
-"""Frames by which it is told where the pins are, if there is no neutral image."""
+"""Frames by which it is told where the pins are, if there is no neutral image, and how the camera has changed since it."""
 
 FEW = 0.8
 """A frame with fewer of the pins than this share of the usual number does not fit."""
@@ -102,7 +103,13 @@ class FrameReader:
 
     def whole(self, frame):
         """As `read`, as large as the frame has it."""
-        binary = self.masked(frame)
+        return self._as_large(self.masked(frame))
+
+    def with_rim(self, frame):
+        """As `whole`, with what is outside of the pins."""
+        return self._as_large(self.binary(frame))
+
+    def _as_large(self, binary):
         left, top, right, bottom = self._image.crop or (0, 0, *binary.shape[::-1])
         return self._square(binary, min(right - left, bottom - top))
 
@@ -206,13 +213,16 @@ def load_neutral(path):
 
 def _some(paths):
     """_UNTOLD frames, spread over those of `paths` that are there, can be read, and are as large as the first of them."""
-    there = [path for path in paths if path]
-    chosen = [there[i] for i in np.unique(np.linspace(0, len(there) - 1, _UNTOLD).astype(int))]
     frames = []
-    for path in chosen:
+    for path in _spread([path for path in paths if path]):
         with contextlib.suppress(TactipError):  # it is left out, and said, when its turn comes
             frames.append(load(path))
     return [frame for frame in frames if frame.shape == frames[0].shape]
+
+
+def _spread(items):
+    """_UNTOLD of a list, or all if they are fewer."""
+    return [items[i] for i in np.unique(np.linspace(0, len(items) - 1, _UNTOLD).astype(int))]
 
 
 def import_set(source, layout, out, say=print, quiet=False):
@@ -226,10 +236,13 @@ def import_set(source, layout, out, say=print, quiet=False):
     record = {"task": layout.task, "layout": json.loads(json.dumps(dataclasses.asdict(layout)))}
     record |= {"source": {"name": source.folder.resolve().name, "targets_sha256": source.digest}}
     record["source"]["neutral_sha256"] = source.neutral and checksum(source.neutral.read_bytes())
-    if (out / "meta.json").exists() and _same(out, record):
+    there = _there(out, record)
+    if there and "camera" in there:
         say(f"{out} holds this set, imported already")
-        return json.loads((out / REPORT).read_text())
-    if out.exists() and not (out / _WORK).exists() and any(out.iterdir()):
+        return there
+    if there:
+        say(f"{out} was imported by an earlier version, which did not look at the camera: it is imported anew")
+    elif out.exists() and not (out / _WORK).exists() and any(out.iterdir()):
         raise TactipError(f"the folder {out} is not empty: name another one")
     try:
         return _import(source, layout, out, record, say, quiet)
@@ -240,9 +253,13 @@ def import_set(source, layout, out, say=print, quiet=False):
 _WORK = ".importing"
 
 
-def _same(out, record):
+def _there(out, record):
+    """The report (dict) of what was imported alike into a folder before; None if nothing was."""
+    if not (out / "meta.json").exists():
+        return None
     there = json.loads((out / "meta.json").read_text()).get("configuration")
-    return isinstance(there, dict) and all(there.get(k) == v for k, v in record.items())
+    same = isinstance(there, dict) and all(there.get(k) == v for k, v in record.items())
+    return json.loads((out / REPORT).read_text()) if same else None
 
 
 def _import(source, layout, out, record, say, quiet):
@@ -277,6 +294,7 @@ def _import(source, layout, out, record, say, quiet):
     for k, i in enumerate(kept):
         write_file(out / "images" / image_name(k), images[i])
     report = _report(source, kept, pins, left_out, neutral is not None)
+    report["camera"] = None if neutral is None else _camera(source, kept, reader, neutral)
     files = {"targets.csv": _targets(source, kept), REPORT: (json.dumps(report, indent=1) + "\n").encode()}
     if neutral is not None:
         files[NEUTRAL] = encode_image(reader.whole(neutral))
@@ -303,6 +321,17 @@ def _import(source, layout, out, record, say, quiet):
     write_file(out / "meta.json", (json.dumps(meta, indent=1) + "\n").encode())
     (out / _WORK).unlink()
     return report
+
+
+def _camera(source, kept, reader, neutral):
+    """What the light at the rim tells of zoom and drift since the neutral image: dict; None where there is too little."""
+    before = reader.with_rim(neutral)
+    middle = find_blobs(reader.whole(neutral)).centres.mean(0)
+    found = camera_change(before, (reader.with_rim(load(source.paths[i])) for i in _spread(list(kept))), middle)
+    if found is None:
+        return None
+    (zoom, *drift), (zoom_of_one, *drift_of_one) = (values.tolist() for values in found)
+    return {"zoom": zoom, "drift": drift, "of_one_frame": {"zoom": zoom_of_one, "drift": drift_of_one}}
 
 
 def _ranges(values, usual):
@@ -354,6 +383,14 @@ def report_lines(report):
             lines.append(f"{name}: {low:g} to {high:g} {'°' if '_R' in name else 'mm'}")
     if not report["neutral_image"]:
         lines.append("there is no neutral image: where the pins are was told from frames")
+    elif report["camera"]:
+        zoom, drift = report["camera"]["zoom"], report["camera"]["drift"]
+        lines.append(
+            f"by the light at the rim the image is {zoom:.4f} times the neutral one, and moved by {drift[0]:+.4f} and "
+            f"{drift[1]:+.4f} of its width"
+        )
+    else:
+        lines.append("too little light at the rim to tell by it how the camera has changed since the neutral image")
     lines += [f"left out: {one['frame'] or 'row ' + str(one['row'])}: {one['why']}" for one in report["left_out"][:5]]
     if len(report["left_out"]) > 5:
         lines.append(f"and {len(report['left_out']) - 5} more: see {REPORT}")

@@ -10,6 +10,7 @@ import pytest
 
 import tactip
 from learning.samples import read_samples
+from learning.twin_of import twin_of
 from sim import importing
 from sim.dataset import read_dataset
 from sim.importing import FrameReader
@@ -18,6 +19,7 @@ from tactip_model.blobs import find_blobs
 from tactip_model.errors import TactipError
 from tactip_model.image import tactile_image
 from tactip_model.mask import pin_area
+from tactip_model.neutral import neutral_px
 from tactip_model.pins import neutral_pins
 from tactip_model.presets import design_named
 from tactip_model.raster import Raster
@@ -99,6 +101,48 @@ def test_light_at_the_rim_is_masked_and_pins_are_not(tmp_path):
     assert np.array_equal(told.masked(lit), plain)
     with pytest.raises(TactipError, match="at most 0 pins are seen"):
         pin_area([np.zeros((64, 64), np.uint8)])
+
+
+def lit_all_round(image, zoom=1.0, right_px=0.0):
+    """The frame with six arcs of light round it, as large and as far to the right as a camera that grew warm sees them."""
+    lit, fine = image.copy(), 1 << 4
+    centre, radius = round((SIZE / 2 + right_px) * fine), round(120 * zoom * fine)
+    for start in range(0, 360, 60):
+        cv2.ellipse(lit, (centre, SIZE // 2 * fine), (radius, radius), 0, start, start + 40, 255, 4, cv2.LINE_AA, 4)
+    return np.where(lit > 127, 255, 0).astype(np.uint8)
+
+
+def test_light_at_the_rim_tells_how_the_camera_has_changed(tmp_path, capsys):
+    write_set(tmp_path / "lab")
+    cv2.imwrite(str(tmp_path / "lab" / "init_0.png"), lit_all_round(frame()))
+    for k in range(12):
+        cv2.imwrite(str(tmp_path / "lab" / "images" / f"frame_{k}.png"), lit_all_round(frame(1 + 0.005 * k), 1.02, 1.0))
+    assert bring(tmp_path / "lab", tmp_path / "set") == 0
+    assert "by the light at the rim the image is 1.0" in capsys.readouterr().out
+    camera = json.loads((tmp_path / "set" / "import.json").read_text())["camera"]
+    assert camera["zoom"] == pytest.approx(1.02, abs=0.003)
+    assert camera["drift"] == pytest.approx([1 / SIZE, 0.0], abs=0.001)
+    # One that an earlier version imported, which did not look, is imported anew.
+    meta = (tmp_path / "set" / "meta.json").read_bytes()
+    report = json.loads((tmp_path / "set" / "import.json").read_text())
+    del report["camera"]
+    (tmp_path / "set" / "import.json").write_text(json.dumps(report))
+    assert bring(tmp_path / "lab", tmp_path / "set") == 0
+    assert "which did not look at the camera" in capsys.readouterr().out
+    assert (tmp_path / "set" / "meta.json").read_bytes() == meta
+    # The twin has it, and the pins that the neutral image shows are where they were when that was taken.
+    design, figures = twin_of(tmp_path / "set", 128)
+    assert figures["camera"] == camera and design.optics.zoom == camera["zoom"]
+    then = replace(design, optics=replace(design.optics, zoom=1.0, drift=(0.0, 0.0)))
+    assert np.abs(neutral_px(then) - neutral_px(DESIGN)).max() < 0.6
+
+
+def test_a_camera_of_which_no_light_tells_is_not_known(tmp_path, capsys):
+    write_set(tmp_path / "lab")  # one arc of light
+    assert bring(tmp_path / "lab", tmp_path / "set") == 0
+    assert "too little light at the rim" in capsys.readouterr().out
+    assert json.loads((tmp_path / "set" / "import.json").read_text())["camera"] is None
+    assert twin_of(tmp_path / "set", 128)[0].optics.zoom == 1.0
 
 
 def test_frames_that_are_mirrored_turned_and_dark():

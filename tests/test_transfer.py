@@ -2,6 +2,7 @@
 
 import csv
 import json
+import shutil
 from dataclasses import replace
 
 import cv2
@@ -125,6 +126,27 @@ def test_zero_and_few_shot_from_the_command_line(lab, tiny, tmp_path, capsys):
     assert made == {p: p.stat().st_mtime_ns for p in made}
 
 
+def test_optics_are_as_narrow_as_the_light_at_the_rim_allows(lab, tmp_path):
+    report = json.loads((lab / "import.json").read_text())
+    assert report["camera"] is None  # one arc of light is too little
+    known = tmp_path / "known"
+    shutil.copytree(lab, known)
+    report["camera"] = {"zoom": 1.01, "drift": [0.001, 0.0], "of_one_frame": {"zoom": 1e-3, "drift": [1e-3, 1e-3]}}
+    (known / "import.json").write_text(json.dumps(report))
+    settings = TransferSettings(real_frames=30)
+    variants = [ABLATIONS[what] for what in ("all of it", "without calibration", "without image noise")]
+
+    def names(folder, **changed):
+        experiment = Experiment(folder, tmp_path / "out", replace(settings, **changed))
+        return [experiment.optics(variant) for variant in variants]
+
+    assert names(lab) == ["real", "real", "real-clean"]
+    assert names(known) == ["steady", "real", "steady-clean"]
+    assert names(known, optics="rim") == ["rim", "rim", "rim-clean"]
+    told = Experiment(known, tmp_path / "out", replace(settings, design="tactip-127")).design()
+    assert told.optics.zoom == 1.01 and told.pins == design_named("tactip-127").pins
+
+
 @pytest.mark.slow
 def test_each_part_is_left_out_by_itself(lab, tiny, tmp_path):
     command = ["--real", str(lab), "--out", str(tmp_path / "out"), *FEW]
@@ -216,7 +238,7 @@ def test_the_gap_is_seen_and_closes_with_the_right_design(lab, tmp_path, capsys)
     ("options", "words"),
     [
         (["--real-frames", "50"], "with 50 to learn from, 20 or more must be left to test on"),
-        (["--optics", "rainbow"], "unknown optics 'rainbow': choose one of lens, real, rim"),
+        (["--optics", "rainbow"], "unknown optics 'rainbow': choose one of auto, lens, real, rim, steady"),
         (["--mechanics", "stone"], "unknown mechanics 'stone'"),
         (["--recipe", "cake"], "unknown recipe 'cake'"),
         (["--design", "cube"], "unknown design 'cube'"),
