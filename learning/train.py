@@ -77,7 +77,7 @@ class TrainSettings:
     """How far the optics are varied for that, of the ranges `varied`; 0.2 of `lens` is little more than which pixels a pin
     falls on."""
     varied: str = "lens"
-    """What is varied: lens, real or rim (varied.py)."""
+    """What is varied: lens, real, rim or steady (varied.py), each also without noise: lens-clean and so on."""
 
     def __post_init__(self):
         check(self)

@@ -119,10 +119,14 @@ class Experiment:
 
     def recipe(self, variant=Variant()):
         """The Recipe of a training on simulated samples of a Variant."""
-        s, recipe = self.settings, recipe_named(self.settings.recipe, self.task)
+        s, recipe = self.settings, self._recipe()
         drawn = s.drawn if variant.drawn is None else variant.drawn
         varied = replace(recipe.settings, drawn=drawn, optics=1.0, varied=self.optics(variant), seed=s.seed)
         return replace(recipe, settings=varied)
+
+    def _recipe(self):
+        recipe, least = recipe_named(self.settings.recipe, self.task), self.settings.least_steps
+        return recipe if least is None else replace(recipe, settings=replace(recipe.settings, least_steps=least))
 
     def optics(self, variant=Variant()):
         """Name of the OpticsRanges that a Variant's images are drawn under; if uncalibrated, of an unknown camera."""
@@ -196,7 +200,7 @@ class Experiment:
         """The Model that was trained on `count` real frames alone, a part of them held to stop by."""
         held = min(_HELD, round(_LEAST_HELD * count))
         known = self.split.known.take(slice(0, count))
-        recipe = recipe_named(self.settings.recipe, self.task)
+        recipe = self._recipe()
         plain = replace(recipe.settings, drawn=0.0, seed=self.settings.seed)
         folder = self.out / f"network-real-{count}"
         train(

@@ -39,6 +39,8 @@ class TransferSettings:
     """draft, standard or reference."""
     recipe: str = "laptop"
     """Network and training: networks.py."""
+    least_steps: int | None = None
+    """Steps of a training, at least; as many as the recipe has if none are given."""
     start: str = ""
     """A shipped network, or the folder of a training, that training on simulated contacts begins with; none if empty."""
     gap_frames: int = within(8, 10**5, default=150)

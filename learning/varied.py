@@ -59,8 +59,9 @@ _REAL = OpticsRanges(
     speckles=2.0,
 )
 
-STEADY = {"zoom": 0.002, "drift": 0.003}
-"""What is left of zoom and drift where they were measured, by the light at the rim: one frame tells the zoom to 1e-3."""
+STEADY = {"zoom": 0.002, "drift": 0.003, "distortion": 0.0, "stretch": 0.0}
+"""What is left where zoom and drift since the neutral image were measured, by the light at the rim: one frame tells the zoom
+to 1e-3. How the lens distorts and a crop stretches is in the neutral image: the twin has its pins where that shows them."""
 
 _NO_NOISE = dict.fromkeys(("pin_each", "jitter_px", "missing", "merged_px", "speckles", "rim_lights"), 0.0)
 

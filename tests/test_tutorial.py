@@ -1,0 +1,53 @@
+"""The tutorial, as a newcomer follows it: its commands, one after the other, and what it says that they leave."""
+
+import csv
+import json
+import os
+import re
+import shlex
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+TUTORIAL = ROOT / "docs" / "tutorial.md"
+
+_MOST_S = 30 * 60
+"""What it may take on two cores, by its own words."""
+
+
+def commands():
+    """The commands of the tutorial, each a list of words."""
+    blocks = re.findall(r"^```sh\n(.*?)^```", TUTORIAL.read_text().replace("\\\n", " "), re.DOTALL | re.MULTILINE)
+    return [shlex.split(line) for block in blocks for line in block.splitlines()]
+
+
+def test_it_is_all_commands_of_the_project():
+    assert len(commands()) >= 10
+    assert {words[0] for words in commands()} == {"make", "tactip"}
+
+
+@pytest.mark.slow
+def test_it_ends_where_it_says(tmp_path):
+    home = {**os.environ, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
+    begun = time.monotonic()
+    for words in commands():
+        # make is told to leave its sets here, and not in the checkout.
+        there = [*words, "-C", str(ROOT), f"OUT={tmp_path / 'data'}"] if words[0] == "make" else words
+        ended = subprocess.run(there, cwd=tmp_path, env=home, capture_output=True, text=True)
+        assert ended.returncode == 0, f"{shlex.join(words)}\n{ended.stdout[-2000:]}\n{ended.stderr[-4000:]}"
+        print(f"{time.monotonic() - begun:6.0f} s  {shlex.join(words)}")
+    # Not a timed test: machines differ, and share their cores. What it took is printed.
+    runs = tmp_path / "runs" / "tutorial"
+    assert (runs / "sheet.png").exists() and (runs / "sphere.gif").exists()
+    for name in ("sphere", "rim"):
+        score = json.loads((runs / name / "score.json").read_text())
+        assert score["contact_losses"] == 0, score
+    results = json.loads((runs / "other" / "results.json").read_text())
+    tuned = results["few-shot"]["50"]["fine_tuned"]["mae"]
+    with (runs / "other" / "hidden" / "set" / "targets.csv").open() as file:
+        assert len(list(csv.DictReader(file))) == 300
+    assert tuned["pose_z"] < 0.3 and tuned["pose_Rx"] < 3
