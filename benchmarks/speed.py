@@ -6,18 +6,23 @@ n contacts less that of one of a few, over the difference, so that what is paid 
 
 import contextlib
 import json
+import multiprocessing
 import os
 import statistics
 import subprocess
 import sys
 import tempfile
 import time
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
+import mujoco
 import numpy as np
+from mujoco import batch
 
 from benchmarks.machine import machine
+from sim.contact import ContactPlayer
 from sim.dataset import Configuration, write_file
 from sim.fidelity import fidelity_named
 from sim.generation import Job, make
@@ -271,6 +276,65 @@ def _faces(options):
     return rows
 
 
+_PRESSED_M = (0.0, 0.0, -3e-3, 0.1, 0.0, 0.0)
+"""The pose of the contact that threads and processes play, m and rad."""
+
+_SHEARED_M = (2e-3, 0.0, 0.0, 0.0, 0.0, 0.0)
+"""Its shear."""
+
+
+def _played_contacts(count):
+    """Time (s) of `count` contacts by a player of its own, the first left out."""
+    player = ContactPlayer(find_design("tactip-127"), "surface", fidelity_named("standard"))
+    player.play(_PRESSED_M, _SHEARED_M)
+    start = time.perf_counter()
+    for _ in range(count):
+        player.play(_PRESSED_M, _SHEARED_M)
+    return time.perf_counter() - start
+
+
+def _threads(options):
+    """Contacts by processes and by threads of one process; steps of a pressed tip by MuJoCo's own batches, beside ours."""
+    cores, count = int(machine()["cores"]), max(1, options.contacts // 4)
+    rows = []
+    spawned = multiprocessing.get_context("spawn")
+    for workers in sorted({1, cores}):
+        with ProcessPoolExecutor(workers, spawned) as pool:
+            seconds = max(pool.map(_played_contacts, [count] * workers))
+        rows.append({"what": "contacts, processes", "workers": workers, "contacts/s": workers * count / seconds})
+    with ThreadPoolExecutor(cores) as pool:
+        seconds = max(pool.map(_played_contacts, [count] * cores))
+    rows.append({"what": "contacts, threads of one process", "workers": cores, "contacts/s": cores * count / seconds})
+    player = ContactPlayer(find_design("tactip-127"), "surface", fidelity_named("standard"))
+    player.play(_PRESSED_M, _SHEARED_M)
+    model, data, steps = player.scene.model, player.scene.data, 25 * count
+    size = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_INTEGRATION)
+    state = np.empty(size)
+    mujoco.mj_getState(model, data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
+
+    def rate(step):
+        mujoco.mj_setState(model, data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
+        step()
+        start = time.perf_counter()
+        for _ in range(steps):
+            step()
+        return steps / (time.perf_counter() - start)
+
+    rows.append({"what": "steps, ours", "workers": 1, "steps/s": rate(player.scene.step)})
+    rows.append({"what": "steps, mj_step", "workers": 1, "steps/s": rate(lambda: mujoco.mj_step(model, data))})
+    for threads in sorted({1, cores}):
+        many = batch.Batch(model, nsim=4 * cores, nthread=threads, persistent=True)
+        many.state[:] = state
+        many.step(nstep=1)
+        start = time.perf_counter()
+        many.step(nstep=steps // 4)
+        rows.append({
+            "what": f"steps, mujoco.batch of {4 * cores}", "workers": threads,
+            "steps/s": 4 * cores * (steps // 4) / (time.perf_counter() - start),
+        })  # fmt: skip
+    return rows
+
+
 def _start_up(options):
     """Time of every command's help: what is imported before anything is done."""
     rows = []
@@ -329,6 +393,7 @@ GROUPS = {
     "learning": ("Training and estimates", _learning),
     "servo": ("Servo steps a second", _following),
     "faces": ("Steps on objects of more triangles", _faces),
+    "threads": ("Threads against processes", _threads),
     "start-up": ("Every command's help", _start_up),
     "first-words": ("Time until a command at work says its first word", _first_words),
 }

@@ -1,0 +1,69 @@
+"""The wheel, with all that it needs in it: installed into a clean environment, on every Python that there is here."""
+
+import json
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+VERSIONS = ("3.11", "3.12", "3.13")
+TORCH = next(line for line in (ROOT / "requirements.lock").read_text().splitlines() if line.startswith("torch=="))
+
+
+def interpreter(version):
+    """Path of a Python of a version ("3.12"), or None where there is none that runs."""
+    found = shutil.which(f"python{version}")
+    told = found and subprocess.run([found, "--version"], capture_output=True, text=True)
+    if told and told.returncode == 0 and told.stdout.startswith(f"Python {version}."):
+        return found
+    # pyenv's are beside the one that runs this.
+    beside = sorted(Path(sys.base_prefix).parent.glob(f"{version}.*/bin/python"))
+    return str(beside[0]) if beside else None
+
+
+def test_the_versions_are_those_that_the_package_asks_for():
+    asked = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["requires-python"]
+    assert asked == f">={VERSIONS[0]},<3.{int(VERSIONS[-1].split('.')[1]) + 1}"
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory):
+    out = tmp_path_factory.mktemp("wheel")
+    source = out / "source"
+    subprocess.run([shutil.which("git"), "clone", "--quiet", str(ROOT), str(source)], check=True)
+    subprocess.run(
+        [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", str(source), "--wheel-dir", str(out)], check=True
+    )
+    return next(out.glob("*.whl"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("version", VERSIONS)
+def test_it_works_where_there_is_no_checkout(wheel, tmp_path, version):
+    python = interpreter(version)
+    if python is None:
+        pytest.skip(f"no Python {version} here")
+    subprocess.run([python, "-m", "venv", str(tmp_path / "env")], check=True)
+    bin_ = tmp_path / "env" / "bin"
+    subprocess.run([bin_ / "pip", "install", "--quiet", TORCH, str(wheel)], check=True)
+
+    def run(*words):
+        ended = subprocess.run([bin_ / "tactip", *words], cwd=tmp_path, capture_output=True, text=True)
+        assert ended.returncode == 0, ended.stderr
+        return ended.stdout
+
+    subprocess.run(
+        [bin_ / "python", "-W", "error", "-c", "import tactip_model, sim, learning, control, hyperopt"],
+        cwd=tmp_path,
+        check=True,
+    )
+    run("dataset", "make", "--samples", "4", "--fidelity", "draft", "--out", "set")
+    assert "whole; 4 samples" in run("dataset", "verify", "set")
+    assert json.loads(run("evaluate", "--model", "surface-tactip-127", "--data", "set", "--json"))["mae"]["pose_z"] < 0.5
+    run("servo", "--task", "surface", "--object", "sphere", "--fidelity", "draft", "--route.kind", "straight",
+        "--route.length-mm", "6", "--out", "run")  # fmt: skip
+    assert json.loads((tmp_path / "run" / "score.json").read_text())["contact_losses"] == 0
