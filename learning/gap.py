@@ -16,6 +16,7 @@ from sim.contact import ContactPlayer
 from sim.fidelity import fidelity_named
 from sim.pose import from_mm_deg
 from tactip_model.blobs import PinMatcher, find_blobs
+from tactip_model.errors import TactipError
 from tactip_model.image import tactile_image
 from tactip_model.neutral import neutral_px, reference_pixels
 from tactip_model.optics import REFERENCE_PX
@@ -34,7 +35,8 @@ _SEEN = 0.6
 def gap(samples, design, fidelity, frames, seed=0):
     """Distances of real pins from simulated ones: a dict (JSON), and arrays for a picture.
 
-    samples: Samples of a real set. design: Design. fidelity: name. frames: int, drawn from the samples. seed: int.
+    samples: Samples of a real set. design: Design. fidelity: name. frames: int, drawn from the samples. seed: int. Raises
+    TactipError where no frame's pins are those of the design.
     """
     order = np.random.default_rng(seed).permutation(len(samples))[:frames]
     chosen = samples.take(np.sort(order))
@@ -43,12 +45,21 @@ def gap(samples, design, fidelity, frames, seed=0):
     matcher = PinMatcher((neutral + 0.5) * width / REFERENCE_PX - 0.5)
     real = np.array([reference_pixels(matcher.match(find_blobs(image)), width) for image in chosen.images])
     good = np.isfinite(real[..., 0]).mean(1) > _SEEN
+    if not good.any():
+        raise TactipError(
+            f"in none of {len(good)} frames {_SEEN:.0%} of the pins of {design.name!r} are found: is it the design?"
+        )
     simulated, images = _played(chosen.take(good), design, fidelity)
     real, chosen = real[good], chosen.take(good)
     shares, fitted, _ = best_share(simulated, real)
     # A frame that is off by half of what lies between pins is one whose pins were taken for their neighbours.
     between = np.median(cKDTree(neutral).query(neutral, 2)[0][:, 1])
     right = np.nanmedian(np.linalg.norm(fitted - real, axis=-1), 1) < between / 2
+    if not right.any():
+        raise TactipError(
+            f"in none of {len(good)} frames the pins of {design.name!r} are nearer to those seen than to their neighbours: "
+            "is it the design?"
+        )
     taken = (real, chosen, shares, fitted, simulated, images)
     real, chosen, shares, fitted, simulated, images = (a.take(right) if a is chosen else a[right] for a in taken)
     told = simulated[:, -1]

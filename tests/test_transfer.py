@@ -232,6 +232,8 @@ def test_the_gap_is_seen_and_closes_with_the_right_design(lab, tmp_path, capsys)
     right, _ = gap(read_samples(lab), hidden(design_named("nominal-127")), "draft", 20)
     assert right["at_the_best_share_of_the_move"]["median"] < 0.5  # a blob's middle in an image of 128 px
     assert right["images"]["white_within_a_pixel"] > 0.9
+    with pytest.raises(TactipError, match="in none of 8 frames"):
+        gap(read_samples(lab), design_named("nominal-331"), "draft", 8)
 
 
 @pytest.mark.parametrize(
