@@ -48,7 +48,8 @@ def twin_of(folder, size_px):
 def camera_of(folder):
     """How the camera of an imported set (path) has changed since its neutral image: dict of zoom (-), drift (2, of width)
     and what one frame tells of them (`of_one_frame`); None where the light at the rim does not tell it."""
-    return json.loads((folder / REPORT).read_text()).get("camera")
+    report = folder / REPORT
+    return json.loads(report.read_text()).get("camera") if report.exists() else None  # a simulated set has none
 
 
 def in_use(design, camera):

@@ -143,6 +143,9 @@ def test_optics_are_as_narrow_as_the_light_at_the_rim_allows(lab, tmp_path):
     assert names(lab) == ["real", "real", "real-clean"]
     assert names(known) == ["steady", "real", "steady-clean"]
     assert names(known, optics="rim") == ["rim", "rim", "rim-clean"]
+    (known / "import.json").unlink()  # as of a simulated set, in the place of a real one
+    assert names(known, design="tactip-127") == ["real", "real", "real-clean"]
+    (known / "import.json").write_text(json.dumps(report))
     told = Experiment(known, tmp_path / "out", replace(settings, design="tactip-127")).design()
     assert told.optics.zoom == 1.01 and told.pins == design_named("tactip-127").pins
 
