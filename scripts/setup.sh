@@ -10,16 +10,16 @@ install_debian() { # packages...
 
 python=${PYTHON:-}
 if [ -z "$python" ]; then
-    for candidate in python3.11 python3.12 python3; do
+    for candidate in python3.11 python3.12 python3.13 python3; do
         if command -v "$candidate" >/dev/null 2>&1 &&
-            "$candidate" -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 13))'; then
+            "$candidate" -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 14))'; then
             python=$candidate
             break
         fi
     done
 fi
 if [ -z "$python" ]; then
-    echo "setup: Python 3.11 or 3.12 is needed and not here: install it, or name it by make PYTHON=/path/to/python3.11" >&2
+    echo "setup: Python 3.11, 3.12 or 3.13 is needed and not here: install it, or name it by make PYTHON=/path/to/python3.11" >&2
     exit 1
 fi
 
