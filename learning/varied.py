@@ -61,7 +61,7 @@ _REAL = OpticsRanges(
 
 STEADY = {"zoom": 0.002, "drift": 0.003, "distortion": 0.0, "stretch": 0.0}
 """What is left where zoom and drift since the neutral image were measured, by the light at the rim: one frame tells the zoom
-to 3e-4 [M]. How the lens distorts and a crop stretches is in the neutral image: the twin has its pins where that shows them."""
+to 3e-4 [M]. How lens and crop distort is in the neutral image: the twin has its pins where that shows them."""
 
 _NO_NOISE = dict.fromkeys(("pin_each", "jitter_px", "missing", "merged_px", "speckles", "rim_lights"), 0.0)
 
