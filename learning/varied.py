@@ -59,7 +59,7 @@ _REAL = OpticsRanges(
     speckles=2.0,
 )
 
-STEADY = {"zoom": 0.002, "drift": 0.003, "distortion": 0.0, "stretch": 0.0}
+_STEADY = {"zoom": 0.002, "drift": 0.003, "distortion": 0.0, "stretch": 0.0}
 """What is left where zoom and drift since the neutral image were measured, by the light at the rim: one frame tells the zoom
 to 3e-4 [M]. How lens and crop distort is in the neutral image: the twin has its pins where that shows them."""
 
@@ -69,7 +69,7 @@ OPTICS = {
     "lens": OpticsRanges(),
     "real": _REAL,
     "rim": replace(_REAL, rim_lights=8.0),
-    "steady": replace(_REAL, **STEADY),
+    "steady": replace(_REAL, **_STEADY),
 }
 OPTICS |= {f"{name}-clean": replace(ranges, **_NO_NOISE) for name, ranges in OPTICS.items()}
 """By name: `lens`, what the paper's own sensor may do from day to day; `real`, what real sensors of a kind differ in, after

@@ -273,8 +273,7 @@ class Calibrator:
         slopes, force_slopes = [], []
         for p in smooth:
             moved = p.moved(twin, 1.0)
-            # A mechanical change leaves the pins where they were built, unless the tip has another shape.
-            design = twin.design if p.mechanical and p.part != "shape" else self._rebuilt(moved).design
+            design = self._rebuilt(moved).design if not p.mechanical else twin.design
             pins = pixels(design, fidelity, skins[p.name if p.mechanical else None])
             slopes.append(residual(pins) - residual(here))
             force_slopes.append(np.log(forces[p.name if p.mechanical else None] / forces[None]) / _FORCE_SPREAD)

@@ -265,6 +265,7 @@ def _there(out, record):
 def _import(source, layout, out, record, say, quiet):
     out.mkdir(parents=True, exist_ok=True)
     write_file(out / _WORK, b"")  # first of all, so that what a kill leaves is known for ours
+    (out / "meta.json").unlink(missing_ok=True)  # of an earlier version's import: until the last file it is no set
     shutil.rmtree(out / "images", ignore_errors=True)
     (out / "images").mkdir()
     neutral = None if source.neutral is None else load_neutral(source.neutral)

@@ -112,7 +112,7 @@ def lit_all_round(image, zoom=1.0, right_px=0.0):
     return np.where(lit > 127, 255, 0).astype(np.uint8)
 
 
-def test_light_at_the_rim_tells_how_the_camera_has_changed(tmp_path, capsys):
+def test_light_at_the_rim_tells_how_the_camera_has_changed(tmp_path, capsys, monkeypatch):
     write_set(tmp_path / "lab")
     cv2.imwrite(str(tmp_path / "lab" / "init_0.png"), lit_all_round(frame()))
     for k in range(12):
@@ -129,6 +129,14 @@ def test_light_at_the_rim_tells_how_the_camera_has_changed(tmp_path, capsys):
     (tmp_path / "set" / "import.json").write_text(json.dumps(report))
     assert bring(tmp_path / "lab", tmp_path / "set") == 0
     assert "which did not look at the camera" in capsys.readouterr().out
+    assert (tmp_path / "set" / "meta.json").read_bytes() == meta
+    # And if that is stopped before its end, it is no set until the command is run again.
+    (tmp_path / "set" / "import.json").write_text(json.dumps(report))
+    with monkeypatch.context() as patch:
+        patch.setattr(importing, "encode_image", lambda image: (_ for _ in ()).throw(KeyboardInterrupt))
+        assert bring(tmp_path / "lab", tmp_path / "set") == 130
+    assert not (tmp_path / "set" / "meta.json").exists()
+    assert bring(tmp_path / "lab", tmp_path / "set") == 0
     assert (tmp_path / "set" / "meta.json").read_bytes() == meta
     # The twin has it, and the pins that the neutral image shows are where they were when that was taken.
     design, figures = twin_of(tmp_path / "set", 128)
