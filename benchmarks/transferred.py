@@ -60,8 +60,8 @@ def page(whole):
         "",
         "Written by `tactip bench transfer`; do not edit. Networks that have seen no real label, and what some labels add; "
         "tested on real frames that nothing was learned from. The sets are published ones, imported as "
-        "[your-own-sensor.md](your-own-sensor.md) says. The rigs' axes are those of calibrations, and the ranges of the optics "
-        "`steady` were chosen with errors on these sets in view: other sets will tell what that was worth.",
+        "[your-own-sensor.md](your-own-sensor.md) says. The rigs' axes are those of calibrations, and the ranges of the "
+        "optics `steady` were chosen with errors on these sets in view: other sets will tell what that was worth.",
         "",
         f"| set | component | error | asked | of real training | asked | after {SHOTS} frames, of real training | asked |",
         "|" + "---|" * 8,
