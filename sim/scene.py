@@ -68,6 +68,9 @@ class Scene:
         spec.option.impratio = solver.impratio
         # Contact springs are stiffer than the step resolves; clamping them would let the stimulus sink in.
         spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_REFSAFE
+        # One tip is one island: to tell it apart buys nothing, and MuJoCo then leaves efc_state as it was before the solve
+        # (measured with 4.0.0), which is where sim/slip.py reads what slides.
+        spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
         # A diverged state must stay to be seen: MuJoCo would start again from the undeformed tip, and say nothing.
         spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         friction = self.design.materials.friction

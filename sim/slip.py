@@ -46,7 +46,10 @@ class SlipMemory:
 
     def remember(self, data):
         """Note which parts slide in the step that was solved."""
-        row = data.contact.efc_address
-        slides = (row >= 0) & (data.efc_state[row] == _SLIDES)
         self._slides[:] = False
-        np.logical_or.at(self._slides, self._parts, slides)
+        np.logical_or.at(self._slides, self._parts, self.slides(data))
+
+    def slides(self, data):
+        """Which contacts (contacts,) bool of the step that was solved slide. data: mujoco.MjData."""
+        row = data.contact.efc_address
+        return (row >= 0) & (data.efc_state[row] == _SLIDES)

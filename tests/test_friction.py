@@ -123,14 +123,36 @@ def test_facets_slide_like_vertices(design, standard):
     """A small ball is met by facets, too: there is no part of the skin that keeps its static friction."""
     ratio, _ = held(slippery(design, 0.4), "sphere", standard)
     whole, _ = held(slippery(design, 1.0), "sphere", standard)
-    # What enters the contact along the way is fresh, and the ball's flank pushes: less is lost than on the flat.
-    assert ratio[-1] < whole[-1] - 0.1
+    # What enters the contact along the way is fresh, a few facets at a time, and the ball's flank pushes: less is lost than
+    # on the flat, and not everywhere.
+    assert (whole - ratio)[WAYS >= 1].mean() > 0.2
     player = ContactPlayer(slippery(design, 0.4), "sphere", standard)
     player.play(from_mm_deg([0, 0, -2, 0, 0, 0]), from_mm_deg([4, 0, 0, 0, 0, 0]))
     contacts = player.scene.data.contact
     facets = (contacts.elem >= 0).any(1) & (contacts.dist < 0)
     assert facets.any()
     assert contacts.friction[facets, 0].min() < 0.9 * 0.6
+
+
+def test_what_is_noted_as_sliding_is_at_the_edge_of_its_cone(design, standard):
+    """At every step, and nothing else is: who slides is told by forces here, and by the solver's states there."""
+    player = ContactPlayer(slippery(design, 0.6), "surface", standard)
+    scene, told, step = player.scene, [], player.scene.step
+
+    def watched():
+        step()
+        contacts, forces = scene.data.contact, scene.data.efc_force
+        rows = contacts.efc_address[:, None] + np.arange(3)
+        normal, held = forces[rows[:, 0]], np.linalg.norm(forces[rows[:, 1:]], axis=1)
+        share = held / np.maximum(contacts.friction[:, 0] * normal, 1e-12)
+        told.append((scene._slip.slides(scene.data), share, normal > 1e-5))
+
+    scene.step = watched
+    player.play(from_mm_deg([0, 0, -3, 5, 0, 0]), from_mm_deg([3, 0, 0, 0, 0, 0]))
+    slides, share, presses = (np.concatenate(each) for each in zip(*told, strict=True))
+    assert (share[slides] > 1 - 1e-6).all()
+    assert (share[~slides & presses] < 1 - 1e-6).all()
+    assert 0.2 < slides.mean() < 0.95
 
 
 def test_slides_are_forgotten_between_contacts(design, standard):
