@@ -21,6 +21,7 @@ import mujoco
 import numpy as np
 from mujoco import batch
 
+from benchmarks import gpu_engine
 from benchmarks.machine import machine
 from sim.contact import ContactPlayer
 from sim.dataset import Configuration, write_file
@@ -57,6 +58,11 @@ def run(options, say=print):
     groups = json.loads(path.read_text())["groups"] if path.exists() else {}
     options.out.mkdir(parents=True, exist_ok=True)
     for name in names:
+        if name == "gpu-engine" and (lacking := gpu_engine.missing()):
+            if name in options.groups:
+                raise TactipError(lacking)
+            say(f"left out: {lacking}")
+            continue
         say(f"{name}: {GROUPS[name][0]}")
         groups[name] = {"machine": machine(), "rows": GROUPS[name][1](options)}
         record = {"groups": {g: groups[g] for g in GROUPS if g in groups}}
@@ -394,6 +400,7 @@ GROUPS = {
     "servo": ("Servo steps a second", _following),
     "faces": ("Steps on objects of more triangles", _faces),
     "threads": ("Threads against processes", _threads),
+    "gpu-engine": ("MuJoCo's GPU engine", lambda options: gpu_engine.rows()),
     "start-up": ("Every command's help", _start_up),
     "first-words": ("Time until a command at work says its first word", _first_words),
 }
@@ -415,7 +422,7 @@ def page(record):
         state = "; ".join(f"{k} {v}" for k, v in group["machine"].items())
         lines += ["", f"## {GROUPS[name][0]}", "", "| " + " | ".join(columns) + " |", "|" + "---|" * len(columns)]
         lines += ["| " + " | ".join(_cell(row.get(key)) for key in columns) + " |" for row in rows]
-        lines += ["", f"On: {state}."]
+        lines += ["", f"On: {state}.", *(["", gpu_engine.NOTE] if name == "gpu-engine" else [])]
     return "\n".join(lines) + "\n"
 
 
