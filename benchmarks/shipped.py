@@ -1,6 +1,8 @@
 """Ships the networks of `tactip bench learning`: copies them into assets/models, each with its evaluation and its card.
 
 python -m benchmarks.shipped --task surface
+
+With --again, the network that is there is judged anew, on test contacts of the tip as it is fitted now.
 """
 
 import json
@@ -11,12 +13,15 @@ from pathlib import Path
 import tyro
 
 from assets import MODELS
-from benchmarks.learned import BARS, DESIGN, PAPER, rows
+from benchmarks.learned import BARS, DESIGN, PAPER, jobs, rows
 from benchmarks.machine import machine
+from benchmarks.options import LearningOptions
 from learning.evaluate import evaluate, tables
 from learning.model import DESCRIPTION, WEIGHTS, load_model
 from learning.samples import read_samples
+from sim.crew import worker_count
 from sim.dataset import labels_sha256, write_file
+from sim.generation import make
 from sim.symmetry import SYMMETRIES
 from tactip_model.errors import TactipError
 
@@ -43,18 +48,30 @@ class Options:
     """Its folder of trainings."""
     out: Path = MODELS
     """Folder of the shipped networks."""
+    again: bool = False
+    """Judge the network that is shipped, and leave its weights as they are."""
+    judged: int = 2000
+    """Test contacts that it is judged on, then."""
+    workers: str = "auto"
+    """Worker processes that make them, then; auto is one a core."""
 
 
 def ship(options):
     """Copy a network, judge it on the test set, write its card. Returns its folder (Path). Raises TactipError."""
     run = options.runs / options.task / options.name
+    if options.again:
+        run = options.out / f"{options.task}-{'bent-' if options.name == 'laptop-bent' else ''}{DESIGN}"
     size = (run / WEIGHTS).stat().st_size if (run / WEIGHTS).exists() else 0
     model = load_model(run)
     if size >= MOST_BYTES:
         raise TactipError(f"the weights in {run} have {size} bytes: a network is shipped with fewer than {MOST_BYTES}")
     if not model.provenance["outcome"]["finished"]:
         raise TactipError(f"the training in {run} is unfinished: let it come to its end before it is shipped")
-    test = read_samples(options.data / ("bent" if _bent(model) else "plain") / options.task / "test")
+    where = options.data / ("bent" if _bent(model) else "plain") / options.task / "test"
+    if options.again:
+        sets = jobs(LearningOptions(task=options.task, data=options.data, judged=options.judged), ())
+        make([job for job in sets if job.folder == where], worker_count(options.workers), print)
+    test = read_samples(where)
     evaluation = evaluate(model, test)
     meta = test.dataset.meta
     record = {
@@ -65,8 +82,9 @@ def ship(options):
     }
     folder = options.out / _name(model)
     folder.mkdir(parents=True, exist_ok=True)
-    for name in (WEIGHTS, DESCRIPTION):
-        shutil.copyfile(run / name, folder / name)
+    if not options.again:
+        for name in (WEIGHTS, DESCRIPTION):
+            shutil.copyfile(run / name, folder / name)
     write_file(folder / EVALUATION, (json.dumps(record, indent=1) + "\n").encode())
     write_file(folder / CARD, card(model, record, options).encode())
     return folder
@@ -86,7 +104,8 @@ def _begun(model, options):
     if "begun_from" not in model.provenance:
         return []
     (start,) = (row.start for row in rows(model.labels.task, False) if row.name == options.name)
-    return [f"- Begun from the weights of `{start}` (checksum {model.provenance['begun_from'][:16]})."]
+    its = " as an earlier version shipped it" if start == _name(model) else ""
+    return [f"- Begun from the weights of `{start}`{its} (checksum {model.provenance['begun_from'][:16]})."]
 
 
 def card(model, record, options):
