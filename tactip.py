@@ -5,6 +5,7 @@ import sys
 import tyro
 
 from commands.bench import Bench
+from commands.help import flowing
 from commands.learn import Evaluate, Train, Tune
 from commands.look import Replay, View
 from commands.real import Camera, Import, Transfer
@@ -18,25 +19,26 @@ def main(arguments=None):
     """Run the command line. arguments: list of str, the process's own if None. Returns the exit status (int)."""
     about = "A digital twin of the TacTip, a soft optical fingertip."
     try:
-        command = tyro.extras.subcommand_cli_from_dict(
-            {
-                "dataset": Dataset,
-                "import": Import,
-                "calibrate": Calibrate,
-                "train": Train,
-                "tune": Tune,
-                "evaluate": Evaluate,
-                "transfer": Transfer,
-                "camera": Camera,
-                "servo": Servo,
-                "replay": Replay,
-                "view": View,
-                "bench": Bench,
-            },
-            args=arguments,
-            prog="tactip",
-            description=about,
-        )
+        with flowing():
+            command = tyro.extras.subcommand_cli_from_dict(
+                {
+                    "dataset": Dataset,
+                    "import": Import,
+                    "calibrate": Calibrate,
+                    "train": Train,
+                    "tune": Tune,
+                    "evaluate": Evaluate,
+                    "transfer": Transfer,
+                    "camera": Camera,
+                    "servo": Servo,
+                    "replay": Replay,
+                    "view": View,
+                    "bench": Bench,
+                },
+                args=arguments,
+                prog="tactip",
+                description=about,
+            )
         return command.run()
     except TactipError as error:
         print(f"tactip: {error}", file=sys.stderr)

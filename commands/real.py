@@ -123,9 +123,9 @@ class Camera:
     device: int | None = None
     """Number of a camera of this machine."""
     video: Path | None = None
-    """A film in its place,"""
+    """A film in the camera's place."""
     images: Path | None = None
-    """or a folder of images."""
+    """A folder of images in its place."""
     model: str = "surface-tactip-127"
     """A shipped network or the folder of a training; none for none."""
     neutral: Path | None = None

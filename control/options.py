@@ -88,7 +88,7 @@ class Options:
     turn_deg: tuple[float, float, float] | None = None
     """How it is turned, rotation vector, degrees."""
     model: str = ""
-    """A shipped network or the folder of a training; `oracle` is the truth. If empty the shipped one: for surfaces that
+    """A shipped network or the folder of a training; `oracle` is the truth. If empty the shipped one: for surfaces, that
     which has felt bent ones."""
     design: str = "tactip-127"
     """Sensor."""

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+import tactip
+
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 
@@ -37,6 +39,16 @@ def written(page):
     lines = [line.split(" #")[0] for block in blocks for line in block.splitlines()]
     lines += re.findall(r"`(tactip [^`]*)`", re.sub(r"^```.*?^```", "", text, flags=re.DOTALL | re.MULTILINE))
     return [line.split() for line in lines if line.strip().startswith("tactip ")]
+
+
+def test_help_flows(capsys, monkeypatch):
+    """A line of help ends where the terminal does, and not where the source's does."""
+    monkeypatch.setenv("COLUMNS", "400")
+    with pytest.raises(SystemExit):
+        tactip.main(["servo", "--help"])
+    lines = [line.strip("│ ") for line in capsys.readouterr().out.splitlines()]
+    assert any("the shipped one: for surfaces, that which has felt bent ones." in line for line in lines)
+    assert not [line for line in lines if line[:1].islower()]
 
 
 @pytest.mark.parametrize("page", DOCS, ids=lambda page: page.name)
