@@ -1,4 +1,4 @@
-"""Help whose paragraphs flow: tyro takes a field's docstring with its indentation, and breaks lines where the source does."""
+"""Help whose paragraphs flow: tyro takes a field's docstring with its indentation, and breaks lines where that does."""
 
 import contextlib
 import inspect

@@ -1,13 +1,12 @@
 """What is said of the commands is what they do."""
 
+import os
 import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
-
-import tactip
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -41,12 +40,11 @@ def written(page):
     return [line.split() for line in lines if line.strip().startswith("tactip ")]
 
 
-def test_help_flows(capsys, monkeypatch):
+def test_help_flows():
     """A line of help ends where the terminal does, and not where the source's does."""
-    monkeypatch.setenv("COLUMNS", "400")
-    with pytest.raises(SystemExit):
-        tactip.main(["servo", "--help"])
-    lines = [line.strip("│ ") for line in capsys.readouterr().out.splitlines() if line.startswith("│")]
+    words = [sys.executable, "-m", "tactip", "servo", "--help"]
+    told = subprocess.run(words, check=True, capture_output=True, text=True, env={**os.environ, "COLUMNS": "400"}).stdout
+    lines = [line.strip("│ ") for line in told.splitlines() if line.startswith("│")]
     assert any("the shipped one: for surfaces, that which has felt bent ones." in line for line in lines)
     assert not [line for line in lines if line[:1].islower()]
 
