@@ -10,6 +10,7 @@ import json
 import shutil
 from collections import Counter
 from dataclasses import dataclass, replace
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -150,9 +151,10 @@ def folder_of(runs, group, name):
 
 
 def identity(case):
-    """What a Case is, as text: its options, and the checksum of its network's weights."""
+    """What a Case is, as text: its options, the checksum of its network's weights, and the version that follows."""
     run = case.options
-    return json.dumps([json.loads(json.dumps(dataclasses.asdict(run), default=str)), weights_sha256(run.network)])
+    asked = json.loads(json.dumps(dataclasses.asdict(run), default=str))
+    return json.dumps([asked, weights_sha256(run.network), version("tactip-twin")])
 
 
 def run(options, say=print):
@@ -195,9 +197,10 @@ def _row(runs, case):
     """What the page keeps (dict) of a run."""
     folder = folder_of(runs, case.group, case.name)
     if (folder / ERROR).exists():
-        return {"name": case.name, "error": (folder / ERROR).read_text().strip()}
+        return {"name": case.name, "version": version("tactip-twin"), "error": (folder / ERROR).read_text().strip()}
     score = json.loads((folder / SCORE).read_text())
-    return {"name": case.name, "task": case.options.task, **{name: score[name] for name in _KEPT}}
+    kept = {name: score[name] for name in _KEPT}
+    return {"name": case.name, "version": version("tactip-twin"), "task": case.options.task, **kept}
 
 
 COLUMNS = (
@@ -227,7 +230,8 @@ def page(record):
         f"networks are the shipped ones. Two runs at a time, one core each, on: {state}.",
     ]
     for group, rows in record["groups"].items():
-        lines += ["", f"## {GROUPS[group]}", ""]
+        versions = sorted({row.get("version", "0.1.0") for row in rows})
+        lines += ["", f"## {GROUPS[group]}", "", f"Measured with version {' and '.join(versions)}.", ""]
         if group == "fidelity":
             lines += ["![error against run time](servo.png)", ""]
         if group == "starts":
