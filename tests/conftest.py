@@ -1,10 +1,13 @@
 """Things that several tests share and that take a while to make."""
 
+import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import hypothesis
 import numpy as np
 import pytest
+from set_commands import make, run
 
 from sim.contact import ContactPlayer
 from sim.fidelity import fidelity_named
@@ -59,3 +62,17 @@ class Press:
 
 def rms(values):
     return float(np.sqrt(np.mean(np.square(values))))
+
+
+@pytest.fixture(scope="session")
+def whole(tmp_path_factory):
+    """A finished set of six samples by one worker."""
+    folder = tmp_path_factory.mktemp("sets") / "whole"
+    result = run(make(folder, workers=1))
+    assert result.returncode == 0, result.stderr
+    return folder
+
+
+@pytest.fixture
+def copy(whole, tmp_path):
+    return Path(shutil.copytree(whole, tmp_path / "copy"))

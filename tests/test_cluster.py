@@ -4,9 +4,9 @@ import contextlib
 import sys
 import threading
 import time
-from pathlib import Path
 
 import pytest
+from set_commands import contents
 
 import tactip
 from sim.cluster import ClusterCrew
@@ -15,12 +15,6 @@ from sim.fidelity import fidelity_named
 from sim.generation import Job, make
 from sim.sampling import POSE_RANGES, SHEAR_RANGES
 from tactip_model.errors import TactipError
-
-
-def contents(folder):
-    """Bytes of every file of a set but run.json, which is the one that differs."""
-    files = (p for p in Path(folder).rglob("*") if p.is_file() and p.name != "run.json")
-    return {str(p.relative_to(folder)): p.read_bytes() for p in files}
 
 
 @pytest.mark.slow

@@ -8,12 +8,12 @@ import sys
 import numpy as np
 import pytest
 import torch
+from set_commands import contents, run, samples_found, wait_for
 
 import tactip
 from learning.drawn import DrawnImages
 from learning.samples import read_samples
 from sim.dataset import labels_sha256, read_dataset, read_meta, read_pins
-from tests.test_dataset import contents, run, samples_found, wait_for
 
 SAMPLES, SHARD = 10, 4
 
