@@ -17,7 +17,7 @@ from benchmarks.learned import BARS, DESIGN, PAPER, jobs, rows
 from benchmarks.machine import machine
 from benchmarks.options import LearningOptions
 from learning.evaluate import evaluate, tables
-from learning.model import DESCRIPTION, WEIGHTS, load_model
+from learning.model import DESCRIPTION, WEIGHTS, find_model, load_model, net_sha256
 from learning.samples import read_samples
 from sim.crew import worker_count
 from sim.dataset import labels_sha256, write_file
@@ -104,7 +104,8 @@ def _begun(model, options):
     if "begun_from" not in model.provenance:
         return []
     (start,) = (row.start for row in rows(model.labels.task, False) if row.name == options.name)
-    its = " as an earlier version shipped it" if start == _name(model) else ""
+    same = net_sha256(find_model(start).net) == model.provenance["begun_from"]
+    its = "" if same else " as an earlier version shipped it"
     return [f"- Begun from the weights of `{start}`{its} (checksum {model.provenance['begun_from'][:16]})."]
 
 
