@@ -26,8 +26,8 @@ class Fingertip:
     def __init__(self, design, solid, fidelity, carrier, T_base_object, settle_steps=None, pace=1.0):
         """design: Design. solid: Solid. fidelity: Fidelity. carrier: Carrier. T_base_object: (4, 4), where the solid is.
 
-        settle_steps: int, time steps at rest before a touch is taken; half of the fidelity's if None: a touch goes on from the
-        last one, and the other half buys nothing that is felt (docs/servo.md). pace: float, way a time step over the
+        settle_steps: int, time steps at rest before a touch is taken; half of the fidelity's if None: a touch goes on from
+        the last one, and the other half buys nothing that is felt (docs/servo.md). pace: float, way a time step over the
         fidelity's.
         Raises TactipError on what cannot be built.
         """
