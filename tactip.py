@@ -1,6 +1,9 @@
 """The front door: one subcommand for each job (commands/), and how each ends."""
 
+import contextlib
+import signal
 import sys
+import threading
 
 import tyro
 
@@ -17,38 +20,62 @@ from tactip_model.errors import Stopped, TactipError
 
 def main(arguments=None):
     """Run the command line. arguments: list of str, the process's own if None. Returns the exit status (int)."""
-    about = "A digital twin of the TacTip, a soft optical fingertip."
+    with _terminable() as signals:
+        try:
+            return _command(arguments).run()
+        except TactipError as error:
+            print(f"tactip: {error}", file=sys.stderr)
+            return 1
+        except OSError as error:
+            print(f"tactip: {error.filename or 'a file'}: {error.strerror or error}", file=sys.stderr)
+            return 1
+        except (Stopped, KeyboardInterrupt) as stopped:
+            print(f"tactip: stopped; {stopped or 'nothing was begun'}", file=sys.stderr)
+            return 128 + (signals or [signal.SIGINT])[0]
+
+
+def _command(arguments):
+    """The command (an object of commands/) that is asked for."""
+    with flowing():
+        return tyro.extras.subcommand_cli_from_dict(
+            {
+                "dataset": Dataset,
+                "import": Import,
+                "calibrate": Calibrate,
+                "train": Train,
+                "tune": Tune,
+                "evaluate": Evaluate,
+                "transfer": Transfer,
+                "camera": Camera,
+                "servo": Servo,
+                "replay": Replay,
+                "view": View,
+                "bench": Bench,
+            },
+            args=arguments,
+            prog="tactip",
+            description="A digital twin of the TacTip, a soft optical fingertip.",
+        )
+
+
+@contextlib.contextmanager
+def _terminable():
+    """For a `with` block in which SIGTERM, by which schedulers and services end what runs, is taken as Ctrl-C is. Yields the
+    list of those that came."""
+    came = []
+
+    def take(number, _):
+        came.append(number)
+        raise KeyboardInterrupt
+
+    if threading.current_thread() is not threading.main_thread():
+        yield came
+        return
+    before = signal.signal(signal.SIGTERM, take)
     try:
-        with flowing():
-            command = tyro.extras.subcommand_cli_from_dict(
-                {
-                    "dataset": Dataset,
-                    "import": Import,
-                    "calibrate": Calibrate,
-                    "train": Train,
-                    "tune": Tune,
-                    "evaluate": Evaluate,
-                    "transfer": Transfer,
-                    "camera": Camera,
-                    "servo": Servo,
-                    "replay": Replay,
-                    "view": View,
-                    "bench": Bench,
-                },
-                args=arguments,
-                prog="tactip",
-                description=about,
-            )
-        return command.run()
-    except TactipError as error:
-        print(f"tactip: {error}", file=sys.stderr)
-        return 1
-    except OSError as error:
-        print(f"tactip: {error.filename or 'a file'}: {error.strerror or error}", file=sys.stderr)
-        return 1
-    except (Stopped, KeyboardInterrupt) as stopped:
-        print(f"tactip: stopped; {stopped or 'nothing was begun'}", file=sys.stderr)
-        return 130
+        yield came
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 if __name__ == "__main__":

@@ -91,9 +91,9 @@ def test_resuming_makes_only_what_is_missing(whole, tmp_path):
     assert contents(folder) == contents(whole)
 
 
-@pytest.mark.parametrize("after", [0, 3])
-def test_ctrl_c_keeps_what_is_done(tmp_path, after):
-    """While the workers are starting, and in the middle of the work."""
+@pytest.mark.parametrize(("after", "number"), [(0, signal.SIGINT), (3, signal.SIGINT), (3, signal.SIGTERM)])
+def test_ctrl_c_keeps_what_is_done(tmp_path, after, number):
+    """While the workers are starting, and in the middle of the work; and so does what a scheduler sends."""
     folder = tmp_path / "stopped"
     process = subprocess.Popen(
         make(folder, samples=60),
@@ -106,9 +106,9 @@ def test_ctrl_c_keeps_what_is_done(tmp_path, after):
     )
     wait_for(lambda: (folder / ".partial" / "configuration.json").exists() and len(records(folder)) >= after)
     time.sleep(0.3)  # into the start of the workers
-    os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to parent and workers alike
+    os.killpg(process.pid, number)  # as a terminal does: to parent and workers alike
     _, told = process.communicate(timeout=60)
-    assert process.returncode == 130
+    assert process.returncode == 128 + number
     assert "the same command goes on from there" in told
     assert "Traceback" not in told
     assert after <= len(records(folder)) < 60
