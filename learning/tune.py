@@ -211,6 +211,9 @@ def _start(data, folder, index, settings, device, jobs):
 
 def _trial_process(*arguments):
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to answer
+    signal.signal(
+        signal.SIGTERM, lambda number, _: sys.exit(128 + number)
+    )  # by which it ends trials: with all that they hold
     run_trial(*arguments)
 
 
