@@ -211,9 +211,8 @@ def _start(data, folder, index, settings, device, jobs):
 
 def _trial_process(*arguments):
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to answer
-    signal.signal(
-        signal.SIGTERM, lambda number, _: sys.exit(128 + number)
-    )  # by which it ends trials: with all that they hold
+    # By this the parent ends trials: they leave as programs do, and let go of what they hold.
+    signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
     run_trial(*arguments)
 
 
