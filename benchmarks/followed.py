@@ -97,6 +97,7 @@ def cases(options):
         changes |= {f"stiffness times {k:g}": {"stiffness": k} for k in (0.5, 1.5)}
         changes |= {f"noise of {grey:g} grey levels": {"noise_grey": grey} for grey in (5.0, 15.0, 30.0)}
         changes |= {f"steps of {mm:g} mm": {"settings": Settings(step_mm=mm)} for mm in (3.0, 5.0)}
+        changes |= {f"{mm:g} mm deep": {"depth_mm": mm} for mm in (1.5, 2.0, 2.5, 3.0, 4.0)}
         changes |= {"gains of the later work": {"gains": "later"}}
         changes |= {f"slow at {deg:g} degrees": {"settings": Settings(slow_deg=deg)} for deg in (0.0, 3.0, 6.0, 12.0)}
         if others[name]:

@@ -43,7 +43,7 @@ class Make:
     split: str = "train"
     """train, val, test, or all: independent draws."""
     samples: int = 200
-    """Samples of a set: contacts, or with --symmetric what is made of them; the paper has 2000."""
+    """Samples of a set: contacts, or with --symmetric and --looks what is made of them; the paper has 2000."""
     seed: int = 0
     """Seed of the draws."""
     workers: str = "auto"
@@ -62,6 +62,9 @@ class Make:
     label."""
     uneven: float = 0.0
     """Share of the contacts, 0 to 1, where they change along the surface, within LOW and HIGH, as about a nose."""
+    looks: int = 1
+    """Times that each contact is looked at: once where it is pressed and sheared to, and then after each stride of a walk as
+    the tip slides on, as in a servo. A look costs less than a contact."""
     mechanics: str = "none"
     """none, or real: stiffness, friction, thickness and pin length of the tip differ from contact to contact
     (sim/variation.py)."""
@@ -131,6 +134,7 @@ class Make:
                     curvature_per_m=self.curvature_per_m,
                     uneven=self.uneven,
                     shard_samples=self.shard_samples,
+                    looks=self.looks,
                     mechanics=choose("mechanics", self.mechanics, VARIATIONS),
                 )
                 jobs.append(Job(configuration, self.out / task / split if several else self.out))

@@ -100,6 +100,8 @@ class Options:
     """pyrender, or raster: without OpenGL."""
     gains: str = "paper"
     """paper or later."""
+    depth_mm: float | None = within(0.2, 8, default=None)
+    """Depth that is kept, mm; if not given 2 over surfaces, where a shallow touch feels finer things, and 3 along edges."""
     noise_grey: float = 0.0
     """Standard deviation of the camera's noise, of 255."""
     friction: float | None = None

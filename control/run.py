@@ -13,8 +13,7 @@ from control.explore import Explorer
 from control.figure import write_figure
 from control.route import AlongEdge, Geodesic, Plan, serpentine
 from control.score import score, surface_targets
-from control.servo import REFERENCE_MM_DEG, Servo, gains_named
-from control.truth import EdgeTruth, SurfaceTruth
+from control.servo import DEPTHS_MM, Servo, gains_named, reference_mm_deg
 from learning.model import find_model
 from sim.carrier import carrier_named
 from sim.dataset import write_file
@@ -24,6 +23,7 @@ from sim.fingertip import Fingertip
 from sim.objects import find_object
 from sim.pose import from_mm_deg, inverse, sensor_in_contact
 from sim.recording import Recorder, Scenery
+from sim.truth import EdgeTruth, SurfaceTruth
 from sim.video import write_video
 from tactip_model.bounds import require
 from tactip_model.errors import Stopped, TactipError, choose
@@ -62,7 +62,8 @@ def run(options, progress=lambda step: None, say=print, estimator=None):
     elif estimator is None:
         estimator = Seen(model, design, options.renderer, options.noise_grey)
     finger = Fingertip(design, thing.solid, fidelity, carrier, thing.T_base_object, options.settle_steps, options.pace)
-    servo = Servo(gains)
+    depth_mm = _depth_mm(options, model.labels)
+    servo = Servo(gains, depth_mm)
     T_start, route, targets = _plan(options, thing, truth)
     description = {
         "task": options.task,
@@ -102,7 +103,7 @@ def run(options, progress=lambda step: None, say=print, estimator=None):
         "warnings": finger.warnings,
     }
     done, arrays = recorder.finish(outcome)
-    figures = score(arrays, done, REFERENCE_MM_DEG, targets)
+    figures = score(arrays, done, reference_mm_deg(depth_mm), targets)
     write_file(options.out / SCORE, (json.dumps(figures, indent=1) + "\n").encode())
     if options.renderer == "pyrender":
         write_figure(options.out / FIGURE, scenery, arrays, options.task)
@@ -119,6 +120,16 @@ def _as_asked(design, options):
     young = {name: options.stiffness * getattr(m, name) for name in ("skin_young_pa", "gel_young_pa")}
     friction = m.friction if options.friction is None else options.friction
     return dataclasses.replace(design, materials=dataclasses.replace(m, friction=friction, **young))
+
+
+def _depth_mm(options, labels):
+    """The depth to keep (float). labels: learning.labels.Labels of the network, whose range it must be in."""
+    deep = DEPTHS_MM[options.task] if options.depth_mm is None else options.depth_mm
+    k = labels.names.index("pose_z")
+    least, most = -labels.high[k], -labels.low[k]
+    if not least <= deep <= most:
+        raise TactipError(f"--depth-mm is {deep:g}: the network {options.network} has learned {least:g} to {most:g} mm")
+    return deep
 
 
 def _truth(options, thing):

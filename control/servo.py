@@ -43,8 +43,15 @@ GAINS = {
 }
 """By name and task: the paper's, and those of the authors' later work [L]."""
 
-REFERENCE_MM_DEG = (0.0, 0.0, -3.0, 0.0, 0.0, 0.0)
-"""The label (6) that the servo keeps: on the normal, in the middle of the depths that were learned."""
+DEPTHS_MM = {"surface": 2.0, "edge": 3.0}
+"""Depth that is kept by task, mm. What is felt is the mean normal of the patch that is touched: pressed 3 mm deep it is that
+of 4 mm about, which over the nose of the bust is 1.7 degrees off the normal where it is nearest; a shallower patch is a
+smaller one [M] (docs/servo.md). Along an edge it is the middle of the depths that were learned."""
+
+
+def reference_mm_deg(depth_mm):
+    """The label (6,), mm and degrees, that the servo keeps at a depth (float): on the normal, and on the edge."""
+    return np.array([0.0, 0.0, -depth_mm, 0.0, 0.0, 0.0])
 
 
 def gains_named(name, task):
@@ -55,11 +62,11 @@ def gains_named(name, task):
 class Servo:
     """The law and its memory."""
 
-    def __init__(self, gains, reference_mm_deg=REFERENCE_MM_DEG):
-        """gains: Gains. reference_mm_deg: (6,), the label (sim/pose.py) to keep."""
+    def __init__(self, gains, depth_mm):
+        """gains: Gains. depth_mm: float, the depth to keep."""
         self._kp, self._ki = np.array(gains.kp), np.array(gains.ki)
         self._most = from_mm_deg([gains.most_mm] * 3 + [gains.most_deg] * 3)
-        self._reference = sensor_in_contact(from_mm_deg(reference_mm_deg))
+        self._reference = sensor_in_contact(from_mm_deg(reference_mm_deg(depth_mm)))
         self.forget()
 
     def forget(self):

@@ -1,7 +1,7 @@
 """One contact: approach, shear, settle, record. And the judgement whether the record can be trusted."""
 
 import contextlib
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 
 import mujoco
@@ -62,19 +62,19 @@ def check_motion(pose, shear, deepest=DEEPEST_M):
     numbers = np.concatenate([pose, shear])
     require(np.isfinite(numbers).all(), "a pose or shear", numbers.tolist(), "finite in all components")
     for label, which in ((pose, "pose"), (before_shear(pose, shear), "pose before the shear")):
-        _check_reach(-label[2], deepest, _tilt(label), which)
+        _check_reach(-label[2], deepest, tilt(label), which)
     slide = float(np.linalg.norm(shear[:3]))
     require(slide <= FARTHEST_M, "the shear", f"{1e3 * slide:g} mm long", f"at most {1e3 * FARTHEST_M:g} mm")
 
 
-def _tilt(label):
+def tilt(label):
     """Angle (rad) between the tip's axis and the normal in a pose (6,)."""
     return np.arccos(np.clip(-sensor_in_contact(label)[2, 2], -1, 1))
 
 
 def too_steep(pose, shear):
     """Whether a pose and a shear (6,), m and rad, tilt the tip further than can be played, at their end or their start."""
-    return max(_tilt(pose), _tilt(before_shear(pose, shear))) > STEEPEST_RAD
+    return max(tilt(pose), tilt(before_shear(pose, shear))) > STEEPEST_RAD
 
 
 def check_ranges(pose, shear):
@@ -121,6 +121,11 @@ class Bounds:
     """Greatest share of the steps in which the solver ran out of iterations, -."""
     disagreement_m: float = 0.05e-3
     """Greatest distance of the pins from those of twice the step, rms, where skin may catch by chance, m."""
+
+    def on_the_way(self):
+        """The Bounds of a tip that has just slid, and has not come to rest as a contact does: of forces nothing is asked,
+        and the penetration may be three times as much [M]."""
+        return replace(self, imbalance=np.inf, creep_m_s=np.inf, penetration_m=3 * self.penetration_m)
 
 
 @dataclass(frozen=True)
@@ -260,6 +265,7 @@ class ContactPlayer:
         flat = np.isinf(self.scene.stimulus.sharpest_m)
         require(approach or flat, "approach", approach, "True with a stimulus that is not flat")
         self.scene.reset()
+        self._start, self._here = before_shear(pose, shear), pose
         self._steps = self._unsolved = 0
         # A state that is lost stays lost: the record shows it, and steps from it would only take long.
         with counted_warnings() as messages, contextlib.suppress(Diverged):
@@ -268,6 +274,25 @@ class ContactPlayer:
                 self.move(labels)
             self._settle(pose)
         return self._record(pose, shear, len(messages))
+
+    def slide(self, pose, label):
+        """Go on from where the last contact ended: slide to `pose`, and rest as a servo does (Motion.pause_steps). Returns a
+        Contact.
+
+        pose: (6,), m and rad, in the stimulus' frame; how deep and how steep is not looked at. label: (6,), what the pose is
+        to the surface where it is touched. The Contact's shear is the whole motion since the first touch, its steps are
+        those of the slide.
+        """
+        here, self._here = self._here, np.asarray(pose, float)
+        self._steps = self._unsolved = 0
+        with counted_warnings() as messages, contextlib.suppress(Diverged):
+            for phase, labels in self._motions(self._here, shear_between(here, self._here), approach=False):
+                self._phase = phase
+                self.move(labels)
+            self._phase = "settle"
+            for _ in range(self.scene.fidelity.motion.pause_steps):
+                self.hold(self._here)
+        return self._record(self._here, shear_between(self._start, self._here), len(messages), label)
 
     def stages(self, pose, shear, shares):
         """One contact looked at on its way: at rest at each of `shares` (increasing, 0 to 1) of the shear.
@@ -356,15 +381,16 @@ class ContactPlayer:
         quaternion = Rotation.from_matrix(T[:3, :3]).as_quat(scalar_first=True)
         self.scene.place(T[:3, 3], quaternion, linear, angular)
 
-    def _record(self, pose, shear, warnings):
-        scene = self.scene
+    def _record(self, pose, shear, warnings, label=None):
+        """The Contact of this moment, at `pose` (6,) in the stimulus' frame and with a `label` (6,), the pose if None."""
+        scene, label = self.scene, pose if label is None else label
         vertices = scene.vertices()
         tips, directions = self.reader.read(vertices[: scene.mesh.surface_count])
-        force = sensor_in_contact(pose)[:3, :3] @ scene.contact_force()
+        force = sensor_in_contact(label)[:3, :3] @ scene.contact_force()
         area_ratio, fold = scene.skin_shape(vertices)
         ratio = tetrahedron_volumes(vertices, scene.mesh.tetrahedra) / scene.mesh.volumes
         return Contact(
-            pose=pose,
+            pose=label,
             shear=shear,
             tips=tips,
             directions=directions,
@@ -396,7 +422,7 @@ class CarefulPlayer:
         self._players = [ContactPlayer(design, stimulus, fidelity)]
         self.stimulus = self._players[0].scene.stimulus
         """Stimulus of all tries."""
-        self._last = self._players[0]
+        self._last = self._slider = self._players[0]
         self._design, self._bounds = design, bounds
         self.watch = None
         """Called as ContactPlayer.watch at the steps of every try."""
@@ -417,10 +443,17 @@ class CarefulPlayer:
             found = contact.faults(self._bounds)
             if self._catches and not found:
                 found, good = self._unproven(contact, good), contact
+            # Of two that agree, the coarser has a good record too, and slides on in half the steps.
+            self._slider = self._players[attempt - 1] if self._catches and not found else self._last
             if not found:
                 break
             faults.append(found)
         return contact, faults
+
+    def slide(self, pose, label):
+        """Go on from where the last contact ended, as ContactPlayer.slide: once, with the coarsest steps that served it."""
+        self._last = self._slider
+        return self._last.slide(pose, label)
 
     @property
     def last(self):

@@ -38,7 +38,7 @@ def record_contact(folder, sample, out, read: Callable | None = None):
             if kept
             else f"the set in {folder} has no sample"
         )
-    number = sample // len(configuration.symmetries)
+    number = sample // configuration.each
     given = drawn(configuration, number)
     solid, player = given.solid, player_of(configuration, given.design)
     if solid is not None:

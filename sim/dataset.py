@@ -90,6 +90,8 @@ class Configuration:
     """Samples of a shard: a set of more is a folder of shards (sim/shards.py)."""
     first: int = 0
     """Index of its first sample, where it is a shard of a larger set."""
+    looks: int = 1
+    """Times that a contact is looked at: at its pose, and then on a walk from there (sim/walk.py), after each stride."""
     mechanics: Variation = field(default_factory=Variation)
     """How far the tip's mechanics differ from contact to contact (sim/variation.py); the optics do not."""
 
@@ -103,6 +105,11 @@ class Configuration:
         """The symmetries (tuple of Symmetry) that make samples of each contact."""
         return SYMMETRIES[self.task][: None if self.symmetric else 1]
 
+    @property
+    def each(self):
+        """Samples (int) that a contact makes."""
+        return len(self.symmetries) * self.looks
+
     def as_json(self):
         """The configuration as a dict of JSON types. What came to it later is named where it is used alone: what was made
         before keeps its digest."""
@@ -111,7 +118,7 @@ class Configuration:
             del fields["curvature_per_m"]
         if not self.uneven:
             del fields["uneven"]
-        for name in ("shard_samples", "first"):
+        for name in ("shard_samples", "first", "looks"):
             if fields[name] == type(self).__dataclass_fields__[name].default:
                 del fields[name]
         if self.mechanics.still:
@@ -121,6 +128,12 @@ class Configuration:
     def digest(self):
         """A checksum (hex str) of the configuration."""
         return digest_of(self.as_json())
+
+
+def samples_each(configuration):
+    """Samples (int) that a contact makes, by a configuration as dict of JSON types."""
+    turned = len(SYMMETRIES[configuration["task"]]) if configuration.get("symmetric") else 1
+    return turned * configuration.get("looks", 1)
 
 
 def digest_of(configuration):

@@ -26,16 +26,15 @@ class Fingertip:
     def __init__(self, design, solid, fidelity, carrier, T_base_object, settle_steps=None, pace=1.0):
         """design: Design. solid: Solid. fidelity: Fidelity. carrier: Carrier. T_base_object: (4, 4), where the solid is.
 
-        settle_steps: int, time steps at rest before a touch is taken; half of the fidelity's if None: a touch goes on from
-        the last one. Half of them takes a fifth less time, at the same errors over the bust and a tenth more along a rim
-        [M]. pace: float, way a time step over the fidelity's.
+        settle_steps: int, time steps at rest before a touch is taken; the fidelity's Motion.pause_steps if None. pace:
+        float, way a time step over the fidelity's.
         Raises TactipError on what cannot be built.
         """
         self.scene = Scene(design, Shape(solid), fidelity)
         self.carrier, self.T_base_object = carrier, np.array(T_base_object, float)
         self._solid, self._radius = solid, design.shape.radius_m
         self._reader = PinReader(design, self.scene.mesh)
-        self._settle = -(-fidelity.motion.settle_steps // 2) if settle_steps is None else settle_steps
+        self._settle = fidelity.motion.pause_steps if settle_steps is None else settle_steps
         self._pace = pace
         self._housing = housing_points(self._radius)
         self._since = 0

@@ -18,16 +18,21 @@ from sim.cluster import ClusterCrew, joined, ray_here
 from sim.contact import STEEPEST_RAD, CarefulPlayer, check_ranges, too_steep
 from sim.crew import Crew
 from sim.dataset import Configuration, checksum, encode_image, image_name, row_of, write_file
+from sim.pose import to_mm_deg
 from sim.record import pack_record, record_path, samples_of
 from sim.sampling import generator, seed_text
 from sim.shape import Shape
 from sim.shards import folder_of, home_of
 from sim.solid import Solid
 from sim.symmetry import SymmetricReader, keeps
+from sim.walk import MOST_LOOKS, Walk
 from tactip_model.design import Design
 from tactip_model.errors import TactipError, choose
 from tactip_model.image import tactile_image
 from tactip_model.renderer import RENDERERS, renderer_named
+
+_ROUND = 1e-9
+"""A label may lie this far outside of its range, mm or degrees: rounding."""
 
 
 @dataclass(frozen=True)
@@ -50,15 +55,29 @@ def check(configuration):
     configuration.shear.check("shear")
     check_ranges(configuration.pose, configuration.shear)
     _motion(configuration, first)
-    each = len(configuration.symmetries)
-    if configuration.shard_samples < each or configuration.shard_samples % each:
-        raise TactipError(f"shards of {configuration.shard_samples} samples cannot be made: {each} go together")
+    _check_looks(configuration)
     _check_curvature(configuration)
     for name in ("pose", "shear"):
         if not keeps(configuration.symmetries, getattr(configuration, name)):
             raise TactipError(
                 f"the ranges of the {name} are not as wide to one side as to the other, and samples by symmetry would leave "
                 "them: leave --symmetric out, or make the ranges even"
+            )
+
+
+def _check_looks(configuration):
+    c = configuration
+    if not 1 <= c.looks <= MOST_LOOKS:
+        raise TactipError(f"{c.looks} looks at a contact cannot be had: it must be 1 to {MOST_LOOKS}")
+    if c.shard_samples < c.each:
+        raise TactipError(f"shards of {c.shard_samples} samples cannot be made: {c.each} go together")
+    names = ("x_mm", "y_mm", "yaw_deg") if c.task == "surface" else ("y_mm",)
+    for name in names if c.looks > 1 else ():
+        low, high = getattr(c.pose, name)
+        if not low <= 0 <= high:
+            raise TactipError(
+                f"the range pose.{name} is ({low}, {high}): with more than one look at a contact 0 must be in it, as it is "
+                "after a walk"
             )
 
 
@@ -104,7 +123,7 @@ def make(jobs, workers, say=print, cluster=""):
 
         if todo:
             arguments = [job.configuration for job in jobs], [str(job.folder.resolve()) for job in jobs]
-            unit = "contact" if any(job.configuration.symmetric for job in jobs) else "sample"
+            unit = "contact" if any(job.configuration.each > 1 for job in jobs) else "sample"
             given = _Makers, arguments, todo, unit, say
             crew = ClusterCrew(stack.enter_context(joined(cluster)), *given) if cluster else Crew(*given)
             workers = min(workers or crew.places(), len(todo))
@@ -151,21 +170,44 @@ class _SampleMaker:
             reader = SymmetricReader(given.design, player.skin()[1], c.symmetries) if c.symmetric else None
         if given.solid is not None:
             player.stimulus.solid = given.solid
-        contact, faults = player.play(given.pose, given.shear)
-        failed = len(faults) == player.tries
-        contacts = reader.read(contact, player.skin()[0]) if reader and not failed else [contact]
         indices, folder = samples_of(c, number), home_of(c, self._folder, number)
-        contacts, rows, images = contacts[: len(indices)], [], {}
-        for index, one in zip(indices, contacts, strict=False):
-            rows.append(row_of(one, index, len(faults) + 1, seed_text(c.seed, c.task, c.split, number)))
-            if not failed:
-                image = tactile_image(self._render(one.tips, one.directions), c.design.image)
-                data = encode_image(image)
+        seed = seed_text(c.seed, c.task, c.split, number)
+        contact, faults = player.play(given.pose, given.shear)
+        tries, failed = len(faults) + 1, len(faults) == player.tries
+        kept, rows, images, missed = [], [], {}, []
+        if failed:
+            kept, rows = [contact], [row_of(contact, indices[0], tries, seed)]
+        each = len(c.symmetries)
+        for look, (seen, wrong) in enumerate([] if failed else self._looks(player, contact, given)):
+            mine = indices[look * each : (look + 1) * each]
+            if wrong:
+                missed += [{"index": index, "seed": seed, "tries": [wrong]} for index in mine]
+                continue
+            contacts = reader.read(seen, player.skin()[0]) if reader else [seen]
+            for index, one in zip(mine, contacts, strict=False):
+                kept.append(one)
+                rows.append(row_of(one, index, tries, seed))
+                data = encode_image(tactile_image(self._render(one.tips, one.directions), c.design.image))
                 write_file(folder / "images" / image_name(index), data)
                 images[image_name(index)] = checksum(data)
-        record = {"rows": rows, "faults": faults, "failed": failed, "images": images}
-        pins = ([getattr(one, k) for one in contacts] for k in ("tips", "directions"))
+        record = {"rows": rows, "faults": faults, "failed": failed, "images": images, "missed": missed}
+        pins = ([getattr(one, k) for one in kept] for k in ("tips", "directions"))
         write_file(record_path(folder, number), pack_record(record, *pins))
+
+    def _looks(self, player, contact, given):
+        """The Contact of each look, and what is wrong with it (list of str): of `contact`, and of the walk from there."""
+        c = self._configuration
+        yield contact, []
+        if c.looks == 1:
+            return
+        walk = Walk(c.task, given.solid, c.pose, given.pose, given.draw)
+        low, high = c.pose.bounds().T
+        for _ in range(c.looks - 1):
+            contact = player.slide(walk.stride(), walk.label())
+            label, wrong = to_mm_deg(contact.pose), contact.faults(c.bounds.on_the_way())
+            if not ((label > low - _ROUND) & (label < high + _ROUND)).all():
+                wrong = [*wrong, "on the bent surface, its label is out of the ranges"]
+            yield contact, wrong
 
 
 def _physics(configuration):
@@ -184,6 +226,8 @@ class Drawn:
     """What is pressed on, where it is bent anew for each contact."""
     design: Design
     """The tip, with the mechanics of this contact."""
+    draw: np.random.Generator
+    """What the rest of the contact is drawn by."""
 
 
 _MOST_DRAWS = 1000
@@ -211,7 +255,7 @@ def drawn(configuration, number):
     draw = generator(c.seed, c.task, c.split, number)
     pose, shear = _motion(c, draw)
     solid = drawn_surface(draw, *c.curvature_per_m, c.uneven) if c.bent else None
-    return Drawn(pose, shear, solid, c.design if c.mechanics.still else c.mechanics.draw(c.design, draw))
+    return Drawn(pose, shear, solid, c.design if c.mechanics.still else c.mechanics.draw(c.design, draw), draw)
 
 
 def player_of(configuration, design):

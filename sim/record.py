@@ -6,20 +6,19 @@ import zipfile
 
 import numpy as np
 
-from sim.dataset import PARTIAL, read_meta, read_targets, write_file
-from sim.symmetry import SYMMETRIES
+from sim.dataset import PARTIAL, read_meta, read_targets, samples_each, write_file
 from tactip_model.errors import TactipError
 
 
 def numbers_of(configuration):
     """Numbers (range) of the contacts that the samples of a set's Configuration take."""
-    each = len(configuration.symmetries)
+    each = configuration.each
     return range(configuration.first // each, -(-(configuration.first + configuration.samples) // each))
 
 
 def samples_of(configuration, number):
     """Indices (range) of the samples that contact `number` of a Configuration makes."""
-    return _samples(number, len(configuration.symmetries), configuration.first + configuration.samples)
+    return _samples(number, configuration.each, configuration.first + configuration.samples)
 
 
 def _samples(number, each, end):
@@ -32,7 +31,11 @@ def record_path(folder, number):
 
 
 def pack_record(record, tips, directions):
-    """The bytes of a record (dict: rows, faults, failed, images) with its pins, each (samples, pins, 3)."""
+    """The bytes of a record with its pins, each (rows, pins, 3).
+
+    record: dict of rows; images, their checksums by name; failed, whether the contact has none; faults, of each try of the
+    contact; missed, a list of the failures (dict: index, seed, tries) of single samples.
+    """
     data = io.BytesIO()
     np.savez(
         data,
@@ -58,7 +61,7 @@ def reopen(folder):
     """
     meta, rows = read_meta(folder), read_targets(folder)
     configuration = meta["configuration"]
-    each = len(SYMMETRIES[configuration["task"]]) if configuration.get("symmetric") else 1
+    each = samples_each(configuration)
     try:
         with np.load(folder / "pins.npz", allow_pickle=False) as pins:
             tips, directions = pins["tips"], pins["directions"]
@@ -70,16 +73,17 @@ def reopen(folder):
         end = first + configuration["samples"]
         for number in range(first // each, end // each):
             indices = _samples(number, each, end)
-            failure = failures.get(indices[0])
-            record = {"rows": [], "faults": [], "failed": False, "images": {}}
-            if failure:
+            missed = [failures[i] for i in indices if i in failures]
+            record = {"rows": [], "faults": [], "failed": False, "images": {}, "missed": []}
+            if len(missed) == len(indices):
+                failure = missed[0]
                 record |= {"rows": [{"seed": failure["seed"]}], "faults": failure["tries"], "failed": True}
                 part = slice(0, 0)
             else:
-                kept = [rows[where[i]] for i in indices]
+                part = [where[i] for i in indices if i not in failures]
+                kept = [rows[k] for k in part]
                 names = [row["sensor_image"] for row in kept]
-                record |= {"rows": kept, "images": {name: meta["images"][name] for name in names}}
-                part = [where[i] for i in indices]
+                record |= {"rows": kept, "images": {name: meta["images"][name] for name in names}, "missed": missed}
             write_file(record_path(folder, number), pack_record(record, tips[part], directions[part]))
     except (ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
         raise TactipError(f"the set in {folder} cannot grow, since it is damaged: {error}") from error

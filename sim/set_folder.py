@@ -116,10 +116,11 @@ class SetFolder:
 
     def _is_there(self, number):
         record = record_path(self._path, number)
-        names = (image_name(i) for i in samples_of(self._configuration, number))
-        return record.exists() and (
-            all((self._path / "images" / n).exists() for n in names) or read_record(record)["failed"]
-        )
+        names = [image_name(i) for i in samples_of(self._configuration, number)]
+        return record.exists() and (self._are_there(names) or self._are_there(read_record(record)["images"]))
+
+    def _are_there(self, names):
+        return all((self._path / "images" / name).exists() for name in names)
 
     def finish(self, workers, seconds):
         """Turn records into a finished set, if it is not one. Returns a dict: folder, asked, kept, failed, made, seconds.
@@ -135,7 +136,7 @@ class SetFolder:
 
     def _made(self):
         """Samples made now; the last contact of a set may have been cut short."""
-        return min(len(self.costs) * len(self._configuration.symmetries), self._configuration.samples)
+        return min(len(self.costs) * self._configuration.each, self._configuration.samples)
 
     def _assemble(self, workers, seconds):
         rows, failures, images, tips, directions = [], [], {}, [], []
@@ -147,6 +148,7 @@ class SetFolder:
                         seed = record["rows"][0]["seed"]
                         failures.append({"index": index, "seed": seed, "tries": record["faults"]})
                     continue
+                failures += record.get("missed", [])
                 rows += record["rows"]
                 images |= record["images"]
                 tips += list(data["tips"])

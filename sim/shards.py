@@ -30,17 +30,22 @@ def home_of(configuration, folder, number):
     """Path of the set or shard to which contact `number` of the set of a Configuration in a folder (Path) belongs."""
     if not is_sharded(configuration):
         return folder
-    return folder / _shard_name(number * len(configuration.symmetries) // configuration.shard_samples)
+    return folder / _shard_name(number * configuration.each // _most(configuration))
 
 
 def shards_of(configuration):
     """Configurations of the shards of a Configuration, by the names of their folders (dict)."""
-    each, total = configuration.shard_samples, configuration.samples
+    each, total = _most(configuration), configuration.samples
     starts = range(0, total, each)
     return {
         _shard_name(k): replace(configuration, first=first, samples=min(each, total - first))
         for k, first in enumerate(starts)
     }
+
+
+def _most(configuration):
+    """Most samples (int) of a shard: those of a contact stay together."""
+    return configuration.shard_samples - configuration.shard_samples % configuration.each
 
 
 def _shard_name(k):

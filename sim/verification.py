@@ -7,11 +7,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from sim.dataset import COLUMNS, checksum, digest_of, image_name, read_configuration, read_meta, read_targets
+from sim.dataset import COLUMNS, checksum, digest_of, image_name, read_configuration, read_meta, read_targets, samples_each
 from sim.names import LABELS, SHEARS
 from sim.sampling import seed_text
 from sim.shards import shards_of
-from sim.symmetry import SYMMETRIES
 from tactip_model.errors import TactipError
 
 _ROUNDING = 1e-6
@@ -117,7 +116,9 @@ def _rows(rows, meta):
         problems.append(f"targets.csv: it has {len(rows)} rows, meta.json promises {kept}")
     ranges = {}
     if configuration is not None:
-        for columns, key in ((LABELS, "pose"), (SHEARS, "shear")):
+        # The shear of a look on a walk is the whole way since the first touch.
+        walked = configuration.get("looks", 1) > 1
+        for columns, key in ((LABELS, "pose"), *(() if walked else ((SHEARS, "shear"),))):
             ranges.update(zip(columns, configuration[key].values(), strict=True))
     for number, row in enumerate(rows, start=2):
         where = f"targets.csv, line {number}"
@@ -152,8 +153,8 @@ def _belongs(row, configuration):
     if any(row.get(c) is None for c in COLUMNS) or not row["index"].isdigit():
         return False
     index = int(row["index"])
-    each = len(SYMMETRIES[configuration["task"]]) if configuration.get("symmetric") else 1
-    seed = seed_text(configuration["seed"], configuration["task"], configuration["split"], index // each)
+    number = index // samples_each(configuration)
+    seed = seed_text(configuration["seed"], configuration["task"], configuration["split"], number)
     inside = 0 <= index - configuration.get("first", 0) < configuration["samples"]
     return inside and row["seed"] == seed and row["sensor_image"] == image_name(index)
 

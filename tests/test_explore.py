@@ -12,7 +12,6 @@ from control.explore import Explorer
 from control.options import Settings
 from control.route import AlongEdge, Plan
 from control.servo import Gains, Servo
-from control.truth import EdgeTruth, SurfaceTruth
 from learning.labels import Labels
 from sim.carrier import carrier_named
 from sim.contact import Diverged
@@ -20,6 +19,7 @@ from sim.fidelity import fidelity_named
 from sim.fingertip import Fingertip
 from sim.objects import find_object
 from sim.pose import from_mm_deg, inverse, sensor_in_contact, to_mm_deg
+from sim.truth import EdgeTruth, SurfaceTruth
 from tactip_model.errors import TactipError
 from tactip_model.presets import find_design
 
@@ -50,7 +50,7 @@ class World:
         explorer = Explorer(
             self.finger,
             estimator or self.oracle,
-            Servo(Gains()),
+            Servo(Gains(), 3.0),
             self.labels,
             Settings(**settings),
             self.steps.append,

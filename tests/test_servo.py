@@ -5,10 +5,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from control.route import AlongEdge, Geodesic, Plan, serpentine
-from control.servo import GAINS, REFERENCE_MM_DEG, Gains, Servo, gains_named
-from control.truth import EdgeTruth, SurfaceTruth
+from control.servo import DEPTHS_MM, GAINS, Gains, Servo, gains_named, reference_mm_deg
 from sim.objects import find_object
 from sim.pose import from_mm_deg, inverse, label_of, matrix, sensor_in_contact
+from sim.truth import EdgeTruth, SurfaceTruth
 from tactip_model.errors import TactipError
 
 DOWN, STILL = Rotation.from_rotvec([0, np.pi, 0]), Rotation.identity()
@@ -22,24 +22,24 @@ def test_the_law_brings_any_pose_to_the_reference(gains, task):
     draw = np.random.default_rng(0)
     for _ in range(10):
         T = sensor_in_contact(from_mm_deg(draw.uniform([-5, -5, -5, -15, -15, -45], [5, 5, -1, 15, 15, 45])))
-        servo = Servo(gains_named(gains, task))
+        servo = Servo(gains_named(gains, task), DEPTHS_MM[task])
         for _ in range(60):
             label = np.zeros(6)
             label[felt] = label_of(T)[felt]
             T = T @ servo.move(label)
-        assert np.allclose(label_of(T)[felt], from_mm_deg(REFERENCE_MM_DEG)[felt], atol=2e-5)
+        assert np.allclose(label_of(T)[felt], from_mm_deg(reference_mm_deg(DEPTHS_MM[task]))[felt], atol=2e-5)
 
 
 def test_the_error_is_a_product_of_poses():
-    servo = Servo(Gains())
+    servo = Servo(Gains(), 2.5)
     label = from_mm_deg([1, 2, -4, 5, -6, 30])
     error = servo.error(label)
     T = sensor_in_contact(label) @ matrix(error[:3], Rotation.from_rotvec(error[3:]))
-    assert np.allclose(label_of(T), from_mm_deg(REFERENCE_MM_DEG), atol=1e-12)
+    assert np.allclose(label_of(T), from_mm_deg(reference_mm_deg(2.5)), atol=1e-12)
 
 
 def test_the_law_is_proportional_and_integral_and_its_sum_is_clipped():
-    servo = Servo(Gains(kp=(0.5,) * 6, ki=(0.3,) * 6, most_mm=2.0))
+    servo = Servo(Gains(kp=(0.5,) * 6, ki=(0.3,) * 6, most_mm=2.0), 3.0)
     label = from_mm_deg([0, 0, -4, 0, 0, 0])  # 1 mm too deep: the reference is behind, at z = -1 mm of the sensor
     for told in (-0.5 - 0.3, -0.5 - 0.6, -0.5 - 0.6):
         assert servo.move(label)[2, 3] == pytest.approx(told * 1e-3)
@@ -49,7 +49,7 @@ def test_the_law_is_proportional_and_integral_and_its_sum_is_clipped():
 
 def test_a_steady_turn_is_followed_without_a_lasting_error():
     """On a ball the surface turns by as much at each step: the integral takes that up."""
-    servo, radius, step = Servo(Gains()), 0.06, 1e-3
+    servo, radius, step = Servo(Gains(), 3.0), 0.06, 1e-3
     T = matrix([0, 0, radius - 3e-3], DOWN)
     for _ in range(150):
         apex = T[:3, 3]

@@ -8,7 +8,7 @@ from PIL import Image
 
 import tactip
 from control.score import coverage
-from control.servo import REFERENCE_MM_DEG
+from control.servo import DEPTHS_MM
 from sim.pose import to_mm_deg
 from sim.recording import PHASES, read_recording
 
@@ -48,7 +48,7 @@ def test_a_recording_tells_all_that_was(ran):
     assert record["complete"] and not (out / "steps.log").exists()
     following = arrays["phase"] == PHASES.index("follow")
     true = to_mm_deg(arrays["true"][following])
-    assert score["depth_mae_mm"] == pytest.approx(np.abs(true[:, 2] - REFERENCE_MM_DEG[2]).mean())
+    assert score["depth_mae_mm"] == pytest.approx(np.abs(true[:, 2] + DEPTHS_MM["surface"]).mean())
     assert arrays["images"].shape[1:] == (128, 128)
     assert set(np.unique(arrays["images"])) == {0, 255}
     assert arrays["tips_m"].shape[1:] == (127, 3)

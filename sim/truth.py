@@ -1,4 +1,5 @@
-"""The true pose of the sensor on an object: what a perfect estimator would say, and what scores are held against.
+"""The true pose of the sensor on an object: what a perfect estimator would say, what scores are held against, and what a
+walk (sim/walk.py) is labelled by.
 
 On a curved object the local contact frame has its z along the surface's normal where it is nearest to the apex, so that
 depth is the distance of the undeformed apex below the surface.
