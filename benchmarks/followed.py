@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.machine import machine
+from benchmarks.patch import RADII_MM, felt_patch
 from control.options import Options as ServoOptions
 from control.options import RouteOptions, Settings
 from control.run import SCORE
@@ -59,6 +60,11 @@ class Case:
     """But for its folder."""
 
 
+DEPTHS_MM = (1.5, 2.0, 2.5, 3.0, 4.0)
+"""Depths that are kept in the group `robust`, mm."""
+
+_DEEP = "{:g} mm deep"
+_ON_THE_BUST = [f"bust, {_DEEP.format(mm)}" for mm in DEPTHS_MM]
 _NOWHERE = Path("-")
 
 _LONG = {
@@ -97,7 +103,7 @@ def cases(options):
         changes |= {f"stiffness times {k:g}": {"stiffness": k} for k in (0.5, 1.5)}
         changes |= {f"noise of {grey:g} grey levels": {"noise_grey": grey} for grey in (5.0, 15.0, 30.0)}
         changes |= {f"steps of {mm:g} mm": {"settings": Settings(step_mm=mm)} for mm in (3.0, 5.0)}
-        changes |= {f"{mm:g} mm deep": {"depth_mm": mm} for mm in (1.5, 2.0, 2.5, 3.0, 4.0)}
+        changes |= {_DEEP.format(mm): {"depth_mm": mm} for mm in DEPTHS_MM}
         changes |= {"gains of the later work": {"gains": "later"}}
         changes |= {f"slow at {deg:g} degrees": {"settings": Settings(slow_deg=deg)} for deg in (0.0, 3.0, 6.0, 12.0)}
         if others[name]:
@@ -172,15 +178,29 @@ def run(options, say=print):
             worker_count(options.workers), lambda *done: None
         )
     path = options.out / "servo.json"
-    before = json.loads(path.read_text())["groups"] if path.exists() else {}
+    before = _before(path).get("groups", {})
     measured = {c.group: [_row(options.runs, one) for one in chosen if one.group == c.group] for c in chosen}
     record = {"machine": machine(), "groups": {g: (before | measured)[g] for g in GROUPS if g in before | measured}}
+    deep = [_patch(options.runs, case) for case in chosen if case.name in _ON_THE_BUST and case.group == "robust"]
+    patches = deep if "robust" in groups else _before(path).get("patches")
+    record |= {"patches": patches} if patches else {}
     options.out.mkdir(parents=True, exist_ok=True)
     write_file(path, (json.dumps(record, indent=1) + "\n").encode())
     write_file(options.out / "servo.md", page(record).encode())
     if "fidelity" in record["groups"]:
         draw(record["groups"]["fidelity"], options.out / "servo.png")
     return record
+
+
+def _before(path):
+    """The record (dict) that was measured before; empty if there is none."""
+    return json.loads(path.read_text()) if path.exists() else {}
+
+
+def _patch(runs, case):
+    """What felt_patch (dict) tells of a Case that keeps a depth of its own."""
+    folder = folder_of(runs, case.group, case.name)
+    return {"depth_mm": case.options.depth_mm, **felt_patch(folder, find_object(case.options.object))}
 
 
 def _is_there(runs, case):
@@ -256,7 +276,26 @@ def page(record):
                 f"{p['angle_p95_deg']:.1f} |"
                 for name, p in passes
             ]
+        if group == "robust" and "patches" in record:
+            lines += _patches(record["patches"])
     return "\n".join(lines) + "\n"
+
+
+def _patches(rows):
+    """Lines on which normal is felt. rows: list of dict, of felt_patch."""
+    lines = [
+        "",
+        "Which normal is felt, on the bust: mean angle, °, from the felt normal to the surface's, averaged over discs about "
+        "where it is nearest; in brackets how far those are from the normal where it is nearest itself, which the angles of "
+        "all tables are held against.",
+        "",
+        "| pressed, mm | " + " | ".join(f"{r:g} mm about" if r else "the place itself" for r in RADII_MM) + " |",
+        "|" + "---|" * (1 + len(RADII_MM)),
+    ]
+    for row in rows:
+        pairs = zip(row["felt_deg"], row["apart_deg"], strict=True)
+        lines.append(f"| {row['depth_mm']:g} | " + " | ".join(f"{a:.2f} ({b:.2f})" for a, b in pairs) + " |")
+    return lines
 
 
 def _cell(row, name, form):

@@ -57,11 +57,12 @@ class Crew:
         """
         self._begin, self._arguments, self._unit, self._say = begin, arguments, unit, say
         self._queue, self._count = list(reversed(tasks)), len(tasks)
-        self._workers, self._killed = {}, {}
+        self._workers, self._killed, self._further = {}, {}, set()
 
     def work(self, workers, done):
         """Do all tasks with `workers` processes; call done(task, seconds, peak memory of the worker in MiB)
-        after each, in the order they end.
+        after each, in the order they end. What it returns, if anything, is a list of further tasks, which are done next and
+        not counted.
 
         Raises TactipError where a task cannot be done, and Stopped at Ctrl-C.
         """
@@ -74,7 +75,11 @@ class Crew:
                 known, told = [], False
                 while self._workers:
                     for task, seconds, peak_mib, repeated in self._replies():
-                        done(task, seconds, peak_mib)
+                        further = done(task, seconds, peak_mib) or []
+                        self._queue += further
+                        self._further.update(further)
+                        if task in self._further:
+                            continue
                         bar.update()
                         if repeated:  # a worker's first task was slowed by its start
                             known.append(seconds)

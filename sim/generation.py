@@ -22,7 +22,7 @@ from sim.pose import to_mm_deg
 from sim.record import pack_record, record_path, samples_of
 from sim.sampling import generator, seed_text
 from sim.shape import Shape
-from sim.shards import folder_of, home_of
+from sim.shards import Closing, folder_of, home_of
 from sim.solid import Solid
 from sim.symmetry import SymmetricReader, keeps
 from sim.walk import MOST_LOOKS, Walk
@@ -119,7 +119,11 @@ def make(jobs, workers, say=print, cluster=""):
         start = time.perf_counter()
 
         def done(task, *cost):
-            folders[task[0]].done(task[1], cost, workers, time.perf_counter() - start)
+            job, what = task
+            if isinstance(what, Closing):
+                folders[job].closed(what.name)
+                return None
+            return [(job, closing) for closing in folders[job].done(what, cost, workers, time.perf_counter() - start)]
 
         if todo:
             arguments = [job.configuration for job in jobs], [str(job.folder.resolve()) for job in jobs]
@@ -139,8 +143,11 @@ class _Makers:
         self._configurations, self._folders, self._makers = configurations, folders, {}
 
     def __call__(self, task):
-        """Make the samples of the contact `task` (job number, contact number)."""
+        """Make the samples of a `task` (job number, contact number), or close a shard (job number, Closing)."""
         job, number = task
+        if isinstance(number, Closing):
+            number(self._configurations[job], Path(self._folders[job]))
+            return
         if job not in self._makers:
             folder = Path(self._folders[job])
             self._makers[job] = _SampleMaker(self._configurations[job], folder, self._makers.values())

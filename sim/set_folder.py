@@ -102,12 +102,21 @@ class SetFolder:
     def done(self, number, cost, workers, seconds):
         """Note that contact `number` is made, and finish the set if it was the last.
 
-        cost: of `costs`. workers, seconds: see finish.
+        cost: of `costs`. workers, seconds: see finish. Returns a list of Closings that a worker is to do.
         """
+        if self.last(number, cost, workers, seconds):
+            self.finish(workers, seconds)
+        return []
+
+    def last(self, number, cost, workers, seconds):
+        """Note that contact `number` is made. Returns the bytes of run.json if it was the last, else None."""
         self.costs.append(cost)
         self._left.discard(number)
-        if not self._left:
-            self.finish(workers, seconds)
+        return None if self._left else self._run_json(workers, seconds)
+
+    def closed_elsewhere(self):
+        """Note that a worker has finished the set."""
+        self._samples = read_meta(self._path)["samples"]
 
     @property
     def finished(self):
@@ -129,7 +138,7 @@ class SetFolder:
         """
         if self._samples is None:
             try:
-                self._samples = self._assemble(workers, seconds)
+                self._samples = self.assemble(self._run_json(workers, seconds))
             except OSError as error:
                 raise TactipError(disk_error(error)) from error
         return {"folder": str(self._path), **self._samples, "made": self._made(), "seconds": seconds}
@@ -138,7 +147,8 @@ class SetFolder:
         """Samples made now; the last contact of a set may have been cut short."""
         return min(len(self.costs) * self._configuration.each, self._configuration.samples)
 
-    def _assemble(self, workers, seconds):
+    def assemble(self, run_json):
+        """Write what makes the set whole. run_json: bytes. Returns the counts (dict) in meta.json."""
         rows, failures, images, tips, directions = [], [], {}, [], []
         for number in numbers_of(self._configuration):
             with np.load(record_path(self._path, number), allow_pickle=False) as data:
@@ -167,7 +177,7 @@ class SetFolder:
         files = {"targets.csv": targets_csv(rows), "pins.npz": pins.getvalue()}
         for name, data in files.items():
             write_file(self._path / name, data)
-        write_file(self._path / "run.json", self._run_json(workers, seconds))
+        write_file(self._path / "run.json", run_json)
         sums = {name: checksum(data) for name, data in files.items()}
         samples = {"asked": self._configuration.samples, "kept": len(rows), "failed": len(failures)}
         more = {"failures": failures, "images": images}

@@ -9,9 +9,9 @@ Readers (sim/dataset.py) take shards as one set. A set that grows out of one sha
 """
 
 import shutil
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
-from sim.dataset import checksum, meta_json, write_file
+from sim.dataset import PARTIAL, checksum, meta_json, read_meta, write_file
 from sim.set_folder import SetFolder
 from tactip_model.errors import TactipError
 
@@ -52,6 +52,29 @@ def _shard_name(k):
     return f"shard-{k:05d}"
 
 
+@dataclass(frozen=True, repr=False)
+class Closing:
+    """A shard that has all of its contacts: a task for a worker, so that who hands out contacts need not do it."""
+
+    name: str
+    """Folder of the shard, within that of the set."""
+    run_json: bytes
+    """What its run.json is to be."""
+
+    def __call__(self, configuration, folder):
+        """Turn its records into a finished set. configuration: Configuration of the whole set. folder: Path, the whole
+        set's. Raises OSError."""
+        part = SetFolder(shards_of(configuration)[self.name], folder / self.name, alone=False)
+        # Another worker may have done it, and been lost before it could say so.
+        if (folder / self.name / "meta.json").exists():
+            shutil.rmtree(folder / self.name / PARTIAL, ignore_errors=True)
+        else:
+            part.assemble(self.run_json)
+
+    def __repr__(self):
+        return f"the end of {self.name}"
+
+
 class ShardedFolder(SetFolder):
     """The folder of a set of shards while it is made."""
 
@@ -86,14 +109,26 @@ class ShardedFolder(SetFolder):
     def done(self, number, cost, workers, seconds):
         """See SetFolder."""
         self.costs.append(cost)
-        self._shards[home_of(self._configuration, self._path, number).name].done(number, cost, workers, seconds)
-        if all(shard.finished for shard in self._shards.values()):
-            self.finish(workers, seconds)
+        name = home_of(self._configuration, self._path, number).name
+        run_json = self._shards[name].last(number, cost, workers, seconds)
+        return [Closing(name, run_json)] if run_json else []
 
-    def _assemble(self, workers, seconds):
-        counts = {name: shard.finish(workers, seconds) for name, shard in self._shards.items()}
+    def closed(self, name):
+        """Note that a worker has closed a shard."""
+        self._shards[name].closed_elsewhere()
+
+    def finish(self, workers, seconds):
+        """See SetFolder."""
+        # Those that a command before this one left without their end.
+        for shard in () if self.finished else self._shards.values():
+            shard.finish(workers, seconds)
+        return super().finish(workers, seconds)
+
+    def assemble(self, run_json):
+        """See SetFolder."""
+        counts = {name: read_meta(self._path / name)["samples"] for name in self._shards}
         samples = {key: sum(count[key] for count in counts.values()) for key in ("asked", "kept", "failed")}
-        write_file(self._path / "run.json", self._run_json(workers, seconds))
+        write_file(self._path / "run.json", run_json)
         sums = {f"{name}/meta.json": checksum((self._path / name / "meta.json").read_bytes()) for name in counts}
         write_file(self._path / "meta.json", meta_json(self._configuration, samples, sums, {"shards": list(counts)}))
         shutil.rmtree(self._partial)

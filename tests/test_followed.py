@@ -19,6 +19,7 @@ def options(tmp_path, monkeypatch):
     plate = replace(followed._LONG["bust"], object="plate", route=RouteOptions("straight", length_mm=1), **QUICK)
     away = replace(plate, place_mm=(5000.0, 0, 0), arm="kinematic")
     runs = [followed.Case("fidelity", "bust, plate", plate), followed.Case("robust", "away", away)]
+    runs += [followed.Case("robust", "bust, 2 mm deep", replace(plate, depth_mm=2.0))]
     runs += [followed.Case("objects", "plate", plate), followed.Case("starts", "bust, 0", away)]
     monkeypatch.setattr(followed, "cases", lambda options: runs)
     monkeypatch.setattr(followed, "Crew", _Here)
@@ -51,10 +52,14 @@ def test_runs_are_made_once_and_stand_on_the_page(options):
     assert "| away | " in page and "out of reach" in page
     assert "| bust | 0 of 1 | nan | nan | 1: the start is out of reach" in page
     assert (options.out / "servo.png").stat().st_size > 3000
-    assert _Here.made == 4
+    assert _Here.made == 5
+    (patch,) = record["patches"]
+    assert patch["depth_mm"] == 2 and f"| 2 | {patch['felt_deg'][0]:.2f} (0.00)" in page
     again = followed.run(replace(options, groups=("robust",)))
-    assert _Here.made == 4
-    assert again["groups"] == record["groups"]
+    assert _Here.made == 5
+    assert again == record
+    kept = followed.run(replace(options, groups=("objects",)))
+    assert kept["patches"] == record["patches"]
 
 
 def test_a_run_of_other_options_is_made_anew(options, monkeypatch):

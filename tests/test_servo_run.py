@@ -7,8 +7,10 @@ import pytest
 from PIL import Image
 
 import tactip
+from benchmarks.patch import felt_patch
 from control.score import coverage
 from control.servo import DEPTHS_MM
+from sim.objects import find_object
 from sim.pose import to_mm_deg
 from sim.recording import PHASES, read_recording
 
@@ -41,6 +43,19 @@ def test_a_run_leaves_a_score_with_all_its_figures(ran):
     assert not score["closed"]
     assert [p["pass"] for p in score["passes"]] == [0]
     assert set(score["ms_a_step"]) == {"simulation", "image", "network", "control"}
+
+
+def test_on_a_plate_the_normal_that_is_felt_is_that_of_any_patch(ran):
+    out, _, _, arrays = ran
+    patch = felt_patch(out, find_object("plate"))
+    assert np.allclose(patch["apart_deg"], 0, atol=1e-3)
+    felt = np.abs(arrays["felt"] - arrays["true"])[arrays["phase"] == PHASES.index("follow"), 3:5]
+    assert np.allclose(patch["felt_deg"], np.degrees(np.linalg.norm(felt, axis=1)).mean(), atol=0.05)
+
+
+def test_a_depth_that_the_network_has_not_learned_is_refused(tmp_path, capsys):
+    assert tactip.main([*QUICK, *SHORT, "--depth-mm", "6", "--out", str(tmp_path / "run")]) == 1
+    assert "--depth-mm is 6: the network surface-bent-tactip-127 has learned 1 to 5 mm" in capsys.readouterr().err
 
 
 def test_a_recording_tells_all_that_was(ran):

@@ -13,7 +13,9 @@ from set_commands import contents, run, samples_found, wait_for
 import tactip
 from learning.drawn import DrawnImages
 from learning.samples import read_samples
-from sim.dataset import labels_sha256, read_dataset, read_meta, read_pins
+from sim.dataset import PARTIAL, labels_sha256, read_configuration, read_dataset, read_meta, read_pins
+from sim.record import reopen
+from sim.shards import Closing
 
 SAMPLES, SHARD = 10, 4
 
@@ -87,6 +89,34 @@ def test_a_contact_that_makes_eight_samples_stays_in_one_shard(tmp_path, capsys)
     one, other = read_dataset(tmp_path / "set"), read_dataset(tmp_path / "flat")
     assert np.array_equal(one.poses, other.poses)
     assert tactip.main(["dataset", "verify", str(tmp_path / "set")]) == 0
+
+
+def test_a_worker_closes_a_shard_and_does_no_harm_where_it_is_closed(copy, whole):
+    """As after a worker that was lost with the task, before its end or after it."""
+    shard = copy / "shard-00001"
+    configuration = read_configuration(read_meta(copy), copy)
+    (shard / PARTIAL).mkdir()
+    reopen(shard)
+    assert not (shard / "meta.json").exists()
+    closing = Closing("shard-00001", (whole / "shard-00001" / "run.json").read_bytes())
+    for _ in range(2):
+        closing(configuration, copy)
+        assert not (shard / PARTIAL).exists()
+        assert contents(copy) == contents(whole)
+        assert (shard / "run.json").read_bytes() == closing.run_json
+        (shard / PARTIAL).mkdir()
+    assert repr(closing) == "the end of shard-00001"
+
+
+def test_a_shard_that_was_left_without_its_end_gets_it(copy, whole, capsys):
+    for name in ("meta.json", "run.json"):
+        (copy / name).unlink()
+    for place in (copy, copy / "shard-00002"):
+        (place / PARTIAL).mkdir()
+    reopen(copy / "shard-00002")
+    assert tactip.main(options(copy)) == 0
+    assert "complete already" in capsys.readouterr().out
+    assert contents(copy) == contents(whole)
 
 
 @pytest.mark.parametrize("before", [3, 4, 6])
