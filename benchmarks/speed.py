@@ -32,6 +32,9 @@ from sim.symmetry import SYMMETRIES
 from tactip_model.errors import TactipError, choose
 from tactip_model.presets import find_design
 
+_LOOKS = 20
+"""Looks at a contact, where there is more than one."""
+
 _FEW = 4
 """Contacts of the smaller of two sets, a worker."""
 
@@ -89,7 +92,7 @@ def _quietly():
         yield
 
 
-def made_set(folder, samples, workers, task, fidelity, renderer, symmetric, design):
+def made_set(folder, samples, workers, task, fidelity, renderer, symmetric, design, looks=1):
     """The folder (Path) of a set of `samples`, made in `folder`."""
     configuration = Configuration(
         task=task,
@@ -102,6 +105,7 @@ def made_set(folder, samples, workers, task, fidelity, renderer, symmetric, desi
         pose=POSE_RANGES[task],
         shear=SHEAR_RANGES,
         symmetric=symmetric,
+        looks=looks,
     )
     with _quietly():
         make([Job(configuration, Path(folder) / "set")], workers, lambda line: None)
@@ -110,13 +114,18 @@ def made_set(folder, samples, workers, task, fidelity, renderer, symmetric, desi
 
 def set_seconds(contacts, workers, **case):
     """Time (s) and peak memory of a worker (MiB) of a set, made in a folder that is thrown away."""
-    each = len(SYMMETRIES[case["task"]]) if case["symmetric"] else 1
+    each = _each(case)
     with tempfile.TemporaryDirectory() as folder:
         start = time.perf_counter()
         made = made_set(folder, contacts * each, workers, **case)
         seconds = time.perf_counter() - start
         run = json.loads((made / "run.json").read_text())
     return seconds, run["peak_memory_of_a_worker_MiB"]
+
+
+def _each(case):
+    """Samples (int) that a contact of a set makes."""
+    return (len(SYMMETRIES[case["task"]]) if case["symmetric"] else 1) * case.get("looks", 1)
 
 
 def _samples(options):
@@ -127,17 +136,32 @@ def _samples(options):
     changes = ({"symmetric": True}, {"renderer": "pyrender"}, {"fidelity": "draft"}, {"fidelity": "reference"})
     cases += [(plain | change, cores) for change in (*changes, {"design": "nominal-331"}, {"task": "edge"})]
     cases += [(plain | {"task": "edge", "symmetric": True}, cores)]
+    cases += [(plain | {"task": task, "looks": _LOOKS}, cores) for task in ("surface", "edge")]
     rows = []
     for case, workers in cases:
         few = _FEW * workers
         base, _ = set_seconds(few, workers, **case)
-        whole, peak = set_seconds(few + options.contacts, workers, **case)
-        each = len(SYMMETRIES[case["task"]]) if case["symmetric"] else 1
-        rate = options.contacts / max(whole - base, 1e-9)
+        more = max(cores, options.contacts // case.get("looks", 1))
+        whole, peak = set_seconds(few + more, workers, **case)
+        rate = more / max(whole - base, 1e-9)
         once = base - few / rate
         rows.append({
-            "what": _name(case, plain), "workers": workers, "contacts/s": rate, "samples/s": rate * each,
+            "what": _name(case, plain), "workers": workers, "contacts/s": rate, "samples/s": rate * _each(case),
             "once, s": once, "a worker's memory, MiB": peak,
+        })  # fmt: skip
+    return rows
+
+
+def _growth(options):
+    """Whole sets of more and more contacts: what one more costs."""
+    case = {"task": "surface", "fidelity": "draft", "renderer": "raster", "symmetric": True, "design": "tactip-127"}
+    cores, rows = int(machine()["cores"]), []
+    for contacts in (options.contacts * 4**k for k in range(3)):
+        seconds, peak = set_seconds(contacts, cores, **case)
+        more = (seconds - rows[-1]["s"]) / (contacts - rows[-1]["contacts"]) if rows else None
+        rows.append({
+            "contacts": contacts, "samples": contacts * _each(case), "s": seconds, "s more a contact more": more,
+            "a worker's memory, MiB": peak,
         })  # fmt: skip
     return rows
 
@@ -145,7 +169,8 @@ def _samples(options):
 def _name(case, plain):
     """What a set is, in words."""
     words = [case["task"], case["fidelity"], case["renderer"], case["design"]]
-    return ", ".join(words + ["symmetric"] * (case["symmetric"] != plain["symmetric"]))
+    words += ["symmetric"] * (case["symmetric"] != plain["symmetric"])
+    return ", ".join(words + [f"{looks} looks a contact" for looks in [case.get("looks", 1)] if looks > 1])
 
 
 def _images(options):
@@ -395,6 +420,7 @@ def _program():
 
 GROUPS = {
     "samples": ("Sets: contacts and samples a second, from end to end", _samples),
+    "growth": ("Sets of more and more contacts, draft", _growth),
     "images": ("Images a second, one core", _images),
     "learning": ("Training and estimates", _learning),
     "servo": ("Servo steps a second", _following),

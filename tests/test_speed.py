@@ -46,7 +46,16 @@ def test_the_rate_of_a_set_is_its_marginal_one(monkeypatch):
         assert row["once, s"] == pytest.approx(3.0)
         each = 8 if row["what"].endswith("symmetric") and "surface" in row["what"] else 1
         each = 2 if row["what"].endswith("symmetric") and "edge" in row["what"] else each
+        each = 20 if row["what"].endswith("20 looks a contact") else each
         assert row["samples/s"] == pytest.approx(each * row["contacts/s"])
+
+
+def test_sets_grow_by_fours(monkeypatch):
+    monkeypatch.setattr(speed, "set_seconds", lambda n, workers, **case: (3.0 + n / 2, 500))
+    rows = speed._growth(SpeedOptions(contacts=10))
+    assert [row["contacts"] for row in rows] == [10, 40, 160]
+    assert [row["s"] for row in rows] == [8.0, 23.0, 83.0]
+    assert [row["s more a contact more"] for row in rows][1:] == [0.5, 0.5]
 
 
 def test_a_median_leaves_the_first_call_out():
