@@ -6,6 +6,7 @@ RUNS/SET, and writes docs/transfer.md, .json and a figure of each gap. Stopped, 
 
 import json
 import shutil
+from importlib.metadata import version
 
 from benchmarks.machine import machine
 from learning.transfer import EXPERIMENTS, Experiment
@@ -42,7 +43,8 @@ def run(options, say=print):
             write_page(record, experiment.task, experiment.out)
             if name == "gap":
                 shutil.copyfile(experiment.out / GAP, options.out / gap_of(real.name))
-            whole[real.name] = {"task": experiment.task, "machine": machine(), **record}
+            state = {"task": experiment.task, "version": version("tactip-twin"), "machine": machine()}
+            whole[real.name] = {**state, **record}
             write_file(path, (json.dumps(whole, indent=1) + "\n").encode())
             write_file(options.out / "transfer.md", page(whole).encode())
     return whole
@@ -72,7 +74,7 @@ def page(whole):
         state = "; ".join(f"{k} {v}" for k, v in record["machine"].items())
         settings = ", ".join(f"{k} {v}" for k, v in record["settings"].items() if v not in ("", None))
         its = page_lines(record, record["task"], 2, gap_of(name))
-        lines += ["", *its, "", f"Settings: {settings}. On: {state}."]
+        lines += ["", *its, "", f"Version {record.get('version', '0.1.0')}. Settings: {settings}. On: {state}."]
     return "\n".join(lines) + "\n"
 
 
