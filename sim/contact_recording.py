@@ -10,6 +10,7 @@ from sim.generation import drawn, player_of
 from sim.pose import COMPONENTS, from_mm_deg, sensor_in_contact
 from sim.recording import Recorder, Scenery
 from sim.stage import body_mesh
+from sim.walk import Walk
 from tactip_model.errors import TactipError
 from tactip_model.image import tactile_image
 from tactip_model.renderer import renderer_named
@@ -24,9 +25,10 @@ _LEAST_N = 0.02
 def record_contact(folder, sample, out, read: Callable | None = None):
     """Play the contact that sample `sample` (int) of the set in a folder is of, and record it into the folder `out`.
 
-    A sample that is a turn or a mirror of a contact is shown as the contact itself. read: function of a tactile image to a
-    dict of what is felt by component (mm and degrees), or None. Returns the record and arrays, as recording.read_recording.
-    Raises TactipError where the set cannot be read or was not simulated, there is no such sample, or `out` is in use.
+    A sample that is a turn or a mirror of a contact is shown as the contact itself; a look on a walk, with the walk to
+    it. read: function of a tactile image to a dict of what is felt by component (mm and degrees), or None. Returns the record
+    and arrays, as recording.read_recording. Raises TactipError where the set cannot be read or was not simulated, there
+    is no such sample, or `out` is in use.
     """
     meta = read_meta(folder)
     configuration = read_configuration(meta, folder)
@@ -49,6 +51,10 @@ def record_contact(folder, sample, out, read: Callable | None = None):
     T_base_object[:3, 3] = [*_PLACE_M, -thing[0][:, 2].min()]
     player.watch = keeper = _Keeper(player, configuration, T_base_object, read)
     contact, faults = player.play(given.pose, given.shear)
+    walk = Walk(configuration.task, solid, configuration.pose, given.pose, given.draw)
+    keeper.truth = walk.truth
+    for _ in range(sample % configuration.each // len(configuration.symmetries)):
+        contact = player.slide(walk.stride(), walk.label())
     description = {
         "task": configuration.task,
         "object": f"sample {sample} of {Path(folder).name}",
@@ -70,19 +76,24 @@ class _Keeper:
     def __init__(self, player, configuration, T_base_object, read):
         self._player, self._design, self._read = player, configuration.design, read
         self._render = renderer_named(configuration.renderer, configuration.design)
-        self._T_base_object, self._try, self.rows = T_base_object, None, []
+        self._T_base_object, self._tries = T_base_object, {}
+        self.truth = None
+        """Tells the true label where the contact goes on; until then it is the label that the contact is brought to."""
+
+    @property
+    def rows(self):
+        """Rows (list of dict) of the try that served, from its approach on."""
+        return self._tries[self._player.last]
 
     def __call__(self, phase, label):
         player = self._player.last
-        if player is not self._try:
-            self._try, self.rows = player, []
         scene = player.scene
         skin = scene.vertices()[: scene.mesh.surface_count]
         tips, directions = player.reader.read(skin)
         image = tactile_image(self._render(tips, directions), self._design.image)
         force = scene.contact_force()
         T = self._T_base_object @ sensor_in_contact(label)
-        self.rows.append({
+        self._tries.setdefault(player, []).append({
             "T_base_tcp": T,
             "T_told": T,
             "angles_rad": np.full(6, np.nan),
@@ -91,7 +102,7 @@ class _Keeper:
             "skin_m": skin,
             "force_n": force,
             "felt": self._felt(image),
-            "true": label,
+            "true": self.truth.label(sensor_in_contact(label)) if self.truth else label,
             "touching": float(np.linalg.norm(force) > _LEAST_N),
             "penetration_m": scene.penetration(),
             "phase": phase,

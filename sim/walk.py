@@ -69,7 +69,8 @@ class Walk:
         sampling.Ranges of labelled poses, which are kept to. pose: (6,) m and rad, where the contact is now. draw: numpy
         Generator."""
         self._along = task == "edge"
-        self._truth = _StraightTruth() if self._along else SurfaceTruth(solid or _Flat())
+        self.truth = _StraightTruth() if self._along else SurfaceTruth(solid or _Flat())
+        """Tells the label of a sensor, as of sim/truth.py."""
         self._ranges, self._draw = ranges, draw
         self._T, self._label = sensor_in_contact(pose), np.array(pose, float)
         self._heading, self._target = self._any_heading(), self._any_pose()
@@ -78,15 +79,15 @@ class Walk:
         """Go on. Returns the pose (6,) of the sensor in the stimulus' frame to slide to, m and rad."""
         self._label = self._label + self._draw.uniform(0, _NEARER) * (self._aim() - self._label)
         length = np.exp(self._draw.uniform(*np.log(_STRIDE_M)))
-        frame = self._truth.frame(self._T)
+        frame = self.truth.frame(self._T)
         ahead = matrix(length * self._way(frame), Rotation.from_rotvec([0, 0, self._turn()]))
         beside = frame @ ahead @ np.linalg.inv(frame) @ self._T
-        self._T = self._truth.frame(beside) @ sensor_in_contact(self._label)
+        self._T = self.truth.frame(beside) @ sensor_in_contact(self._label)
         return label_of(self._T)
 
     def label(self):
         """The true label (6,), m and rad, of where the last stride leads to."""
-        return self._truth.label(self._T)
+        return self.truth.label(self._T)
 
     def _aim(self):
         """The label (6,) that is made for."""

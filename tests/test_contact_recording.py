@@ -16,6 +16,10 @@ from tactip_model.errors import TactipError
 from tactip_model.presets import design_named
 
 KINDS = {"surface": {}, "edge": {}, "bent": {"curvature_per_m": (-10.0, 40.0)}, "symmetric": {"symmetric": True}}
+KINDS |= {"walk": {"looks": 4}, "walk on bent": {"looks": 3, "symmetric": True, "curvature_per_m": (-10.0, 40.0)}}
+SAMPLES = {"symmetric": 16, "walk": 8, "walk on bent": 48}
+SHOWN = {"symmetric": 8, "walk": 6, "walk on bent": 40}
+"""Of the second contact, as it was played; of a walk, its third look."""
 
 
 @pytest.fixture(scope="module")
@@ -26,14 +30,14 @@ def sets(tmp_path_factory):
         task = "edge" if kind == "edge" else "surface"
         given = {"design": design_named("nominal-127"), "fidelity": fidelity_named("draft"), "renderer": "raster"}
         given |= {"pose": POSE_RANGES[task], "shear": SHEAR_RANGES, "task": task, "split": "test", "seed": 5}
-        jobs.append(Job(Configuration(**given, samples=2 if kind != "symmetric" else 16, **changes), folder / kind))
+        jobs.append(Job(Configuration(**given, samples=SAMPLES.get(kind, 2), **changes), folder / kind))
     make(jobs, 1, lambda line: None)
     return folder
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_its_last_step_is_what_the_set_has(sets, tmp_path, kind):
-    sample = 1 if kind != "symmetric" else 8  # there, the second contact as it was played
+    sample = SHOWN.get(kind, 1)
     record, arrays = record_contact(sets / kind, sample, tmp_path / "run")
     dataset = read_dataset(sets / kind)
     with np.load(sets / kind / "pins.npz") as pins:
