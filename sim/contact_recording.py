@@ -25,10 +25,11 @@ _LEAST_N = 0.02
 def record_contact(folder, sample, out, read: Callable | None = None):
     """Play the contact that sample `sample` (int) of the set in a folder is of, and record it into the folder `out`.
 
-    A sample that is a turn or a mirror of a contact is shown as the contact itself; a look on a walk, with the walk to
-    it. read: function of a tactile image to a dict of what is felt by component (mm and degrees), or None. Returns the record
-    and arrays, as recording.read_recording. Raises TactipError where the set cannot be read or was not simulated, there
-    is no such sample, or `out` is in use.
+    A sample that is a turn or a mirror of a contact is shown as the contact itself; a look on a walk, with the walk to it.
+
+    read: function of a tactile image to a dict of what is felt by component (mm and degrees), or None. Returns the record
+    and arrays, as recording.read_recording. Raises TactipError where the set cannot be read or was not simulated, there is
+    no such sample, or `out` is in use.
     """
     meta = read_meta(folder)
     configuration = read_configuration(meta, folder)
