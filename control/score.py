@@ -6,8 +6,8 @@ from sim.pose import to_mm_deg
 from sim.recording import PHASES
 
 COVERED_M = 7e-3
-"""How far from the tip's way a place of a surface counts as touched, m: the patch of a press of 3 mm is 8 to 10 mm wide on
-either side."""
+"""How far from the tip's way a place of a surface counts as touched, m: as far as the patch of a press of 2 mm goes on the
+flat, 7 mm; that of 3 mm goes to 9 [M]."""
 
 EDGE_COVERED_M = 3e-3
 """The same of an edge, m: a step or two, and what a rim is cut by."""
