@@ -21,7 +21,7 @@ from control.options import Options as ServoOptions
 from control.options import RouteOptions, Settings
 from control.run import SCORE
 from control.run import run as follow
-from learning.model import weights_sha256
+from learning.model import find_model, weights_sha256
 from sim.crew import Crew, worker_count
 from sim.dataset import write_file
 from sim.objects import find_object
@@ -184,6 +184,10 @@ def run(options, say=print):
     deep = [_patch(options.runs, case) for case in chosen if case.name in _ON_THE_BUST and case.group == "robust"]
     patches = deep if "robust" in groups else _before(path).get("patches")
     record |= {"patches": patches} if patches else {}
+    given = {"surface": options.other_surface, "edge": options.other_edge}
+    others = {task: _learned(name) for task, name in given.items() if name} if "robust" in groups else {}
+    others = others or _before(path).get("others", {})
+    record |= {"others": others} if others else {}
     options.out.mkdir(parents=True, exist_ok=True)
     write_file(path, (json.dumps(record, indent=1) + "\n").encode())
     write_file(options.out / "servo.md", page(record).encode())
@@ -195,6 +199,19 @@ def run(options, say=print):
 def _before(path):
     """The record (dict) that was measured before; empty if there is none."""
     return json.loads(path.read_text()) if path.exists() else {}
+
+
+def _learned(name):
+    """What a network (str, its name or folder) has learned from, in words."""
+    told = find_model(name).provenance
+    made, count, looks = (
+        told["train"]["configuration"],
+        told["train"]["samples"],
+        told["train"]["configuration"].get("looks", 1),
+    )
+    walked = f", {looks} looks a contact" if looks > 1 else ""
+    begun = ", begun with another network's weights" if "begun_from" in told else ""
+    return f"{count} images of a set of seed {made['seed']}{walked}; training of seed {told['settings']['seed']}{begun}"
 
 
 def _patch(runs, case):
@@ -276,6 +293,9 @@ def page(record):
                 f"{p['angle_p95_deg']:.1f} |"
                 for name, p in passes
             ]
+        if group == "robust":
+            others = record.get("others", {}).items()
+            lines += [line for task, told in others for line in ("", f"The other network of the {task}: {told}.")]
         if group == "robust" and "patches" in record:
             lines += _patches(record["patches"])
     return "\n".join(lines) + "\n"

@@ -107,8 +107,8 @@ class SpeedOptions:
     """Measure what everything costs, and how it grows: sets, images, training, estimates, servo, objects, start-up."""
 
     groups: tuple[str, ...] = ()
-    """samples, images, learning, servo, faces, threads, gpu-engine, start-up, first-words; all if none is. The page keeps
-    the others."""
+    """samples, growth, images, learning, servo, faces, threads, gpu-engine, start-up, first-words; all if none is. The page
+    keeps the others."""
     contacts: int = 40
     """Contacts that a set is larger by."""
     steps: int = 60

@@ -88,3 +88,13 @@ def test_there_is_a_run_for_all_that_is_promised():
 def test_a_group_that_is_none_is_refused():
     with pytest.raises(TactipError, match="unknown group 'speed': choose one of objects, oracle, arm"):
         followed.run(ServoOptions(groups=("speed",)))
+
+
+def test_what_another_network_learned_from_stands_beside_it(options):
+    """Also on a page that is written again without it."""
+    record = followed.run(replace(options, groups=("robust",), other_surface="surface-bent-tactip-127"))
+    told = record["others"]["surface"]
+    assert "images of a set of seed 0; training of seed 0, begun with another network's weights" in told
+    again = followed.run(replace(options, groups=("objects",)))
+    assert again["others"] == record["others"]
+    assert f"The other network of the surface: {told}." in (options.out / "servo.md").read_text()
