@@ -36,8 +36,7 @@ def test_a_walk_keeps_to_the_ranges_and_to_the_neighbourhood(task):
     assert gone.min() > 0.19e-3 and gone.max() < 2.5e-3  # the apex, too, sways where it leans
     assert 12e-3 < np.abs(poses[:, :2]).max() < 20e-3
     # It goes about in the ranges, and not only where it began.
-    learned = np.ptp(labels, axis=0)[to_mm_deg([1] * 6) * (high - low) > 0]
-    assert (to_mm_deg(np.ptp(labels, axis=0)) >= 0.6 * (high - low))[high > low].all(), learned
+    assert (to_mm_deg(np.ptp(labels, axis=0)) >= 0.6 * (high - low))[high > low].all()
 
 
 @pytest.mark.parametrize("task", POSE_RANGES)
