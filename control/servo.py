@@ -45,7 +45,7 @@ GAINS = {
 
 DEPTHS_MM = {"surface": 2.0, "edge": 3.0}
 """Depth that is kept by task, mm. What is felt is the mean normal of the patch that is touched: pressed 3 mm deep it is that
-of 4 mm about, which over the nose of the bust is 1.7 degrees off the normal where it is nearest; a shallower patch is a
+of 4 mm about, which over the nose of the bust is 1.8 degrees off the normal where it is nearest; a shallower patch is a
 smaller one [M] (docs/servo.md). Along an edge it is the middle of the depths that were learned."""
 
 
