@@ -18,7 +18,7 @@ from tactip_model.errors import TactipError
 
 def is_sharded(configuration):
     """Whether a set of a Configuration is a folder of shards (bool)."""
-    return configuration.samples > configuration.shard_samples
+    return configuration.samples > _most(configuration)
 
 
 def folder_of(configuration, path):
@@ -88,10 +88,10 @@ class ShardedFolder(SetFolder):
         if meta and "shards" in meta:
             for name in ("meta.json", "run.json"):
                 (self._path / name).unlink(missing_ok=True)
-        elif meta and (there := meta["configuration"]["samples"]) > self._configuration.shard_samples:
+        elif meta and (there := meta["configuration"]["samples"]) > _most(self._configuration):
             raise TactipError(
                 f"the set in {self._path} cannot grow: it has {there} samples in one folder, more than the "
-                f"{self._configuration.shard_samples} of a shard; make the larger one in another folder"
+                f"{_most(self._configuration)} of a shard; make the larger one in another folder"
             )
         # meta.json goes first: after a kill it is an unfinished set, and the next command moves what it finds.
         first = self._path / _shard_name(0)

@@ -91,6 +91,14 @@ def test_a_contact_that_makes_eight_samples_stays_in_one_shard(tmp_path, capsys)
     assert tactip.main(["dataset", "verify", str(tmp_path / "set")]) == 0
 
 
+def test_a_shard_that_contacts_do_not_fill_evenly_grows_too(tmp_path):
+    """Of 20 samples, two contacts' 16 go into a shard: a set of 20 is of shards already, and grows by shards."""
+    for samples in (20, 40):
+        assert tactip.main(options(tmp_path / "set", "--symmetric", samples=samples, shard=20)) == 0
+        assert tactip.main(["dataset", "verify", str(tmp_path / "set")]) == 0
+    assert [len(read_dataset(part).images) for part in sorted((tmp_path / "set").glob("shard-*"))] == [16, 16, 8]
+
+
 def test_a_worker_closes_a_shard_and_does_no_harm_where_it_is_closed(copy, whole):
     """As after a worker that was lost with the task, before its end or after it."""
     shard = copy / "shard-00001"
