@@ -95,7 +95,7 @@ def cases(options):
             for renderer in ("pyrender", "raster"):
                 changed = replace(run, fidelity=fidelity, renderer=renderer)
                 out.append(Case("fidelity", f"{name}, {fidelity}, {renderer}", changed))
-        for settle, pace in ((4, 1.0), (1, 1.0), (2, 2.0), (1, 2.0)):
+        for settle, pace in ((4, 1.0), (2, 1.0), (1, 1.0), (2, 2.0), (1, 2.0)):
             changed = replace(run, settle_steps=settle, pace=pace)
             out.append(Case("fidelity", f"{name}, standard, {settle} at rest, pace {pace:g}", changed))
         changes = {"as it is": {}}
@@ -340,7 +340,14 @@ def _starts(rows):
     return lines
 
 
-_MARKERS = {"draft": "^", "standard": "o", "reference": "s", "4 at rest, pace 1": "+", "1 at rest, pace 1": "x"}
+_MARKERS = {
+    "draft": "^",
+    "standard": "o",
+    "reference": "s",
+    "4 at rest, pace 1": "+",
+    "2 at rest, pace 1": "D",
+    "1 at rest, pace 1": "x",
+}
 _MARKERS |= {"2 at rest, pace 2": "1", "1 at rest, pace 2": "2"}
 """Markers in the figure, by what differs."""
 

@@ -113,7 +113,8 @@ class Options:
     film: bool = False
     """Make a film of the run, too."""
     settle_steps: int | None = None
-    """Time steps at rest before an image is taken; half of the fidelity's if not given."""
+    """Time steps at rest before an image is taken; half of the fidelity's over surfaces and a quarter along edges if not
+    given."""
     pace: float = within(0.1, 4, default=1.0)
     """Way of the tip in a time step, over the fidelity's."""
     route: RouteOptions = field(default_factory=RouteOptions)

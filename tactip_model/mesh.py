@@ -160,6 +160,22 @@ def _skin_triangles(points, tetrahedra, surface_count, bonded):
     return faces
 
 
+def in_order(elements):
+    """Elements (m, c) of vertex indices with the same orientation, c at least 3, put in order: the corners of each ascend,
+    but for the last two where orientation asks for it, and elements ascend by their corners.
+
+    MuJoCo notes for each vertex the corners of its elements as they come and sorts them by insertion, twice a step: of
+    elements as Delaunay's triangulation leaves them, that is a fifth of a contact's time; in order, half of it [M].
+    """
+    order = np.argsort(elements, axis=1)
+    ascending = np.take_along_axis(elements, order, axis=1)
+    a, b = np.triu_indices(elements.shape[1], 1)
+    odd = (order[:, a] > order[:, b]).sum(1) % 2 == 1
+    turned = ascending.copy()
+    turned[odd, -2:] = ascending[odd, :-3:-1]
+    return turned[np.lexsort(ascending.T[::-1])]
+
+
 @lru_cache(maxsize=4)
 def build_mesh(shape, resolution):
     """Mesh the tip. Meshes are kept, and not to be written to: tips of other mechanics stand on the same one.
@@ -201,7 +217,7 @@ def build_mesh(shape, resolution):
     if len(np.unique(triangles)) != surface_count or len(np.unique(tetrahedra)) != len(points):
         raise ValueError(f"spacings of {resolution.surface_m} and {resolution.rim_m} m leave points outside the mesh")
     centre = np.array([0.0, 0.0, -shape.radius_m])
-    mesh = Mesh(points + centre, surface_count, tetrahedra, triangles, bonded, centre)
+    mesh = Mesh(points + centre, surface_count, in_order(tetrahedra), in_order(triangles), bonded, centre)
     for array in (mesh.vertices, mesh.tetrahedra, mesh.triangles, mesh.bonded, mesh.centre):
         array.setflags(write=False)
     return mesh

@@ -5,7 +5,7 @@ import pytest
 
 from tactip_model.design import Shape
 from tactip_model.errors import TactipError
-from tactip_model.mesh import CONTACT_RADIUS_M, Resolution, build_mesh, tetrahedron_quality
+from tactip_model.mesh import CONTACT_RADIUS_M, Resolution, build_mesh, in_order, tetrahedron_quality
 from tactip_model.pins import PinReader, neutral_pins
 from tactip_model.presets import design_named
 
@@ -49,6 +49,30 @@ def test_skin_is_a_closed_cap_facing_out(mesh):
     assert mesh.surface_count - len(unique) + len(mesh.triangles) == 1
     distance = np.linalg.norm(mesh.vertices[: mesh.surface_count] - mesh.centre, axis=1)
     assert np.allclose(distance, Shape().radius_m - CONTACT_RADIUS_M)
+
+
+@pytest.mark.parametrize("corners", [3, 4])
+def test_elements_in_order_are_the_same_elements_turned_the_same_way(corners):
+    points = np.random.default_rng(0).normal(size=(40, 3))
+    elements = np.array([np.random.default_rng(seed).permutation(40)[:corners] for seed in range(200)])
+    ordered = in_order(elements)
+    assert np.array_equal(np.unique(np.sort(ordered), axis=0), np.unique(np.sort(elements), axis=0))
+    assert (np.diff(ordered[:, : corners - 1]) > 0).all() and (ordered[:, -1] > ordered[:, -3]).all()
+    assert np.array_equal(np.sort(ordered), np.array(sorted(np.sort(elements).tolist())))
+
+    def turns(elements):
+        """What tells one orientation of the same corners from the other, by the corners."""
+        a, *edges = (points[elements[:, i]] for i in range(corners))
+        edges = np.stack([edge - a for edge in edges], 1)
+        sides = np.linalg.det(edges) if corners == 4 else np.cross(edges[:, 0], edges[:, 1])[:, 2]
+        return {tuple(sorted(e)): side for e, side in zip(elements.tolist(), np.sign(sides), strict=True)}
+
+    assert turns(ordered) == turns(elements)
+
+
+def test_the_mesh_is_in_order(mesh):
+    for elements in (mesh.tetrahedra, mesh.triangles):
+        assert np.array_equal(in_order(elements), elements)
 
 
 def test_no_two_surface_points_near_the_apex_share_a_height(mesh):
