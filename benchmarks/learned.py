@@ -51,6 +51,9 @@ UNEVEN = 0.5
 """Share of them that are bent unevenly: a network of gently bent ones alone felt tilts about a nose wrong by 2 degrees, one
 of uneven ones alone the depth on a sphere by 0.2 mm."""
 
+LOOKS = 20
+"""Looks at each contact of the row `laptop-looks`."""
+
 BENT_SHEARS = replace(SHEAR_RANGES, x_mm=(-8, 8), y_mm=(-8, 8))
 """Shears on bent surfaces: those of the paper are too short for deep contacts to slide, as in a servo they always do."""
 
@@ -79,7 +82,7 @@ class Row:
     name: str
     what: str
     kind: str
-    """What it is trained on: plain, symmetric, most, taps or bent."""
+    """What it is trained on: plain, symmetric, most, looks, taps or bent."""
     recipe: Recipe
     start: str = ""
     """Shipped network that it begins with."""
@@ -103,7 +106,10 @@ def rows(task, paper):
     out += [
         Row("paper-16", "the paper's network and training with 16 filters and at most 64 units", "plain", papers_with(16)),
         Row("laptop-plain", f"{ours}, on the same images", "plain", laptop),
-        Row("laptop-taps", "the same, on as many contacts without shear", "taps", laptop),
+        Row(
+            "laptop-looks", f"the same, on looks at fewer contacts, {LOOKS} each, made in the time of those", "looks", laptop
+        ),
+        Row("laptop-taps", f"{ours}, on as many contacts without shear", "taps", laptop),
         Row("laptop", f"{ours}, each contact turned and mirrored", "symmetric", laptop),
     ]
     out += [Row(f"laptop-{f}", f"the same with {f} first filters", "symmetric", wide(f)) for f in FILTERS]
@@ -130,7 +136,11 @@ def jobs(options, kinds):
     wanted += [("taps", "test", options.judged_taps, still)]
     if {"plain", "symmetric", "most"} & set(kinds):
         contacts = options.most if "most" in kinds else options.contacts
-        wanted += [("symmetric", "train", contacts * each, SHEAR_RANGES), ("plain", "val", options.judged, SHEAR_RANGES)]
+        wanted += [("symmetric", "train", contacts * each, SHEAR_RANGES)]
+    if {"plain", "symmetric", "most", "looks"} & set(kinds):
+        wanted += [("plain", "val", options.judged, SHEAR_RANGES)]
+    if "looks" in kinds:
+        wanted += [("looks", "train", options.looked * LOOKS, SHEAR_RANGES)]
     if "taps" in kinds:
         wanted += [("taps", "train", options.contacts, still), ("taps", "val", options.judged_taps, still)]
     if task == "surface":
@@ -154,6 +164,7 @@ def jobs(options, kinds):
             symmetric=kind == "symmetric" or (kind, split) == ("bent", "train"),
             curvature_per_m=BENT_PER_M if kind == "bent" else (0.0, 0.0),
             uneven=UNEVEN if kind == "bent" else 0.0,
+            looks=LOOKS if kind == "looks" else 1,
         )
         out.append(Job(configuration, options.data / kind / task / split))
     return out
@@ -171,6 +182,8 @@ class Sets:
         """Training and validation Samples of a kind (Row.kind). Raises TactipError where one is missing or damaged."""
         if kind in ("taps", "bent"):
             return read_splits(self._folder(kind))
+        if kind == "looks":
+            return read_samples(self._folder(kind) / "train"), read_samples(self._folder("plain") / "val")
         if self._most is None:
             self._most = read_samples(self._folder("symmetric") / "train")
         chosen = {

@@ -22,6 +22,8 @@ class LearningOptions:
     """Contacts of that row, whose network is shipped."""
     bent: int = 2000
     """Contacts on bent surfaces, of the row `laptop-bent`."""
+    looked: int = 350
+    """Contacts with 20 looks each, of the row `laptop-looks`: as long in the making as 2000 contacts of one."""
     judged: int = 2000
     """Sheared contacts each to validate and to test."""
     judged_taps: int = 500

@@ -18,7 +18,7 @@ from tactip_model.errors import TactipError
 TINY = Recipe(PoseNetConfig(conv_layers=1, filters=2, units=4, batch_size=8), TrainSettings(epochs=1))
 
 
-KINDS = ("plain", "symmetric", "most", "taps", "bent")
+KINDS = ("plain", "symmetric", "most", "looks", "taps", "bent")
 
 
 @pytest.fixture
@@ -27,7 +27,7 @@ def options(tmp_path, monkeypatch):
     monkeypatch.setattr(learned, "make", lambda jobs, workers, say: None)
     monkeypatch.setattr(learned, "rows", _tiny)
     folders = {name: tmp_path / name for name in ("data", "runs", "out")}
-    options = LearningOptions(**folders, contacts=2, most=3, bent=2, judged=8, judged_taps=8)
+    options = LearningOptions(**folders, contacts=2, most=3, bent=2, looked=1, judged=8, judged_taps=8)
     for job in learned.jobs(options, KINDS):
         c = job.configuration
         write_fake_set(job.folder, c.task, c.split, c.samples, shear=c.shear)
@@ -46,9 +46,11 @@ def test_the_sets_are_what_the_page_says():
         (j.folder.parts[-3], j.folder.parts[-1]): j.configuration for j in learned.jobs(LearningOptions(task="edge"), KINDS)
     }
     judged = {(kind, split) for kind in ("plain", "taps") for split in ("val", "test")}
-    assert set(jobs) == judged | {("taps", "train"), ("symmetric", "train")}
+    assert set(jobs) == judged | {("taps", "train"), ("symmetric", "train"), ("looks", "train")}
     assert jobs["symmetric", "train"].samples == 16000
     assert (jobs["taps", "train"].samples, jobs["taps", "test"].samples, jobs["plain", "test"].samples) == (2000, 500, 2000)
+    looks = jobs["looks", "train"]
+    assert (looks.samples, looks.looks, looks.shear, looks.symmetric) == (7000, 20, jobs["plain", "test"].shear, False)
     assert jobs["taps", "train"].shear == Ranges()
     assert jobs["plain", "test"].split == "test"
     assert jobs["plain", "test"].design.name == "tactip-127"
