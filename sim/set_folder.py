@@ -26,6 +26,8 @@ from sim.record import numbers_of, read_record, record_path, reopen, samples_of
 from tactip_model.errors import TactipError
 from tactip_model.pins import neutral_pins
 
+_SAMPLES = "configuration.samples"
+
 
 class SetFolder:
     """A set's folder while it is made; held for a `with` block, in which no other command makes this set."""
@@ -86,12 +88,20 @@ class SetFolder:
 
     def _refuse_other(self, there, asked):
         difference = _first_difference(there, asked, "")
-        if difference:
-            name, old, new = difference
+        if not difference:
+            return
+        name, old, new = difference
+        if name == _SAMPLES and not _first_difference(there, _of_samples(asked, json.loads(old)), ""):
+            finished = (self._path / "meta.json").exists()
+            unfinished = f"an unfinished set of {old} samples: ask for {old} to finish it, and for more after that"
+            holds = f"a set of {old} samples: ask for more of them" if finished else unfinished
             raise TactipError(
-                f"the folder {self._path} holds a set of another configuration: {name} is {old} there and {new} here; "
-                "name another folder, or remove this one"
+                f"{new} samples are asked for, and the folder {self._path} holds {holds}, or name another folder"
             )
+        raise TactipError(
+            f"the folder {self._path} holds a set of another configuration: {name} is {old} there and {new} here; "
+            "name another folder, or remove this one"
+        )
 
     def missing(self):
         """Numbers (list of int) of the contacts that are still to be made."""
@@ -204,7 +214,12 @@ def _of_size(identity, meta):
     """An `identity` with the samples of a finished set's `meta` where these are fewer: such a set can grow."""
     there, asked = meta.get("configuration", {}).get("samples"), identity["configuration"]["samples"]
     small = there if isinstance(there, int) and there < asked else asked
-    return {**identity, "configuration": {**identity["configuration"], "samples": small}}
+    return _of_samples(identity, small)
+
+
+def _of_samples(identity, samples):
+    """An `identity` with so many samples (int) in the place of its own."""
+    return {**identity, "configuration": {**identity["configuration"], "samples": samples}}
 
 
 def _first_difference(there, asked, name):

@@ -89,8 +89,16 @@ def test_samples_by_symmetry(tmp_path):
     wait_for(lambda: len(records(killed)) >= 1)
     process.kill()
     process.wait()
+    for samples in (4, 6):
+        refused = run(make(killed, "--symmetric", samples=samples))
+        assert refused.returncode == 1 and len(refused.stderr.strip().splitlines()) == 1
+        assert f"{samples} samples are asked for" in refused.stderr
+        assert "holds an unfinished set of 5 samples: ask for 5 to finish it" in refused.stderr
     again = run(make(killed, "--symmetric", samples=5))
     assert again.returncode == 0
+    assert contents(killed) == contents(whole)
+    fewer = run(make(killed, "--symmetric", samples=4))
+    assert fewer.returncode == 1 and "holds a set of 5 samples: ask for more of them" in fewer.stderr
     assert contents(killed) == contents(whole)
     grown = tmp_path / "grown"
     for samples in (3, 5):
