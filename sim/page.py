@@ -16,9 +16,12 @@ import viser
 import websockets.asyncio.server
 from scipy.spatial.transform import Rotation
 
+from tactip_model.bounds import require
 from tactip_model.errors import TactipError
 
 LOCAL = "127.0.0.1"
+
+_LAST_PORT = 65535
 
 _PIN_M = 1.1e-3
 """Length at which a pin is drawn, m: less than its own, which goes into the skin."""
@@ -29,6 +32,7 @@ def serve(host, port):
 
     Raises TactipError where the address cannot be had.
     """
+    require(1 <= port <= _LAST_PORT, "the port", port, f"a number from 1 to {_LAST_PORT}")
     pages = re.compile(r"https?://(127\.0\.0\.1|localhost|\[::1\]|" + re.escape(host) + r")(:\d+)?")
     try:
         # viser waits for ever for an address that is not this machine's.

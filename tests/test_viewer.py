@@ -139,3 +139,9 @@ def test_nothing_to_show_is_said():
 def test_an_address_that_is_not_ours_is_said():
     with pytest.raises(TactipError, match=r"cannot serve at 192\.0\.2\.1"):
         Viewer(RECORD, _arrays(), _scenery(), host="192.0.2.1", port=8432)
+
+
+@pytest.mark.parametrize("port", [-5, 0, 65536])
+def test_a_port_that_there_is_not_is_said(port):
+    with pytest.raises(TactipError, match=f"the port is {port}: it must be a number from 1 to 65535"):
+        Viewer(RECORD, _arrays(), _scenery(), port=port)
