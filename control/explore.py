@@ -41,7 +41,7 @@ class Step:
     angles: np.ndarray
     """(6,) rad."""
     touch: object
-    """fingertip.Touch."""
+    """sim.touch.Touch."""
     sight: object
     """estimator.Sight."""
     seconds: dict
@@ -129,12 +129,9 @@ class Explorer:
 
     def _fault(self, sight):
         """Kind and sentence of what is wrong, or None."""
-        s = self._settings
-        force = float(np.linalg.norm(self._touch.force))
-        if force > s.most_force_n:
-            return "force", f"{force:.1f} N on the tip (at most {s.most_force_n:g} N)"
-        if self._touch.clearance_m < 0:
-            return "collision", f"the sensor's housing runs against the object, {-1e3 * self._touch.clearance_m:.1f} mm"
+        danger, s = self._danger(), self._settings
+        if danger:
+            return danger
         if sight.touching < s.touch:
             return "contact lost", f"the image is that of a tip in the air, to {sight.touching:.2f}"
         low, high = np.array(self._labels.low), np.array(self._labels.high)
@@ -150,19 +147,34 @@ class Explorer:
             )
         return None
 
+    def _danger(self):
+        """Kind and sentence of what would do harm, whatever is felt, or None."""
+        force, most = float(np.linalg.norm(self._touch.force)), self._settings.most_force_n
+        if force > most:
+            return "force", f"{force:.1f} N on the tip (at most {most:g} N)"
+        if self._touch.clearance_m < 0:
+            return "collision", f"the sensor's housing runs against the object, {-1e3 * self._touch.clearance_m:.1f} mm"
+        return None
+
     def _react(self, kind):
         """What is done about a fault: look for contact where it is lost, else back off and look again. Returns a Sight."""
+        self._phase = "search"
         self._servo.forget()
         if kind != "contact lost":
             self._go(self._finger.carrier.told() @ _shift(-self._settings.back_off_mm))
         return self._search(self._settings.search_mm / 2)
 
     def _search(self, most_mm):
-        """Go along the sensor's axis until something is felt. Returns its Sight. Raises _GivesUp."""
+        """Go along the sensor's axis until something is felt. Returns its Sight. Raises _GivesUp where nothing is, or
+        where the force or the housing says that it should have been."""
         s, self._phase = self._settings, "search"
         sight = self._look(0.0)
         gone = 0.0
         while sight.touching < s.touch:
+            danger = self._danger()
+            if danger:
+                self._note(*danger)
+                raise _GivesUp(f"nothing is felt, and yet there is {danger[0]}: {danger[1]}")
             if gone >= most_mm:
                 raise _GivesUp(f"nothing is felt within {most_mm:g} mm")
             sight = self._go(self._finger.carrier.told() @ _shift(s.search_step_mm))
@@ -184,6 +196,7 @@ class Explorer:
 
     def _recover(self):
         """After the simulation lost the tip: an undeformed one, clear of the object, at the back of where it was."""
+        self._phase = "search"
         lost = self._note_count("diverged")
         if lost > self._settings.most_trouble:
             raise _GivesUp(f"the simulation lost the tip {lost} times")

@@ -342,6 +342,9 @@ def _train(train_samples, val_samples, config, settings, folder, device, say, ho
 
 def _epochs(training, folder, record, hopeless, quiet):
     """Train to the end, with a checkpoint after each epoch."""
+    if training.over:
+        # A kill came after the last checkpoint, and before what is made of it.
+        _keep(training, folder, record)
     writer = _tensorboard(folder)
     images = training.steps_an_epoch * training.config.batch_size
     with tqdm(

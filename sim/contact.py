@@ -441,8 +441,8 @@ class CarefulPlayer:
             self._last.watch = self.watch
             contact = self._last.play(pose, shear, approach)
             found = contact.faults(self._bounds)
-            if self._catches and not found:
-                found, good = self._unproven(contact, good), contact
+            if self._catches:
+                found, good = (found, None) if found else (self._unproven(contact, good), contact)
             # Of two that agree, the coarser has a good record too, and slides on in half the steps.
             self._slider = self._players[attempt - 1] if self._catches and not found else self._last
             if not found:

@@ -145,6 +145,8 @@ class Scene:
             mujoco.mj_fwdConstraint(model, data)
             if self._slip:
                 self._slip.remember(data)
+        elif self._slip:
+            self._slip.reset()  # all of the skin has left the object
         data.qacc_warmstart[:] = data.qacc
         data.qvel[:] += model.opt.timestep * data.qacc
         mujoco.mj_integratePos(model, data.qpos, data.qvel, model.opt.timestep)

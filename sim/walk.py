@@ -32,6 +32,11 @@ _SWAY_RAD, _YAW_RAD = 0.15, 0.02
 """How far heading and yaw go astray in a stride, rad, standard deviations [?]."""
 
 
+_ALONG = {"surface": [0, 1, 5], "edge": [1]}
+"""Components of a pose, by task, that only say where on the object a sensor is: a stride changes them, and no label has
+them."""
+
+
 class _Flat:
     """The plane z = 0, asked as a Solid is."""
 
@@ -71,8 +76,8 @@ class Walk:
         self._along = task == "edge"
         self.truth = _StraightTruth() if self._along else SurfaceTruth(solid or _Flat())
         """Tells the label of a sensor, as of sim/truth.py."""
-        self._ranges, self._draw = ranges, draw
-        self._T, self._label = sensor_in_contact(pose), np.array(pose, float)
+        self._ranges, self._draw, self._anywhere = ranges, draw, _ALONG[task]
+        self._T, self._label = sensor_in_contact(pose), self._local(pose)
         self._heading, self._target = self._any_heading(), self._any_pose()
 
     def stride(self):
@@ -100,7 +105,13 @@ class Walk:
         while True:
             label = self._ranges.draw(self._draw)
             if tilt(label) <= STEEPEST_RAD:
-                return label
+                return self._local(label)
+
+    def _local(self, pose):
+        """A pose (6,) without what only says where on the object it is."""
+        label = np.array(pose, float)
+        label[self._anywhere] = 0.0
+        return label
 
     def _any_heading(self):
         return self._draw.uniform(-np.pi, np.pi)

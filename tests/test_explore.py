@@ -173,6 +173,25 @@ def test_too_high_a_force_backs_off():
     assert explorer.events[0].kind == "force"
 
 
+def test_backing_off_is_not_following():
+    """What is scored is what was followed."""
+    world = World("plate")
+    explorer = world.explore(world.start([0, 0, 0]), over(world), Scripted(world, {20: wild}), centre_steps=5)
+    assert [e.kind for e in explorer.events] == ["estimate out of range"]
+    depths = world.true_labels()[:, 2]
+    assert depths.max() < -2.5  # 3 are kept; it backs off by 2
+
+
+def test_a_search_that_feels_nothing_stops_at_the_force():
+    world = World("plate")
+    numb = Scripted(world, dict.fromkeys(range(400), lost))
+    explorer = world.explore(world.start([0, 0, 0]), over(world), numb, search_mm=8.0, most_force_n=2.0)
+    assert explorer.stopped_because.startswith("nothing is felt, and yet there is force: ")
+    assert [e.kind for e in explorer.events] == ["force"]
+    forces = [np.linalg.norm(s.touch.force) for s in world.steps]
+    assert forces[-1] > 2.0 >= max(forces[:-1])
+
+
 def test_the_arm_s_reach_ends_a_route():
     world = World("plate", "kinematic")
     T = world.thing.T_base_object.copy()

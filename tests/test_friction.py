@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks import friction
 from sim.contact import Bounds, ContactPlayer
-from sim.pose import from_mm_deg
+from sim.pose import from_mm_deg, inverse, sensor_in_contact
 
 MU = 0.3
 
@@ -153,6 +153,19 @@ def test_what_is_noted_as_sliding_is_at_the_edge_of_its_cone(design, standard):
     assert (share[slides] > 1 - 1e-6).all()
     assert (share[~slides & presses] < 1 - 1e-6).all()
     assert 0.2 < slides.mean() < 0.95
+
+
+def test_slides_are_forgotten_where_the_whole_tip_leaves(design, standard):
+    """As they are part by part: skin that comes back sticks as fresh skin does."""
+    player = ContactPlayer(slippery(design, 0.5), "surface", standard)
+    scene = player.scene
+    player.play(from_mm_deg([0, 0, -2, 0, 0, 0]), from_mm_deg([5, 0, 0, 0, 0, 0]))
+    assert scene._slip._slid.max() > 1e-3
+    player._place(inverse(sensor_in_contact(from_mm_deg([0, 0, 10, 0, 0, 0]))))
+    scene.step()
+    assert scene.data.nefc == 0
+    assert scene._slip._slid.max() == 0.0
+    assert not scene._slip._slides.any()
 
 
 def test_slides_are_forgotten_between_contacts(design, standard):

@@ -265,6 +265,18 @@ def test_where_skin_catches_two_steps_must_agree(design, standard):
     assert "from where twice the step has them" in faults[-1][0]
 
 
+def test_two_good_records_about_a_bad_one_prove_nothing(design, monkeypatch, good):
+    """They differ by a quarter of the step, and the one between them is no coarser record to go on from."""
+    bad = replace(good, penetration_m=1e-3)
+    player = CarefulPlayer(design, "knife", fidelity_named("draft"), Bounds())
+    script = iter([good, bad, good, good])
+    monkeypatch.setattr(ContactPlayer, "play", lambda *_: next(script))
+    contact, faults = player.play(good.pose, good.shear)
+    assert contact is good
+    assert [f == [UNPROVEN] for f in faults] == [True, False, True]
+    assert player._slider is player._players[2] and player.last is player._players[3]
+
+
 @pytest.mark.parametrize(("name", "friction", "tries"), [("surface", 1.0, 3), ("surface", 1.1, 4), ("corner", 0.3, 4)])
 def test_high_friction_and_sharp_things_must_be_proven(design, name, friction, tries):
     rough = replace(design, materials=replace(design.materials, friction=friction))

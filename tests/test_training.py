@@ -14,6 +14,7 @@ import torch
 from learning_sets import write_fake_set, write_fake_splits
 
 import tactip
+from learning import train as train_module
 from learning.evaluate import binned, evaluate, tables
 from learning.model import load_model, net_sha256, to_input
 from learning.muon import Muon, inner_weights
@@ -137,6 +138,35 @@ def test_training_leaves_the_global_generator_alone(splits, tmp_path):
     before = torch.random.get_rng_state()
     quiet(*splits, NET, TrainSettings(epochs=1), tmp_path / "run")
     assert torch.equal(before, torch.random.get_rng_state())
+
+
+@pytest.mark.parametrize("epochs", [1, 4])
+def test_a_kill_after_the_last_checkpoint_loses_nothing(splits, tmp_path, monkeypatch, epochs):
+    """The checkpoint is written first: what is made of it is made anew."""
+    settings = TrainSettings(epochs=epochs, rate=3e-3)
+    quiet(*splits, NET, settings, tmp_path / "whole")
+    keep = train_module._keep
+
+    def killed(training, folder, record):
+        if not training.over:
+            return keep(training, folder, record)
+        with monkeypatch.context() as patch:
+            patch.setattr(train_module, "save_model", _cut)
+            return keep(training, folder, record)
+
+    def _cut(*_):
+        raise SystemError("killed")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(train_module, "_keep", killed)
+        with pytest.raises(SystemError):
+            quiet(*splits, NET, settings, tmp_path / "killed")
+    history = quiet(*splits, NET, settings, tmp_path / "killed")
+    assert same(weights(tmp_path / "whole"), weights(tmp_path / "killed"))
+    outcome = load_model(tmp_path / "killed").provenance["outcome"]
+    assert outcome == load_model(tmp_path / "whole").provenance["outcome"]
+    assert outcome["finished"] and outcome["epochs"] == len(history) == epochs
+    assert not (tmp_path / "killed" / "checkpoint.pt").exists()
 
 
 def test_a_training_that_is_killed_goes_on_to_the_same_network(data, splits, tmp_path):

@@ -1,6 +1,7 @@
 """Contacts that go on: where a walk leads, what it is labelled by, and the sets that are made of its looks."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -37,6 +38,18 @@ def test_a_walk_keeps_to_the_ranges_and_to_the_neighbourhood(task):
     assert 12e-3 < np.abs(poses[:, :2]).max() < 20e-3
     # It goes about in the ranges, and not only where it began.
     assert (to_mm_deg(np.ptp(labels, axis=0)) >= 0.6 * (high - low))[high > low].all()
+
+
+@pytest.mark.parametrize("task", POSE_RANGES)
+def test_where_on_the_object_a_contact_began_is_no_matter_of_the_strides(task):
+    """What a pose has of it is gone through once, and not at every stride again."""
+    ranges = replace(POSE_RANGES[task], x_mm=(-5, 5), y_mm=(-5, 5), yaw_deg=(-20, 20))
+    walk = Walk(task, None, ranges, from_mm_deg([4, 4, -3, 0, 0, 15]), np.random.default_rng(0))
+    poses = np.array([walk.stride() for _ in range(100)])
+    gone = np.linalg.norm(np.diff(poses[:, :2] if task == "surface" else poses[:, 1:2], axis=0), axis=1)
+    assert gone.max() < 2.5e-3
+    if task == "surface":
+        assert np.abs(np.diff(poses[:, 5])).max() < np.radians(8)
 
 
 @pytest.mark.parametrize("task", POSE_RANGES)
