@@ -7,6 +7,7 @@ WORKERS ?= auto
 FIDELITY ?= standard
 RECIPE ?= laptop
 TRIALS ?= 300
+FILTERS ?= 64
 RUN ?= runs/servo-bust
 REAL ?= data/real
 EXPERIMENT ?= zero-shot
@@ -19,7 +20,7 @@ help:
 	@echo "make setup         .venv with pinned versions, and OpenGL"
 	@echo "make sim-dataset   simulated data sets  [TASK=all|surface|edge] [SAMPLES=200] [OUT=data] [WORKERS=auto] [FIDELITY=standard]"
 	@echo "make train         a PoseNet on OUT/TASK  [TASK=surface] [OUT=data] [RECIPE=laptop|paper]; into runs/TASK, with its evaluation"
-	@echo "make tune          search for a network  [TASK=surface] [OUT=data] [TRIALS=300]; into runs/tune-TASK"
+	@echo "make tune          search for a network  [TASK=surface] [OUT=data] [TRIALS=300] [FILTERS=64, the paper's 512 on a GPU]; into runs/tune-TASK"
 	@echo "make servo         follow a bust or a rim by touch  [TASK=bust|rim] [OBJECT=...]; into runs/servo-OBJECT"
 	@echo "make demo          a pass over the bust and once round a rim, with films (two minutes); into runs/demo"
 	@echo "make replay        a servo run in a browser  [RUN=runs/servo-bust]"
@@ -51,7 +52,8 @@ train: $(READY)
 	@$(BIN)/tactip evaluate --model "runs/$(LEARNED)" --data "$(OUT)/$(LEARNED)/test" --out "runs/$(LEARNED)/evaluation"
 
 tune: $(READY)
-	@$(BIN)/tactip tune --data "$(OUT)/$(LEARNED)" --out "runs/tune-$(LEARNED)" --trials "$(TRIALS)"
+	@$(BIN)/tactip tune --data "$(OUT)/$(LEARNED)" --out "runs/tune-$(LEARNED)" --trials "$(TRIALS)" \
+		--max-filters "$(FILTERS)"
 
 # TASK is what is followed: bust or rim (make servo alone is the bust), or surface or edge with OBJECT.
 servo: FOLLOWED = $(if $(filter rim edge,$(TASK)),edge,surface)

@@ -4,22 +4,16 @@ import contextlib
 import signal
 import sys
 import threading
+from importlib.metadata import version
 
-import tyro
-
-from commands.bench import Bench
-from commands.help import flowing
-from commands.learn import Evaluate, Train, Tune
-from commands.look import Replay, View
-from commands.real import Camera, Import, Transfer
-from commands.sensor import Calibrate
-from commands.servo import Servo
-from commands.sets import Dataset
 from tactip_model.errors import Stopped, TactipError
 
 
 def main(arguments=None):
     """Run the command line. arguments: list of str, the process's own if None. Returns the exit status (int)."""
+    if (sys.argv[1:] if arguments is None else arguments) == ["--version"]:
+        print(version("tactip-twin"))
+        return 0
     with _terminable() as signals:
         try:
             return _command(arguments).run()
@@ -30,12 +24,41 @@ def main(arguments=None):
             print(f"tactip: {error.filename or 'a file'}: {error.strerror or error}", file=sys.stderr)
             return 1
         except (Stopped, KeyboardInterrupt) as stopped:
-            print(f"tactip: stopped; {stopped or 'nothing was begun'}", file=sys.stderr)
-            return 128 + (signals or [signal.SIGINT])[0]
+            return _stopped(str(stopped), signals)
+        except ImportError as error:
+            # A library of compiled code that is stopped while it is loaded says that it cannot be.
+            if not _is_from_stop(error):
+                raise
+            return _stopped("", signals)
+
+
+def _stopped(what, signals):
+    """Tell that the command was stopped, and `what` is kept (str). signals: list of those that came. Returns its status."""
+    print("tactip: stopped" + (f"; {what}" if what else ""), file=sys.stderr)
+    return 128 + (signals or [signal.SIGINT])[0]
+
+
+def _is_from_stop(error):
+    """Whether an exception came of a KeyboardInterrupt (bool)."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
 
 
 def _command(arguments):
     """The command (an object of commands/) that is asked for."""
+    # Here, and not above: what is stopped while it loads ends as what is stopped later does.
+    import tyro
+
+    from commands.bench import Bench
+    from commands.help import flowing
+    from commands.learn import Evaluate, Train, Tune
+    from commands.look import Replay, View
+    from commands.real import Camera, Import, Transfer
+    from commands.sensor import Calibrate
+    from commands.servo import Servo
+    from commands.sets import Dataset
+
     with flowing():
         return tyro.extras.subcommand_cli_from_dict(
             {

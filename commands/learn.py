@@ -4,7 +4,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from commands.given import with_options
-from commands.waiting import Waiting
+from commands.waiting import Waiting, to_stderr
 from tactip_model.errors import TactipError
 
 
@@ -116,9 +116,9 @@ class Train:
         recipe = replace(recipe, network=start.config) if start and not given else recipe
         recipe = Recipe(with_options(recipe.network, self.network), with_options(recipe.settings, self.training))
         if recipe.settings.drawn and self.training.drawn is None and not train_samples.dataset.simulated:
-            print(f"{train_samples.folder} has no pins: its images are taken as they are, and none is drawn anew")
+            to_stderr(f"{train_samples.folder} has no pins: its images are taken as they are, and none is drawn anew")
             recipe = replace(recipe, settings=replace(recipe.settings, drawn=0.0))
-        train(train_samples, val_samples, recipe.network, recipe.settings, self.out, self.device, start=start)
+        train(train_samples, val_samples, recipe.network, recipe.settings, self.out, self.device, to_stderr, start=start)
         print(f"{self.out / 'model.json'} written")
         return 0
 
@@ -191,7 +191,7 @@ class Tune:
 
             results = tune_on_cluster(self.data, self.out, settings, self.jobs, self.cluster, self.device)
         else:
-            results = tune(self.data, self.out, settings, self.jobs, self.device)
+            results = tune(self.data, self.out, settings, self.jobs, self.device, to_stderr)
         good = [r for r in results if r["status"] == "ok"]
         print(f"{len(results)} trials, {len(good)} of them ended well: {self.out / 'best.json'} and tune.png written")
         return 0

@@ -10,6 +10,7 @@ import tyro
 from commands.waiting import Waiting, to_stderr
 from learning.transfer_settings import TransferSettings
 from sim.layout import Layout
+from tactip_model.bounds import check, within
 
 
 @dataclass(frozen=True)
@@ -120,7 +121,7 @@ class Camera:
     """A real sensor, live: pins, tactile image and what the network feels, a JSON line a frame, and in a browser. The first
     frame should show the tip untouched."""
 
-    device: int | None = None
+    device: int | None = within(0, 1000, default=None)
     """Number of a camera of this machine."""
     video: Path | None = None
     """A film in the camera's place."""
@@ -136,9 +137,12 @@ class Camera:
     """Address that the page is served at."""
     port: int = 8080
     """Its port, or the next that is free."""
-    frames: int = 0
+    frames: int = within(0, 10**9, default=0)
     """Stop after so many frames; 0: go on to the end."""
     layout: Annotated[Layout, tyro.conf.arg(name="")] = field(default_factory=lambda: Layout(threshold=(61, -5.0)))
+
+    def __post_init__(self):
+        check(self)
 
     def run(self):
         from contextlib import suppress

@@ -36,9 +36,11 @@ class Servo(ServoOptions):
         finally:
             for bar in bars:
                 bar.close()
+        # A run that never came to follow anything has failed, whatever it recorded.
+        status = 0 if score["depth_mae_mm"] is not None else 1
         if self.json:
             print(dumps(score))
-            return 0
+            return status
         for name, unit in (
             ("depth_mae_mm", "mm"),
             ("lateral_mae_mm", "mm"),
@@ -49,4 +51,4 @@ class Servo(ServoOptions):
                 print(f"{name}: {score[name]:.3f} {unit}")
         print(f"{score['steps']} steps, {score['contact_losses']} contact losses; {score['stopped_because']}")
         print(f"{self.out / SCORE}{f' and {self.out / FIGURE}' if self.renderer == 'pyrender' else ''} written")
-        return 0
+        return status

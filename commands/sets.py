@@ -86,21 +86,23 @@ class Make:
         from sim.generation import make
 
         workers = 0 if self.cluster and self.workers == "auto" else worker_count(self.workers)
-        results = make(self._jobs(), workers, to_stderr if self.json else print, self.cluster)
+        results = make(self._jobs(), workers, to_stderr, self.cluster)
+        # A set without a sample is no set that a script should go on with.
+        status = 0 if all(r["kept"] for r in results) else 1
         if self.json:
             print(dumps(results))
-            return 0
+            return status
         failed = 0
         for r in results:
             failed += r["failed"]
-            made = f", {r['made']} of them now" if r["made"] else ", complete already"
-            print(f"{r['folder']}: {r['kept']} of {r['asked']} samples{made}; {r['failed']} failed")
+            made = f"{r['made']} tried now" if r["made"] else "complete already"
+            print(f"{r['folder']}: {r['kept']} of {r['asked']} samples, {made}; {r['failed']} failed")
         made, seconds = sum(r["made"] for r in results), max(r["seconds"] for r in results)
         if made:
             print(f"{made} samples in {seconds:.1f} s: {made / seconds:.2f} samples/s")
         if failed:
             print(f"{failed} samples failed each try and were left out: meta.json names them and says why")
-        return 0
+        return status
 
     def _jobs(self):
         from sim.dataset import Configuration

@@ -7,7 +7,7 @@ from importlib.metadata import version
 
 import numpy as np
 
-from assets import MESHES
+from assets import MESHES, MODELS
 from control.estimator import Oracle, Seen
 from control.explore import Explorer
 from control.figure import write_figure
@@ -52,7 +52,7 @@ def run(options, progress=lambda step: None, say=print, estimator=None):
     fidelity, carrier = fidelity_named(options.fidelity), carrier_named(options.arm)
     gains = gains_named(options.gains, options.task)
     truth = _truth(options, thing)
-    model = find_model(options.network)
+    model = find_model(_network(options))
     if model.labels.task != options.task:
         raise TactipError(
             f"the network {options.network} was trained for the {model.labels.task}, not for the {options.task}"
@@ -113,6 +113,19 @@ def run(options, progress=lambda step: None, say=print, estimator=None):
     if stopped:
         raise Stopped(f"what was recorded is in {options.out}")
     return figures
+
+
+def _network(options):
+    """Name or folder (str) of the network that sees, or whose labels' ranges the truth is held to."""
+    if options.model not in ("", "oracle") or (MODELS / options.network).is_dir():
+        return options.network
+    if options.model == "oracle":
+        return dataclasses.replace(options, design=_WITH_NETWORKS).network
+    raise TactipError(f"no network of the {options.task} is shipped for the tip {options.design!r}: give --model")
+
+
+_WITH_NETWORKS = "tactip-127"
+"""Design that networks are shipped for."""
 
 
 def _as_asked(design, options):

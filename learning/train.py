@@ -133,6 +133,11 @@ class Training:
         return -(-len(self._images) // self.config.batch_size)
 
     @property
+    def images_an_epoch(self):
+        """Images (int) of an epoch."""
+        return len(self._images)
+
+    @property
     def epochs(self):
         """Most epochs (int)."""
         return max(self.settings.epochs, -(-self.settings.least_steps // self.steps_an_epoch))
@@ -346,7 +351,7 @@ def _epochs(training, folder, record, hopeless, quiet):
         # A kill came after the last checkpoint, and before what is made of it.
         _keep(training, folder, record)
     writer = _tensorboard(folder)
-    images = training.steps_an_epoch * training.config.batch_size
+    images = training.images_an_epoch
     with tqdm(
         total=training.epochs * images,
         initial=training.epoch * images,
@@ -421,10 +426,8 @@ def _refuse_other(folder, there, record):
     for part, asked in ({"begun_from": None} | record).items():
         found = as_of_now(there.get(part), before.get(part))
         if found != asked:
-            what = {"begun_from": "network to begin with"}.get(part, part)
-            raise TactipError(
-                f"the folder {folder} holds a training with another {what}: name another folder, or remove this one"
-            )
+            what = {"begun_from": "another network to begin with", "settings": "other settings"}.get(part, f"another {part}")
+            raise TactipError(f"the folder {folder} holds a training with {what}: name another folder, or remove this one")
 
 
 def _tensorboard(folder):

@@ -53,6 +53,9 @@ def check(configuration):
     first = generator(configuration.seed, configuration.task, configuration.split, 0)
     configuration.pose.check("pose")
     configuration.shear.check("shear")
+    deep = configuration.pose.depth_mm
+    if deep[1] > 0:
+        raise TactipError(f"the range pose.depth_mm is {deep}: depth is negative into the object, and it must be at most 0")
     check_ranges(configuration.pose, configuration.shear)
     _motion(configuration, first)
     _check_looks(configuration)
@@ -70,7 +73,7 @@ def _check_looks(configuration):
     if not 1 <= c.looks <= MOST_LOOKS:
         raise TactipError(f"{c.looks} looks at a contact cannot be had: it must be 1 to {MOST_LOOKS}")
     if c.shard_samples < c.each:
-        raise TactipError(f"shards of {c.shard_samples} samples cannot be made: {c.each} go together")
+        raise TactipError(f"shards of {c.shard_samples} samples cannot be made: it must be {c.each}, of a contact, or more")
     names = ("x_mm", "y_mm", "yaw_deg") if c.task == "surface" else ("y_mm",)
     for name in names if c.looks > 1 else ():
         low, high = getattr(c.pose, name)

@@ -137,6 +137,8 @@ def test_a_camera_that_is_unplugged_ends_in_a_sentence(presses, monkeypatch, cap
 @pytest.mark.parametrize(
     ("options", "words"),
     [
+        (["--device", "-1"], "Camera.device is -1: it must be a"),
+        (["--images", "b", "--frames", "-2"], "Camera.frames is -2"),
         ([], "0 sources of frames are given: give one of --device, --video and --images"),
         (["--video", "a.avi", "--images", "b"], "2 sources of frames"),
         (["--video", "nothing.avi"], "the film nothing.avi does not exist"),

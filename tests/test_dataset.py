@@ -74,7 +74,7 @@ def test_samples_by_symmetry(tmp_path):
     whole, killed = tmp_path / "whole", tmp_path / "killed"
     result = run(make(whole, "--symmetric", samples=5, workers=1))
     assert result.returncode == 0, result.stderr
-    assert "5 of 5 samples, 5 of them now" in result.stdout
+    assert "5 of 5 samples, 5 tried now" in result.stdout
     assert verify(whole) == []
     dataset, rows = read_dataset(whole), table(whole)
     assert [row["seed"] for row in rows] == [f"0:edge:train:{k}" for k in (0, 0, 1, 1, 2)]
@@ -142,6 +142,7 @@ BAD = {
     "unknown fidelity": (["--fidelity", "best"], "draft, standard, reference"),
     "unknown renderer": (["--renderer", "blender"], "pyrender, raster"),
     "range upside down": (["--pose.depth-mm", "-1", "-5"], "low must not be above its high"),
+    "depth out of the object": (["--pose.depth-mm", "1", "3"], "depth is negative into the object"),
     "no workers": (["--workers", "0"], "at least 1"),
     "words for workers": (["--workers", "many"], "auto"),
     "negative seed": (["--seed", "-1"], "0 or more"),

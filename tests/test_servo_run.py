@@ -129,6 +129,7 @@ def test_ctrl_c_keeps_what_was_recorded(tmp_path, monkeypatch, capsys):
         (["--arm", "left"], "unknown arm 'left'"),
         (["--gains", "high"], "unknown gains 'high'"),
         (["--fidelity", "perfect"], "unknown fidelity"),
+        (["--design", "tactip-331"], "no network of the surface is shipped for the tip 'tactip-331': give --model"),
         (["--model", "none"], "no shipped model of that name"),
         (["--task", "edge"], "plate has no edge that is known: the edge task takes one of edge, rim-round"),
         (["--task", "surface", "--model", "edge-tactip-127"], "was trained for the edge, not for the surface"),
@@ -153,10 +154,16 @@ def test_a_folder_in_use_is_not_written_over(ran, capsys):
 def test_a_start_out_of_reach_is_said(tmp_path):
     out = tmp_path / "run"
     far = ["servo", "--fidelity", "draft", "--object", "plate", "--film", "--place-mm", "750", "0", "0", *SHORT]
-    assert tactip.main([*far, "--out", str(out)]) == 0
+    assert tactip.main([*far, "--out", str(out)]) == 1  # what was recorded is there, and nothing was followed
     assert not (out / "film.mp4").exists()
     assert tactip.main(["replay", str(out), "--gif", str(tmp_path / "a.gif")]) == 1
     assert "the start is out of reach" in json.loads((out / "score.json").read_text())["stopped_because"]
+
+
+def test_the_truth_steers_a_tip_that_no_network_is_shipped_for(tmp_path):
+    options = ["--design", "nominal-331", "--model", "oracle", "--settings.most-steps", "60"]
+    assert tactip.main([*QUICK, *SHORT, *options, "--out", str(tmp_path / "run")]) == 0
+    assert json.loads((tmp_path / "run" / "score.json").read_text())["depth_mae_mm"] is not None
 
 
 def test_coverage_counts_what_is_near():

@@ -64,7 +64,7 @@ def test_a_set_without_pins_is_trained_on_as_it_is(data, tmp_path, capsys):
     command = ["train", "--data", str(data), "--network.conv-layers", "1", "--training.least-steps", "1"]
     command += ["--training.epochs", "1"]
     assert tactip.main([*command, "--out", str(tmp_path / "run")]) == 0
-    assert "has no pins: its images are taken as they are" in capsys.readouterr().out
+    assert "has no pins: its images are taken as they are" in capsys.readouterr().err
     assert load_model(tmp_path / "run").provenance["settings"]["drawn"] == 0
     assert tactip.main([*command, "--out", str(tmp_path / "other"), "--training.drawn", "1"]) == 1
     assert "only simulated sets, which have pins" in capsys.readouterr().err
@@ -184,12 +184,12 @@ def test_a_training_that_is_killed_goes_on_to_the_same_network(data, splits, tmp
     process.wait()
     assert (killed / "checkpoint.pt").exists()
     again = subprocess.run([*command, "--out", str(killed)], check=True, capture_output=True, text=True)
-    assert "going on after epoch" in again.stdout
+    assert "going on after epoch" in again.stderr
     assert same(weights(whole), weights(killed))
     losses = [[(h["epoch"], h["loss"], h["val_loss"]) for h in read_metrics(f)] for f in (whole, killed)]
     assert losses[0] == losses[1]
     assert not (killed / "checkpoint.pt").exists()
-    assert "finished already" in subprocess.run([*command, "--out", str(killed)], capture_output=True, text=True).stdout
+    assert "finished already" in subprocess.run([*command, "--out", str(killed)], capture_output=True, text=True).stderr
 
 
 def test_it_stops_early_and_keeps_the_best(splits, tmp_path):
@@ -236,7 +236,7 @@ def test_a_training_from_before_a_setting_existed_is_known(splits, tmp_path):
 
 def test_another_training_in_the_folder_is_refused(splits, tmp_path):
     quiet(*splits, NET, QUICK, tmp_path / "run")
-    with pytest.raises(TactipError, match="holds a training with another settings"):
+    with pytest.raises(TactipError, match="holds a training with other settings"):
         quiet(*splits, NET, TrainSettings(epochs=5), tmp_path / "run")
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "thesis.txt").write_text("mine")

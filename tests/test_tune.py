@@ -120,7 +120,7 @@ def test_a_search_that_is_killed_goes_on_to_the_same_results(data, tmp_path):
     process.wait()
     assert len(read_results(killed)) < 3
     again = subprocess.run(search_command(data, killed), check=True, capture_output=True, text=True)
-    assert "of 3 trials are there already" in again.stdout
+    assert "of 3 trials are there already" in again.stderr
     assert steady(read_results(killed)) == steady(read_results(whole))
 
 

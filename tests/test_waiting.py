@@ -1,6 +1,9 @@
 """What takes long says what it does, and what fails at once says one thing."""
 
 import time
+from importlib.metadata import version
+
+import pytest
 
 import tactip
 from commands.waiting import _PATIENCE_S, Waiting
@@ -18,9 +21,42 @@ def test_a_long_wait_is_told_once_and_a_short_one_is_not(capsys):
     assert capsys.readouterr().err == ""
 
 
+def test_the_version_is_told(capsys):
+    assert tactip.main(["--version"]) == 0
+    assert capsys.readouterr().out.strip() == version("tactip-twin")
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_a_stop_before_anything_began_is_one_whole_line(capsys, monkeypatch, late):
+    """Also where it meets a library of compiled code, which then says that it cannot be loaded."""
+
+    def stopped(_):
+        try:
+            raise KeyboardInterrupt
+        except KeyboardInterrupt as error:
+            if late:
+                raise ImportError("initialization failed") from error
+            raise
+
+    monkeypatch.setattr(tactip, "_command", stopped)
+    assert tactip.main([]) == 130
+    assert capsys.readouterr().err == "tactip: stopped\n"
+
+
+def test_a_library_that_is_not_there_is_not_a_stop(monkeypatch):
+    def lacking(_):
+        raise ImportError("no such library")
+
+    monkeypatch.setattr(tactip, "_command", lacking)
+    with pytest.raises(ImportError, match="no such library"):
+        tactip.main([])
+
+
 def test_an_error_is_one_line(tmp_path, capsys):
-    """Once libraries are loaded, as they are here."""
+    """Once libraries are loaded, as they are at the second time."""
     for command in (["train", "--data"], ["evaluate", "--model", "surface-tactip-127", "--data"]):
-        capsys.readouterr()
-        tactip.main([*command, str(tmp_path / "none"), *(["--out", str(tmp_path / "out")] if "train" in command else [])])
+        options = [*command, str(tmp_path / "none"), *(["--out", str(tmp_path / "out")] if "train" in command else [])]
+        for _ in range(2):
+            capsys.readouterr()
+            assert tactip.main(options) == 1
         assert len(capsys.readouterr().err.splitlines()) == 1
