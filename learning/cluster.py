@@ -4,6 +4,7 @@ Needs the extra `cluster`. The data and the folder of the search must be visible
 a shared disk. A search that was stopped goes on from its results file.
 """
 
+import shutil
 import sys
 from pathlib import Path
 
@@ -26,6 +27,9 @@ from sim.cluster import joined, ray_here
 from sim.lock import locked
 from tactip_model.errors import Stopped, TactipError
 
+_CORES = 1
+"""Cores of a trial."""
+
 
 def tune_on_cluster(data, folder, settings, jobs, address, device="auto"):
     """Search on the Ray cluster at `address` (str; auto: that of this machine; local: one of this machine alone).
@@ -41,8 +45,21 @@ def tune_on_cluster(data, folder, settings, jobs, address, device="auto"):
         results = read_results(folder)
         if len(results) >= settings.trials:
             return results
+        clear(folder, results)
         with joined(address) as ray:
             return _tune(ray, data, folder, settings, jobs, device, results)
+
+
+def clear(folder, results):
+    """Remove what is left of trials that were stopped: the search goes on with others, under their numbers as well.
+
+    folder: Path. results: list of dict, of the trials that are over.
+    """
+    over = {r["trial"] for r in results}
+    for noted in (folder / "trials").glob("*.json"):
+        if int(noted.stem) not in over:
+            shutil.rmtree(noted.with_suffix(""), ignore_errors=True)
+            noted.unlink()
 
 
 def _tune(ray, data, folder, settings, jobs, device, results):
@@ -54,13 +71,13 @@ def _tune(ray, data, folder, settings, jobs, device, results):
     def trial(point):
         """One trial, on whichever machine."""
         note(folder, point["trial"], {"trial": point["trial"], "values": point["values"]})
-        run_trial(str(data), str(folder), point["trial"], settings, device, jobs=1)
+        run_trial(str(data), str(folder), point["trial"], settings, device, threads=_CORES)
         result = result_of(folder, point["trial"], "it left no result")
         if result["status"] != "ok":
             raise TactipError(result["why"])
         ray_tune.report({"loss": result["loss"]})
 
-    resources = {"cpu": 1, "gpu": 1 if ray.cluster_resources().get("GPU") and device != "cpu" else 0}
+    resources = {"cpu": _CORES, "gpu": 1 if ray.cluster_resources().get("GPU") and device != "cpu" else 0}
     with tqdm(total=settings.trials, initial=len(results), unit="trial", file=sys.stderr) as bar:
         tuner = ray_tune.Tuner(
             ray_tune.with_resources(trial, resources),
@@ -99,12 +116,11 @@ def _search(settings, results):
 
         def __init__(self):
             space = settings.space.expressions()
-            startup = max(1, settings.startup - len(results))
             super().__init__(
                 space=space,
                 metric="loss",
                 mode="min",
-                n_initial_points=startup,
+                n_initial_points=max(1, settings.startup),  # the trials so far count among them
                 random_state_seed=settings.seed + len(results),
             )
             self._hpopt_trials = past(results, Domain(lambda point: 0.0, space))

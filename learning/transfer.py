@@ -274,7 +274,7 @@ def few_shot(experiment):
     for n in counts:
         alone = {"alone": experiment.score(experiment.real_network(n))} if n >= 20 else {}
         out[str(n)] = {"fine_tuned": experiment.score(experiment.tuned(n)), **alone}
-    out[str(s.real_frames)] = {"alone": experiment.score(experiment.real_network(s.real_frames))}
+    out.setdefault(str(s.real_frames), {})["alone"] = experiment.score(experiment.real_network(s.real_frames))
     return out
 
 

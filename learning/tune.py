@@ -201,7 +201,8 @@ def _best_loss(results):
 
 def _start(data, folder, index, settings, device, jobs):
     """Begin a trial in a process of its own: what ends it, memory that is short among it, ends nothing else."""
-    arguments = (str(data), str(folder), index, settings, device, jobs)
+    threads = max(1, len(os.sched_getaffinity(0)) // jobs)
+    arguments = (str(data), str(folder), index, settings, device, threads)
     context = get_context("forkserver")
     context.set_forkserver_preload([__name__])  # torch is imported once, not a trial
     process = context.Process(target=_trial_process, args=arguments)
@@ -216,12 +217,12 @@ def _trial_process(*arguments):
     run_trial(*arguments)
 
 
-def run_trial(data, folder, index, settings, device, jobs):
+def run_trial(data, folder, index, settings, device, threads):
     """One trial: train, and write how it ended to its trial.json.
 
-    data, folder: str. index: int. settings: TuneSettings. device: str. jobs: int, processes that share the machine.
+    data, folder: str. index: int. settings: TuneSettings. device: str. threads: int, that it may use.
     """
-    torch.set_num_threads(max(1, len(os.sched_getaffinity(0)) // jobs))
+    torch.set_num_threads(threads)
     place = trial_folder(folder, index)
     record = json.loads(place.with_suffix(".json").read_text())
     result = record | {"status": "failed", "loss": None, "network": None}

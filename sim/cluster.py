@@ -13,9 +13,6 @@ from typing import Any
 from sim.crew import THREADS, Crew, attempt
 from tactip_model.errors import TactipError
 
-_LOCAL = "local"
-"""Address of a cluster of this machine alone, started for the command."""
-
 _HELD_S = 1.0
 """Work that a worker holds, s: a driver passes about a thousand messages a second (docs/scale.md)."""
 
@@ -38,8 +35,8 @@ def joined(address):
     alone), and left at the end. Raises TactipError where Ray is missing or cannot be reached."""
     ray = ray_here()
     try:
-        options = {} if address == _LOCAL else {"address": address}
-        ray.init(**options, logging_level="ERROR", log_to_driver=False, include_dashboard=False)
+        # Without an address Ray would join whatever cluster this machine last started.
+        ray.init(address=address, logging_level="ERROR", log_to_driver=False, include_dashboard=False)
     except (ConnectionError, ValueError, RuntimeError) as error:
         raise TactipError(f"there is no Ray cluster at {address!r}: {error}") from error
     try:

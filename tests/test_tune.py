@@ -15,11 +15,11 @@ import pytest
 import torch
 from learning_sets import write_fake_splits
 
-from learning.cluster import tune_on_cluster
+from learning.cluster import clear, tune_on_cluster
 from learning.networks import read_recipe
 from learning.space import SearchSpace
 from learning.train import TrainSettings
-from learning.tune import TuneSettings, read_results, run_trial, suggest, tune
+from learning.tune import TuneSettings, note, read_results, run_trial, suggest, tune
 from tactip_model.errors import TactipError
 
 TACTIP = str(Path(sys.executable).parent / "tactip")
@@ -208,3 +208,12 @@ def test_a_cluster_that_is_not_there_is_a_sentence(data, tmp_path, monkeypatch):
     with pytest.raises(TactipError, match=r"pip install 'tactip-twin\[cluster\]'"):
         tune_on_cluster(data, tmp_path / "search", SETTINGS, 1, "auto")
     assert not (tmp_path / "search").exists()
+
+
+def test_a_cluster_s_search_leaves_nothing_of_trials_that_were_stopped(tmp_path):
+    """Their numbers are given again, with other values."""
+    over = {"trial": 1, "status": "ok", "loss": 0.5, "values": {}}
+    for index in range(3):
+        note(tmp_path, index, {"trial": index, "values": {}})
+    clear(tmp_path, [over])
+    assert sorted(path.name for path in (tmp_path / "trials").iterdir()) == ["0001", "0001.json"]
