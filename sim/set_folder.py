@@ -57,19 +57,20 @@ class SetFolder:
 
     def _open(self, held):
         identity = {"configuration": self._configuration.as_json(), "versions": versions()}
-        meta = read_meta(self._path) if (self._path / "meta.json").exists() else None
-        if meta:
-            self._refuse_other({k: meta.get(k) for k in identity}, _of_size(identity, meta))
-            if meta["configuration"]["samples"] == self._configuration.samples:
-                self._samples = meta["samples"]
-                shutil.rmtree(self._partial, ignore_errors=True)  # a kill came between the last two steps
+        meta = self._there(identity)
+        if not self._partial.exists():
+            if self._is_whole(meta):
                 return
-        elif self._path.exists() and not self._partial.exists() and any(self._path.iterdir()):
-            raise TactipError(f"the folder {self._path} is not empty and holds no data set: name another one")
+            if not meta and self._path.exists() and any(self._path.iterdir()):
+                raise TactipError(f"the folder {self._path} is not empty and holds no data set: name another one")
         # First of all what makes the folder ours, so that a kill before the next line does not make it a stranger's.
         self._partial.mkdir(parents=True, exist_ok=True)
         if self._alone:
             held.enter_context(locked(self._partial / "lock", f"making the set in {self._path}"))
+        meta = self._there(identity)  # another command may have come to its end
+        if self._is_whole(meta):
+            shutil.rmtree(self._partial, ignore_errors=True)  # a kill came between the last two steps
+            return
         known = self._partial / "configuration.json"
         if known.exists() and not meta:
             self._refuse_other(json.loads(known.read_text()), identity)
@@ -79,6 +80,24 @@ class SetFolder:
             for leftover in place.glob(".*.tmp"):
                 leftover.unlink(missing_ok=True)  # a worker that outlived its command may just have renamed it
         self._begin(held, meta)
+
+    def _there(self, identity):
+        """The meta.json (dict) of a finished set of an `identity`, of as many samples or fewer; None where there is none.
+
+        Raises TactipError where it is one of another identity.
+        """
+        if not (self._path / "meta.json").exists():
+            return None
+        meta = read_meta(self._path)
+        self._refuse_other({k: meta.get(k) for k in identity}, _of_size(identity, meta))
+        return meta
+
+    def _is_whole(self, meta):
+        """Whether a `meta` (dict or None) is of all samples that are asked for (bool); it is noted if so."""
+        if not meta or meta["configuration"]["samples"] != self._configuration.samples:
+            return False
+        self._samples = meta["samples"]
+        return True
 
     def _begin(self, held, meta):
         """Make what samples need. held: ExitStack, closed at the end. meta: dict of a finished set that grows, or None."""

@@ -84,15 +84,20 @@ class ShardedFolder(SetFolder):
         parts = shards_of(configuration).items()
         self._shards = {name: SetFolder(part, path / name, alone=False) for name, part in parts}
 
-    def _begin(self, held, meta):
-        if meta and "shards" in meta:
-            for name in ("meta.json", "run.json"):
-                (self._path / name).unlink(missing_ok=True)
-        elif meta and (there := meta["configuration"]["samples"]) > _most(self._configuration):
+    def _there(self, identity):
+        """See SetFolder. Raises TactipError where it is larger than a shard, and in one folder."""
+        meta = super()._there(identity)
+        if meta and "shards" not in meta and (there := meta["configuration"]["samples"]) > _most(self._configuration):
             raise TactipError(
                 f"the set in {self._path} cannot grow: it has {there} samples in one folder, more than the "
                 f"{_most(self._configuration)} of a shard; make the larger one in another folder"
             )
+        return meta
+
+    def _begin(self, held, meta):
+        if meta and "shards" in meta:
+            for name in ("meta.json", "run.json"):
+                (self._path / name).unlink(missing_ok=True)
         # meta.json goes first: after a kill it is an unfinished set, and the next command moves what it finds.
         first = self._path / _shard_name(0)
         first.mkdir(exist_ok=True)

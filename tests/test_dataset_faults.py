@@ -10,6 +10,7 @@ import pytest
 from set_commands import TACTIP, contents, make, records, run, samples_found, wait_for
 
 import tactip
+from sim.lock import locked
 
 
 @pytest.mark.parametrize("workers", [1, 2])
@@ -58,6 +59,21 @@ def test_growth_that_is_killed_halfway_goes_on(whole, tmp_path, monkeypatch):
     assert before.items() <= contents(folder).items()
     assert run(make(folder)).returncode == 0
     assert contents(folder) == contents(whole)
+
+
+def test_a_set_that_another_command_makes_larger_is_left_to_it(copy, capsys):
+    """It is whole, as far as meta.json goes, until its records are written: what is beside it is not a leftover."""
+    (copy / ".partial").mkdir()
+    before = contents(copy)
+    options = ["--samples", "6", "--fidelity", "draft", "--renderer", "raster", "--design", "nominal-127"]
+    command = ["dataset", "make", "--task", "edge", "--out", str(copy), *options]
+    with locked(copy / ".partial" / "lock", f"making the set in {copy}"):
+        assert tactip.main(command) == 1
+        assert "another command is making the set" in capsys.readouterr().err
+        assert (copy / ".partial" / "lock").exists()
+    assert tactip.main(command) == 0
+    assert not (copy / ".partial").exists()
+    assert contents(copy) == before
 
 
 @pytest.mark.parametrize(("damaged", "words"), [("pins.npz", "damaged"), ("targets.csv", "targets.csv")])

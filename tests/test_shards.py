@@ -83,7 +83,7 @@ def test_two_workers_make_the_same_bytes(whole, tmp_path):
 
 def test_a_contact_that_makes_eight_samples_stays_in_one_shard(tmp_path, capsys):
     assert tactip.main(options(tmp_path / "odd", "--symmetric")) == 1
-    assert "shards of 4 samples cannot be made: 8 go together" in capsys.readouterr().err
+    assert "shards of 4 samples cannot be made: it must be 8, of a contact, or more" in capsys.readouterr().err
     assert tactip.main(options(tmp_path / "set", "--symmetric", samples=20, shard=16)) == 0
     assert tactip.main(options(tmp_path / "flat", "--symmetric", samples=20, shard=32)) == 0
     one, other = read_dataset(tmp_path / "set"), read_dataset(tmp_path / "flat")
@@ -153,7 +153,7 @@ def test_growth_that_is_killed_while_it_moves_goes_on(whole, tmp_path, monkeypat
     assert tactip.main(["dataset", "verify", str(folder)]) == 1
     assert "unfinished" in capsys.readouterr().err
     assert tactip.main(options(folder, samples=3)) == 1
-    assert "samples is 10 there and 3 here" in capsys.readouterr().err
+    assert "3 samples are asked for" in (told := capsys.readouterr().err) and "an unfinished set of 10 samples" in told
     assert tactip.main(options(folder)) == 0
     assert contents(folder) == contents(whole)
 
@@ -177,7 +177,8 @@ def test_a_kill_loses_no_shard(whole, tmp_path):
 def test_fewer_samples_than_there_are_are_refused(copy, capsys):
     for fewer in (3, 8):
         assert tactip.main(options(copy, samples=fewer)) == 1
-        assert f"samples is 10 there and {fewer} here" in capsys.readouterr().err
+        told = capsys.readouterr().err
+        assert f"{fewer} samples are asked for" in told and "holds a set of 10 samples: ask for more of them" in told
 
 
 def test_a_set_of_one_folder_that_is_too_large_for_a_shard_is_left_as_it_is(tmp_path, capsys):

@@ -161,7 +161,10 @@ def test_a_look_that_cannot_be_trusted_is_left_out_and_named(design, tmp_path):
     ("changes", "sentence"),
     [
         ({"looks": 0}, "0 looks at a contact cannot be had: it must be 1 to 1000"),
-        ({"looks": 200, "shard_samples": 100}, "shards of 100 samples cannot be made: 200 go together"),
+        (
+            {"looks": 200, "shard_samples": 100},
+            "shards of 100 samples cannot be made: it must be 200, of a contact, or more",
+        ),
         ({"pose": Ranges(depth_mm=(-5, -1), yaw_deg=(5, 9))}, "the range pose.yaw_deg is (5, 9): with more than one look"),
     ],
 )
