@@ -23,12 +23,12 @@ from benchmarks.label_worth import ImagePins, LabelWorth, moved_about
 from benchmarks.machine import machine
 from benchmarks.plays import DESIGN, STANDARD, Plays, Variant
 from benchmarks.sweeps import refined_meshes, refined_steps, small_steps, sweeps
-from sim.dataset import write_file
 from sim.fidelity import FIDELITIES, finer
 from sim.names import TASKS
 from tactip_model.blobs import find_blobs
 from tactip_model.camera import PinCamera
 from tactip_model.errors import TactipError
+from tactip_model.files import write_file
 from tactip_model.image import tactile_image
 from tactip_model.presets import design_named
 from tactip_model.raster import Raster

@@ -23,9 +23,9 @@ from control.run import SCORE
 from control.run import run as follow
 from learning.model import find_model, weights_sha256
 from sim.crew import Crew, worker_count
-from sim.dataset import write_file
 from sim.objects import find_object
 from tactip_model.errors import TactipError, choose
+from tactip_model.files import write_file
 
 ERROR = "error.txt"
 """What a run that could not be made leaves: a sentence."""

@@ -16,6 +16,7 @@ import tyro
 from sim.contact import ContactPlayer, shares
 from sim.fidelity import FIDELITIES
 from sim.pose import from_mm_deg, path
+from tactip_model.files import write_file
 from tactip_model.presets import design_named
 
 DEPTHS_MM = (2.0, 3.0, 4.0)
@@ -230,8 +231,8 @@ def main(options: Options):
     draw(result, options.out / "friction.png")
     for row in result["slides"]:
         del row["trace"]
-    (options.out / "friction.json").write_text(json.dumps(result, indent=1) + "\n")
-    (options.out / "friction.md").write_text(page(result))
+    write_file(options.out / "friction.json", (json.dumps(result, indent=1) + "\n").encode())
+    write_file(options.out / "friction.md", page(result).encode())
     print(page(result))
 
 

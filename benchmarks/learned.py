@@ -18,12 +18,13 @@ from learning.networks import Recipe, recipe_named
 from learning.samples import read_samples, read_splits
 from learning.train import train
 from sim.crew import worker_count
-from sim.dataset import Configuration, write_file
+from sim.dataset import Configuration
 from sim.fidelity import fidelity_named
 from sim.generation import Job, make
 from sim.sampling import POSE_RANGES, SHEAR_RANGES, Ranges
 from sim.symmetry import SYMMETRIES
 from tactip_model.errors import TactipError, choose
+from tactip_model.files import write_file
 from tactip_model.presets import find_design
 
 PAPER = {

@@ -19,6 +19,7 @@ from benchmarks.tetrahedra import lame
 from sim.fidelity import FIDELITIES
 from tactip_model.body import STABLE_NEO_HOOKEAN, gel_attributes, skin_attributes
 from tactip_model.design import Materials, Shape
+from tactip_model.files import write_file
 from tactip_model.mesh import GOLDEN_ANGLE, Resolution, build_mesh
 
 LAWS = {"stable neo-Hooke": STABLE_NEO_HOOKEAN, "St Venant-Kirchhoff": 0}
@@ -375,8 +376,8 @@ def main(options: Options):
     """Measure, print, and write the page."""
     result = measure()
     options.out.mkdir(parents=True, exist_ok=True)
-    (options.out / "materials.json").write_text(json.dumps(result, indent=1) + "\n")
-    (options.out / "materials.md").write_text(page(result))
+    write_file(options.out / "materials.json", (json.dumps(result, indent=1) + "\n").encode())
+    write_file(options.out / "materials.md", page(result).encode())
     print(page(result))
 
 

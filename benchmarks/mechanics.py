@@ -17,6 +17,7 @@ from benchmarks.axisymmetric import Dome, Layer
 from sim.contact import ContactPlayer
 from sim.fidelity import FIDELITIES
 from sim.pose import from_mm_deg
+from tactip_model.files import write_file
 from tactip_model.mesh import CONTACT_RADIUS_M, tetrahedron_volumes
 from tactip_model.presets import design_named
 
@@ -185,8 +186,8 @@ def main(options: Options):
         "ripple": ripple(),
     }
     options.out.mkdir(parents=True, exist_ok=True)
-    (options.out / "mechanics.json").write_text(json.dumps(result, indent=1) + "\n")
-    (options.out / "mechanics.md").write_text(page(result))
+    write_file(options.out / "mechanics.json", (json.dumps(result, indent=1) + "\n").encode())
+    write_file(options.out / "mechanics.md", page(result).encode())
 
 
 def page(result):

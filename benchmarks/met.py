@@ -16,7 +16,6 @@ import trimesh
 from assets.meshes.rims import block
 from benchmarks.machine import machine
 from sim.contact import ContactPlayer
-from sim.dataset import write_file
 from sim.fidelity import fidelity_named
 from sim.pose import from_mm_deg
 from sim.shape import Shape
@@ -24,6 +23,7 @@ from sim.solid import Solid
 from sim.stimulus import EDGE_RADIUS_M, SPHERE_RADIUS_M, Stimulus, stimulus_named
 from tactip_model.body import TOUCHES_FACETS, TOUCHES_VERTICES
 from tactip_model.errors import TactipError
+from tactip_model.files import write_file
 from tactip_model.presets import find_design
 
 DESIGN, FIDELITY = "tactip-127", "standard"

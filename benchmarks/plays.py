@@ -17,8 +17,8 @@ import mujoco
 import numpy as np
 
 from sim.contact import Bounds, ContactPlayer
-from sim.dataset import write_file
 from sim.fidelity import FIDELITIES, Fidelity
+from tactip_model.files import write_file
 from tactip_model.presets import design_named
 
 DESIGN = "nominal-127"

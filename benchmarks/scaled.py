@@ -14,11 +14,12 @@ from benchmarks.speed import made_set, set_seconds
 from learning.samples import read_samples
 from sim.cluster import ClusterCrew, joined
 from sim.crew import Crew
-from sim.dataset import PARTIAL, checksum, read_configuration, read_meta, write_file
+from sim.dataset import PARTIAL, checksum, read_configuration, read_meta
 from sim.generation import Job, make
 from sim.record import reopen
 from sim.symmetry import SYMMETRIES
 from sim.verification import verify
+from tactip_model.files import write_file
 
 CONTACTS = 1_000_000
 """Contacts of the set that is reckoned."""

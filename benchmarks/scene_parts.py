@@ -23,11 +23,12 @@ from benchmarks.cases import Case, training
 from benchmarks.machine import machine
 from benchmarks.plays import DESIGN, STANDARD, UnloweredPlayer
 from sim.contact import ContactPlayer
-from sim.dataset import encode_image, write_file
+from sim.dataset import encode_image
 from sim.names import TASKS
 from tactip_model import body
 from tactip_model.body import TOUCHES_VERTICES, skin_attributes
 from tactip_model.camera import PinCamera
+from tactip_model.files import write_file
 from tactip_model.image import tactile_image
 from tactip_model.presets import design_named
 from tactip_model.raster import Raster

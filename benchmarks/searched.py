@@ -16,9 +16,9 @@ from learning.space import SearchSpace
 from learning.train import TrainSettings, as_of_now
 from learning.tune import PARAMETERS, TuneSettings, draw, tune
 from sim.crew import worker_count
-from sim.dataset import write_file
 from sim.generation import Job, make
 from tactip_model.errors import choose
+from tactip_model.files import write_file
 
 LAPTOP = TuneSettings(
     trials=60,

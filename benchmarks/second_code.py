@@ -21,6 +21,7 @@ from sim.contact import ContactPlayer
 from sim.fidelity import FIDELITIES
 from sim.pose import from_mm_deg
 from tactip_model.body import gel_attributes
+from tactip_model.files import write_file
 from tactip_model.presets import design_named
 
 DEPTHS_MM = (1.0, 2.0, 3.0, 5.0)
@@ -144,8 +145,8 @@ def main(options: Options):
                 rows += compare_codes(depth, law, Path(folder))
     result = {"rows": rows}
     options.out.mkdir(parents=True, exist_ok=True)
-    (options.out / "second_code.json").write_text(json.dumps(result, indent=1) + "\n")
-    (options.out / "second_code.md").write_text(page(result))
+    write_file(options.out / "second_code.json", (json.dumps(result, indent=1) + "\n").encode())
+    write_file(options.out / "second_code.md", page(result).encode())
     print(page(result))
 
 

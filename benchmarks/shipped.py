@@ -20,10 +20,11 @@ from learning.evaluate import evaluate, tables
 from learning.model import DESCRIPTION, WEIGHTS, find_model, load_model, net_sha256
 from learning.samples import read_samples
 from sim.crew import worker_count
-from sim.dataset import labels_sha256, write_file
+from sim.dataset import labels_sha256
 from sim.generation import make
 from sim.symmetry import SYMMETRIES
 from tactip_model.errors import TactipError
+from tactip_model.files import write_file
 
 MOST_BYTES = 5_000_000
 """Weights of a shipped network are smaller."""

@@ -24,12 +24,13 @@ from mujoco import batch
 from benchmarks import gpu_engine
 from benchmarks.machine import machine
 from sim.contact import ContactPlayer
-from sim.dataset import Configuration, write_file
+from sim.dataset import Configuration
 from sim.fidelity import fidelity_named
 from sim.generation import Job, make
 from sim.sampling import POSE_RANGES, SHEAR_RANGES
 from sim.symmetry import SYMMETRIES
 from tactip_model.errors import TactipError, choose
+from tactip_model.files import write_file
 from tactip_model.presets import find_design
 
 _LOOKS = 20

@@ -16,11 +16,11 @@ import numpy as np
 from benchmarks.machine import machine
 from sim.contact import UNPROVEN, Bounds, CarefulPlayer, ContactPlayer
 from sim.crew import Crew
-from sim.dataset import write_file
 from sim.fidelity import FASTEST_M_S, FASTEST_SHEAR_M_S, Fidelity, fidelity_named, finer
 from sim.pose import from_mm_deg
 from sim.stimulus import STIMULI
 from tactip_model.errors import TactipError
+from tactip_model.files import write_file
 from tactip_model.presets import design_named
 
 DESIGN = "nominal-127"

@@ -12,8 +12,8 @@ from benchmarks.machine import machine
 from learning.transfer import EXPERIMENTS, Experiment
 from learning.transfer_page import page_lines, write_page
 from learning.transfer_settings import GAP
-from sim.dataset import write_file
 from tactip_model.errors import TactipError, choose
+from tactip_model.files import write_file
 
 MOST_MM, MOST_DEG = 0.3, 2.0
 """What this project asks of simulation alone: depth, its zero taken out, and each tilt that varies."""

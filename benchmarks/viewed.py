@@ -16,10 +16,10 @@ from benchmarks.machine import machine
 from control.options import Options as ServoOptions
 from control.options import Settings
 from control.run import run as follow
-from sim.dataset import write_file
 from sim.recording import STEPS, read_recording, read_scenery
 from sim.viewer import Viewer
 from tactip_model.errors import TactipError
+from tactip_model.files import write_file
 
 SPEED = 4.0
 """Speed of the replay, so that every picture shows a step that is new."""

@@ -16,7 +16,6 @@ from control.score import score, surface_targets
 from control.servo import DEPTHS_MM, Servo, gains_named, reference_mm_deg
 from learning.model import find_model
 from sim.carrier import carrier_named
-from sim.dataset import write_file
 from sim.fidelity import fidelity_named
 from sim.film import pictures
 from sim.fingertip import Fingertip
@@ -27,6 +26,7 @@ from sim.truth import EdgeTruth, SurfaceTruth
 from sim.video import write_video
 from tactip_model.bounds import require
 from tactip_model.errors import Stopped, TactipError, choose
+from tactip_model.files import write_file
 from tactip_model.presets import find_design
 
 SCORE, FIGURE, FILM = "score.json", "figure.png", "film.mp4"

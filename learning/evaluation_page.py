@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from learning.evaluate import tables
-from sim.dataset import write_file
+from tactip_model.files import write_file
 
 _BAND = 0.08
 """Standard deviation of the Gaussian that smooths errors along a label, of the label's range."""

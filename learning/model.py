@@ -16,8 +16,8 @@ from assets import MODELS
 from learning.device import one_thread
 from learning.labels import Labels
 from learning.posenet import PoseNet, PoseNetConfig
-from sim.dataset import write_file
 from tactip_model.errors import TactipError
+from tactip_model.files import write_file
 
 FORMAT = "tactip-twin PoseNet"
 VERSION = 1

@@ -14,7 +14,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from sim.dataset import Configuration, encode_image, read_dataset, read_pins, write_file
+from sim.dataset import Configuration, encode_image, read_dataset, read_pins
 from sim.fidelity import fidelity_named
 from sim.generation import Job, make
 from sim.importing import import_set, read_source
@@ -22,6 +22,7 @@ from sim.layout import Layout
 from sim.names import LABELS, SHEARS
 from sim.sampling import POSE_RANGES, SHEAR_RANGES
 from sim.variation import VARIATIONS
+from tactip_model.files import write_file
 from tactip_model.image import tactile_image
 from tactip_model.pins import neutral_pins
 from tactip_model.presets import design_named

@@ -2,7 +2,7 @@
 
 from learning.labels import LEARNED
 from learning.transfer_settings import GAP
-from sim.dataset import write_file
+from tactip_model.files import write_file
 
 PAGE = "results.md"
 

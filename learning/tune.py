@@ -28,10 +28,10 @@ from tqdm import tqdm
 from learning.samples import read_splits
 from learning.space import SearchSpace
 from learning.train import METRICS, Pruned, TrainSettings, as_of_now, read_metrics, train
-from sim.dataset import write_file
 from sim.lock import locked
 from tactip_model.bounds import check, within
 from tactip_model.errors import Stopped, TactipError
+from tactip_model.files import write_file
 
 TRIAL, RESULTS, BEST, LOCK = "trial.json", "results.jsonl", "best.json", ".lock"
 

@@ -28,6 +28,7 @@ from sim.twin import UNKNOWN_CAMERA, Parameter, Twin, parameters
 from tactip_model.blobs import PinMatcher, find_blobs
 from tactip_model.design import Design
 from tactip_model.errors import Stopped, TactipError
+from tactip_model.files import write_file
 from tactip_model.mesh import build_mesh
 from tactip_model.neutral import as_built, camera_change, fit_neutral, reference_pixels
 from tactip_model.optics import REFERENCE_PX, Lens
@@ -442,9 +443,7 @@ def first_azimuth(calibrator, twin, fidelity):
 def _write_state(path, identity, twin, deviations, rounds, chosen):
     values = {p.name: p.read(twin) for p in chosen}
     state = {"of": identity, "values": values, "deviations": deviations.tolist(), "rounds": rounds}
-    temporary = Path(f"{path}.new")
-    temporary.write_text(json.dumps(state, indent=1))
-    os.replace(temporary, path)
+    write_file(Path(path), json.dumps(state, indent=1).encode())
 
 
 def _read_state(path, identity, twin, chosen, neutral_px):

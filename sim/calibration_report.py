@@ -9,6 +9,7 @@ import numpy as np
 from sim.calibration import LOAD_CELL_N, best_share, distances
 from sim.rig import RigMotion
 from tactip_model.design_file import write_fitted
+from tactip_model.files import write_file
 
 RINGS = 8
 """Rings of equally many pins, by their distance from the middle of the neutral image."""
@@ -136,8 +137,8 @@ def write_report(result, real_name, settings, out, folder):
     folder.mkdir(parents=True, exist_ok=True)
     figures = judge(result)
     figures = {"real": real_name, "design": result.twin.design.name, "settings": asdict(settings)} | figures
-    (folder / "calibration.json").write_text(json.dumps(figures, indent=1) + "\n")
-    (folder / "calibration.md").write_text(page(figures))
+    write_file(folder / "calibration.json", (json.dumps(figures, indent=1) + "\n").encode())
+    write_file(folder / "calibration.md", page(figures).encode())
     _draw_pins(result, folder / "pins.png")
     _draw_curves(figures, folder / "curves.png")
     kept = ("real", "settings", "parameters", "rig", "neutral_px", "judged_frames", "frames_px", "force_n")

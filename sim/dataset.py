@@ -16,7 +16,6 @@ import dataclasses
 import hashlib
 import io
 import json
-import os
 import platform
 import zipfile
 from dataclasses import dataclass, field
@@ -36,6 +35,7 @@ from sim.variation import Variation
 from tactip_model.design import Design
 from tactip_model.design_file import built
 from tactip_model.errors import TactipError
+from tactip_model.files import write_file  # noqa: F401  (sim/set_folder.py and others take it from here)
 
 FORMAT = "tactip-twin data set"
 VERSION = 1
@@ -167,17 +167,6 @@ def encode_image(image):
     if not ok:
         raise TactipError(f"an image of {image.dtype} {image.shape} cannot be written as PNG")
     return data.tobytes()
-
-
-def write_file(path, data):
-    """Write bytes so that a kill at any moment leaves the old file or the new one. path: Path. Raises OSError."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        temporary.write_bytes(data)
-        os.replace(temporary, path)
-    except OSError:
-        temporary.unlink(missing_ok=True)
-        raise
 
 
 def row_of(contact, index, tries, seed):

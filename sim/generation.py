@@ -17,7 +17,7 @@ from sim.bent import MOST_BENT_PER_M, MOST_HOLLOW_PER_M, bent_surface, drawn_sur
 from sim.cluster import ClusterCrew, joined, ray_here
 from sim.contact import STEEPEST_RAD, CarefulPlayer, check_ranges, too_steep
 from sim.crew import Crew
-from sim.dataset import Configuration, checksum, encode_image, image_name, row_of, write_file
+from sim.dataset import Configuration, checksum, encode_image, image_name, row_of
 from sim.pose import to_mm_deg
 from sim.record import pack_record, record_path, samples_of
 from sim.sampling import generator, seed_text
@@ -28,6 +28,7 @@ from sim.symmetry import SymmetricReader, keeps
 from sim.walk import MOST_LOOKS, Walk
 from tactip_model.design import Design
 from tactip_model.errors import TactipError, choose
+from tactip_model.files import write_file
 from tactip_model.image import tactile_image
 from tactip_model.renderer import RENDERERS, renderer_named
 

@@ -6,8 +6,9 @@ import zipfile
 
 import numpy as np
 
-from sim.dataset import PARTIAL, read_meta, read_targets, samples_each, write_file
+from sim.dataset import PARTIAL, read_meta, read_targets, samples_each
 from tactip_model.errors import TactipError
+from tactip_model.files import write_file
 
 
 def numbers_of(configuration):

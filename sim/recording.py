@@ -17,9 +17,9 @@ from pathlib import Path
 
 import numpy as np
 
-from sim.dataset import write_file
 from sim.lock import locked
 from tactip_model.errors import TactipError
+from tactip_model.files import write_file
 
 FORMAT, VERSION = "tactip-twin recording", 2
 

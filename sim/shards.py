@@ -11,9 +11,10 @@ Readers (sim/dataset.py) take shards as one set. A set that grows out of one sha
 import shutil
 from dataclasses import dataclass, replace
 
-from sim.dataset import PARTIAL, checksum, meta_json, read_meta, write_file
+from sim.dataset import PARTIAL, checksum, meta_json, read_meta
 from sim.set_folder import SetFolder
 from tactip_model.errors import TactipError
+from tactip_model.files import write_file
 
 
 def is_sharded(configuration):

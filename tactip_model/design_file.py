@@ -7,14 +7,18 @@ from typing import get_type_hints
 
 from tactip_model.design import Design
 from tactip_model.errors import TactipError
+from tactip_model.files import write_file
 
 FORMAT = "tactip-design 1"
 
 
 def write_design(path, design, provenance):
-    """Write a Design to a JSON file. provenance: dict, how it came about; kept for people and not read back."""
+    """Write a Design to a JSON file. provenance: dict, how it came about; kept for people and not read back.
+
+    Raises OSError.
+    """
     content = {"format": FORMAT, "provenance": provenance, "design": asdict(design)}
-    Path(path).write_text(json.dumps(content, indent=1) + "\n")
+    write_file(Path(path), (json.dumps(content, indent=1) + "\n").encode())
 
 
 def write_fitted(path, design, provenance):
