@@ -3,9 +3,10 @@
 import cv2
 import numpy as np
 
-from sim.dataset import write_file
+from sim.dataset import encode_image
 from sim.picture import Studio
 from sim.stage import object_prop, way
+from tactip_model.files import write_file
 
 _WIDTH, _HEIGHT = 1200, 900
 _FIELD_DEG = 20.0
@@ -25,7 +26,4 @@ def write_figure(path, scenery, arrays, task, towards=(0.55, -0.6, 0.75)):
     away = 0.95 * radius / np.sin(np.radians(_FIELD_DEG / 2))
     picture = studio.picture(way(arrays, task), middle + away * eye, middle, _FIELD_DEG)
     small = cv2.resize(picture, (_WIDTH * 3 // 4, _HEIGHT * 3 // 4), interpolation=cv2.INTER_AREA)
-    ok, data = cv2.imencode(".png", small[..., ::-1])
-    if not ok:
-        raise ValueError("a picture could not be written as PNG")
-    write_file(path, data.tobytes())
+    write_file(path, encode_image(small[..., ::-1]))  # PNGs are encoded from blue, green and red

@@ -3,8 +3,9 @@
 import cv2
 import numpy as np
 
-from sim.dataset import read_dataset, write_file
+from sim.dataset import encode_image, read_dataset
 from tactip_model.errors import TactipError
+from tactip_model.files import write_file
 
 _MARGIN = 6
 _TEXT = 34
@@ -40,10 +41,7 @@ def write_sheet(folder, out, count=24, columns=6):
         raise TactipError(f"the sheet is written as PNG: {out} must end in .png")
     sheet = contact_sheet(folder, count, columns)
     out.parent.mkdir(parents=True, exist_ok=True)
-    ok, data = cv2.imencode(".png", sheet)
-    if not ok:
-        raise TactipError(f"a sheet of {sheet.shape} cannot be written as PNG")
-    write_file(out, data.tobytes())
+    write_file(out, encode_image(sheet))
 
 
 def _tile(image, pose):
