@@ -3,6 +3,7 @@
 import matplotlib.figure
 
 from benchmarks.label_worth import STEP
+from benchmarks.machine import machine_text
 
 PIN_BOUND_MM = 0.05
 """What `standard` is held to: its mean pin error against the reference, mm."""
@@ -38,9 +39,7 @@ def page(result):
     lines = [
         "# Error against run time",
         "",
-        "Written by `tactip bench error`; do not edit. 127-pin tip, one core of: "
-        + "; ".join(f"{k} {v}" for k, v in result["machine"].items())
-        + ".",
+        "Written by `tactip bench error`; do not edit. 127-pin tip, one core of: " + machine_text(result["machine"]) + ".",
         "",
         "Pins: distance of their tips in mm, mean / 95th percentile / greatest. Force: its error over the force, summed "
         "over contacts. Label: the change of pose that moves the pins in the tactile image as the error does (least squares "

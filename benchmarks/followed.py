@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.machine import machine
+from benchmarks.machine import machine, machine_text
 from benchmarks.patch import RADII_MM, felt_patch
 from control.options import Options as ServoOptions
 from control.options import RouteOptions, Settings
@@ -259,7 +259,7 @@ COLUMNS = (
 
 def page(record):
     """The Markdown (str) of servo.json."""
-    state = "; ".join(f"{k} {v}" for k, v in record["machine"].items())
+    state = machine_text(record["machine"])
     lines = [
         "# What the servo reaches",
         "",

@@ -11,7 +11,7 @@ from importlib.metadata import version
 
 import numpy as np
 
-from benchmarks.machine import machine
+from benchmarks.machine import machine, machine_text
 from learning.evaluate import evaluate
 from learning.model import find_model, load_model
 from learning.networks import Recipe, recipe_named
@@ -279,7 +279,7 @@ def page(whole):
     ]
     for task, record in whole.items():
         names = list(PAPER[task])
-        state = "; ".join(f"{k} {v}" for k, v in record["machine"].items())
+        state = machine_text(record["machine"])
         lines += [
             "",
             f"## {task}",

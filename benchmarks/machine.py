@@ -16,6 +16,11 @@ def machine():
     }
 
 
+def machine_text(described):
+    """What `machine` told (dict of str), as text (str)."""
+    return "; ".join(f"{k} {v}" for k, v in described.items())
+
+
 def _processor():
     for line in Path("/proc/cpuinfo").read_text().splitlines():
         if line.startswith("model name"):

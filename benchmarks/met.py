@@ -14,7 +14,7 @@ import numpy as np
 import trimesh
 
 from assets.meshes.rims import block
-from benchmarks.machine import machine
+from benchmarks.machine import machine, machine_text
 from sim.contact import ContactPlayer
 from sim.fidelity import fidelity_named
 from sim.pose import from_mm_deg
@@ -160,7 +160,7 @@ def _figures(played, true, seconds):
 
 def page(record):
     """The Markdown (str) of a record."""
-    state = "; ".join(f"{k} {v}" for k, v in record["machine"].items())
+    state = machine_text(record["machine"])
     lines = [
         "# By what a mesh is met",
         "",

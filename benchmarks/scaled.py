@@ -9,7 +9,7 @@ import tempfile
 import time
 from importlib.util import find_spec
 
-from benchmarks.machine import machine
+from benchmarks.machine import machine, machine_text
 from benchmarks.speed import made_set, set_seconds
 from learning.samples import read_samples
 from sim.cluster import ClusterCrew, joined
@@ -132,7 +132,7 @@ def _rate(crew, options):
 def page(record):
     """The Markdown (str) of scale.json."""
     cores = int(record["machine"]["cores"])
-    state = "; ".join(f"{k} {v}" for k, v in record["machine"].items())
+    state = machine_text(record["machine"])
     lines = [
         "# A million contacts on many machines",
         "",

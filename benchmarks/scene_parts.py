@@ -20,7 +20,7 @@ from tqdm import tqdm
 
 import sim.scene
 from benchmarks.cases import Case, training
-from benchmarks.machine import machine
+from benchmarks.machine import machine, machine_text
 from benchmarks.plays import DESIGN, STANDARD, UnloweredPlayer
 from sim.contact import ContactPlayer
 from sim.dataset import encode_image
@@ -306,7 +306,7 @@ def page(result):
         "",
         "Written by `tactip bench parts`; do not edit. The first "
         f"{result['contacts_a_task']} contacts of each training set of seed 0 at `standard`, 127-pin tip, one core of: "
-        + "; ".join(f"{k} {v}" for k, v in result["machine"].items())
+        + machine_text(result["machine"])
         + ".",
         "",
         "## What it saves to leave a part out",

@@ -10,7 +10,7 @@ from collections import Counter
 from dataclasses import replace
 
 from benchmarks import learned
-from benchmarks.machine import machine
+from benchmarks.machine import machine, machine_text
 from benchmarks.options import LearningOptions
 from learning.space import SearchSpace
 from learning.train import TrainSettings, as_of_now
@@ -79,7 +79,7 @@ def page(whole):
         "the best.",
     ]
     for task, record in whole.items():
-        state = "; ".join(f"{k} {v}" for k, v in record["machine"].items())
+        state = machine_text(record["machine"])
         ended = Counter(t["status"] for t in record["trials"])
         good = sorted((t for t in record["trials"] if t["status"] == "ok"), key=lambda t: t["loss"])
         names = [name for name, _ in PARAMETERS]

@@ -14,7 +14,7 @@ import tyro
 
 from assets import MODELS
 from benchmarks.learned import BARS, DESIGN, PAPER, jobs, rows
-from benchmarks.machine import machine
+from benchmarks.machine import machine, machine_text
 from benchmarks.options import LearningOptions
 from learning.evaluate import evaluate, tables
 from learning.model import DESCRIPTION, WEIGHTS, find_model, load_model, net_sha256
@@ -145,7 +145,7 @@ def card(model, record, options):
             model.labels.names, model.labels.low, model.labels.high, model.labels.units, strict=True
         )
     )
-    state = "; ".join(f"{k} {v}" for k, v in record["machine"].items())
+    state = machine_text(record["machine"])
     lines += [
         "",
         f"On {record['samples']} test contacts of which it has seen none; {record['parameters']} parameters; "

@@ -22,7 +22,7 @@ import numpy as np
 from mujoco import batch
 
 from benchmarks import gpu_engine
-from benchmarks.machine import machine
+from benchmarks.machine import machine, machine_text
 from sim.contact import ContactPlayer
 from sim.dataset import Configuration
 from sim.fidelity import fidelity_named
@@ -446,7 +446,7 @@ def page(record):
     for name, group in record["groups"].items():
         rows = group["rows"]
         columns = list(dict.fromkeys(key for row in rows for key in row))
-        state = "; ".join(f"{k} {v}" for k, v in group["machine"].items())
+        state = machine_text(group["machine"])
         lines += ["", f"## {GROUPS[name][0]}", "", "| " + " | ".join(columns) + " |", "|" + "---|" * len(columns)]
         lines += ["| " + " | ".join(_cell(row.get(key)) for key in columns) + " |" for row in rows]
         lines += ["", f"On: {state}.", *(["", gpu_engine.NOTE] if name == "gpu-engine" else [])]

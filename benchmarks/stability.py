@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.machine import machine
+from benchmarks.machine import machine, machine_text
 from sim.contact import UNPROVEN, Bounds, CarefulPlayer, ContactPlayer
 from sim.crew import Crew
 from sim.fidelity import FASTEST_M_S, FASTEST_SHEAR_M_S, Fidelity, fidelity_named, finer
@@ -420,7 +420,7 @@ def page(result):
         "# Where a contact converges, and where it is refused",
         "",
         f"Written by `tactip bench stability`; do not edit. {result['design']}, fidelity `{result['fidelity']}`, on: "
-        + "; ".join(f"{k} {v}" for k, v in result["machine"].items())
+        + machine_text(result["machine"])
         + ".",
         "",
         "Each cell is one contact, on the surface 3 mm deep unless the cell says otherwise. *Converged*: its record keeps "

@@ -8,7 +8,7 @@ import json
 import shutil
 from importlib.metadata import version
 
-from benchmarks.machine import machine
+from benchmarks.machine import machine, machine_text
 from learning.transfer import EXPERIMENTS, Experiment
 from learning.transfer_page import page_lines, write_page
 from learning.transfer_settings import GAP
@@ -71,7 +71,7 @@ def page(whole):
     for name, record in whole.items():
         lines += [f"| {name} | {' | '.join(cells)} |" for cells in judged(record)]
     for name, record in whole.items():
-        state = "; ".join(f"{k} {v}" for k, v in record["machine"].items())
+        state = machine_text(record["machine"])
         settings = ", ".join(f"{k} {v}" for k, v in record["settings"].items() if v not in ("", None))
         its = page_lines(record, record["task"], 2, gap_of(name))
         lines += ["", *its, "", f"Version {record.get('version', '0.1.0')}. Settings: {settings}. On: {state}."]

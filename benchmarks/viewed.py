@@ -12,7 +12,7 @@ from multiprocessing import get_context
 from pathlib import Path
 
 from benchmarks.chromium import PROGRAM, Chromium
-from benchmarks.machine import machine
+from benchmarks.machine import machine, machine_text
 from control.options import Options as ServoOptions
 from control.options import Settings
 from control.run import run as follow
@@ -170,7 +170,7 @@ def _until(viewer, pipe, word):
 
 def page(result):
     """The Markdown (str) of viewer.json."""
-    state = "; ".join(f"{k} {v}" for k, v in result["machine"].items())
+    state = machine_text(result["machine"])
     alone, seen = result["alone"], result["seen"]
     lines = [
         "# What a replay costs",
