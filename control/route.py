@@ -20,6 +20,8 @@ class Route(ABC):
     """Which part of the route it is on, int."""
     ended = ""
     """Why it is over; empty while it is not."""
+    closed = False
+    """Whether it came back to where it began."""
     wrist_rad = 0.0
     """Where joint 6 is to be at its start, rad."""
 
@@ -104,8 +106,6 @@ class AlongEdge(Route):
         self.wrist_rad = self._sense * np.pi
         self._start = self._last = None
         self._gone, self._farthest = 0.0, 0.0
-        self.closed = False
-        """Whether the way came back to its start."""
 
     def along(self, T_base_tcp, T_base_contact):
         """See Route."""

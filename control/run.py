@@ -99,7 +99,7 @@ def run(options, progress=lambda step: None, say=print, estimator=None):
     except KeyboardInterrupt:
         stopped, explorer.stopped_because = True, "Ctrl-C"
     outcome = {
-        "closed": bool(getattr(route, "closed", False)),
+        "closed": route.closed,
         "stopped_because": explorer.stopped_because,
         "warnings": finger.warnings,
     }
