@@ -34,7 +34,7 @@ class Estimator(ABC):
 
     @abstractmethod
     def look(self, touch, T_base_tcp) -> Sight:
-        """touch: fingertip.Touch. T_base_tcp: (4, 4), where the sensor truly is: for the oracle alone."""
+        """touch: sim.touch.Touch. T_base_tcp: (4, 4), where the sensor truly is: for the oracle alone."""
 
 
 class Seen(Estimator):

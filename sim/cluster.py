@@ -2,7 +2,7 @@
 
 Needs the extra `cluster`. The folders of the sets must be visible to every machine under the same path, as on a shared disk,
 and the package must be installed there. A worker holds a second's work at a time, so that nothing piles up and few messages
-keep many workers busy; one that is lost with its machine gives its tasks to another, and what it had written counts.
+keep many workers busy; the tasks of one that is lost with its machine are played again by another.
 """
 
 import contextlib

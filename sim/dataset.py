@@ -66,7 +66,7 @@ class Configuration:
     split: str
     """`train`, `val` or `test`."""
     samples: int
-    """Contacts to make."""
+    """Samples to make: contacts, times the symmetries and the looks of each."""
     seed: int
     """Seed of the set; each sample spawns its own generator from it (sim/sampling.py)."""
     renderer: str

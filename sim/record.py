@@ -56,9 +56,9 @@ def read_record(path):
 def reopen(folder):
     """Turn the finished set in a folder (Path) into records, so that it can grow; the caller holds the folder's lock.
 
-    A contact whose samples are not all there is left out, to be made again. meta.json goes last of what a finished set is
-    told by: a kill before that leaves the finished set, and one after it the records. Raises TactipError where a table is
-    damaged, and OSError.
+    A contact whose samples are not all there is left out, to be made again. meta.json goes when every record is there, and
+    before the rest of what a finished set has: a kill before that leaves the finished set, and one after it the records.
+    Raises TactipError where a table is damaged, and OSError.
     """
     meta, rows = read_meta(folder), read_targets(folder)
     configuration = meta["configuration"]
