@@ -106,15 +106,6 @@ class Chromium:
         self.do("Input.insertText", text=text)
         self.key("Tab", "Tab")
 
-    def drag(self, start, end, pieces=6):
-        """Drag from a place to another, (2,) px each."""
-        self.mouse("mouseMoved", start)
-        self.frames(1)
-        self.mouse("mousePressed", start)
-        for share in np.linspace(0, 1, pieces):
-            self.mouse("mouseMoved", [a + share * (b - a) for a, b in zip(start, end, strict=True)])
-        self.mouse("mouseReleased", end)
-
     def key(self, key, code):
         """Press a key: its name and its code, as in KeyboardEvent."""
         for kind in ("keyDown", "keyUp"):

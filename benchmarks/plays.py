@@ -90,8 +90,6 @@ class Plays:
         """folder: Path, made when needed. said: called with the name of what is being played."""
         self._folder, self._said = Path(folder), said
         self._players = {}
-        self.made = 0
-        """Contacts played by this object; the others were found."""
 
     def __call__(self, case, variant):
         """The Played of a Case and a Variant. Raises TactipError where it cannot be played."""
@@ -102,7 +100,6 @@ class Plays:
         played = self._play(case, variant)
         self._folder.mkdir(parents=True, exist_ok=True)
         write_file(path, _packed(played))
-        self.made += 1
         return played
 
     def forget(self):

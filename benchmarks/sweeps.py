@@ -5,8 +5,6 @@ from dataclasses import replace
 from benchmarks.plays import STANDARD, Variant
 from sim.fidelity import FIDELITIES, finer
 
-_PARTS = ("mesh", "contact", "motion", "solver")
-
 REFINED_MM = tuple(1.2 * 2 ** (k / 2) for k in (2, 1, 0, -1))
 """Spacings on the surface of the sequence that ends one refinement beyond the reference, mm; all else in proportion."""
 

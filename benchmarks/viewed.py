@@ -84,7 +84,7 @@ def _measure(folder, seconds, browser):
         chromium = Chromium(address, wait=False) if browser else None
         try:
             if chromium:
-                out |= _looked_at(chromium, here)
+                out |= _looked_at(chromium)
             here.send("play")
             if chromium:
                 chromium.ask(_COUNT)
@@ -92,7 +92,7 @@ def _measure(folder, seconds, browser):
             out |= _told(here, "what it cost")
             if chromium:
                 out["drawn_per_s"] = chromium.ask("window.drawn") / (time.perf_counter() - start)
-                out["heeded_s"] = _heeded(chromium, here)
+                out["heeded_s"] = _heeded(chromium)
             here.send("end")
         finally:
             if chromium:
@@ -113,7 +113,7 @@ def _told(pipe, what):
         raise TactipError(f"the replay ended before it told {what}") from None
 
 
-def _looked_at(chromium, pipe):
+def _looked_at(chromium):
     """How soon the page is there (dict), from when the browser is told its address."""
     start = time.perf_counter()
     chromium.open()
@@ -121,7 +121,7 @@ def _looked_at(chromium, pipe):
     return {"ready_s": time.perf_counter() - start}
 
 
-def _heeded(chromium, pipe):
+def _heeded(chromium):
     """Time (s) from a click on Pause, while it plays, to when the page shows that it is heeded."""
     start = time.perf_counter()
     chromium.click("Pause")

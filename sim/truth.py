@@ -50,8 +50,6 @@ class EdgeTruth:
         self._normals = edge.normals
         self.closed = edge.closed
         self._before = np.concatenate([[0.0], np.cumsum(self._lengths)])
-        self.length_m = float(self._before[-1])
-        """Length of the edge, m."""
         tangents = self._ways / self._lengths[:, None]
         # Smooth along the edge: at a point, the mean of both sides of it.
         ends = (tangents[-1] + tangents[0], tangents[-1] + tangents[0]) if edge.closed else (tangents[0], tangents[-1])

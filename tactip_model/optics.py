@@ -17,9 +17,8 @@ REFERENCE_PX = 256
 class Lens:
     """A rotationally symmetric wide-angle lens: image radius k1 a + k3 a³ + k5 a⁵ of a ray at angle a to the axis.
 
-    The coefficients are those that put the design's undeformed pins where its neutral image has them (least squares);
-    `residual_px` is what remains (rms, px of a 256 px image). Beyond the outermost undeformed pin the radius goes on in a
-    straight line: a polynomial is not to be trusted there.
+    The coefficients are those that put the design's undeformed pins where its neutral image has them (least squares). Beyond
+    the outermost undeformed pin the radius goes on in a straight line: a polynomial is not to be trusted there.
     """
 
     def __init__(self, design):
@@ -37,7 +36,6 @@ class Lens:
         self.coefficients = np.linalg.lstsq(_odd(angle), wanted, rcond=None)[0]
         self._straight = angle.max()
         self._slope = float((_odd(self._straight) / self._straight) @ (self.coefficients * [1, 3, 5]))
-        self.residual_px = float(np.sqrt(np.mean((self._polynomial(angle) - wanted) ** 2)))
 
     def angle_to(self, points):
         """Angles (...) rad to the axis of the rays to points (..., 3), m, sensor frame."""

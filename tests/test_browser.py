@@ -18,6 +18,16 @@ from tactip_model.renderer import renderer_named
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(PROGRAM is None, reason="there is no Chromium here")]
 
 
+def _drag(browser, start, end, pieces=6):
+    """Drag from a place to another, (2,) px each."""
+    browser.mouse("mouseMoved", start)
+    browser.frames(1)
+    browser.mouse("mousePressed", start)
+    for share in np.linspace(0, 1, pieces):
+        browser.mouse("mouseMoved", [a + share * (b - a) for a, b in zip(start, end, strict=True)])
+    browser.mouse("mouseReleased", end)
+
+
 class Served:
     """A page that is served in this process while a test goes on, by turns: nothing here is in a hurry."""
 
@@ -80,7 +90,7 @@ def test_it_is_scrubbed_by_the_slider(replay):
     find = """(() => { const t = document.querySelector('[role=slider]'), r = t.parentElement.getBoundingClientRect();
         const q = t.getBoundingClientRect(); return [q.x + q.width / 2, q.y + q.height / 2, r.x, r.x + r.width]; })()"""
     x, y, low, high = replay.until(lambda: replay.browser.ask(find))
-    replay.browser.drag((x, y), (low + 0.75 * (high - low), y))
+    _drag(replay.browser, (x, y), (low + 0.75 * (high - low), y))
     replay.until(lambda: replay.page.playback.step >= STEPS // 2)
     replay.text(f"step {replay.page.playback.step}")
 
@@ -145,7 +155,7 @@ def test_the_handle_is_dragged_and_the_stimulus_follows(live):
     handle = live.page._handle
     origin, along = np.array(handle.position), Rotation.from_quat(handle.wxyz, scalar_first=True).as_matrix()[:, 0]
     start, end = (_on_screen(origin + d * along, camera, live.browser) for d in (0.022, 0.026))
-    live.browser.drag(start, end, pieces=12)
+    _drag(live.browser, start, end, pieces=12)
     live.until(lambda: np.allclose(handle.position, origin + 0.004 * along, atol=1e-3))
     live.until(lambda: abs(abs(live.page._press.label[0]) - 4e-3) < 1e-3)
     assert np.allclose(live.page._press.label[3:], 0, atol=1e-3)

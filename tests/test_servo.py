@@ -101,10 +101,6 @@ def test_the_truth_of_an_edge_is_the_label(name):
     assert truth.closed == (name != "edge")
 
 
-def test_the_length_of_a_round_rim():
-    assert EdgeTruth(find_object("rim-round").edge).length_m == pytest.approx(2 * np.pi * 0.06, rel=1e-4)
-
-
 def walk(route, T, steps, turn=STILL):
     """Go along a route with 1 mm a step, the contact frame as the sensor has it."""
     places = [T[:3, 3]]
