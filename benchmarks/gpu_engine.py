@@ -18,13 +18,8 @@ from tactip_model.presets import find_design
 TIGHTEST = 1e-6
 """Smallest tolerance of MuJoCo Warp's solver, - (MuJoCo's manual, "MuJoCo Warp", Differences from MuJoCo)."""
 
-NOTE = (
-    "MuJoCo Warp takes the tip as it is: neo-Hookean flex, discrete integrator, elliptic cones, conjugate gradients. "
-    "Sets are not made on it: the margin, the correction of sliding friction and the memory of slides come between "
-    "the halves of a step (sim/scene.py) and would have to become kernels of our own, and what it gains on a GPU has "
-    "not been measured, for want of one. On a processor the table tells that it is right, not how fast it is."
-)
-"""What the rows do not say."""
+_ON_PROCESSOR = "processor"
+"""How rows name the device where there is no GPU."""
 
 _STEPS, _MOVING = 14, 8
 """Time steps of the press, and of these the ones that go down."""
@@ -60,9 +55,26 @@ def rows():
     device = warp.get_device()
     for worlds in _WORLDS["cuda" if device.is_cuda else "cpu"]:
         places, rate = _warp(worlds)
-        what = f"MuJoCo Warp, tolerance {TIGHTEST:g}, {device.name if device.is_cuda else 'processor'}"
+        what = f"MuJoCo Warp, tolerance {TIGHTEST:g}, {device.name if device.is_cuda else _ON_PROCESSOR}"
         out.append({"what": what, "worlds": worlds, "steps/s": rate, **_off(places, truth)})
     return out
+
+
+def note(rows):
+    """What the rows (list of dict) do not say: str."""
+    on_gpu = any("Warp" in row["what"] and not row["what"].endswith(f", {_ON_PROCESSOR}") for row in rows)
+    if on_gpu:
+        unsaid = "our own. What those would cost on a GPU is not in the table: it has MuJoCo's step alone."
+    else:
+        unsaid = (
+            "our own, and what it gains on a GPU has not been measured, for want of one. On a processor the table tells "
+            "that it is right, not how fast it is."
+        )
+    return (
+        "MuJoCo Warp takes the tip as it is: neo-Hookean flex, discrete integrator, elliptic cones, conjugate gradients. "
+        "Sets are not made on it: the margin, the correction of sliding friction and the memory of slides come between "
+        f"the halves of a step (sim/scene.py) and would have to become kernels of {unsaid}"
+    )
 
 
 def _off(places, truth):

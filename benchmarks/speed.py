@@ -449,7 +449,7 @@ def page(record):
         state = machine_text(group["machine"])
         lines += ["", f"## {GROUPS[name][0]}", "", "| " + " | ".join(columns) + " |", "|" + "---|" * len(columns)]
         lines += ["| " + " | ".join(_cell(row.get(key)) for key in columns) + " |" for row in rows]
-        lines += ["", f"On: {state}.", *(["", gpu_engine.NOTE] if name == "gpu-engine" else [])]
+        lines += ["", f"On: {state}.", *(["", gpu_engine.note(rows)] if name == "gpu-engine" else [])]
     return "\n".join(lines) + "\n"
 
 

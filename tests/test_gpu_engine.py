@@ -13,6 +13,14 @@ def test_without_it_a_sentence(monkeypatch, tmp_path):
         speed.run(SpeedOptions(groups=("gpu-engine",), out=tmp_path), lambda line: None)
 
 
+def test_what_was_measured_is_said_on_the_page():
+    """Of a processor the rows tell no speed; where there was a GPU it is not said to be wanting."""
+    ours = {"what": "mj_step, tolerance 1e-10, one thread"}
+    for device, wanting in (("processor", True), ("NVIDIA H100", False)):
+        told = gpu_engine.note([ours, {"what": f"MuJoCo Warp, tolerance 1e-06, {device}"}])
+        assert ("has not been measured, for want of one" in told) == wanting
+
+
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_it_bends_the_tip_as_mujoco_does():
