@@ -12,13 +12,14 @@ from importlib.util import find_spec
 from benchmarks.machine import machine, machine_text
 from benchmarks.speed import made_set, set_seconds
 from learning.samples import read_samples
-from sim.cluster import ClusterCrew, joined
+from sim.cluster import HELD_S, ClusterCrew, joined
 from sim.crew import Crew
-from sim.dataset import PARTIAL, checksum, read_configuration, read_meta
+from sim.dataset import PARTIAL, Configuration, checksum, read_configuration, read_meta
 from sim.generation import Job, make
 from sim.record import reopen
 from sim.symmetry import SYMMETRIES
 from sim.verification import verify
+from tactip_model.errors import TactipError
 from tactip_model.files import write_file
 
 CONTACTS = 1_000_000
@@ -27,8 +28,8 @@ CONTACTS = 1_000_000
 MACHINES = (1, 10, 100)
 """Machines as this one that it is reckoned for."""
 
-_MESSAGE_S = 1.0
-"""Work that a worker is given at a time, s (sim/cluster.py)."""
+_LEAST = {"contacts": 1, "few": 1, "messages": 10}
+"""Options and what they are at least: of the messages the first tenth is left out, while workers come up."""
 
 _PUTS_PER_S = 3500
 """Objects a second that an object store takes under one prefix (Amazon S3 User Guide, "Best practices design patterns:
@@ -43,6 +44,9 @@ def run(options, say=print):
 
     Raises TactipError.
     """
+    for name, least in _LEAST.items():
+        if getattr(options, name) < least:
+            raise TactipError(f"--{name} is {getattr(options, name)}: it must be at least {least}")
     options.out.mkdir(parents=True, exist_ok=True)
     settings = f"contacts {options.contacts} after {options.few}, messages {options.messages}, one worker, seed 0"
     record = {"machine": machine(), "settings": settings, "tasks": {}, "dispatch": {}}
@@ -188,7 +192,7 @@ def _reckoned(figures, cores):
             f"{rate:,.0f}",
             f"{rate * each * figures['bytes_a_sample'] / 1e6:,.1f}",
             f"{rate * (each + 1):,.0f}",
-            f"{min(rate, workers / _MESSAGE_S):,.0f}",
+            f"{min(rate, workers / HELD_S):,.0f}",
             f"{100 * busy:.1f} %",
         ]
         out.append(f"| {machines} | {' | '.join(cells)} |")
@@ -208,11 +212,11 @@ def _limits(record):
         limits = {"taking note of shards": second / (each * figures["note_s_a_sample"])}
         if "Ray" in record["dispatch"]:
             limits["handing out tasks"] = record["dispatch"]["Ray"] * second
-            limits["messages of a second's work"] = record["dispatch"]["Ray, one task a message"] * _MESSAGE_S
+            limits["messages of a second's work"] = record["dispatch"]["Ray, one task a message"] * HELD_S
         told = "; ".join(f"{what} by {workers:,.0f} workers" for what, workers in limits.items())
         out.append(f"- {task}: the driver, which is one process, is kept busy: {told}.")
     samples = CONTACTS * record["tasks"]["surface"]["samples_a_contact"]
-    shards = -(-samples // 10_000)
+    shards = -(-samples // Configuration.shard_samples)
     out += [
         "- The disk that all share gets a file for each image and each contact: the files a second above, not the bytes, "
         "are what a network file system must bear. Records are gone when their shard is closed.",

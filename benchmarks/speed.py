@@ -42,6 +42,12 @@ _FEW = 4
 _REPEATS = 5
 """Times that what is short is measured; the median counts."""
 
+_LEAST_STEPS = 4
+"""Steps of a servo run, at least. For so many a slide over an object is one step."""
+
+_TRIES = 3
+"""Times that a rate is measured, where what comes out cannot be."""
+
 _BATCH = 64
 """Images at a time, where they are drawn, learned from or judged in batches."""
 
@@ -58,6 +64,9 @@ def run(options, say=print):
     Raises TactipError.
     """
     names = [choose("group", name, dict(zip(GROUPS, GROUPS, strict=True))) for name in options.groups or GROUPS]
+    for name, given, least in (("contacts", options.contacts, 1), ("steps", options.steps, _LEAST_STEPS)):
+        if given < least:
+            raise TactipError(f"--{name} is {given}: it must be at least {least}")
     path = options.out / "performance.json"
     groups = json.loads(path.read_text())["groups"] if path.exists() else {}
     options.out.mkdir(parents=True, exist_ok=True)
@@ -140,17 +149,31 @@ def _samples(options):
     cases += [(plain | {"task": task, "looks": _LOOKS}, cores) for task in ("surface", "edge")]
     rows = []
     for case, workers in cases:
-        few = _FEW * workers
-        base, _ = set_seconds(few, workers, **case)
         more = max(cores, options.contacts // case.get("looks", 1))
-        whole, peak = set_seconds(few + more, workers, **case)
-        rate = more / max(whole - base, 1e-9)
-        once = base - few / rate
+        rate, once, peak = _rate(_FEW * workers, more, workers, **case)
         rows.append({
             "what": _name(case, plain), "workers": workers, "contacts/s": rate, "samples/s": rate * _each(case),
             "once, s": once, "a worker's memory, MiB": peak,
         })  # fmt: skip
     return rows
+
+
+def _rate(few, more, workers, **case):
+    """Contacts a second (float), the time that is paid once (s), and a worker's peak memory (MiB), by sets of `few` contacts
+    and another of `more` more.
+
+    Raises TactipError where, _TRIES times, the larger set took no longer, or so much longer that nothing was paid once.
+    """
+    for _ in range(_TRIES):
+        base, _ = set_seconds(few, workers, **case)
+        whole, peak = set_seconds(few + more, workers, **case)
+        once = base - few * (whole - base) / more
+        if whole > base and once >= 0:
+            return more / (whole - base), once, peak
+    raise TactipError(
+        f"the machine is too busy to measure: sets of {few} and of {few + more} contacts took {base:.1f} and {whole:.1f} s, "
+        f"after {_TRIES - 1} other tries; the larger must take longer, by less than in proportion to its contacts"
+    )
 
 
 def _growth(options):
@@ -295,7 +318,7 @@ def _faces(options):
         pose[2, 3] = 0.037
         finger.go(pose)
         seconds = []
-        for k in range(options.steps // 4):
+        for k in range(options.steps // _LEAST_STEPS):
             turn = (k + 1) * 1e-3 / 0.04
             c, s = np.cos(turn), np.sin(turn)
             round_it = np.array([[c, 0, s, 0], [0, 1, 0, 0], [-s, 0, c, 0], [0, 0, 0, 1]])

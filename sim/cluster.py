@@ -13,7 +13,7 @@ from typing import Any
 from sim.crew import THREADS, Crew, attempt
 from tactip_model.errors import TactipError
 
-_HELD_S = 1.0
+HELD_S = 1.0
 """Work that a worker holds, s: a driver passes about a thousand messages a second (docs/scale.md)."""
 
 _LEAVE_S = 10
@@ -66,7 +66,7 @@ class _Hand:
     actor: Any
     tasks: tuple = ()
     done: int = 0
-    seconds: float = _HELD_S
+    seconds: float = HELD_S
     """What a task of the last ones took."""
 
 
@@ -95,12 +95,12 @@ class ClusterCrew(Crew):
             self._give(_Hand(self._actor.remote(self._begin, self._arguments)))
 
     def _give(self, hand):
-        """Give a worker its next tasks: as many as it does in _HELD_S, but towards the end no more than its share.
+        """Give a worker its next tasks: as many as it does in HELD_S, but towards the end no more than its share.
 
         One that a worker was lost with goes alone, so that it is known if it ends another.
         """
         share = len(self._queue) // (2 * len(self._workers) + 2)
-        many = max(1, min(round(_HELD_S / max(hand.seconds, 1e-6)), share, self.most_held))
+        many = max(1, min(round(HELD_S / max(hand.seconds, 1e-6)), share, self.most_held))
         tasks = [self._queue.pop()]
         while len(tasks) < many and not self._killed.keys() & {tasks[0], self._queue[-1]}:
             tasks.append(self._queue.pop())

@@ -2,8 +2,11 @@
 
 import json
 
+import pytest
+
 from benchmarks.options import ScaleOptions
 from benchmarks.scaled import page, run
+from tactip_model.errors import TactipError
 
 FIGURES = {
     "samples_a_contact": 8,
@@ -44,3 +47,10 @@ def test_rates_are_measured(tmp_path):
         assert 0 < figures["note_s_a_sample"] < figures["close_s_a_sample"] < 0.5
     assert record["dispatch"]["processes of this machine"] > 1
     assert "What an object store changes" in (tmp_path / "scale.md").read_text()
+
+
+@pytest.mark.parametrize(("name", "given", "least"), [("messages", 9, 10), ("contacts", 0, 1), ("few", 0, 1)])
+def test_too_few_are_refused(tmp_path, name, given, least):
+    with pytest.raises(TactipError, match=f"--{name} is {given}: it must be at least {least}"):
+        run(ScaleOptions(**{name: given}, out=tmp_path))
+    assert not list(tmp_path.iterdir())

@@ -50,6 +50,36 @@ def test_the_rate_of_a_set_is_its_marginal_one(monkeypatch):
         assert row["samples/s"] == pytest.approx(each * row["contacts/s"])
 
 
+def _scripted(monkeypatch, seconds):
+    """What sets take, one after the other, s; returns what is left of it."""
+    left = list(seconds)
+    monkeypatch.setattr(speed, "set_seconds", lambda n, workers, **case: (left.pop(0), 500))
+    return left
+
+
+def test_a_rate_that_cannot_be_is_measured_again(monkeypatch):
+    """A larger set that takes no longer; one that takes so much longer that nothing was paid once; one that can be."""
+    left = _scripted(monkeypatch, [5, 5, 5, 60, 5, 25])
+    assert speed._rate(4, 40, 1) == (2.0, 3.0, 500)
+    assert not left
+
+
+def test_a_machine_that_is_too_busy_is_said(monkeypatch):
+    left = _scripted(monkeypatch, [5, 4] * speed._TRIES)
+    with pytest.raises(TactipError, match=r"too busy to measure: sets of 4 and of 44 contacts took 5\.0 and 4\.0 s"):
+        speed._rate(4, 40, 1)
+    assert not left
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [({"steps": 3}, "--steps is 3: it must be at least 4"), ({"contacts": 0}, "--contacts is 0: it must be at least 1")],
+)
+def test_too_few_are_refused(tmp_path, options, words):
+    with pytest.raises(TactipError, match=words):
+        speed.run(SpeedOptions(("faces",), out=tmp_path, **options))
+
+
 def test_sets_grow_by_fours(monkeypatch):
     monkeypatch.setattr(speed, "set_seconds", lambda n, workers, **case: (3.0 + n / 2, 500))
     rows = speed._growth(SpeedOptions(contacts=10))
