@@ -439,10 +439,9 @@ def page(result):
     lines += [
         f"| deflection of a strip, 20 by 6 mm | F L³ / 3 E I | jittered squares | {cells} |",
         "",
-        "A triangle mesh bends at its edges, which knows no Poisson's ratio: cylinders have the plate's rigidity (on an "
-        "even mesh; up to a quarter more on the spiral), domes half of it and saddles more than twice. No factor on "
-        "thickness or modulus mends both. On the tip's own dome stretching and bending share the load, and come out right "
-        "together: the skin alone under a point load at its apex, deflection over Reissner's for a spherical shell,",
+        f"A triangle mesh bends at its edges, which knows no Poisson's ratio. Moments over the plate's: {_curved(result)}. "
+        "No factor on thickness or modulus mends all. On the tip's own dome stretching and bending share the load: the skin "
+        "alone under a point load at its apex, deflection over Reissner's for a spherical shell,",
         "",
         "| mesh | deflection | moves without a load, mm |",
         "|---|---|---|",
@@ -451,9 +450,21 @@ def page(result):
         lines.append(f"| {name} | {row['deflection_ratio']:.2f} | {row['unloaded_mm']:.4f} |")
     lines += [
         "",
-        "The last column: the bending of a curved skin is not quite at rest as built; it pushes outward with some 20 Pa.",
+        "The last column: the bending of a curved skin is not quite at rest as built.",
     ]
     return "\n".join(lines) + "\n"
+
+
+def _curved(result):
+    """Ranges of the moments of curving_ratios over spacings, by shape and mesh, in words."""
+    told = []
+    for shape, kind in (("cylinder", "cylinders"), ("sphere", "domes"), ("saddle", "saddles")):
+        ranges = []
+        for lattice, by_size in result["curving"].items():
+            found = [row[shape] for row in by_size.values()]
+            ranges.append(f"{min(found):.2f} to {max(found):.2f} ({lattice})")
+        told.append(f"{kind} {' and '.join(ranges)}")
+    return ", ".join(told)
 
 
 if __name__ == "__main__":

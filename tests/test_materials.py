@@ -1,5 +1,8 @@
 """Gel and skin against the closed forms of their laws; the same tetrahedra in other codes."""
 
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -114,3 +117,11 @@ def test_pressed_gel_in_calculix(depth_mm, law, tmp_path):
         assert row["of_mm"] > 0.9 * depth_mm
         assert row["greatest_mm"] < 1e-4
         assert row["force_ratio"] == pytest.approx(1, abs=1e-4)
+
+
+def test_what_the_page_says_of_bending_is_what_was_measured():
+    record = json.loads((Path(__file__).parents[1] / "docs" / "materials.json").read_text())
+    for shape, ratio in (("cylinder", 0.5), ("saddle", 7.5)):
+        record["curving"]["spiral"]["1.5"][shape] = ratio
+    told = materials.page(record)
+    assert "cylinders 0.50 to 1.23 (spiral)" in told and "saddles 2.78 to 7.50 (spiral)" in told
