@@ -173,20 +173,24 @@ def run(options, say=print):
     groups = [choose("group", name, dict(zip(GROUPS, GROUPS, strict=True))) for name in options.groups or GROUPS]
     chosen = [case for case in cases(options) if case.group in groups]
     todo = [(c.group, c.name) for c in chosen if not _is_there(options.runs, c)]
+    workers = worker_count(options.workers)
     if todo:
-        Crew(_Follower, (str(options.runs), options), todo, "run", say).work(
-            worker_count(options.workers), lambda *done: None
-        )
+        Crew(_Follower, (str(options.runs), options), todo, "run", say).work(workers, lambda *done: None)
     path = options.out / "servo.json"
-    before = _before(path).get("groups", {})
-    measured = {c.group: [_row(options.runs, one) for one in chosen if one.group == c.group] for c in chosen}
-    record = {"machine": machine(), "groups": {g: (before | measured)[g] for g in GROUPS if g in before | measured}}
-    deep = [_patch(options.runs, case) for case in chosen if case.name in _ON_THE_BUST and case.group == "robust"]
-    patches = deep if "robust" in groups else _before(path).get("patches")
+    before = _before(path)
+    rows = before["groups"] | {c.group: [_row(options.runs, one) for one in chosen if one.group == c.group] for c in chosen}
+    rows = {g: rows[g] for g in GROUPS if g in rows}
+    # A group of which every run was there already is as it was made then.
+    anew, now = {group for group, _ in todo}, _made(machine(), workers)
+    made = {g: now if g in anew else before["made"].get(g, now) for g in rows}
+    record = {"groups": rows, "made": made}
+    deep = [case for case in chosen if case.name in _ON_THE_BUST and case.group == "robust"]
+    # What could not be made, or followed for no step, felt no normal.
+    deep = [_patch(options.runs, case) for case in deep if _row(options.runs, case).get("steps_followed")]
+    patches = deep if "robust" in groups else before.get("patches")
     record |= {"patches": patches} if patches else {}
     given = {"surface": options.other_surface, "edge": options.other_edge}
-    others = {task: _learned(name) for task, name in given.items() if name} if "robust" in groups else {}
-    others = others or _before(path).get("others", {})
+    others = {task: _learned(name) for task, name in given.items() if name} if "robust" in groups else before.get("others")
     record |= {"others": others} if others else {}
     options.out.mkdir(parents=True, exist_ok=True)
     write_file(path, (json.dumps(record, indent=1) + "\n").encode())
@@ -197,8 +201,20 @@ def run(options, say=print):
 
 
 def _before(path):
-    """The record (dict) that was measured before; empty if there is none."""
-    return json.loads(path.read_text()) if path.exists() else {}
+    """The record (dict) that was measured before; without groups if there is none."""
+    return _by_groups(json.loads(path.read_text()) if path.exists() else {"groups": {}, "made": {}})
+
+
+def _by_groups(record):
+    """A record (dict) that says how each group was made; one of before says it of all at once, of two runs at a time."""
+    if "made" in record:
+        return record
+    return record | {"made": dict.fromkeys(record["groups"], _made(record["machine"], 2))}
+
+
+def _made(machine, workers):
+    """How a group was made (dict). machine: dict of str. workers: int, runs at a time."""
+    return {"machine": machine, "workers": workers}
 
 
 def _learned(name):
@@ -259,17 +275,20 @@ COLUMNS = (
 
 def page(record):
     """The Markdown (str) of servo.json."""
-    state = machine_text(record["machine"])
+    record = _by_groups(record)
     lines = [
         "# What the servo reaches",
         "",
         "Written by `tactip bench servo`; do not edit. Mean errors over the steps of a route, against the true geometry: "
         "depth and place beside the edge against the reference, angle between the sensor's axis and the true normal. The "
-        f"networks are the shipped ones. Two runs at a time, one core each, on: {state}.",
+        "networks are the shipped ones.",
     ]
     for group, rows in record["groups"].items():
         versions = sorted({row.get("version", "0.1.0") for row in rows})
-        lines += ["", f"## {GROUPS[group]}", "", f"Measured with version {' and '.join(versions)}.", ""]
+        made = record["made"][group]
+        runs = "one run at a time" if made["workers"] == 1 else f"{made['workers']} runs at a time"
+        told = f"version {' and '.join(versions)}, {runs}, one core each, on: {machine_text(made['machine'])}"
+        lines += ["", f"## {GROUPS[group]}", "", f"Measured with {told}.", ""]
         if group == "fidelity":
             lines += ["![error against run time](servo.png)", ""]
         if group == "starts":
@@ -362,7 +381,7 @@ def draw(rows, path):
     figure, axes = plt.subplots(1, 2, figsize=(10, 3.8))
     for axis, (name, label) in zip(axes, (("depth_mae_mm", "depth, mm"), ("angle_mean_deg", "angle, °")), strict=True):
         for row in rows:
-            if "error" in row:
+            if "error" in row or row[name] is None or not row["steps_per_s"]:
                 continue
             thing, what = row["name"].split(", ", 1)
             kind = what.split(", ")[0] if "at rest" not in what else what.removeprefix("standard, ")

@@ -62,6 +62,43 @@ def test_runs_are_made_once_and_stand_on_the_page(options):
     assert kept["patches"] == record["patches"]
 
 
+def test_groups_keep_the_machine_that_made_them(options, monkeypatch):
+    """And how many runs went at a time; what tells neither is of the machine of the whole record, and of two."""
+    monkeypatch.setattr(followed, "machine", lambda: {"processor": "old"})
+    followed.run(replace(options, groups=("objects", "fidelity"), workers="1"))
+    monkeypatch.setattr(followed, "machine", lambda: {"processor": "new"})
+    record = followed.run(replace(options, groups=("objects", "robust"), workers="3"))
+    made = {group: (made["machine"]["processor"], made["workers"]) for group, made in record["made"].items()}
+    assert made == {"objects": ("old", 1), "fidelity": ("old", 1), "robust": ("new", 3)}
+    page = (options.out / "servo.md").read_text()
+    assert page.count("one run at a time, one core each, on: processor old.") == 2
+    assert page.count("3 runs at a time, one core each, on: processor new.") == 1
+    before = {"machine": {"processor": "older"}, "groups": record["groups"]}
+    (options.out / "servo.json").write_text(json.dumps(before))
+    assert followed.page(before).count("2 runs at a time, one core each, on: processor older.") == 3
+    again = followed.run(replace(options, groups=("starts",), workers="1"))
+    assert again["made"]["robust"] == {"machine": {"processor": "older"}, "workers": 2}
+    assert again["made"]["starts"] == {"machine": {"processor": "new"}, "workers": 1}
+
+
+def test_a_run_that_felt_nothing_has_no_patch(options, monkeypatch):
+    """One that could not be made, and one that ended before it followed."""
+    away, deep = followed.cases(options)[1:3]
+    lost = [replace(deep, options=replace(deep.options, task="edge")), replace(deep, options=away.options)]
+    lost[1] = replace(lost[1], name="bust, 3 mm deep")
+    monkeypatch.setattr(followed, "cases", lambda options: lost)
+    record = followed.run(replace(options, groups=("robust",)))
+    assert ["error" in row for row in record["groups"]["robust"]] == [True, False]
+    assert "patches" not in record
+
+
+def test_what_has_no_figures_is_not_drawn(tmp_path):
+    row = {"name": "bust, draft", "steps_per_s": None, "depth_mae_mm": 0.1, "angle_mean_deg": 1.0}
+    rows = [row, row | {"steps_per_s": 0.0}, row | {"steps_per_s": 9.0, "depth_mae_mm": None, "angle_mean_deg": None}]
+    followed.draw([*rows, {"name": "bust, standard", "error": "it is out of reach"}], tmp_path / "servo.png")
+    assert (tmp_path / "servo.png").stat().st_size > 3000
+
+
 def test_a_run_of_other_options_is_made_anew(options, monkeypatch):
     followed.run(replace(options, groups=("objects",)))
     before, _Here.made = followed.cases(options), 0
@@ -98,3 +135,4 @@ def test_what_another_network_learned_from_stands_beside_it(options):
     again = followed.run(replace(options, groups=("objects",)))
     assert again["others"] == record["others"]
     assert f"The other network of the surface: {told}." in (options.out / "servo.md").read_text()
+    assert "others" not in followed.run(replace(options, groups=("robust",)))
