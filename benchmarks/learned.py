@@ -12,6 +12,7 @@ from importlib.metadata import version
 import numpy as np
 
 from benchmarks.machine import machine, machine_text
+from benchmarks.options import LearningOptions
 from learning.evaluate import evaluate
 from learning.model import find_model, load_model
 from learning.networks import Recipe, recipe_named
@@ -220,7 +221,7 @@ def run(options, say=print):
     sets = Sets(options)
     tests = sets.tests()
     counts = {name: getattr(options, name) for name in ("contacts", "most", "judged", "judged_taps")}
-    record = {**counts, "machine": machine(), "rows": _kept(options, counts)}
+    record = {**counts, "rows": _kept(options, counts)}
     for row in chosen.values():
         folder = options.runs / options.task / row.name
         say(f"{row.name}: {row.what}")
@@ -233,7 +234,9 @@ def run(options, say=print):
             "name": row.name,
             "what": row.what,
             "set": row.kind,
+            **_own_count(options, row.kind),
             "version": version("tactip-twin"),
+            "machine": machine(),
             "images": len(training),
             "epochs": len(history),
             "seconds": sum(h["seconds"] for h in history),
@@ -247,11 +250,30 @@ def run(options, say=print):
     return record
 
 
+def _own_count(options, kind):
+    """Contacts (dict, of `contacts`) of a kind of set (Row.kind) that has a number of its own; empty for the others."""
+    own = {"bent": "bent", "looks": "looked"}
+    return {"contacts": getattr(options, own[kind])} if kind in own else {}
+
+
 def _kept(options, counts):
-    """The rows (list of dict) of learning.json that were measured on as many contacts."""
+    """The rows (list of dict) of learning.json that were measured on as many contacts, each with its machine."""
     path = options.out / "learning.json"
     before = json.loads(path.read_text()).get(options.task, {}) if path.exists() else {}
-    return before["rows"] if {name: before.get(name) for name in counts} == counts else []
+    if {name: before.get(name) for name in counts} != counts:
+        return []
+    kept = []
+    for row in before["rows"]:
+        # Rows of before do not say their own count: they are taken for those of what is made where nothing is asked for.
+        told = {name: row.get(name, own) for name, own in _own_count(LearningOptions(), row["set"]).items()}
+        if told == _own_count(options, row["set"]):
+            kept.append({**row, "machine": _machine(row, before)})
+    return kept
+
+
+def _machine(row, record):
+    """The machine (dict of str) of a row. Rows of before do not say it: the record does for all."""
+    return row["machine"] if "machine" in row else record["machine"]
 
 
 def _write(options, record):
@@ -279,13 +301,16 @@ def page(whole):
     ]
     for task, record in whole.items():
         names = list(PAPER[task])
-        state = machine_text(record["machine"])
+        by_machine = {}
+        for row in record["rows"]:
+            by_machine.setdefault(machine_text(_machine(row, record)), []).append(f"`{row['name']}`")
+        alike = [f" On: {state}." for state in by_machine if len(by_machine) == 1]
         lines += [
             "",
             f"## {task}",
             "",
             f"{record['contacts']} contacts to train on, {record['most']} in `laptop-most`; {record['judged']} each to "
-            f"validate and to test, of those without shear {record['judged_taps']}. On: {state}.",
+            f"validate and to test, of those without shear {record['judged_taps']}.{''.join(alike)}",
             "",
             "| network | version | images | epochs | minutes | parameters | ms an image | " + " | ".join(names) + " |",
             "|" + "---|" * (7 + len(names)),
@@ -303,6 +328,8 @@ def page(whole):
             ]
             cells += [f"{row['latency_ms']:.2f}", *(f"{row['mae']['sheared'][n]:.3f}" for n in names)]
             lines.append("| " + " | ".join(map(str, cells)) + " |")
+        if len(by_machine) > 1:
+            lines += [line for state, names in by_machine.items() for line in ("", f"{', '.join(names)} on: {state}.")]
         by_name = {row["name"]: row for row in record["rows"]}
         for title, trained, tested in CROSSINGS:
             found = [by_name[name] for name in trained if name in by_name]

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from learning_sets import write_fake_set
@@ -98,6 +99,48 @@ def test_rows_of_fewer_contacts_are_not_kept(options):
     learned.run(replace(options, only=("laptop",)), say=lambda line: None)
     other = learned.run(replace(options, contacts=1, only=("laptop-most",)), say=lambda line: None)
     assert [r["name"] for r in other["rows"]] == ["laptop-most"]
+
+
+def test_rows_of_other_sets_are_kept_and_those_of_another_count_are_not(options):
+    """Contacts on bent surfaces, and contacts with looks, are of some rows alone."""
+    only = ("laptop-plain", "laptop-looks", "laptop-bent")
+    first = learned.run(replace(options, only=only), say=lambda line: None)
+    assert [row.get("contacts") for row in first["rows"]] == [None, 1, 2]
+    quiet = {"say": lambda line: None}
+    assert _names(learned.run(replace(options, only=("laptop",)), **quiet)) == [*only[:2], "laptop", "laptop-bent"]
+    assert _names(learned.run(replace(options, bent=1, only=("laptop",)), **quiet)) == [*only[:2], "laptop"]
+    assert _names(learned.run(replace(options, looked=2, only=("laptop",)), **quiet)) == ["laptop-plain", "laptop"]
+
+
+def _names(record):
+    return [row["name"] for row in record["rows"]]
+
+
+def test_rows_keep_the_machine_that_they_were_measured_on(options, monkeypatch):
+    monkeypatch.setattr(learned, "machine", lambda: {"processor": "old"})
+    record = learned.run(replace(options, only=("laptop", "laptop-4")), say=lambda line: None)
+    page = (options.out / "learning.md").read_text()
+    assert page.count("processor old") == 1 and "without shear 8. On: processor old." in page
+    # As rows were kept before: the record says it for all.
+    before = {**record, "machine": {"processor": "older"}}
+    before["rows"] = [{k: v for k, v in row.items() if k != "machine"} for row in record["rows"]]
+    assert "On: processor older." in learned.page({"surface": before})
+    (options.out / "learning.json").write_text(json.dumps({"surface": before}))
+    monkeypatch.setattr(learned, "machine", lambda: {"processor": "new"})
+    again = learned.run(replace(options, only=("laptop-4",)), say=lambda line: None)
+    assert [row["machine"]["processor"] for row in again["rows"]] == ["older", "new"]
+    page = (options.out / "learning.md").read_text()
+    assert "`laptop` on: processor older." in page and "`laptop-4` on: processor new." in page
+
+
+def test_the_record_that_is_there_is_kept(tmp_path):
+    """Every row of it, by the counts that it was measured with, though rows of before do not say theirs."""
+    (tmp_path / "learning.json").write_bytes((Path(__file__).parents[1] / "docs" / "learning.json").read_bytes())
+    for task, record in json.loads((tmp_path / "learning.json").read_text()).items():
+        counts = {name: record[name] for name in ("contacts", "most", "judged", "judged_taps")}
+        kept = learned._kept(LearningOptions(task=task, out=tmp_path, **counts), counts)
+        assert [row["name"] for row in kept] == [row["name"] for row in record["rows"]]
+        assert all(row["machine"]["cores"] == "2" for row in kept)
 
 
 def test_another_task_is_refused():
