@@ -6,9 +6,11 @@ A configuration calls `check(self)` as it is made: one that exists can be used.
 """
 
 from dataclasses import field, fields
+from functools import cache
 from math import isfinite
 from numbers import Integral, Real
-from typing import Any
+from types import NoneType, UnionType
+from typing import Any, Union, get_args, get_origin, get_type_hints
 
 from tactip_model.errors import TactipError
 
@@ -17,24 +19,50 @@ def within(low, high, *, default) -> Any:
     """A dataclass field whose number, or each of whose numbers, lies from low to high, both allowed.
 
     low, high: numbers, or tuples of them with one a number of the field. default: the field's default.
+    The field's type says what it takes: float, int, or a tuple of a fixed number of them, each also with None.
     """
     return field(default=default, metadata={"low": low, "high": high})
 
 
 def check(configuration):
-    """Raise TactipError where a number of a configuration (a dataclass) is none, not finite, or outside its bounds."""
-    for f in fields(configuration):
-        value = getattr(configuration, f.name)
-        if "low" not in f.metadata or value is None:
+    """Raise TactipError where a number of a configuration (a dataclass) is none, not finite, or out of its bounds, and where
+    a field has another number of them than its type. None is for fields whose type or default has it."""
+    for name, optional, many, numbers in _bounded(type(configuration)):
+        value = getattr(configuration, name)
+        if value is None and optional:
             continue
-        name = f"{type(configuration).__name__}.{f.name}"
-        numbers = value if isinstance(value, tuple | list) else (value,)
-        lows, highs = (_each(f.metadata[end], len(numbers)) for end in ("low", "high"))
-        kind = Integral if f.type is int else Real
-        for number, low, high in zip(numbers, lows, highs, strict=True):
+        told = f"{type(configuration).__name__}.{name} is {value}: it must be"
+        if isinstance(value, tuple | list) != many or (many and len(value) != len(numbers)):
+            allowed = list(dict.fromkeys(_allowed(*number) for number in numbers))
+            many_of = f"{len(numbers)} numbers, {'each ' if len(allowed) == 1 else ''}" if many else ""
+            raise TactipError(f"{told} {many_of}{' and '.join(allowed)}")
+        for number, (kind, low, high) in zip(value if many else (value,), numbers, strict=True):
             if not isinstance(number, kind) or not isfinite(number) or not low <= number <= high:
-                what = "a whole number" if kind is Integral else "a finite number"
-                raise TactipError(f"{name} is {value}: it must be {what} from {low:g} to {high:g}")
+                raise TactipError(f"{told} {_allowed(kind, low, high)}")
+
+
+@cache
+def _bounded(configuration):
+    """The fields of a configuration's class that have bounds, list of: name, whether it may be None, whether it is a tuple,
+    and kind, least and greatest value of each of its numbers (list)."""
+    hints, out = get_type_hints(configuration), []
+    for f in fields(configuration):
+        if "low" not in f.metadata:
+            continue
+        hint = hints[f.name]
+        either = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
+        (kind,) = (one for one in either if one is not NoneType)
+        many = get_origin(kind) is tuple
+        kinds = [Integral if one is int else Real for one in (get_args(kind) if many else (kind,))]
+        lows, highs = (_each(f.metadata[end], len(kinds)) for end in ("low", "high"))
+        optional = NoneType in either or f.default is None
+        out.append((f.name, optional, many, list(zip(kinds, lows, highs, strict=True))))
+    return out
+
+
+def _allowed(kind, low, high):
+    """What a number may be, as text."""
+    return f"{'a whole number' if kind is Integral else 'a finite number'} from {low:g} to {high:g}"
 
 
 def require(holds, name, value, what):

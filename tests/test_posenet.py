@@ -137,6 +137,7 @@ def test_widening_stops_at_most_filters():
     [
         ({"conv_layers": 0}, "conv_layers is 0"),
         ({"filters": 2.5}, "filters is 2.5: it must be a whole number"),
+        ({"filters": [32]}, r"filters is \[32\]: it must be a whole number"),
         ({"dropout": 1.0}, "dropout is 1.0"),
         ({"activation": "tanh"}, "choose one of relu, elu"),
     ],

@@ -339,6 +339,20 @@ def test_any_configuration_is_refused_or_good(skin, gel, poisson, friction, dens
         (lambda: Pins(rings=2.5), ["Pins.rings is 2.5", "whole number"]),
         (lambda: Optics(neutral_radius=(11.0, float("nan"), 0.0)), ["Optics.neutral_radius", "finite"]),
         (lambda: TactileImage(size_px=0), ["TactileImage.size_px is 0"]),
+        (lambda: Optics(centre=(0.5,)), ["Optics.centre is (0.5,)", "2 numbers, each a finite number from 0 to 1"]),
+        (lambda: Optics(centre=0.5), ["Optics.centre is 0.5", "2 numbers"]),
+        (lambda: Optics(camera_offset_m=(0.001,)), ["Optics.camera_offset_m is (0.001,)", "2 numbers"]),
+        (lambda: Optics(drift=None), ["Optics.drift is None", "2 numbers"]),
+        (lambda: Materials(friction=(0.5,)), ["Materials.friction is (0.5,)", "a finite number from 0 to 2"]),
+        (lambda: Pins(rings=None), ["Pins.rings is None", "a whole number from 1 to 20"]),
+        (lambda: Pins(rings=[6]), ["Pins.rings is [6]", "a whole number from 1 to 20"]),
+        (
+            lambda: TactileImage(threshold=(61,)),
+            ["threshold is (61,)", "2 numbers, a whole number from 3 to 65535 and a finite number from -255 to 255"],
+        ),
+        (lambda: TactileImage(threshold=(61.5, -5.0)), ["threshold is (61.5, -5.0)", "a whole number from 3 to 65535"]),
+        (lambda: TactileImage(crop=(1.5, 2, 3)), ["TactileImage.crop is (1.5, 2, 3)", "4 numbers, each a whole number"]),
+        (lambda: TactileImage(crop=(1.5, 2, 3, 4)), ["TactileImage.crop is (1.5, 2, 3, 4)", "a whole number from 0"]),
         (lambda: Resolution(surface_m=0.0), ["Resolution.surface_m is 0.0"]),
         (lambda: Motion(step_s=0.03), ["Motion.step_s is 0.03", "0.02"]),
         (lambda: Motion(press_step_m=5e-3), ["Motion.press_step_m is 0.005", "0.5 m/s"]),
@@ -356,6 +370,13 @@ def test_what_cannot_do_is_refused_by_name_and_bound(make, words):
     for word in words:
         assert word in str(refused.value)
     assert "\n" not in str(refused.value)
+
+
+def test_numbers_of_numpy_and_none_where_it_is_allowed_are_taken():
+    image = TactileImage(crop=tuple(np.arange(4)), threshold=None, size_px=np.int32(64))
+    assert image.crop is not None and TactileImage(crop=None).crop is None
+    assert Materials(friction=np.float32(0.5), gel_young_pa=20000).friction == 0.5
+    assert Optics(centre=(np.float64(0.5), 1)).centre == (0.5, 1)
 
 
 @pytest.mark.parametrize(
