@@ -24,10 +24,11 @@ from learning.model import net_sha256, save_model, tensors_of, to_input, weights
 from learning.muon import Muon, inner_weights
 from learning.posenet import PoseNet, PoseNetConfig, parameter_count
 from learning.varied import OPTICS
-from sim.dataset import labels_sha256, write_file
+from sim.dataset import labels_sha256
 from sim.lock import locked
 from tactip_model.bounds import check, within
 from tactip_model.errors import Stopped, TactipError, choose
+from tactip_model.files import write_file
 
 CHECKPOINT, METRICS, LOCK = "checkpoint.pt", "metrics.jsonl", ".lock"
 

@@ -22,7 +22,7 @@ from learning.transfer_settings import AUTO, GAP
 from learning.twin_of import camera_of, in_use, nominal_of, twin_of
 from learning.varied import noiseless
 from sim.crew import worker_count
-from sim.dataset import Configuration, write_file
+from sim.dataset import Configuration
 from sim.fidelity import fidelity_named
 from sim.generation import Job, make
 from sim.importing import REPORT
@@ -30,6 +30,7 @@ from sim.sampling import SHEAR_RANGES, Ranges
 from sim.variation import VARIATIONS
 from tactip_model.design_file import write_design
 from tactip_model.errors import TactipError
+from tactip_model.files import write_file
 from tactip_model.presets import find_design
 
 RESULTS = "results.json"

@@ -35,7 +35,6 @@ from sim.variation import Variation
 from tactip_model.design import Design
 from tactip_model.design_file import built
 from tactip_model.errors import TactipError
-from tactip_model.files import write_file  # noqa: F401  (sim/set_folder.py and others take it from here)
 
 FORMAT = "tactip-twin data set"
 VERSION = 1

@@ -23,7 +23,6 @@ from sim.dataset import (
     encode_image,
     image_name,
     versions,
-    write_file,
 )
 from sim.names import LABELS, SHEARS
 from sim.relabel import image_column, labels
@@ -31,6 +30,7 @@ from sim.sampling import POSE_RANGES, SHEAR_RANGES, Ranges
 from tactip_model.blobs import find_blobs
 from tactip_model.design import TactileImage
 from tactip_model.errors import Stopped, TactipError
+from tactip_model.files import write_file
 from tactip_model.image import binary_frame, tactile_image
 from tactip_model.mask import pin_area
 from tactip_model.neutral import camera_change

@@ -19,11 +19,11 @@ from sim.dataset import (
     read_meta,
     targets_csv,
     versions,
-    write_file,
 )
 from sim.lock import locked
 from sim.record import numbers_of, read_record, record_path, reopen, samples_of
 from tactip_model.errors import TactipError
+from tactip_model.files import write_file
 from tactip_model.pins import neutral_pins
 
 _SAMPLES = "configuration.samples"
