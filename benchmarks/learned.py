@@ -19,7 +19,7 @@ from learning.networks import Recipe, recipe_named
 from learning.samples import read_samples, read_splits
 from learning.train import train
 from sim.crew import worker_count
-from sim.dataset import Configuration
+from sim.dataset import Configuration, read_meta
 from sim.fidelity import fidelity_named
 from sim.generation import Job, make
 from sim.sampling import POSE_RANGES, SHEAR_RANGES, Ranges
@@ -137,7 +137,9 @@ def jobs(options, kinds):
     wanted = [("plain", "test", options.judged, SHEAR_RANGES)]
     wanted += [("taps", "test", options.judged_taps, still)]
     if {"plain", "symmetric", "most"} & set(kinds):
-        contacts = options.most if "most" in kinds else options.contacts
+        # Of a set that is there for the row `most`, the others take as much as they ask for.
+        most = "most" in kinds or _holds(options.data / "symmetric" / task / "train", options.most * each)
+        contacts = options.most if most else options.contacts
         wanted += [("symmetric", "train", contacts * each, SHEAR_RANGES)]
     if {"plain", "symmetric", "most", "looks"} & set(kinds):
         wanted += [("plain", "val", options.judged, SHEAR_RANGES)]
@@ -170,6 +172,11 @@ def jobs(options, kinds):
         )
         out.append(Job(configuration, options.data / kind / task / split))
     return out
+
+
+def _holds(folder, samples):
+    """Whether a folder (Path) holds a finished set of so many samples (bool)."""
+    return (folder / "meta.json").exists() and read_meta(folder)["configuration"]["samples"] == samples
 
 
 class Sets:

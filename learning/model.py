@@ -14,9 +14,9 @@ import torch
 
 from assets import MODELS
 from learning.device import one_thread
-from learning.labels import Labels
+from learning.labels import LEARNED, Labels
 from learning.posenet import PoseNet, PoseNetConfig
-from tactip_model.errors import TactipError
+from tactip_model.errors import TactipError, choose
 from tactip_model.files import write_file
 
 FORMAT = "tactip-twin PoseNet"
@@ -148,6 +148,7 @@ def load_model(folder, device="cpu"):
             raise TactipError(f"{path} does not describe a model of this version of the project")
         config = PoseNetConfig(**description["network"])
         given = description["labels"]
+        choose("task", given["task"], LEARNED)
         labels = Labels(given["task"], tuple(given["low"]), tuple(given["high"]))
         data = (folder / description["weights"]["file"]).read_bytes()
         size, expected = int(description["size_px"]), description["weights"]["sha256"]

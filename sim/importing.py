@@ -22,6 +22,7 @@ from sim.dataset import (
     digest_of,
     encode_image,
     image_name,
+    read_meta,
     versions,
 )
 from sim.names import LABELS, SHEARS
@@ -254,10 +255,13 @@ _WORK = ".importing"
 
 
 def _there(out, record):
-    """The report (dict) of what was imported alike into a folder before; None if nothing was."""
+    """The report (dict) of what was imported alike into a folder before; None if nothing was.
+
+    Raises TactipError where its meta.json is damaged, or of something else.
+    """
     if not (out / "meta.json").exists():
         return None
-    there = json.loads((out / "meta.json").read_text()).get("configuration")
+    there = read_meta(out).get("configuration")
     same = isinstance(there, dict) and all(there.get(k) == v for k, v in record.items())
     return json.loads((out / REPORT).read_text()) if same else None
 

@@ -64,6 +64,10 @@ def read_real_set(folder):
         raise TactipError(
             f"{folder / 'targets.csv'} has {what}: columns must be image_name, pose_1 … pose_6, move_1 … move_6"
         )
+    for number, row in enumerate(rows, 1):
+        short = [c for c in (name, *columns[0], *columns[1]) if row[c] is None]
+        if short:
+            raise TactipError(f"{folder / 'targets.csv'}: row {number} ends before {short[0]}: it must have all the columns")
     try:
         numbers = [np.array([[float(row[c]) for c in group] for row in rows]) for group in columns]
     except ValueError as error:
@@ -78,10 +82,12 @@ def read_real_set(folder):
 
 def _rows(path):
     try:
-        with path.open(newline="") as file:
+        with path.open(newline="", encoding="utf-8-sig") as file:
             rows = list(csv.DictReader(file))
     except FileNotFoundError:
         raise TactipError(f"{path} does not exist: it must name the frames and their poses") from None
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise TactipError(f"{path} cannot be read as a table in UTF-8: {error}") from error
     if not rows:
         raise TactipError(f"{path} has no rows")
     return rows

@@ -224,6 +224,14 @@ def test_a_wrong_set_is_one_sentence(tmp_path, capsys, spoil, options, words):
     assert not (tmp_path / "set" / "meta.json").exists()
 
 
+def test_an_imported_set_that_is_damaged_is_one_sentence(tmp_path, capsys):
+    write_set(tmp_path / "lab")
+    (tmp_path / "set").mkdir()
+    (tmp_path / "set" / "meta.json").write_text('{"format": ')
+    assert bring(tmp_path / "lab", tmp_path / "set") == 1
+    assert "meta.json cannot be read as JSON" in capsys.readouterr().err
+
+
 def test_names_may_not_leave_the_folder(tmp_path, capsys):
     rows = write_set(tmp_path / "lab")
     cv2.imwrite(str(tmp_path / "secret.png"), frame())

@@ -63,6 +63,15 @@ def test_only_what_is_needed_is_made():
     assert sorted(sets) == sorted([*tests, ("taps", "train"), ("taps", "val")])
 
 
+def test_a_larger_set_that_is_there_is_not_asked_for_in_a_smaller_size(options):
+    """Of the fixture's, made for the row `most`, the others take a part."""
+    for kinds in (("plain",), ("plain", "most")):
+        (train,) = (j for j in learned.jobs(options, kinds) if j.folder.parts[-3] == "symmetric")
+        assert train.configuration.samples == options.most * 8
+    (fewer,) = (j for j in learned.jobs(replace(options, most=4), ("plain",)) if j.folder.parts[-3] == "symmetric")
+    assert fewer.configuration.samples == options.contacts * 8
+
+
 def test_bent_surfaces_are_of_the_surface_task():
     jobs = [j.configuration for j in learned.jobs(LearningOptions(), KINDS) if j.folder.parts[-3] == "bent"]
     sets = {c.split: (c.samples, c.symmetric) for c in jobs}

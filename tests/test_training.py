@@ -395,6 +395,10 @@ def test_damaged_models_are_refused(splits, tmp_path):
     (tmp_path / "run" / "model.pt").write_bytes(data[:-1] + b"x")
     with pytest.raises(TactipError, match="are not those that it names"):
         load_model(tmp_path / "run")
+    description = (tmp_path / "run" / "model.json").read_text()
+    (tmp_path / "run" / "model.json").write_text(description.replace('"task": "surface"', '"task": "ceiling"'))
+    with pytest.raises(TactipError, match="unknown task 'ceiling': choose one of surface, edge"):
+        load_model(tmp_path / "run")
     (tmp_path / "run" / "model.json").write_text("{")
     with pytest.raises(TactipError, match="cannot be used"):
         load_model(tmp_path / "run")
