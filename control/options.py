@@ -81,7 +81,7 @@ class Options:
     """One of the project's objects, or a mesh file (.stl, .obj, .ply, .glb)."""
     unit: str = "mm"
     """What a file's numbers are in: mm, cm or m."""
-    scale: float = 1.0
+    scale: float = within(1e-6, 1e6, default=1.0)
     """Size of the object over that."""
     place_mm: tuple[float, float, float] | None = None
     """Where the middle of its underside is in the base frame, mm; in front of the arm if not given."""
@@ -102,9 +102,9 @@ class Options:
     """paper or later."""
     depth_mm: float | None = within(0.2, 8, default=None)
     """Depth that is kept, mm; if not given 2 over surfaces, where a shallow touch feels finer things, and 3 along edges."""
-    noise_grey: float = 0.0
+    noise_grey: float = within(0, 255, default=0.0)
     """Standard deviation of the camera's noise, of 255."""
-    friction: float | None = None
+    friction: float | None = within(0, 2, default=None)
     """Friction between tip and object, -; the design's if not given."""
     stiffness: float = within(0.05, 20, default=1.0)
     """Moduli of skin and gel, over the design's."""
@@ -112,7 +112,7 @@ class Options:
     """Seed of a start that is off the mark: by up to 3 mm and 8 degrees. Without, it is on it."""
     film: bool = False
     """Make a film of the run, too."""
-    settle_steps: int | None = None
+    settle_steps: int | None = within(1, 1000, default=None)
     """Time steps at rest before an image is taken; half of the fidelity's over surfaces and a quarter along edges if not
     given."""
     pace: float = within(0.1, 4, default=1.0)

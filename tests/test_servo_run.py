@@ -8,11 +8,13 @@ from PIL import Image
 
 import tactip
 from benchmarks.patch import felt_patch
+from control.options import Options
 from control.score import coverage
 from control.servo import DEPTHS_MM
 from sim.objects import find_object
 from sim.pose import to_mm_deg
 from sim.recording import PHASES, read_recording
+from tactip_model.errors import TactipError
 
 QUICK = ["servo", "--fidelity", "draft", "--renderer", "raster", "--object", "plate"]
 SHORT = ["--route.kind", "straight", "--route.length-mm", "4"]
@@ -24,6 +26,20 @@ def ran(tmp_path_factory):
     out = tmp_path_factory.mktemp("servo") / "run"
     assert tactip.main([*QUICK, *SHORT, "--out", str(out)]) == 0
     return out, json.loads((out / "score.json").read_text()), *read_recording(out)
+
+
+@pytest.mark.parametrize(
+    ("asked", "words"),
+    [
+        ({"noise_grey": -1.0}, "noise_grey is -1.0: it must be a finite number from 0 to 255"),
+        ({"friction": 2.5}, "friction is 2.5: it must be a finite number from 0 to 2"),
+        ({"settle_steps": 0}, "settle_steps is 0: it must be a whole number from 1 to 1000"),
+        ({"scale": 0.0}, "scale is 0.0: it must be a finite number from 1e-06 to 1e"),
+    ],
+)
+def test_options_out_of_bounds_are_refused_before_anything_is_made(tmp_path, asked, words):
+    with pytest.raises(TactipError, match=words):
+        Options(tmp_path / "run", **asked)
 
 
 def test_a_run_leaves_a_score_with_all_its_figures(ran):
