@@ -49,11 +49,6 @@ class Plan(Route):
         """Length (m) of the line."""
         return float(self._before[-1])
 
-    @property
-    def share(self):
-        """Share (0 to 1) of the line that is behind."""
-        return self._at / self.length_m
-
     def along(self, T_base_tcp, T_base_contact):
         """See Route."""
         place, axis = T_base_tcp[:3, 3], T_base_tcp[:3, 2]

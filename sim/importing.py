@@ -246,7 +246,7 @@ def import_set(source, layout, out, say=print, quiet=False):
     elif out.exists() and not (out / _WORK).exists() and any(out.iterdir()):
         raise TactipError(f"the folder {out} is not empty: name another one")
     try:
-        return _import(source, layout, out, record, say, quiet)
+        return _import(source, layout, out, record, quiet)
     except KeyboardInterrupt:
         raise Stopped("nothing is kept of an import that was stopped: the same command begins anew") from None
 
@@ -266,7 +266,7 @@ def _there(out, record):
     return json.loads((out / REPORT).read_text()) if same else None
 
 
-def _import(source, layout, out, record, say, quiet):
+def _import(source, layout, out, record, quiet):
     out.mkdir(parents=True, exist_ok=True)
     write_file(out / _WORK, b"")  # first of all, so that what a kill leaves is known for ours
     (out / "meta.json").unlink(missing_ok=True)  # of an earlier version's import: until the last file it is no set

@@ -46,7 +46,7 @@ class RigMotion:
         self._turn = Rotation.from_euler("z", rig.azimuth_deg, degrees=True).as_matrix() @ work_in_contact
         self._zero = self._turn @ work_in_contact.T @ np.radians([*rig.tilt_zero_deg, 0.0])
 
-    def _placed(self, command, share=1.0, start=None):
+    def _placed(self, command):
         """Apex (3,) m and Rotation, in the contact frame, of a commanded pose (6,) m and rad."""
         turn = Rotation.from_matrix(self._turn @ Rotation.from_euler("xyz", command[3:]).as_matrix() @ self._turn.T)
         turn = turn * Rotation.from_rotvec(self._zero)

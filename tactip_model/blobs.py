@@ -25,8 +25,6 @@ class Blobs:
 
     centres: np.ndarray
     """(n, 2) float, px: x to the right, y down; the centre of the top left pixel is (0, 0)."""
-    areas: np.ndarray
-    """(n,) float, px²."""
 
 
 def find_blobs(image, largest=2.6, smallest=0.15):
@@ -37,10 +35,10 @@ def find_blobs(image, largest=2.6, smallest=0.15):
     """
     _, centres, area, roundish = _components(image)
     if not roundish.any():
-        return Blobs(np.zeros((0, 2)), np.zeros(0))
+        return Blobs(np.zeros((0, 2)))
     middle = np.median(area[roundish])
     keep = roundish & (area < largest * middle) & (area > smallest * middle)
-    return Blobs(centres[keep], area[keep])
+    return Blobs(centres[keep])
 
 
 def find_reflections(image):

@@ -44,7 +44,7 @@ def test_pins_are_told_apart_when_they_move_by_more_than_their_spacing(name, shi
     assert np.linalg.norm(moved - neutral, axis=1).max() > 0.7 * spacing
     order = np.random.default_rng(0).permutation(len(moved))
     blobs = find_blobs(discs([], 1))
-    blobs = type(blobs)(moved[order] + np.random.default_rng(1).normal(0, 0.2, moved.shape), np.ones(len(moved)))
+    blobs = type(blobs)(moved[order] + np.random.default_rng(1).normal(0, 0.2, moved.shape))
     found = PinMatcher(neutral).match(blobs)
     assert np.linalg.norm(found - moved, axis=1).max() < 1.5
 
@@ -54,6 +54,6 @@ def test_a_hidden_pin_is_not_made_up():
     hidden = [5, 60, 100]
     blobs = find_blobs(discs([], 1))
     seen = np.delete(neutral + [3.0, 2.0], hidden, axis=0)
-    found = PinMatcher(neutral).match(type(blobs)(seen, np.ones(len(seen))))
+    found = PinMatcher(neutral).match(type(blobs)(seen))
     assert np.flatnonzero(np.isnan(found[:, 0])).tolist() == hidden
-    assert np.isnan(PinMatcher(neutral).match(type(blobs)(seen[:2], np.ones(2)))).all()
+    assert np.isnan(PinMatcher(neutral).match(type(blobs)(seen[:2]))).all()
