@@ -175,7 +175,8 @@ def run(options, say=print):
     todo = [(c.group, c.name) for c in chosen if not _is_there(options.runs, c)]
     workers = worker_count(options.workers)
     if todo:
-        Crew(_Follower, (str(options.runs), options), todo, "run", say).work(workers, lambda *done: None)
+        crew = Crew(_Follower, (str(options.runs), options), todo, "run", say, lambda run: f"run {run[1]!r} of {run[0]}")
+        crew.work(workers, lambda *done: None)
     path = options.out / "servo.json"
     before = _before(path)
     rows = before["groups"] | {c.group: [_row(options.runs, one) for one in chosen if one.group == c.group] for c in chosen}

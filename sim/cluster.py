@@ -76,9 +76,9 @@ class ClusterCrew(Crew):
     most_held = 256
     """Tasks that a worker holds at most, however short they are."""
 
-    def __init__(self, ray, begin, arguments, tasks, unit, say):
+    def __init__(self, ray, begin, arguments, tasks, unit, say, named=None):
         """ray: the module, joined. The rest: as of Crew."""
-        super().__init__(begin, arguments, tasks, unit, say)
+        super().__init__(begin, arguments, tasks, unit, say, named)
         self._ray = ray
         variables = {"env_vars": dict.fromkeys(THREADS, "1")}
         self._actor = ray.remote(num_cpus=1, max_restarts=0, runtime_env=variables)(_Remote)

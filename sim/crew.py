@@ -50,11 +50,12 @@ class _Worker:
 class Crew:
     """Does a list of tasks on worker processes."""
 
-    def __init__(self, begin, arguments, tasks, unit, say):
+    def __init__(self, begin, arguments, tasks, unit, say, named=None):
         """begin: module-level function that a worker calls with `arguments` (tuple) and that returns the function to
         call with each task. tasks: list of picklable things, done in order. unit: str, what a task makes. say: called
-        with lines for the user.
+        with lines for the user. named: function of a task to what it is called (str); the unit and the task if None.
         """
+        self._named = named or (lambda task: f"{unit} {task}")
         self._begin, self._arguments, self._unit, self._say = begin, arguments, unit, say
         self._queue, self._count = list(reversed(tasks)), len(tasks)
         self._workers, self._killed, self._further = {}, {}, set()
@@ -149,9 +150,9 @@ class Crew:
         for task in tasks:
             self._killed[task] = self._killed.get(task, 0) + 1
             if self._killed[task] > 1:
-                raise TactipError(f"{self._unit} {task} has ended two workers (the last {how}): is memory short? {GOES_ON}")
+                raise TactipError(f"{self._named(task)} has ended two workers (the last {how}): is memory short? {GOES_ON}")
         more = f" and {len(tasks) - 1} more" if len(tasks) > 1 else ""
-        self._say(f"a worker ended {how} at {self._unit} {tasks[0]}{more}: another takes over")
+        self._say(f"a worker ended {how} at {self._named(tasks[0])}{more}: another takes over")
         self._queue += reversed(tasks)
 
     def _dismiss(self):

@@ -129,10 +129,16 @@ def make(jobs, workers, say=print, cluster=""):
                 return None
             return [(job, closing) for closing in folders[job].done(what, cost, workers, time.perf_counter() - start)]
 
+        unit = "contact" if any(job.configuration.each > 1 for job in jobs) else "sample"
+
+        def named(task):
+            job, what = task
+            own = what if isinstance(what, Closing) else f"{unit} {what}"
+            return f"{own} of {jobs[job].folder}"
+
         if todo:
             arguments = [job.configuration for job in jobs], [str(job.folder.resolve()) for job in jobs]
-            unit = "contact" if any(job.configuration.each > 1 for job in jobs) else "sample"
-            given = _Makers, arguments, todo, unit, say
+            given = _Makers, arguments, todo, unit, say, named
             crew = ClusterCrew(stack.enter_context(joined(cluster)), *given) if cluster else Crew(*given)
             workers = min(workers or crew.places(), len(todo))
             crew.work(workers, done)

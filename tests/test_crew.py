@@ -1,11 +1,20 @@
 """Workers end without a noise, whatever the moment."""
 
 import multiprocessing
+import os
+import signal
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
 
-from sim.crew import _serve, peak_mib
+import pytest
+from set_commands import configuration
+
+from sim import generation
+from sim.crew import Crew, _serve, peak_mib
+from sim.generation import Job
+from sim.shards import Closing
+from tactip_model.errors import TactipError
 
 
 def test_a_worker_whose_last_reply_is_not_read_ends_quietly():
@@ -29,3 +38,29 @@ def test_memory_is_the_process_s_own():
     told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert 5 < float(told.stdout) < 150
     assert peak_mib() > 300
+
+
+def _deadly():
+    return lambda task: os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_a_task_that_ends_workers_is_told_by_its_name():
+    said = []
+    crew = Crew(_deadly, (), [(0, 17)], "sample", said.append, lambda task: f"sample {task[1]} of set {task[0]}")
+    with pytest.raises(TactipError, match=r"^sample 17 of set 0 has ended two workers \(the last by signal SIGKILL\)"):
+        crew.work(1, lambda *done: None)
+    assert said == ["a worker ended by signal SIGKILL at sample 17 of set 0: another takes over"]
+
+
+def test_samples_and_ends_of_shards_are_told_with_their_set(design, tmp_path, monkeypatch):
+    class Named(Crew):
+        def work(self, workers, done):
+            told.extend(map(self._named, [(1, 17), (0, Closing("shard-00001", b""))]))
+            raise TactipError("it is enough to be named")
+
+    told = []
+    monkeypatch.setattr(generation, "Crew", Named)
+    jobs = [Job(configuration(design), tmp_path / name) for name in ("train", "val")]
+    with pytest.raises(TactipError, match="enough to be named"):
+        generation.make(jobs, 1, say=lambda line: None)
+    assert told == [f"sample 17 of {tmp_path / 'val'}", f"the end of shard-00001 of {tmp_path / 'train'}"]

@@ -31,7 +31,7 @@ class _Here:
 
     made = 0
 
-    def __init__(self, begin, arguments, tasks, unit, say):
+    def __init__(self, begin, arguments, tasks, unit, say, named):
         self._do, self._tasks = begin(*arguments), tasks
 
     def work(self, workers, done):
