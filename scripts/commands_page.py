@@ -89,8 +89,8 @@ def page():
         "Written by `make reference` from what each command says of itself; do not edit. `--help` after any of them tells",
         "the same. Results go to the standard output, what is told on the way to the standard error. The exit status is 0",
         "if the work was done, 1 if it was refused or failed (a sentence says why), 2 for options that there are not, and",
-        "130 after Ctrl-C and 143 after SIGTERM: then the same command goes on from there, but for a servo run, which keeps what it",
-        "recorded and wants another folder. Pages and cameras are ended by Ctrl-C, with 0.",
+        "130 after Ctrl-C and 143 after SIGTERM: then the same command goes on from there, but for a servo run, which keeps",
+        "what it recorded and wants another folder. Pages and cameras are ended by Ctrl-C, with 0.",
         *lines_of([]),
     ]
     return "\n".join(lines) + "\n"
