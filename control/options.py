@@ -83,7 +83,7 @@ class Options:
     """What a file's numbers are in: mm, cm or m."""
     scale: float = within(1e-6, 1e6, default=1.0)
     """Size of the object over that."""
-    place_mm: tuple[float, float, float] | None = None
+    place_mm: tuple[float, float, float] | None = within(-1e4, 1e4, default=None)
     """Where the middle of its underside is in the base frame, mm; in front of the arm if not given."""
     turn_deg: tuple[float, float, float] | None = None
     """How it is turned, rotation vector, degrees."""
@@ -108,7 +108,7 @@ class Options:
     """Friction between tip and object, -; the design's if not given."""
     stiffness: float = within(0.05, 20, default=1.0)
     """Moduli of skin and gel, over the design's."""
-    seed: int | None = None
+    seed: int | None = within(0, 2**63 - 1, default=None)
     """Seed of a start that is off the mark: by up to 3 mm and 8 degrees. Without, it is on it."""
     film: bool = False
     """Make a film of the run, too."""
