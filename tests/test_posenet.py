@@ -56,7 +56,8 @@ def test_without_a_norm_the_order_of_activation_and_pooling_is_free(name):
     net = PoseNet(PoseNetConfig(conv_layers=1, filters=4, activation=name), 20, 1).convolutions
     image = torch.randn(3, 1, 20, 20, generator=torch.Generator().manual_seed(0))
     papers = nn.Sequential(net[0], net[2], net[1])
-    assert torch.equal(net(image), papers(image))
+    # to a rounding or two: an elu of eight lanes at a time and one of what is left over need not end in the same bit
+    torch.testing.assert_close(net(image), papers(image), rtol=4 * torch.finfo(torch.float32).eps, atol=1e-7)
 
 
 def test_halving_by_strides_keeps_the_sizes_and_further_convolutions_follow():
