@@ -25,13 +25,14 @@ class Import:
     targets: Path | None = None
     """The table of poses; SOURCE/targets.csv if not given."""
     neutral: Path | None = None
-    """Image of the undeformed tip."""
+    """Image of the undeformed tip. If there is none, the middle of the shallowest frames stands for it."""
     layout: Path | None = None
     """JSON file of the options below; those that are given beside it come before its."""
     told: Annotated[Layout, tyro.conf.arg(name="")] = field(default_factory=Layout)
 
     def run(self):
-        from sim.importing import PICTURE, import_set, read_source, report_lines
+        from sim.import_report import report_lines
+        from sim.importing import PICTURE, import_set, read_source
 
         layout = self._layout()
         source = read_source(self.source, layout, self.targets, self.neutral)
@@ -150,7 +151,7 @@ class Camera:
 
         from learning.camera import Camera as Reader
         from learning.model import find_model
-        from sim.importing import load_neutral
+        from sim.frame_reader import load_neutral
 
         source = self._source()
         page = None

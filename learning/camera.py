@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim.importing import FEW, FrameReader
+from sim.frame_reader import FrameReader
+from sim.importing import FEW
 from tactip_model.blobs import find_blobs
 from tactip_model.errors import TactipError
 

@@ -25,7 +25,7 @@ from sim.crew import worker_count
 from sim.dataset import Configuration
 from sim.fidelity import fidelity_named
 from sim.generation import Job, make
-from sim.importing import REPORT
+from sim.importing import read_report
 from sim.sampling import SHEAR_RANGES, Ranges
 from sim.variation import VARIATIONS
 from tactip_model.design_file import write_design
@@ -41,6 +41,9 @@ _HELD = 200
 _LEAST_HELD = 0.2
 """... or this share of them, where they are few."""
 
+
+_KNOWN, _MOST_KNOWN, _LEAST_KNOWN = 1500, 0.6, 20
+"""Real frames whose labels may be used, if it is not told how many; at most this share of the set; and at least."""
 
 _STILL = 0.02
 """A label that varies less than this share of its greatest value, as standard deviation, does not vary."""
@@ -58,13 +61,20 @@ class RealSplit:
 
 def split_of(samples, settings):
     """The RealSplit of Samples. settings: TransferSettings. Raises TactipError where the set is too small."""
-    if len(samples) < settings.real_frames + 20:
+    known = settings.real_frames
+    if known is None:
+        known = min(_KNOWN, round(_MOST_KNOWN * len(samples)))
+        if known < _LEAST_KNOWN:
+            raise TactipError(
+                f"{samples.folder} has {len(samples)} frames: at least {round(_LEAST_KNOWN / _MOST_KNOWN)} are needed"
+            )
+    if len(samples) < known + 20:
         raise TactipError(
-            f"{samples.folder} has {len(samples)} frames: with {settings.real_frames} to learn from, 20 or more must be "
+            f"{samples.folder} has {len(samples)} frames: with {known} to learn from, 20 or more must be "
             f"left to test on; ask for at most {max(0, len(samples) - 20)} by --real-frames"
         )
     order = np.random.default_rng(settings.seed).permutation(len(samples))
-    return RealSplit(samples.take(order[: settings.real_frames]), samples.take(np.sort(order[settings.real_frames :])))
+    return RealSplit(samples.take(order[:known]), samples.take(np.sort(order[known:])))
 
 
 @dataclass(frozen=True)
@@ -112,6 +122,12 @@ class Experiment:
         self.samples = read_samples(self.real)
         self.split = split_of(self.samples, settings)
         self.task = self.samples.labels.task
+        depth = float(np.median(self.samples.dataset.poses[:, 2]))
+        if depth > 0:
+            raise TactipError(
+                f"pose_z of {self.real} is {depth:g} mm in the middle, and must be negative into the object: import it anew "
+                "with --columns pose_z=-COLUMN"
+            )
         # What is not known is said before anything is made.
         fidelity_named(settings.fidelity)
         self.recipe()
@@ -158,7 +174,10 @@ class Experiment:
 
     def _pins(self):
         """Pins that are seen in most frames."""
-        return json.loads((self.real / REPORT).read_text())["pins"]["median"]
+        report = read_report(self.real)
+        if report is None:
+            raise TactipError(f"{self.real} has no import.json: it is no set that tactip import made")
+        return report["pins"]["median"]
 
     def _job(self, design, variant, split):
         s = self.settings
@@ -227,7 +246,7 @@ class Experiment:
         path = self.out / RESULTS
         record = json.loads(path.read_text()) if path.exists() else {}
         record["real"] = {"set": self.real.name, "digest": self.samples.dataset.meta["digest"], "test": len(self.split.test)}
-        record["settings"] = json.loads(json.dumps(asdict(self.settings)))
+        record["settings"] = json.loads(json.dumps(asdict(self.settings) | {"real_frames": len(self.split.known)}))
         record[name] = results
         write_file(path, (json.dumps(record, indent=1) + "\n").encode())
         return record
@@ -263,19 +282,19 @@ def zero_shot(experiment):
     """Simulation alone against real frames, beside a network trained on real frames. Returns results (dict)."""
     return {
         "simulation": experiment.score(experiment.network()),
-        "real": experiment.score(experiment.real_network(experiment.settings.real_frames)),
+        "real": experiment.score(experiment.real_network(len(experiment.split.known))),
     }
 
 
 def few_shot(experiment):
     """What some real frames are worth: fine-tuned, against trained on them alone, and on all. Returns results (dict)."""
-    s = experiment.settings
-    counts = [n for n in s.shots if n <= s.real_frames]
+    known = len(experiment.split.known)
+    counts = [n for n in experiment.settings.shots if n <= known]
     out = {"0": {"fine_tuned": experiment.score(experiment.network())}}
     for n in counts:
         alone = {"alone": experiment.score(experiment.real_network(n))} if n >= 20 else {}
         out[str(n)] = {"fine_tuned": experiment.score(experiment.tuned(n)), **alone}
-    out.setdefault(str(s.real_frames), {})["alone"] = experiment.score(experiment.real_network(s.real_frames))
+    out.setdefault(str(known), {})["alone"] = experiment.score(experiment.real_network(known))
     return out
 
 

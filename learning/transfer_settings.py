@@ -24,8 +24,9 @@ class TransferSettings:
     """Simulated contacts to learn from; each is a sample for every symmetry of its task."""
     held: int = within(10, 10**6, default=500)
     """Simulated contacts by which a training is stopped."""
-    real_frames: int = within(20, 10**6, default=1500)
-    """Real frames that may be learned from, where an experiment has labels; all others are what is tested on."""
+    real_frames: int | None = within(20, 10**6, default=None)
+    """Real frames that may be learned from, where an experiment has labels; all others are what is tested on. 1500, or three
+    fifths of a smaller set, if not given."""
     shots: tuple[int, ...] = (10, 50, 100, 500)
     """Real frames that a network is fine-tuned with."""
     mechanics: str = "real"

@@ -4,13 +4,12 @@ No label is needed. How the camera has changed since that image is told by the l
 it shows. What neither tells, the mechanics, is varied instead (sim/variation.py).
 """
 
-import json
 from dataclasses import replace
 
 import cv2
 import numpy as np
 
-from sim.importing import NEUTRAL, NEUTRAL_TACTILE, REPORT
+from sim.importing import NEUTRAL, NEUTRAL_TACTILE, read_report
 from tactip_model.blobs import find_blobs
 from tactip_model.errors import TactipError
 from tactip_model.image import tactile_image
@@ -31,7 +30,10 @@ def twin_of(folder, size_px):
     """
     image, tactile = (cv2.imread(str(folder / name), cv2.IMREAD_GRAYSCALE) for name in (NEUTRAL, NEUTRAL_TACTILE))
     if image is None:
-        raise TactipError(f"{folder} has no neutral image: import the set with --neutral, or name a design by --design")
+        raise TactipError(
+            f"{folder} has no {NEUTRAL}, it was imported by an earlier version: import the set anew, or name a design by "
+            "--design"
+        )
     if tactile is None:
         raise TactipError(f"{folder} has no {NEUTRAL_TACTILE}, it was imported by an earlier version: import the set anew")
     blobs = len(find_blobs(image).centres)
@@ -48,8 +50,8 @@ def twin_of(folder, size_px):
 def camera_of(folder):
     """How the camera of an imported set (path) has changed since its neutral image: dict of zoom (-), drift (2, of width)
     and what one frame tells of them (`of_one_frame`); None where the light at the rim does not tell it."""
-    report = folder / REPORT
-    return json.loads(report.read_text()).get("camera") if report.exists() else None  # a simulated set has none
+    report = read_report(folder)
+    return report and report.get("camera")  # a simulated set has no report
 
 
 def in_use(design, camera):

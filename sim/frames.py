@@ -6,7 +6,7 @@ from pathlib import Path
 
 import cv2
 
-from sim.importing import IMAGES, load
+from sim.frame_reader import IMAGES, load
 from tactip_model.errors import TactipError
 
 _PATIENCE_S = 3.0

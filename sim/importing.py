@@ -7,10 +7,9 @@ import io
 import json
 import shutil
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 from tqdm import tqdm
 
@@ -25,23 +24,21 @@ from sim.dataset import (
     read_meta,
     versions,
 )
-from sim.names import LABELS, SHEARS
+from sim.frame_reader import IMAGES, FrameReader, check_frame, load, load_neutral
+from sim.import_report import picture, report_of
 from sim.relabel import image_column, labels
 from sim.sampling import POSE_RANGES, SHEAR_RANGES, Ranges
 from tactip_model.blobs import find_blobs
-from tactip_model.design import TactileImage
 from tactip_model.errors import Stopped, TactipError
 from tactip_model.files import write_file
-from tactip_model.image import binary_frame, tactile_image
-from tactip_model.mask import pin_area
 from tactip_model.neutral import camera_change
 
 FOLDERS = ("images", "frames", "frames_bw", "")
 """Where frames are looked for, inside the set's folder."""
 
 NEUTRAL, NEUTRAL_TACTILE, REPORT, PICTURE = "neutral.png", "neutral_tactile.png", "import.json", "import.png"
-"""Files of an imported set: the undeformed tip as large as the frames have it, binary, and as its tactile images are (other
-pixels, where frames are grey); what was found, and how it looks."""
+"""Files of an imported set: the undeformed tip, or what stands for it, as large as the frames have it, binary, and as its
+tactile images are (other pixels, where frames are grey); what was found, and how it looks."""
 
 _NEUTRALS = ("init*", "neutral*")
 
@@ -51,85 +48,14 @@ _UNTOLD = 40
 FEW = 0.8
 """A frame with fewer of the pins than this share of the usual number does not fit."""
 
-_OBLONG = 0.05
-"""How far from square what is used of a frame may be; published crops are off by 1.5 % [M]."""
+_SHALLOW, _STAND_IN = 0.05, 21
+"""Where there is no neutral image, the middle of so many frames stands for it: of this share, the shallowest, those that are
+tilted least. (A tilted dome of which a table says that it hardly touches may well be deep in.) In two real sets, with depths
+from 0 and from 1 mm on, pins are then 0.4 px of 256 (rms) from where they are; 0.9 and 0.8 with nothing fitted
+(benchmarks/stand_in.py)."""
 
 _MOST_LEFT_OUT = 0.5
 """Share of the frames that may be left out: with more, it is not the frames that are wrong."""
-
-
-class FrameReader:
-    """Binary tactile images of a laboratory's frames: mirrored, turned, thresholded, masked and cropped, in this order."""
-
-    def __init__(self, layout, neutral=None, others=()):
-        """layout: Layout. neutral: (h, w[, 3]) uint8, the undeformed tip, or None; then others, frames, tell where pins are.
-
-        Raises TactipError where that cannot be told and is needed.
-        """
-        self._layout, self._mask = layout, None
-        # Nothing is thresholded twice, and a crop is of the frame as it comes out of the turn.
-        self._image = TactileImage(crop=layout.crop, threshold=None, size_px=layout.size_px)
-        self.shape = None if neutral is None else neutral.shape[:2]
-        """Height and width of a frame, px; None until one was seen."""
-        if layout.mask == "pins":
-            # In pressed frames the pins have gone outward already.
-            told, margin = ([neutral], 1.0) if neutral is not None else (others, 0.5)
-            self._mask = pin_area((self.binary(frame) for frame in told), margin)
-
-    def binary(self, frame):
-        """Binary frame (h, w) uint8, pins white, upright; not cropped and not masked. frame: (h, w[, 3]) uint8."""
-        frame = frame[:, ::-1] if self._layout.mirrored else frame
-        frame = _turned(np.ascontiguousarray(frame), self._layout.image_turn_deg)
-        if self._layout.dark:
-            frame = 255 - frame
-        return binary_frame(frame, self._layout.threshold)
-
-    def masked(self, frame):
-        """Binary frame (h, w) with what is outside of the pins black. Raises TactipError on a frame of another size."""
-        if self.shape is None:
-            self.shape = frame.shape[:2]
-        if frame.shape[:2] != self.shape:
-            one, other = (f"{w} by {h} px" for h, w in (frame.shape[:2], self.shape))
-            raise TactipError(f"it is {one}, the others are {other}")
-        binary = self.binary(frame)
-        return binary if self._mask is None else np.where(self._mask, binary, 0).astype(np.uint8)
-
-    def read(self, frame):
-        """The tactile image (size, size) of a frame. Raises TactipError where it does not fit."""
-        return self.shrunk(self.masked(frame))
-
-    def shrunk(self, binary):
-        """The tactile image (size, size) of a `masked` frame."""
-        return self._square(binary, self._image.size_px)
-
-    def whole(self, frame):
-        """As `read`, as large as the frame has it."""
-        return self._as_large(self.masked(frame))
-
-    def with_rim(self, frame):
-        """As `whole`, with what is outside of the pins."""
-        return self._as_large(self.binary(frame))
-
-    def _as_large(self, binary):
-        left, top, right, bottom = self._image.crop or (0, 0, *binary.shape[::-1])
-        return self._square(binary, min(right - left, bottom - top))
-
-    def _square(self, binary, size):
-        left, top, right, bottom = self._image.crop or (0, 0, *binary.shape[::-1])
-        if abs((right - left) / max(bottom - top, 1) - 1) > _OBLONG:
-            raise TactipError(
-                f"what is used of it is {right - left} by {bottom - top} px, and should be square: give a crop"
-            )
-        return tactile_image(binary, replace(self._image, size_px=size))
-
-
-def _turned(frame, degrees):
-    """A frame turned counter-clockwise; by quarters exactly."""
-    if degrees % 90 == 0:
-        return np.ascontiguousarray(np.rot90(frame, round(degrees / 90)))
-    height, width = frame.shape[:2]
-    turn = cv2.getRotationMatrix2D(((width - 1) / 2, (height - 1) / 2), degrees, 1.0)
-    return cv2.warpAffine(frame, turn, (width, height), flags=cv2.INTER_LINEAR)
 
 
 @dataclass(frozen=True)
@@ -180,9 +106,6 @@ def read_source(folder, layout, targets=None, neutral=None):
     return Source(folder, names, paths, poses, shears, Path(neutral) if neutral else next(iter(found), None), checksum(data))
 
 
-IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
-
-
 def _found(folder, name):
     name = name.replace("\\", "/")
     if not name or Path(name).is_absolute() or ".." in Path(name).parts:
@@ -194,22 +117,6 @@ def _found(folder, name):
                 if path.is_file():
                     return path
     return None
-
-
-def load(path):
-    """A frame (h, w, 3) uint8. Raises TactipError where it cannot be read."""
-    frame = cv2.imread(str(path), cv2.IMREAD_COLOR)
-    if frame is None:
-        raise TactipError("it cannot be read as an image")
-    return frame
-
-
-def load_neutral(path):
-    """The neutral image (h, w, 3) uint8. Raises TactipError where it cannot be read."""
-    try:
-        return load(path)
-    except TactipError as error:
-        raise TactipError(f"the neutral image {path}: {error}") from error
 
 
 def _some(paths):
@@ -238,11 +145,11 @@ def import_set(source, layout, out, say=print, quiet=False):
     record |= {"source": {"name": source.folder.resolve().name, "targets_sha256": source.digest}}
     record["source"]["neutral_sha256"] = source.neutral and checksum(source.neutral.read_bytes())
     there = _there(out, record)
-    if there and "camera" in there:
+    if there and ("camera" in there and (there["neutral_image"] or "stand_in" in there)):
         say(f"{out} holds this set, imported already")
         return there
     if there:
-        say(f"{out} was imported by an earlier version, which did not look at the camera: it is imported anew")
+        say(f"{out} was imported by an earlier version, which looked at less: it is imported anew")
     elif out.exists() and not (out / _WORK).exists() and any(out.iterdir()):
         raise TactipError(f"the folder {out} is not empty: name another one")
     try:
@@ -262,18 +169,36 @@ def _there(out, record):
     if not (out / "meta.json").exists():
         return None
     there = read_meta(out).get("configuration")
-    same = isinstance(there, dict) and all(there.get(k) == v for k, v in record.items())
-    return json.loads((out / REPORT).read_text()) if same else None
+    if not isinstance(there, dict) or any(there.get(k) != v for k, v in record.items()):
+        return None
+    return read_report(out)
+
+
+def read_report(folder):
+    """What was found (dict) as a set was imported into a folder (path); None if none was.
+
+    Raises TactipError where the file is damaged.
+    """
+    path = Path(folder) / REPORT
+    if not path.exists():
+        return None
+    try:
+        report = json.loads(path.read_text())
+    except ValueError as error:
+        raise TactipError(f"{path} cannot be read as JSON: {error}; import the set anew") from error
+    if not isinstance(report, dict) or not {"pins", "neutral_image"} <= set(report):
+        raise TactipError(f"{path} is no report of an import: import the set anew")
+    return report
 
 
 def _import(source, layout, out, record, quiet):
+    neutral = None if source.neutral is None else load_neutral(source.neutral)
+    reader = _reader(source, layout, neutral)
     out.mkdir(parents=True, exist_ok=True)
     write_file(out / _WORK, b"")  # first of all, so that what a kill leaves is known for ours
     (out / "meta.json").unlink(missing_ok=True)  # of an earlier version's import: until the last file it is no set
     shutil.rmtree(out / "images", ignore_errors=True)
     (out / "images").mkdir()
-    neutral = None if source.neutral is None else load_neutral(source.neutral)
-    reader = FrameReader(layout, neutral, [] if neutral is not None else _some(source.paths))
     images, pins, left_out = {}, {}, []
     bar = tqdm(source.names, unit="frame", file=sys.stderr, disable=quiet, mininterval=0.5 if sys.stderr.isatty() else 15)
     for i, name in enumerate(bar):
@@ -298,13 +223,18 @@ def _import(source, layout, out, record, quiet):
         raise TactipError(f"{what}; is the layout right?")
     for k, i in enumerate(kept):
         write_file(out / "images" / image_name(k), images[i])
-    report = _report(source, kept, pins, left_out, neutral is not None)
+    report = report_of(source, kept, pins, left_out) | {"neutral_image": neutral is not None}
     report["camera"] = None if neutral is None else _camera(source, kept, reader, neutral)
+    if neutral is None:
+        chosen = _hardly_touching(source.poses, kept)
+        at_rest = _middle(reader.masked(load(source.paths[i])) for i in chosen)
+        depths = source.poses[chosen, 2]
+        report["stand_in"] = {"frames": len(chosen), "pose_z": [round(float(d), 6) for d in (depths.max(), depths.min())]}
+    else:
+        at_rest = reader.masked(neutral)
     files = {"targets.csv": _targets(source, kept), REPORT: (json.dumps(report, indent=1) + "\n").encode()}
-    if neutral is not None:
-        files[NEUTRAL] = encode_image(reader.whole(neutral))
-        files[NEUTRAL_TACTILE] = encode_image(reader.read(neutral))
-    files[PICTURE] = encode_image(_picture(source, kept, pins, reader, neutral))
+    files[NEUTRAL], files[NEUTRAL_TACTILE] = encode_image(reader.cropped(at_rest)), encode_image(reader.shrunk(at_rest))
+    files[PICTURE] = encode_image(picture(source, kept, pins, reader, neutral))
     for name, data in files.items():
         write_file(out / name, data)
     ranges = {
@@ -328,10 +258,39 @@ def _import(source, layout, out, record, quiet):
     return report
 
 
+def _reader(source, layout, neutral):
+    """The FrameReader of a Source, tried on a frame. Raises TactipError where the layout does not fit that one."""
+    others = [] if neutral is not None else _some(source.paths)
+    first = neutral if neutral is not None else next(iter(others), None)
+    try:
+        if first is not None:
+            check_frame(first, layout)
+        reader = FrameReader(layout, neutral, others)
+        if first is not None:
+            reader.read(first)
+    except TactipError as error:
+        raise TactipError(f"the {'frames do' if neutral is None else 'neutral image does'} not fit: {error}") from error
+    return reader
+
+
+def _hardly_touching(poses, rows):
+    """Those of some rows (n,) int of poses (m, 6), mm and degrees, whose frames are nearest to the tip at rest."""
+    shallow = rows[np.argsort(-poses[rows, 2], kind="stable")][: max(_STAND_IN, round(_SHALLOW * len(rows)))]
+    return shallow[np.argsort(np.linalg.norm(poses[shallow, 3:5], axis=1), kind="stable")][:_STAND_IN]
+
+
+def _middle(frames):
+    """What most of some binary frames (h, w) uint8 show: a pin is where it is in the half of them that do not press it."""
+    white, count = 0, 0
+    for frame in frames:
+        white, count = white + (frame > 127), count + 1
+    return np.where(2 * white > count, 255, 0).astype(np.uint8)
+
+
 def _camera(source, kept, reader, neutral):
     """What the light at the rim tells of zoom and drift since the neutral image: dict; None where there is too little."""
     before = reader.with_rim(neutral)
-    middle = find_blobs(reader.whole(neutral)).centres.mean(0)
+    middle = find_blobs(reader.cropped(reader.masked(neutral))).centres.mean(0)
     found = camera_change(before, (reader.with_rim(load(source.paths[i])) for i in _spread(list(kept))), middle)
     if found is None:
         return None
@@ -359,74 +318,3 @@ def _targets(source, kept):
         numbers = [f"{x:.6f}" for x in (*source.poses[i], *source.shears[i])]
         writer.writerow([image_name(k), *numbers, source.names[i]])
     return text.getvalue().encode()
-
-
-def _report(source, kept, pins, left_out, neutral):
-    counts = np.array([pins[i] for i in kept])
-    spans = {}
-    for names, values in ((LABELS, source.poses[kept]), (SHEARS, source.shears[kept])):
-        for name, column in zip(names, values.T, strict=True):
-            spans[name] = [round(float(column.min()), 6), round(float(column.max()), 6)]
-    return {
-        "frames": len(source.names),
-        "kept": len(kept),
-        "left_out": left_out,
-        "pins": {"least": int(counts.min()), "median": float(np.median(counts)), "most": int(counts.max())},
-        "neutral_image": neutral,
-        "ranges": spans,
-    }
-
-
-def report_lines(report):
-    """A report (dict) in words: a list of lines."""
-    pins = report["pins"]
-    lines = [
-        f"{report['kept']} of {report['frames']} frames; {pins['median']:g} pins in most, {pins['least']} to {pins['most']}",
-    ]
-    for name, (low, high) in report["ranges"].items():
-        if low or high:
-            lines.append(f"{name}: {low:g} to {high:g} {'°' if '_R' in name else 'mm'}")
-    if not report["neutral_image"]:
-        lines.append("there is no neutral image: where the pins are was told from frames")
-    elif report["camera"]:
-        zoom, drift = report["camera"]["zoom"], report["camera"]["drift"]
-        lines.append(
-            f"by the light at the rim the image is {zoom:.4f} times the neutral one, and moved by {drift[0]:+.4f} and "
-            f"{drift[1]:+.4f} of its width"
-        )
-    else:
-        lines.append("too little light at the rim to tell by it how the camera has changed since the neutral image")
-    lines += [f"left out: {one['frame'] or 'row ' + str(one['row'])}: {one['why']}" for one in report["left_out"][:5]]
-    if len(report["left_out"]) > 5:
-        lines.append(f"and {len(report['left_out']) - 5} more: see {REPORT}")
-    return lines
-
-
-_TILE = 240
-"""Width of a frame in the picture, px."""
-
-
-def _picture(source, kept, pins, reader, neutral):
-    """The neutral image and frames over the depths, each as it came beside what is left, pins ringed: (h, w, 3) uint8."""
-    order = kept[np.argsort(-source.poses[kept, 2], kind="stable")]
-    chosen = order[np.unique(np.linspace(0, len(order) - 1, 5 if neutral is not None else 6).astype(int))]
-    tiles = [] if neutral is None else [_tile(neutral, reader, "neutral")]
-    for i in chosen:
-        p = source.poses[i]
-        told = f"z {p[2]:.1f}  R {p[3]:.0f} {p[4]:.0f} {p[5]:.0f}  pins {pins[i]}"
-        tiles.append(_tile(load(source.paths[i]), reader, told))
-    return np.concatenate(tiles, 1)
-
-
-def _tile(frame, reader, told):
-    upright = reader.binary(frame)
-    binary = reader.masked(frame)
-    scale = _TILE / binary.shape[1]
-    size = (_TILE, round(scale * binary.shape[0]))
-    grey = cv2.resize(upright, size, interpolation=cv2.INTER_AREA)
-    seen = cv2.cvtColor(cv2.resize(binary, size, interpolation=cv2.INTER_AREA), cv2.COLOR_GRAY2BGR)
-    for x, y in (find_blobs(binary).centres + 0.5) * scale:
-        cv2.circle(seen, (round(x), round(y)), 5, (60, 160, 255), 1, cv2.LINE_AA)
-    words = np.full((24, _TILE, 3), 255, np.uint8)
-    cv2.putText(words, told, (3, 16), cv2.FONT_HERSHEY_SIMPLEX, 0.4, (0, 0, 0), 1, cv2.LINE_AA)
-    return np.concatenate([cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR), seen, words], 0)

@@ -39,6 +39,14 @@ def pin_area(images, margin=1.0):
     return area.astype(bool)
 
 
+def pins_of(image):
+    """Where the pins of a binary image (h, w) uint8 are: (n, 2) px. Raises TactipError where they are too few to tell."""
+    points = _pins(find_blobs(image).centres)
+    if len(points) < _FEWEST:
+        raise TactipError(f"{len(points)} pins are seen: at least {_FEWEST} are needed")
+    return points
+
+
 def _pins(centres):
     """Those of centres (n, 2) that have neighbours."""
     if len(centres) < _FEWEST:

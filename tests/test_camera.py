@@ -98,7 +98,7 @@ def test_a_frame_that_does_not_fit_is_a_fault_and_the_next_goes_on(presses):
 def test_a_first_frame_without_a_tip(presses):
     with pytest.raises(TactipError, match="the first frame shows no tip: at most 0 pins are seen"):
         list(Camera([np.zeros((HEIGHT, WIDTH, 3), np.uint8)], Layout(threshold=(61, -5.0))))
-    with pytest.raises(TactipError, match=r"the frames do not fit: .* should be square: give a crop"):
+    with pytest.raises(TactipError, match=r"the frames do not fit: .* should be square: give --crop 132 65 488 421"):
         list(Camera(presses[0], Layout(threshold=(61, -5.0))))
 
 

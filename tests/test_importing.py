@@ -13,7 +13,7 @@ from learning.samples import read_samples
 from learning.twin_of import twin_of
 from sim import importing
 from sim.dataset import read_dataset
-from sim.importing import FrameReader
+from sim.frame_reader import FrameReader
 from sim.layout import Layout
 from tactip_model.blobs import find_blobs
 from tactip_model.errors import TactipError
@@ -128,7 +128,7 @@ def test_light_at_the_rim_tells_how_the_camera_has_changed(tmp_path, capsys, mon
     del report["camera"]
     (tmp_path / "set" / "import.json").write_text(json.dumps(report))
     assert bring(tmp_path / "lab", tmp_path / "set") == 0
-    assert "which did not look at the camera" in capsys.readouterr().out
+    assert "which looked at less" in capsys.readouterr().out
     assert (tmp_path / "set" / "meta.json").read_bytes() == meta
     # And if that is stopped before its end, it is no set until the command is run again.
     (tmp_path / "set" / "import.json").write_text(json.dumps(report))
@@ -302,6 +302,79 @@ def test_without_a_neutral_image_a_frame_that_does_not_fit_spoils_nothing(tmp_pa
     assert [one["frame"] for one in report["left_out"]] == ["frame_1.png", "frame_3.png"]
 
 
+def test_without_a_neutral_image_the_shallowest_frames_stand_for_it(tmp_path, capsys):
+    """Each presses the pins of another part outward by two of their widths: in most frames they are where they were."""
+    write_set(tmp_path / "lab", 1)
+    (tmp_path / "lab" / "init_0.png").unlink()
+    tips, directions = neutral_pins(DESIGN)
+    rows = []
+    for k in range(30):
+        depth = 0.5 if k < 21 else 4.0
+        away = tips[:, :2] - 0.008 * np.array([np.cos(0.3 * k), np.sin(0.3 * k)])
+        pressed = np.linalg.norm(away, axis=1) < 2e-3 * (1 + depth)
+        moved = tips + np.where(pressed[:, None], np.pad(away * 0.4, ((0, 0), (0, 1))), 0.0)
+        image = tactile_image(Raster(DESIGN).render(moved, directions), replace(DESIGN.image, size_px=SIZE))
+        cv2.imwrite(str(tmp_path / "lab" / "images" / f"frame_{k}.png"), with_rim(image))
+        rows.append({"image_name": f"frame_{k}.png", "pose_2": depth - 5})
+    write_table(tmp_path / "lab", rows)
+    command = ["import", str(tmp_path / "lab"), "--out", str(tmp_path / "set"), "--columns", "pose_z=-pose_2-5"]
+    assert tactip.main(command) == 0
+    told = "the middle of 21 of the shallowest frames, -0.5 to -0.5 mm, stands for it"
+    assert told in capsys.readouterr().out
+    design, figures = twin_of(tmp_path / "set", 128)
+    assert figures["pins"] == 127 and figures["camera"] is None
+    assert np.abs(neutral_px(design) - neutral_px(DESIGN)).max() < 0.6
+    # One that an earlier version imported, which kept no such image, is imported anew.
+    report = json.loads((tmp_path / "set" / "import.json").read_text())
+    del report["stand_in"]
+    (tmp_path / "set" / "import.json").write_text(json.dumps(report))
+    assert tactip.main(command) == 0
+    assert "which looked at less" in capsys.readouterr().out
+    # And one whose report is damaged is named.
+    (tmp_path / "set" / "import.json").write_text("{")
+    assert tactip.main(command) == 1
+    assert "import.json cannot be read as JSON" in capsys.readouterr().err
+
+
+def test_frames_that_are_grey_are_told_of_and_how(tmp_path, capsys):
+    write_set(tmp_path / "lab")
+    for path in [tmp_path / "lab" / "init_0.png", *(tmp_path / "lab" / "images").iterdir()]:
+        image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+        assert image is not None
+        cv2.imwrite(str(path), (60 + 0.5 * image).astype(np.uint8))
+    assert bring(tmp_path / "lab", tmp_path / "set") == 1
+    told = capsys.readouterr().err
+    assert "are neither black nor white" in told and "give --threshold 43 -5" in told
+    assert not (tmp_path / "set").exists()
+    assert bring(tmp_path / "lab", tmp_path / "set", "--threshold", "43", "-5") == 0
+    assert "127 pins in most" in capsys.readouterr().out
+
+
+def test_a_wide_frame_is_refused_with_the_crop_that_does(tmp_path, capsys):
+    write_set(tmp_path / "lab")
+    for path in [tmp_path / "lab" / "init_0.png", *(tmp_path / "lab" / "images").iterdir()]:
+        image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+        assert image is not None
+        cv2.imwrite(str(path), np.pad(image, ((20, 30), (150, 40))))
+    assert bring(tmp_path / "lab", tmp_path / "set") == 1
+    told = capsys.readouterr().err
+    assert "should be square: give --crop " in told
+    crop = told.split("--crop ")[1].split(",")[0].split()
+    # The pins in the middle, as they were before the frames were made wide.
+    assert np.allclose(np.array(crop, int), [150, 20, 150 + SIZE, 20 + SIZE], atol=6)
+    assert bring(tmp_path / "lab", tmp_path / "set", "--crop", *crop) == 0
+    assert "127 pins in most, 127 to 127" in capsys.readouterr().out
+
+
+def test_depths_of_the_other_sign_are_told(tmp_path, capsys):
+    write_set(tmp_path / "lab")
+    wrong = ["pose_z=pose_2+5", *COLUMNS[1:]]
+    assert tactip.main(["import", str(tmp_path / "lab"), "--out", str(tmp_path / "set"), "--columns", *wrong]) == 0
+    assert "pose_z is mostly positive, and is negative into the object" in capsys.readouterr().out
+    assert bring(tmp_path / "lab", tmp_path / "other") == 0
+    assert "mostly positive" not in capsys.readouterr().out
+
+
 def test_layouts_of_other_families(tmp_path):
     """128 px frames of a tip with 331 pins, named without an ending; depth positive, three components, no neutral image."""
     design = design_named("nominal-331")
@@ -322,4 +395,5 @@ def test_layouts_of_other_families(tmp_path):
     dataset = read_dataset(out)
     assert np.allclose(dataset.poses[:, 2], [-1 - 0.5 * k for k in range(6)], atol=1e-5)
     assert not dataset.shears.any()
-    assert not json.loads((out / "import.json").read_text())["neutral_image"]
+    report = json.loads((out / "import.json").read_text())
+    assert not report["neutral_image"] and report["stand_in"] == {"frames": 6, "pose_z": [-1.0, -3.5]}

@@ -22,7 +22,7 @@ from learning.posenet import PoseNetConfig
 from learning.pseudo_real import hidden_design
 from learning.samples import read_samples
 from learning.train import TrainSettings, train
-from learning.transfer import ABLATIONS, Experiment, score
+from learning.transfer import ABLATIONS, Experiment, score, split_of
 from learning.transfer_settings import TransferSettings
 from learning.twin_of import twin_of
 from sim.contact import ContactPlayer
@@ -257,6 +257,24 @@ def test_wrong_words_are_one_sentence(lab, tmp_path, capsys, options, words):
     assert not (tmp_path / "out").exists()
 
 
+def test_how_many_labels_may_be_used_goes_by_the_set_if_it_is_not_told(lab):
+    samples = read_samples(lab)
+    halves = split_of(samples, TransferSettings())
+    assert (len(halves.known), len(halves.test)) == (36, 24)
+    many = samples.take(np.arange(3000) % 60)
+    assert len(split_of(many, TransferSettings()).known) == 1500
+    with pytest.raises(TactipError, match="has 30 frames: at least 33 are needed"):
+        split_of(samples.take(slice(0, 30)), TransferSettings())
+
+
+def test_a_set_whose_depths_have_the_other_sign_is_refused_before_anything_is_made(lab, tmp_path, capsys):
+    folder, wrong = lab.with_name("other_tip"), ["pose_z=pose_2+5", "pose_Ry=pose_6"]
+    assert tactip.main(["import", str(folder), "--out", str(tmp_path / "set"), "--columns", *wrong]) == 0
+    assert tactip.main(["transfer", "zero-shot", "--real", str(tmp_path / "set"), "--out", str(tmp_path / "out")]) == 1
+    assert "and must be negative into the object" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
 @pytest.mark.slow
 def test_pseudo_real_runs_without_any_real_data(tiny, tmp_path, capsys):
     command = ["transfer", "pseudo-real", "--out", str(tmp_path / "out"), "--frames", "50", "--gap-frames", "8", *FEW]
@@ -279,7 +297,7 @@ def test_an_unknown_experiment_and_a_set_without_a_neutral_image(lab, tmp_path, 
     assert tactip.main(["transfer", "many-shot", "--real", str(lab), "--out", str(tmp_path / "out")]) == 1
     assert "choose one of zero-shot, ablate, few-shot, gap, pseudo-real" in capsys.readouterr().err
     (tmp_path / "set").mkdir()
-    with pytest.raises(TactipError, match="has no neutral image"):
+    with pytest.raises(TactipError, match=r"has no neutral\.png, it was imported by an earlier version"):
         twin_of(tmp_path / "set", 128)
 
 
