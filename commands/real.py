@@ -148,6 +148,7 @@ class Camera:
     def run(self):
         from contextlib import suppress
         from json import dumps
+        from threading import Event
 
         from learning.camera import Camera as Reader
         from learning.model import find_model
@@ -169,6 +170,10 @@ class Camera:
                         page.show(sight, count / max(last, 1e-9))
                     if count == self.frames:
                         break
+                else:
+                    if page:
+                        print("that was the last frame, which the page goes on showing: Ctrl-C ends it", file=sys.stderr)
+                        Event().wait()
             rate = (count - 1) / last if count > 1 else 0.0
             print(f"{count} frames, {faults} of them faulty; {rate:.1f} frames/s", file=sys.stderr)
         finally:

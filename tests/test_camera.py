@@ -1,7 +1,11 @@
 """The live sensor: films and folders in the place of a camera, and all that goes wrong with one."""
 
 import json
+import signal
+import subprocess
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -21,6 +25,7 @@ from tactip_model.pins import neutral_pins
 from tactip_model.presets import find_design
 from tactip_model.raster import Raster
 
+ROOT = Path(__file__).parent.parent
 WIDTH, HEIGHT, LEFT, TOP = 640, 480, 132, 60
 CROP = (LEFT, TOP, LEFT + 360, TOP + 360)
 
@@ -134,11 +139,45 @@ def test_a_camera_that_is_unplugged_ends_in_a_sentence(presses, monkeypatch, cap
     assert "the camera 0 cannot be opened" in capsys.readouterr().err
 
 
+def test_a_page_stays_after_the_last_frame_until_it_is_ended(film):
+    command = [
+        sys.executable,
+        "-m",
+        "tactip",
+        "camera",
+        "--video",
+        str(film),
+        "--model",
+        "none",
+        "--page",
+        "--port",
+        "18931",
+    ]
+    with subprocess.Popen(
+        [*command, "--crop", *(str(x) for x in CROP)],
+        cwd=ROOT,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),  # noqa: PLW1509
+    ) as process:
+        assert process.stderr is not None
+        told = ""
+        while "Ctrl-C ends it" not in told:
+            line = process.stderr.readline()
+            assert line, told
+            told += line
+        assert process.poll() is None
+        process.send_signal(signal.SIGINT)
+        assert process.wait(30) == 0
+        assert "12 frames, 0 of them faulty" in process.stderr.read()
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--device", "-1"], "Camera.device is -1: it must be a"),
-        (["--images", "b", "--frames", "-2"], "Camera.frames is -2"),
+        (["--device", "-1"], "tactip: --device is -1: it must be a"),
+        (["--images", "b", "--frames", "-2"], "tactip: --frames is -2"),
         ([], "0 sources of frames are given: give one of --device, --video and --images"),
         (["--video", "a.avi", "--images", "b"], "2 sources of frames"),
         (["--video", "nothing.avi"], "the film nothing.avi does not exist"),

@@ -152,8 +152,8 @@ def test_ctrl_c_keeps_what_was_recorded(tmp_path, monkeypatch, capsys):
         (["--route.middle-mm", "900", "0"], "must be above the object"),
         (["--settings.step-mm", "99"], "step_mm"),
         (["--route.kind", "spiral"], "unknown route"),
-        (["--seed", "-1"], "Servo.seed is -1"),
-        (["--place-mm", "nan", "0", "0"], "Servo.place_mm is (nan, 0.0, 0.0)"),
+        (["--seed", "-1"], "tactip: --seed is -1"),
+        (["--place-mm", "nan", "0", "0"], "tactip: --place-mm is (nan, 0.0, 0.0)"),
     ],
 )
 def test_wrong_input_is_one_sentence(ran, tmp_path, capsys, options, words):
