@@ -150,7 +150,7 @@ def test_ctrl_c_keeps_what_was_recorded(tmp_path, monkeypatch, capsys):
         (["--task", "edge"], "plate has no edge that is known: the edge task takes one of edge, rim-round"),
         (["--task", "surface", "--model", "edge-tactip-127"], "was trained for the edge, not for the surface"),
         (["--route.middle-mm", "900", "0"], "must be above the object"),
-        (["--settings.step-mm", "99"], "step_mm"),
+        (["--settings.step-mm", "99"], "--settings.step-mm is 99"),
         (["--route.kind", "spiral"], "unknown route"),
         (["--seed", "-1"], "tactip: --seed is -1"),
         (["--place-mm", "nan", "0", "0"], "tactip: --place-mm is (nan, 0.0, 0.0)"),
