@@ -118,6 +118,9 @@ def card(model, record, options):
     # Of all of a set, what was asked for: a contact that could not be trusted may be missing among the samples.
     samples = made["samples"] if data.get("chosen") is None else data["samples"]
     contacts = samples // (len(SYMMETRIES[task]) if made["symmetric"] else 1)
+    missing = data["samples"] < samples
+    ran, asked = p["outcome"]["epochs"], settings["epochs"]
+    longer = f", since {asked} would be fewer than {settings['least_steps']} steps" if ran > asked else ""
     what = {"surface": "a flat surface", "edge": "a straight edge"}[task]
     if _bent(model):
         what = "a surface bent by {:g} to {:g} /m, two ways{},".format(
@@ -152,13 +155,14 @@ def card(model, record, options):
         f"{record['latency_ms']:.2f} ms an image, one core ({state}).",
         "",
         f"- Labels: {ranges}. Shear: as `shear` in model.json, provenance.",
-        f"- Trained on {data['samples']} images of {contacts} contacts (fidelity `{made['fidelity']['name']}`, seed "
-        f"{made['seed']}, `{made['renderer']}`), configuration {data['digest'][:16]}; tested on configuration "
-        f"{record['test']['digest'][:16]}. In full, and with checksums of the tables, in model.json and evaluation.json.",
+        f"- Trained on {data['samples']} images of {contacts} contacts{', but for those that failed' * missing} (fidelity "
+        f"`{made['fidelity']['name']}`, seed {made['seed']}, `{made['renderer']}`), configuration {data['digest'][:16]}; "
+        f"tested on configuration {record['test']['digest'][:16]}. In full, and with checksums of the tables, in model.json and "
+        "evaluation.json.",
         *_begun(model, options),
         f"- Network: {json.dumps(network)}",
-        f"- Training: {json.dumps(settings)}; best epoch {p['outcome']['best_epoch']} of {p['outcome']['epochs']}; "
-        f"torch {p['torch']}",
+        f"- Training: {json.dumps(settings)}; best epoch {p['outcome']['best_epoch']} of {p['outcome']['epochs']}"
+        f"{longer}; torch {p['torch']}",
         "",
         "To make it again:",
         "",

@@ -46,6 +46,7 @@ class Replay:
         for path, ending in asked:
             if path.suffix.lower() != ending:
                 raise TactipError(f"the name {path} does not end in {ending}")
+            path.parent.mkdir(parents=True, exist_ok=True)
         (record, arrays), scenery = read_recording(self.run_), read_scenery(self.run_)
         if not record["complete"]:
             print(f"{self.run_} was not completed: it has {record['steps']} steps", file=sys.stderr)

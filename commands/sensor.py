@@ -39,10 +39,10 @@ class Calibrate:
         if self.frames < 10 or self.judged < 10:
             raise TactipError(f"{self.frames} frames to fit and {self.judged} to judge: each must be at least 10")
         report = self.report or self.out.with_name(f"{self.out.stem}_calibration")
-        report.mkdir(parents=True, exist_ok=True)
         settings = Settings(frames=self.frames, judged=self.judged, seed=self.seed)
-        design = replace(find_design(self.design), name=self.out.stem)
-        result = calibrate(self.real, design, settings, report / "state.json")
+        result = calibrate(self.real, find_design(self.design), settings, report / "state.json")
+        design = replace(result.twin.design, name=self.out.stem)
+        result = replace(result, twin=replace(result.twin, design=design))
         figures = write_report(result, self.real.resolve().name, settings, self.out, report)
         judged = figures["frames_px"]["share_of_move_found"]
         print(f"judged frames: {judged['rms']:.2f} px rms, median {judged['median']:.2f} px (256 px image)")

@@ -79,8 +79,8 @@ class Options:
     """surface or edge."""
     object: str = "bust"
     """One of the project's objects, or a mesh file (.stl, .obj, .ply, .glb)."""
-    unit: str = "mm"
-    """What a file's numbers are in: mm, cm or m."""
+    unit: str | None = None
+    """What a file's numbers are in: mm, which it is if not given, cm or m."""
     scale: float = within(1e-6, 1e6, default=1.0)
     """Size of the object over that."""
     place_mm: tuple[float, float, float] | None = within(-1e4, 1e4, default=None)

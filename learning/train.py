@@ -249,13 +249,22 @@ def _begun(start, config, samples):
     there = {"layers": start.config.shape(), "width of images": start.size, "components": start.labels.components}
     for what, mine in here.items():
         if mine != there[what]:
-            raise TactipError(f"the network to begin with has other {what} than what is trained: {there[what]}, not {mine}")
+            raise TactipError(
+                f"the network to begin with has other {what} than what is trained: {_difference(there[what], mine)}"
+            )
     state = {name: tensor.detach().cpu().clone() for name, tensor in start.net.state_dict().items()}
     share = torch.from_numpy((start.labels.scale / samples.labels.scale).astype(np.float32))
     last = len(start.net.dense) - 1
     state[f"dense.{last}.weight"] *= share[:, None]
     state[f"dense.{last}.bias"] *= share
     return state
+
+
+def _difference(its, mine):
+    """In what two things, or dicts of the same keys, differ, as text."""
+    if not isinstance(its, dict):
+        return f"{its}, not {mine}"
+    return "; ".join(f"{key} {its[key]}, not {mine[key]}" for key in its if its[key] != mine[key])
 
 
 def _optimizers(net, settings, half):

@@ -443,6 +443,7 @@ def first_azimuth(calibrator, twin, fidelity):
 def _write_state(path, identity, twin, deviations, rounds, chosen):
     values = {p.name: p.read(twin) for p in chosen}
     state = {"of": identity, "values": values, "deviations": deviations.tolist(), "rounds": rounds}
+    Path(path).parent.mkdir(parents=True, exist_ok=True)
     write_file(Path(path), json.dumps(state, indent=1).encode())
 
 

@@ -78,18 +78,21 @@ def object_names():
     return sorted(path.stem for path in MESHES.glob("*.ply"))
 
 
-def find_object(name, unit="mm", scale=1.0, place_mm=None, turn_deg=None):
+def find_object(name, unit=None, scale=1.0, place_mm=None, turn_deg=None):
     """The Thing of one of the project's names, or in a file.
 
-    name: str or Path. unit: str of UNITS_M, what the file's numbers are in. scale: float. place_mm: (3,), where the middle
-    of its underside is in the arm's base frame; in front of the arm if None. turn_deg: (3,), rotation vector before that.
+    name: str or Path. unit: str of UNITS_M, what the file's numbers are in; mm if None. scale: float. place_mm: (3,), where
+    the middle of its underside is in the arm's base frame; in front of the arm if None. turn_deg: (3,), rotation vector
+    before that.
     Raises TactipError on what cannot be used, with the reason.
     """
     own = str(name) in object_names()
     path = MESHES / f"{name}.ply" if own else Path(name)
     if not own and not path.is_file():
         raise TactipError(f"there is no object {str(name)!r}: choose one of {', '.join(object_names())}, or name a file")
-    size = (1.0 if own else choose("unit", unit, UNITS_M)) * scale
+    if own and unit is not None:
+        raise TactipError(f"the object {str(name)!r} comes with its size, and --unit {unit} is of files: leave it out")
+    size = (1.0 if own else choose("unit", unit or "mm", UNITS_M)) * scale
     if not np.isfinite(size) or size <= 0:
         raise TactipError(f"the scale is {scale}: it must be above 0")
     mesh = _read(path)

@@ -28,6 +28,9 @@ def write_video(path, pictures, rate=25):
     path = Path(path)
     if path.suffix.lower() not in ENDINGS:
         raise TactipError(f"{path} does not say what it is to be: its name ends in one of {', '.join(ENDINGS)}")
+    if not path.parent.is_dir() or path.is_dir():  # before anything is drawn
+        what = "it is a folder" if path.is_dir() else f"there is no folder {path.parent}"
+        raise TactipError(f"cannot write {path}: {what}")
     pictures = iter(pictures)
     first = next(pictures, None)
     if first is None:

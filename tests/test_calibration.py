@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
+import tactip
 from sim.calibration import DONE, LOAD_CELL_N, Settings, best_share, calibrate, distances, robust
 from sim.calibration_report import judge, write_report
 from sim.contact import ContactPlayer
@@ -177,6 +178,16 @@ def test_a_hidden_twin_is_found(real, tmp_path):
 def test_frames_of_another_tip_are_refused(real, tmp_path):
     with pytest.raises(TactipError, match="has 331"):
         calibrate(real, design_named("tactip-331"), Settings(), tmp_path / "state.json")
+
+
+def test_what_is_refused_leaves_nothing(real, tmp_path, capsys):
+    for command, words in (
+        ([str(tmp_path / "none")], "is no folder"),
+        ([str(real), "--design", "tactip-331"], "the design 'tactip-331' has 331"),
+    ):
+        assert tactip.main(["calibrate", *command, "--out", str(tmp_path / "mine.json")]) == 1
+        assert words in capsys.readouterr().err
+        assert not list(tmp_path.glob("mine*"))
 
 
 def test_constants_are_in_their_order():

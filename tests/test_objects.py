@@ -85,6 +85,7 @@ def test_wrong_input_is_one_sentence(tmp_path, ball):
     for name, words, options in (
         (path, "is the unit right", {"unit": "m"}),
         (path, "unit", {"unit": "inch"}),
+        ("bust", "'bust' comes with its size, and --unit mm is of files", {"unit": "mm"}),
         (path, "above 0", {"scale": 0.0}),
         (tmp_path / "none.stl", "choose one of bust", {}),
         (damaged, "damaged.ply", {}),
