@@ -157,8 +157,8 @@ def card(model, record, options):
         f"- Labels: {ranges}. Shear: as `shear` in model.json, provenance.",
         f"- Trained on {data['samples']} images of {contacts} contacts{', but for those that failed' * missing} (fidelity "
         f"`{made['fidelity']['name']}`, seed {made['seed']}, `{made['renderer']}`), configuration {data['digest'][:16]}; "
-        f"tested on configuration {record['test']['digest'][:16]}. In full, and with checksums of the tables, in model.json and "
-        "evaluation.json.",
+        f"tested on configuration {record['test']['digest'][:16]}. In full, and with checksums of the tables, in model.json "
+        "and evaluation.json.",
         *_begun(model, options),
         f"- Network: {json.dumps(network)}",
         f"- Training: {json.dumps(settings)}; best epoch {p['outcome']['best_epoch']} of {p['outcome']['epochs']}"
