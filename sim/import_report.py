@@ -40,10 +40,13 @@ def report_lines(report):
         lines.append("pose_z is mostly positive, and is negative into the object: is its sign right (--columns pose_z=-…)?")
     if not report["neutral_image"]:
         low, high = report["stand_in"]["pose_z"]
-        lines.append(
-            f"there is no neutral image: the middle of {report['stand_in']['frames']} of the shallowest frames, {low:g} to "
-            f"{high:g} mm, stands for it"
+        many = report["stand_in"]["frames"]
+        what = (
+            f"the middle of {many} of the shallowest frames, {low:g} to {high:g} mm,"
+            if many > 1
+            else f"a frame at {low:g} mm"
         )
+        lines.append(f"there is no neutral image: {what} stands for it")
     elif report["camera"]:
         zoom, drift = report["camera"]["zoom"], report["camera"]["drift"]
         lines.append(

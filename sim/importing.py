@@ -48,11 +48,15 @@ _UNTOLD = 40
 FEW = 0.8
 """A frame with fewer of the pins than this share of the usual number does not fit."""
 
-_SHALLOW, _STAND_IN = 0.05, 21
-"""Where there is no neutral image, the middle of so many frames stands for it: of this share, the shallowest, those that are
-tilted least. (A tilted dome of which a table says that it hardly touches may well be deep in.) In two real sets, with depths
-from 0 and from 1 mm on, pins are then 0.4 px of 256 (rms) from where they are; 0.9 and 0.8 with nothing fitted
-(benchmarks/stand_in.py)."""
+_SHALLOW, _LEAST_SHALLOW, _STAND_IN = 0.05, 5, 21
+"""Where there is no neutral image, the middle of some frames stands for it: of this share, the shallowest, but not fewer
+than five, those that are tilted least, 21 at most. (A tilted dome that hardly touches, as a table has it, may be deep in.)
+In two real sets, with depths from 0 and from 1 mm on, pins are then 0.4 px of 256 (rms) from where they are, and 0.9 and
+0.8 with nothing fitted (benchmarks/stand_in.py)."""
+
+_ERASED = 0.97
+"""Where that middle has fewer pins than this share of the usual number, the frames are too unlike: the shallowest of them
+stands for the neutral image."""
 
 _MOST_LEFT_OUT = 0.5
 """Share of the frames that may be left out: with more, it is not the frames that are wrong."""
@@ -227,7 +231,11 @@ def _import(source, layout, out, record, quiet):
     report["camera"] = None if neutral is None else _camera(source, kept, reader, neutral)
     if neutral is None:
         chosen = _hardly_touching(source.poses, kept)
-        at_rest = _middle(reader.masked(load(source.paths[i])) for i in chosen)
+        frames = [reader.masked(load(source.paths[i])) for i in chosen]
+        at_rest = _middle(frames)
+        if len(find_blobs(at_rest).centres) < _ERASED * usual:
+            first = np.argmax(source.poses[chosen, 2])
+            chosen, at_rest = chosen[[first]], frames[first]
         depths = source.poses[chosen, 2]
         report["stand_in"] = {"frames": len(chosen), "pose_z": [round(float(d), 6) for d in (depths.max(), depths.min())]}
     else:
@@ -275,16 +283,13 @@ def _reader(source, layout, neutral):
 
 def _hardly_touching(poses, rows):
     """Those of some rows (n,) int of poses (m, 6), mm and degrees, whose frames are nearest to the tip at rest."""
-    shallow = rows[np.argsort(-poses[rows, 2], kind="stable")][: max(_STAND_IN, round(_SHALLOW * len(rows)))]
+    shallow = rows[np.argsort(-poses[rows, 2], kind="stable")][: max(_LEAST_SHALLOW, round(_SHALLOW * len(rows)))]
     return shallow[np.argsort(np.linalg.norm(poses[shallow, 3:5], axis=1), kind="stable")][:_STAND_IN]
 
 
 def _middle(frames):
     """What most of some binary frames (h, w) uint8 show: a pin is where it is in the half of them that do not press it."""
-    white, count = 0, 0
-    for frame in frames:
-        white, count = white + (frame > 127), count + 1
-    return np.where(2 * white > count, 255, 0).astype(np.uint8)
+    return np.where(np.mean([frame > 127 for frame in frames], 0) > 0.5, 255, 0).astype(np.uint8)
 
 
 def _camera(source, kept, reader, neutral):

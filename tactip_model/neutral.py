@@ -62,15 +62,12 @@ def fit_neutral(design, image):
         raise TactipError(f"the neutral image shows {len(blobs)} pins: the design {design.name!r} has {count}")
     before = neutral_px(design)
     lattice = LAYOUTS[design.pins.layout](design.pins.rings)
-    guess = _first_guess(design, lattice, blobs)
-    for _ in range(8):
-        seen = _assigned(_mapped(guess, lattice), blobs)
+    for share in _SIZES:
+        guess, seen = _mapping(_first_guess(design, lattice, blobs, share), lattice, blobs)
         known = np.isfinite(seen[:, 0])
-        found = least_squares(lambda p: (_mapped(p, lattice) - seen)[known].ravel(), guess, x_scale=_SCALE)  # noqa: B023
-        if np.allclose(found.x, guess, atol=1e-9):
+        if known.mean() >= _FEWEST:
             break
-        guess = found.x
-    if known.mean() < _FEWEST:
+    else:
         raise TactipError(
             f"only {known.sum()} of {count} pins of the design {design.name!r} are found in the neutral image: is it of "
             "another tip, or pressed?"
@@ -82,6 +79,22 @@ def fit_neutral(design, image):
     fitted = as_built(fitted, seen)
     known = np.isfinite(seen[:, 0])
     return fitted, NeutralFit(seen, _rms(before, seen), _rms(on_lattice, seen), _rms(neutral_px(fitted), seen))
+
+
+_SIZES = (1.0, 0.97, 0.94, 0.91, 0.88, 0.85, 1.03)
+"""Sizes of the pattern that are tried, over that by the blobs' moments: specks of light far out make these too large."""
+
+
+def _mapping(guess, lattice, blobs):
+    """The map (8,) from lattice to image that a guess leads to, and where each pin is then seen (p, 2)."""
+    for _ in range(8):
+        seen = _assigned(_mapped(guess, lattice), blobs)
+        known = np.isfinite(seen[:, 0])
+        found = least_squares(lambda p: (_mapped(p, lattice) - seen)[known].ravel(), guess, x_scale=_SCALE)  # noqa: B023
+        if np.allclose(found.x, guess, atol=1e-9):
+            break
+        guess = found.x
+    return guess, seen
 
 
 _SECTORS = 72
@@ -138,10 +151,11 @@ def _mapped(guess, lattice):
     return guess[1:3] - 0.5 + off_axis * (guess[3] + guess[4] * u2 + guess[5] * u2**2)
 
 
-def _first_guess(design, lattice, blobs):
-    """Centre and size by the blobs' moments, turn by trying them; the design's own turn among those that look alike."""
+def _first_guess(design, lattice, blobs, share):
+    """Centre and size by the blobs' moments, the size times a share, turn by trying them; the design's own turn among those
+    that look alike."""
     middle = np.median(blobs, 0)
-    size = np.sqrt(((blobs - middle) ** 2).sum(1).mean() / (lattice**2).sum(1).mean())
+    size = share * np.sqrt(((blobs - middle) ** 2).sum(1).mean() / (lattice**2).sum(1).mean())
 
     def guess(turn):
         # A wide-angle map: at the rim, spacings are somewhat wider than in the middle.

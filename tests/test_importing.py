@@ -308,9 +308,9 @@ def test_without_a_neutral_image_the_shallowest_frames_stand_for_it(tmp_path, ca
     (tmp_path / "lab" / "init_0.png").unlink()
     tips, directions = neutral_pins(DESIGN)
     rows = []
-    for k in range(30):
-        depth = 0.5 if k < 21 else 4.0
-        away = tips[:, :2] - 0.008 * np.array([np.cos(0.3 * k), np.sin(0.3 * k)])
+    for k in range(90):
+        depth = 0.5 if k < 5 else 4.0
+        away = tips[:, :2] - 0.008 * np.array([np.cos(1.2 * k), np.sin(1.2 * k)])
         pressed = np.linalg.norm(away, axis=1) < 2e-3 * (1 + depth)
         moved = tips + np.where(pressed[:, None], np.pad(away * 0.4, ((0, 0), (0, 1))), 0.0)
         image = tactile_image(Raster(DESIGN).render(moved, directions), replace(DESIGN.image, size_px=SIZE))
@@ -319,7 +319,7 @@ def test_without_a_neutral_image_the_shallowest_frames_stand_for_it(tmp_path, ca
     write_table(tmp_path / "lab", rows)
     command = ["import", str(tmp_path / "lab"), "--out", str(tmp_path / "set"), "--columns", "pose_z=-pose_2-5"]
     assert tactip.main(command) == 0
-    told = "the middle of 21 of the shallowest frames, -0.5 to -0.5 mm, stands for it"
+    told = "the middle of 5 of the shallowest frames, -0.5 to -0.5 mm, stands for it"
     assert told in capsys.readouterr().out
     design, figures = twin_of(tmp_path / "set", 128)
     assert figures["pins"] == 127 and figures["camera"] is None
@@ -396,4 +396,4 @@ def test_layouts_of_other_families(tmp_path):
     assert np.allclose(dataset.poses[:, 2], [-1 - 0.5 * k for k in range(6)], atol=1e-5)
     assert not dataset.shears.any()
     report = json.loads((out / "import.json").read_text())
-    assert not report["neutral_image"] and report["stand_in"] == {"frames": 6, "pose_z": [-1.0, -3.5]}
+    assert not report["neutral_image"] and report["stand_in"] == {"frames": 5, "pose_z": [-1.0, -3.0]}

@@ -2,9 +2,11 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
+from tactip_model.blobs import find_blobs
 from tactip_model.design import Optics, Pins
 from tactip_model.design_file import read_design, read_in_use, write_design, write_fitted
 from tactip_model.errors import TactipError
@@ -40,6 +42,15 @@ def test_a_hidden_tip_is_found_from_its_image(hidden):
     # The layout looks the same every 60 degrees.
     assert abs((fitted.pins.rotation_deg - 48.0 + 30) % 60 - 30) < 0.5
     assert np.allclose(fitted.optics.neutral_radius[0], 10.4, rtol=0.02)
+
+
+def test_specks_of_light_far_out_do_not_mislead(hidden):
+    image = neutral_image(hidden)
+    for x, y in [(x, y) for x in (6, 20, 340, 354) for y in (120, 160, 200)]:
+        cv2.circle(image, (x, y), 4, 255, -1)
+    fitted, fit = fit_neutral(design_named("nominal-127"), image)
+    assert len(find_blobs(image).centres) == 139 and fit.lattice_px < 0.75
+    assert np.sqrt(((neutral_px(fitted) - neutral_px(hidden)) ** 2).sum(1).mean()) < 0.25
 
 
 def test_a_perfect_tip_is_left_as_it_is():
