@@ -50,7 +50,7 @@ class Layout:
     crop: tuple[int, int, int, int] | None = within(0, 65536, default=None)
     """Left, top, right, bottom of the part of the frame that is used, px; all if not given."""
     threshold: tuple[int, float] | None = within((3, -255), (65535, 255), default=None)
-    """Block and constant of the adaptive threshold of grey frames; none for frames that are binary."""
+    """Block and constant of the adaptive threshold of grey frames; None for frames that are binary."""
     size_px: int = within(8, 4096, default=128)
     """Width of the images that are made, px."""
     mask: str = "pins"
