@@ -23,9 +23,13 @@ class Layer:
     """A shell of one material, from the previous layer's radius to `radius` (m), neo-Hookean."""
 
     radius: float
+    """Outer radius, m."""
     young: float
+    """Young's modulus, Pa."""
     poisson: float
+    """Poisson's ratio, -."""
     elements: int
+    """Elements through its thickness."""
 
 
 def shape(point):

@@ -55,7 +55,9 @@ class Case:
     """A run."""
 
     group: str
+    """One of GROUPS."""
     name: str
+    """What is run, and what is different."""
     options: ServoOptions
     """But for its folder."""
 

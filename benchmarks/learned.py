@@ -82,10 +82,13 @@ class Row:
     """A training and what it is there to show."""
 
     name: str
+    """Of its row in the tables and of its folder."""
     what: str
+    """The same in words, for the page."""
     kind: str
     """What it is trained on: plain, symmetric, most, looks, taps or bent."""
     recipe: Recipe
+    """Network and training."""
     start: str = ""
     """Shipped network that it begins with."""
 

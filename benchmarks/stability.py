@@ -51,20 +51,29 @@ class Cell:
     """One contact of the map."""
 
     panel: str
+    """Part of the figure that it stands in."""
     row: str
+    """Its row there ..."""
     column: str
-    """Where it stands in the figure."""
+    """... and its column."""
     stimulus: str = "surface"
+    """A name of STIMULI."""
     depth_mm: float = 3.0
+    """Depth of the press, mm."""
     slide_mm: float = 0.0
+    """Slide along x in contact, mm."""
     tilt_deg: float = 0.0
+    """Tilt about y, degrees."""
     approach: bool = True
     """False: it starts with the stimulus inside the skin."""
     materials: dict = field(default_factory=dict)
+    """Changes to fields of the design's Materials ..."""
     shape: dict = field(default_factory=dict)
+    """... and of its Shape ..."""
     motion: dict = field(default_factory=dict)
+    """... and to those of the fidelity's Motion ..."""
     solver: dict = field(default_factory=dict)
-    """Changes to the design's and the fidelity's parts."""
+    """... and of its Solver."""
 
 
 def cells():

@@ -162,6 +162,7 @@ class Bench:
         | Annotated[Viewed, tyro.conf.subcommand("viewer")],
         tyro.conf.arg(name=""),
     ]
+    """What is measured."""
 
     def run(self):
         return self.action.run()

@@ -231,6 +231,7 @@ class Dataset:
         | Annotated[Record, tyro.conf.subcommand("record")],
         tyro.conf.arg(name=""),
     ]
+    """What is done."""
 
     def run(self):
         return self.action.run()

@@ -20,6 +20,7 @@ class Event:
     """Something that was not planned, and what was done about it."""
 
     step: int
+    """Steps that were recorded before it."""
     kind: str
     """contact lost, estimate out of range, force, collision, diverged, unreachable."""
     what: str

@@ -19,9 +19,11 @@ class Sight:
     """What one frame gives."""
 
     number: int
+    """Of the frame, from 0."""
     time_s: float
     """Since the first frame."""
     pins: int
+    """Pins that are seen; 0 where the frame does not fit."""
     image: np.ndarray
     """(size, size) uint8, the tactile image."""
     felt: dict

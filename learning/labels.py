@@ -19,6 +19,7 @@ class Labels:
     """The learned components of a task. (k components)"""
 
     task: str
+    """`surface` or `edge`."""
     low: tuple[float, ...]
     """(k) least value of each that was drawn, mm and degrees."""
     high: tuple[float, ...]

@@ -30,8 +30,11 @@ class Model:
     """A trained PoseNet and its labels."""
 
     net: PoseNet
+    """The network, with its weights."""
     config: PoseNetConfig
+    """What it was built by."""
     labels: Labels
+    """The components that it tells, and their ranges."""
     size: int
     """Width of its images, px."""
     provenance: dict

@@ -15,7 +15,9 @@ class Recipe:
     """A network and how it is trained."""
 
     network: PoseNetConfig
+    """What is trained."""
     settings: TrainSettings
+    """How."""
 
 
 _PAPER = {

@@ -19,7 +19,9 @@ class Samples:
     """A data set in memory. n images of size by size pixels, k components."""
 
     dataset: Dataset
+    """The set that they are of."""
     labels: Labels
+    """The components that are learned, and their ranges."""
     images: np.ndarray
     """(n, size, size) uint8."""
     targets: np.ndarray

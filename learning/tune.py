@@ -51,7 +51,9 @@ class TuneSettings:
     least_epochs: int = within(1, 1000, default=5)
     """... but not before so many epochs."""
     space: SearchSpace = dataclasses.field(default_factory=SearchSpace)
+    """Networks that may be tried."""
     training: TrainSettings = dataclasses.field(default_factory=TrainSettings)
+    """How each is trained."""
 
     def __post_init__(self):
         check(self)

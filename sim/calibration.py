@@ -419,7 +419,9 @@ class Result:
     """What a calibration found, and what it says of frames that it was not fitted to."""
 
     twin: Twin
+    """The sensor and its rig, as fitted."""
     chosen: tuple[Parameter, ...]
+    """(k) what was fitted, in the order of `deviations`."""
     deviations: np.ndarray
     """(k,) float: standard deviation of each parameter, in its steps."""
     neutral: object
@@ -427,6 +429,7 @@ class Result:
     rounds: list
     """A dict of figures for each round."""
     judged: Frames
+    """Frames that it was not fitted to."""
     stages: np.ndarray
     """(n, DONE, p, 2) float: pins of the judged frames at each share of their moves, px of 256."""
     forces_n: np.ndarray

@@ -71,7 +71,9 @@ class Configuration:
     renderer: str
     """`pyrender` or `raster`."""
     design: Design
+    """The sensor."""
     fidelity: Fidelity
+    """What trades the contacts' error for time."""
     pose: Ranges
     """Labelled poses."""
     shear: Ranges
@@ -222,7 +224,9 @@ class Dataset:
     """A finished set, real or simulated, as read from its folder. n images."""
 
     folder: Path
+    """Where it was read from."""
     meta: dict
+    """Its meta.json."""
     images: tuple[str, ...]
     """(n) file names inside `images/`, of the folder or of its shards."""
     poses: np.ndarray

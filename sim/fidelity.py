@@ -37,10 +37,11 @@ class Motion:
     least_steps: int = within(1, 100000, default=4)
     """Fewest steps of a motion."""
     ease_in: float = within(0, 5, default=0.5)
+    """Power with which a motion's pace grows from its start, -: pace ~ t^ease_in (1 - t)^ease_out, t from 0 to 1. 0 is a
+    jerk, which throws the tip off the surface."""
     ease_out: float = within(0, 5, default=1.5)
-    """Powers with which a motion's pace grows from its start and falls to its end: pace ~ t^ease_in (1 - t)^ease_out, t
-    from 0 to 1. 0 is a jerk: at the start it throws the tip off the surface, at the end the skin swings on and friction
-    lets go. A steady pace has up to twice the error of these at the same cost (docs/fidelity.md)."""
+    """Power with which the pace falls to the motion's end, -. After a jerk there the skin swings on and friction lets go. A
+    steady pace has up to twice the error of these two at the same cost (docs/fidelity.md)."""
     settle_steps: int = within(1, 100000, default=4)
     """Fewest steps at rest before recording."""
     settle_speed_m_s: float = within(1e-6, 20e-3, default=2e-3)
@@ -85,10 +86,15 @@ class Fidelity:
     """Everything that trades error for time."""
 
     name: str
+    """Of a preset, or of one that was changed."""
     mesh: Resolution = field(default_factory=Resolution)
+    """How finely the tip is meshed."""
     contact: ContactModel = field(default_factory=ContactModel)
+    """How contact is enforced."""
     motion: Motion = field(default_factory=Motion)
+    """Steps and pace."""
     solver: Solver = field(default_factory=Solver)
+    """Iterations and tolerances."""
 
 
 FIDELITIES = {

@@ -41,7 +41,9 @@ class Job:
     """A set to make and where."""
 
     configuration: Configuration
+    """What it is to hold."""
     folder: Path
+    """Where it is written."""
 
 
 def check(configuration):

@@ -54,7 +54,9 @@ class Thing:
     """An object where it stands."""
 
     name: str
+    """The project's, or its file's without the ending."""
     solid: Solid
+    """Its shape, in its own frame."""
     T_base_object: np.ndarray
     """(4, 4)."""
     edge: Edge | None

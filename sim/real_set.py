@@ -25,6 +25,7 @@ class RealSet:
     """Frames of a real sensor and the commands under which they were taken. (n frames)"""
 
     folder: Path
+    """Where it was read from."""
     files: tuple[Path, ...]
     """The frames, n of them."""
     poses: np.ndarray

@@ -14,7 +14,9 @@ class Twin:
     """A sensor on a rig."""
 
     design: Design
+    """The sensor."""
     rig: Rig
+    """How it hangs on the arm that took the frames."""
 
 
 @dataclass(frozen=True)
@@ -22,9 +24,13 @@ class Parameter:
     """Something that is fitted."""
 
     name: str
+    """What it is called in reports and in the state of a run."""
     unit: str
+    """Of its value: m, Pa, deg, widths (of the image), or - for none."""
     low: float
+    """Least value that it is held at, in its unit."""
     high: float
+    """Greatest value, in its unit."""
     step: float
     """Change for the difference quotients; of the value's logarithm if `logarithmic`."""
     believed: tuple[float, float] | None
@@ -36,6 +42,7 @@ class Parameter:
     item: int | None = None
     """Place in the field, where it is a tuple."""
     logarithmic: bool = False
+    """Whether steps and beliefs are of the value's logarithm: for what is known to a factor."""
     mechanical: bool = True
     """Whether a contact must be played anew when it changes."""
     searched: bool = False

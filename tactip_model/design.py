@@ -163,11 +163,17 @@ class Design:
     """A tactile fingertip."""
 
     name: str
+    """What it is called: a preset's name, or what its file says."""
     shape: Shape = field(default_factory=Shape)
+    """Dimensions of the soft tip."""
     materials: Materials = field(default_factory=Materials)
+    """What the tip is made of."""
     pins: Pins = field(default_factory=Pins)
+    """The pins inside the skin."""
     optics: Optics = field(default_factory=Optics)
+    """Camera, lens and light."""
     image: TactileImage = field(default_factory=TactileImage)
+    """How a frame becomes the tactile image."""
 
     def __post_init__(self):
         """Refuse parts that do not fit each other."""

@@ -59,6 +59,7 @@ class Mesh:
     vertices: np.ndarray
     """(n, 3) float, m."""
     surface_count: int
+    """Vertices of the skin, the first of all."""
     tetrahedra: np.ndarray
     """(m, 4) int; positive volume."""
     triangles: np.ndarray

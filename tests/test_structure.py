@@ -9,6 +9,13 @@ import pytest
 ROOT = Path(__file__).parents[1]
 FLOW = ["assets", "tactip_model", "sim", "learning", "control"]
 FILES = sorted(p for folder in FLOW for p in (ROOT / folder).rglob("*.py"))
+ON_TOP = sorted(p for folder in ("commands", "benchmarks") for p in (ROOT / folder).rglob("*.py"))
+
+STILL_WITHOUT = {
+    "sim/importing.py": {"Source.folder"},
+    "commands/real.py": {"Import.told", "Transfer.settings", "Camera.layout"},
+}
+"""Fields that are yet to be given a line: none may come to them."""
 
 
 def imported(path):
@@ -39,10 +46,37 @@ def test_public_things_say_what_they_are(path):
             assert ast.get_docstring(node), node.name
 
 
+def fields_without_a_line(tree):
+    """Fields ("Class.field") of public dataclasses under which no docstring stands, and how many fields there are."""
+    bare, count = set(), 0
+    for node in (n for n in ast.walk(tree) if isinstance(n, ast.ClassDef) and not n.name.startswith("_")):
+        if not any("dataclass" in ast.unparse(decorator) for decorator in node.decorator_list):
+            continue
+        for field, after in zip(node.body, [*node.body[1:], None], strict=True):
+            if isinstance(field, ast.AnnAssign):
+                said = isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)
+                count += 1
+                if not (said and isinstance(after.value.value, str) and after.value.value.strip()):
+                    bare.add(f"{node.name}.{field.target.id}")
+    return bare, count
+
+
+@pytest.mark.parametrize("path", [*FILES, *ON_TOP], ids=lambda p: str(p.relative_to(ROOT)))
+def test_every_field_of_a_public_dataclass_has_its_line(path):
+    bare, _ = fields_without_a_line(ast.parse(path.read_text()))
+    assert bare <= STILL_WITHOUT.get(path.relative_to(ROOT).as_posix(), set())
+
+
+def test_fields_are_found():
+    assert sum(fields_without_a_line(ast.parse(path.read_text()))[1] for path in [*FILES, *ON_TOP]) > 300
+    text = '@dataclass(frozen=True)\nclass A:\n    a: int\n    """Told."""\n    b: int = 0\n    c: int = 0\n    """   """\n'
+    assert fields_without_a_line(ast.parse(text)) == ({"A.b", "A.c"}, 3)
+    assert fields_without_a_line(ast.parse(text.replace("class A", "class _A"))) == (set(), 0)
+
+
 def test_nothing_is_unpickled_or_evaluated():
-    on_top = [p for folder in ("commands", "benchmarks") for p in (ROOT / folder).rglob("*.py")]
-    assert len(on_top) > 20
-    for path in [*FILES, *on_top, ROOT / "tactip.py"]:
+    assert len(ON_TOP) > 20
+    for path in [*FILES, *ON_TOP, ROOT / "tactip.py"]:
         text = path.read_text()
         words = ("import pickle", "allow_pickle=True", "weights_only=False", "shell=True")
         assert not any(word in text for word in words), path
