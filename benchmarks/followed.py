@@ -24,6 +24,7 @@ from control.run import run as follow
 from learning.model import find_model, weights_sha256
 from sim.crew import Crew, worker_count
 from sim.objects import find_object
+from sim.plot import pyplot
 from tactip_model.errors import TactipError, choose
 from tactip_model.files import write_file
 
@@ -376,11 +377,7 @@ _MARKERS |= {"2 at rest, pace 2": "1", "1 at rest, pace 2": "2"}
 
 def draw(rows, path):
     """Error against time a step. rows: list of dict, of the group `fidelity`. path: Path, .png."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
+    plt = pyplot()
     figure, axes = plt.subplots(1, 2, figsize=(10, 3.8))
     for axis, (name, label) in zip(axes, (("depth_mae_mm", "depth, mm"), ("angle_mean_deg", "angle, °")), strict=True):
         for row in rows:

@@ -22,6 +22,7 @@ from sim.crew import worker_count
 from sim.dataset import Configuration, read_meta
 from sim.fidelity import fidelity_named
 from sim.generation import Job, make
+from sim.plot import pyplot
 from sim.sampling import POSE_RANGES, SHEAR_RANGES, Ranges
 from sim.symmetry import SYMMETRIES
 from tactip_model.errors import TactipError, choose
@@ -360,11 +361,7 @@ def relative(row, task):
 
 def draw(whole, path):
     """Error against latency of the networks, a panel a task. path: Path, .png."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
+    plt = pyplot()
     figure, axes = plt.subplots(1, len(whole), figsize=(6 * len(whole), 4.2), squeeze=False)
     for axis, (task, record) in zip(axes[0], whole.items(), strict=True):
         for row in record["rows"]:

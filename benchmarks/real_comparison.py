@@ -10,12 +10,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
-import matplotlib
 import numpy as np
 import tyro
 
 from sim.contact import ContactPlayer
 from sim.fidelity import fidelity_named
+from sim.plot import pyplot
 from sim.pose import from_mm_deg
 from tactip_model.camera import PinCamera
 from tactip_model.design_file import read_in_use
@@ -137,9 +137,7 @@ def rms(values):
 
 def main(options: Options):
     """Measure, print, draw."""
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
+    plt = pyplot()
     design = read_in_use(FITTED["tactip-127"])
     player = ContactPlayer(design, "surface", fidelity_named(options.fidelity))
     zero, left, without = best_zero(player)

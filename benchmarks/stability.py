@@ -17,6 +17,7 @@ from benchmarks.machine import machine, machine_text
 from sim.contact import UNPROVEN, Bounds, CarefulPlayer, ContactPlayer
 from sim.crew import Crew
 from sim.fidelity import FASTEST_M_S, FASTEST_SHEAR_M_S, Fidelity, fidelity_named, finer
+from sim.plot import pyplot
 from sim.pose import from_mm_deg
 from sim.stimulus import STIMULI
 from tactip_model.errors import TactipError
@@ -388,12 +389,9 @@ def _panels(records):
 
 def draw(result, path):
     """Draw the map of a result (dict) to `path` (Path, .png)."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
     from matplotlib.patches import Patch, Rectangle
 
+    plt = pyplot()
     panels = _panels(result["map"])
     across = 4
     down = -(-len(panels) // across)

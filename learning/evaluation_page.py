@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from learning.evaluate import tables
+from sim.plot import pyplot
 from tactip_model.files import write_file
 
 _BAND = 0.08
@@ -62,17 +63,8 @@ def band(values, errors, at, width):
     return mean, np.sqrt(np.maximum(weight @ errors**2 - mean**2, 0))
 
 
-def _pyplot():
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    return plt
-
-
 def _draw_errors(evaluation, samples, labels, path):
-    plt = _pyplot()
+    plt = pyplot()
     k = len(labels.names)
     figure, axes = plt.subplots(2, k, figsize=(3.6 * k, 6.6), squeeze=False)
     slide = np.linalg.norm(samples.shears[:, :3], axis=1)
@@ -98,7 +90,7 @@ def _draw_errors(evaluation, samples, labels, path):
 
 
 def _draw_worst(evaluation, samples, labels, path):
-    plt = _pyplot()
+    plt = pyplot()
     worst = np.argsort(-((evaluation.errors / labels.scale) ** 2).sum(1))[:8]
     figure, axes = plt.subplots(2, 4, figsize=(12, 6.6))
     for axis in axes.ravel():

@@ -29,6 +29,7 @@ from learning.samples import read_splits
 from learning.space import SearchSpace
 from learning.train import METRICS, Pruned, TrainSettings, as_of_now, read_metrics, train
 from sim.lock import locked
+from sim.plot import pyplot
 from tactip_model.bounds import check, within
 from tactip_model.errors import Stopped, TactipError
 from tactip_model.files import write_file
@@ -308,11 +309,7 @@ PARAMETERS = (
 
 def draw(results, path, startup):
     """Loss by trial, and each parameter against the rank of its loss, best marked. Writes a PNG to `path`."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
+    plt = pyplot()
     good = sorted((r for r in results if r["status"] == "ok"), key=lambda r: r["trial"])
     if not good:
         raise TactipError("no trial ended well: there is nothing to draw, and results.jsonl says why")

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from sim.calibration import LOAD_CELL_N, best_share, distances
+from sim.plot import pyplot
 from sim.rig import RigMotion
 from tactip_model.design_file import write_fitted
 from tactip_model.files import write_file
@@ -190,18 +191,9 @@ def page(figures):
     return "\n".join(lines) + "\n"
 
 
-def _pyplot():
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    return plt
-
-
 def _draw_pins(result, path):
     """Pins seen (rings) and simulated (dots) of six judged frames, what is left as arrows three times their length."""
-    plt = _pyplot()
+    plt = pyplot()
     seen = result.judged.pins_px
     share, pins, _ = best_share(result.stages, seen)
     rms = distances(pins, seen)
@@ -227,7 +219,7 @@ def _draw_pins(result, path):
 
 def _draw_curves(figures, path):
     """Depth and shear response, real (dots) and simulated (lines)."""
-    plt = _pyplot()
+    plt = pyplot()
     figure, axes = plt.subplots(1, 2, figsize=(11, 4.3))
     for k, row in enumerate(figures["depth"]["rows"]):
         colour = plt.cm.viridis(k / max(1, len(figures["depth"]["rows"])))

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 
 from sim.picture import BACKGROUND, Studio
+from sim.plot import pyplot
 from sim.pose import to_mm_deg
 from sim.stage import Stage, way
 
@@ -64,11 +65,7 @@ def pictures(scenery, record, arrays, every=1):
 
 def _curves(arrays, task):
     """What was felt and what was true over the steps: image (h, w, 3) uint8, and the columns of its first and last step."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
+    plt = pyplot()
     felt, true = to_mm_deg(arrays["felt"]), to_mm_deg(arrays["true"])
     touching = arrays["touching"] > 0
     wide, high = WIDTH - _VIEW, HEIGHT - _IMAGE - 32
