@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim.pose import COMPONENTS, from_mm_deg
+from sim.names import COMPONENTS, LEARNED
+from sim.pose import from_mm_deg
 from sim.sampling import POSE_RANGES, SHEAR_RANGES, generator
 
 NONE = (0.0,) * 6
@@ -45,13 +46,8 @@ CASES = (
 CONVERGING = ("flat, normal press", "flat, sheared press", "edge, yawed and sheared", "sphere, off centre")
 """Cases on which the reference itself is refined."""
 
-LABELS = {
-    "surface": ("z", "Rx", "Ry"),
-    "edge": ("x", "z", "Rx", "Ry", "Rz"),
-    "sphere": ("x", "y", "z"),
-    "point": ("x", "y", "z"),
-}
-"""Components of the pose (names of sim/pose.py) that a contact with a stimulus tells."""
+LABELS = LEARNED | {"sphere": ("x", "y", "z"), "point": ("x", "y", "z")}
+"""Components of the pose (of COMPONENTS) that a contact with a stimulus tells."""
 
 
 def training(task, count):

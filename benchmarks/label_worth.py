@@ -41,7 +41,7 @@ class LabelWorth:
     """The linear estimator about one contact."""
 
     def __init__(self, components, jacobian):
-        """components: names of sim/pose.py. jacobian: (p, 2, c), px over mm or degrees."""
+        """components: names, of COMPONENTS. jacobian: (p, 2, c), px over mm or degrees."""
         self.components = tuple(components)
         self._jacobian = np.asarray(jacobian, float)
         steps = np.array([STEP[c] for c in self.components])

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim.pose import COMPONENTS, from_mm_deg
+from sim.names import COMPONENTS
+from sim.pose import from_mm_deg
 from tactip_model.errors import TactipError
 from tactip_model.image import tactile_image
 from tactip_model.pins import neutral_pins

@@ -11,7 +11,8 @@ import numpy as np
 
 from sim.arm import Unreachable
 from sim.contact import Diverged
-from sim.pose import COMPONENTS, from_mm_deg, inverse, sensor_in_contact, to_mm_deg
+from sim.names import COMPONENTS
+from sim.pose import from_mm_deg, inverse, sensor_in_contact, to_mm_deg
 from tactip_model.errors import TactipError
 
 

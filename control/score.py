@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from sim.names import COMPONENTS
 from sim.pose import to_mm_deg
 from sim.recording import PHASES
 
@@ -45,7 +46,7 @@ def score(arrays, record, reference_mm, targets):
         "angle_mean_deg": _mean(angles),
         "angle_p95_deg": float(np.percentile(angles, 95)) if len(angles) else None,
         "lateral_mae_mm": _mean(np.abs(true[:, 0] - reference_mm[0])) if edge else None,
-        "felt_mae": {name: _mean(np.abs(felt - true)[:, k]) for k, name in enumerate(("x", "y", "z", "Rx", "Ry", "Rz"))},
+        "felt_mae": {name: _mean(np.abs(felt - true)[:, k]) for k, name in enumerate(COMPONENTS)},
         "contact_losses": sum(e["kind"] == "contact lost" for e in record["events"]),
         "events": len(record["events"]),
         "coverage": coverage(places, targets, EDGE_COVERED_M if edge else COVERED_M),

@@ -1,17 +1,15 @@
 """What a network learns of a pose, and in which unit: components by task, each over its greatest value."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
-from sim.pose import COMPONENTS
+from sim.names import COMPONENTS, LEARNED
+from sim.sampling import Ranges
 from tactip_model.errors import TactipError, choose
 
-LEARNED = {"surface": ("z", "Rx", "Ry"), "edge": ("x", "z", "Rx", "Ry", "Rz")}
-"""Components of a pose that are learned, by task [P]."""
-
-_RANGES = ("x_mm", "y_mm", "depth_mm", "roll_deg", "pitch_deg", "yaw_deg")
-"""Fields of sampling.Ranges in the order of COMPONENTS."""
+_RANGES = tuple(field.name for field in fields(Ranges))
+"""Names of a component's range in a configuration, in the order of COMPONENTS."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +25,7 @@ class Labels:
 
     @property
     def components(self):
-        """Names (tuple of str), as in sim/pose.py."""
+        """Names (tuple of str), of COMPONENTS."""
         return LEARNED[self.task]
 
     @property

@@ -14,8 +14,9 @@ import torch
 
 from assets import MODELS
 from learning.device import one_thread
-from learning.labels import LEARNED, Labels
+from learning.labels import Labels
 from learning.posenet import PoseNet, PoseNetConfig
+from sim.names import LEARNED
 from tactip_model.errors import TactipError, choose
 from tactip_model.files import write_file
 

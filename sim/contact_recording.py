@@ -7,7 +7,8 @@ import numpy as np
 
 from sim.dataset import read_configuration, read_meta, read_rows, versions
 from sim.generation import drawn, player_of
-from sim.pose import COMPONENTS, from_mm_deg, sensor_in_contact
+from sim.names import COMPONENTS
+from sim.pose import from_mm_deg, sensor_in_contact
 from sim.recording import Recorder, Scenery
 from sim.stage import body_mesh
 from sim.walk import Walk

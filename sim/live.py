@@ -7,8 +7,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sim.contact import Diverged
+from sim.names import COMPONENTS
 from sim.page import LOCAL, grey, mesh, pin_lines, place, rgb, serve, stop
-from sim.pose import COMPONENTS, from_mm_deg, inverse, label_of, matrix, sensor_in_contact, to_mm_deg
+from sim.pose import from_mm_deg, inverse, label_of, matrix, sensor_in_contact, to_mm_deg
 from sim.press import Press
 from sim.sampling import POSE_RANGES, SHEAR_RANGES
 from sim.stage import PORCELAIN, SKIN, body_props, sensor_props

@@ -24,9 +24,6 @@ leans on its image's lower side; pitch: on its right side; yaw: the edge turns c
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-COMPONENTS = ("x", "y", "z", "Rx", "Ry", "Rz")
-"""Names of a pose's components in data sets; mm and degrees there, m and rad inside."""
-
 _FACING = np.diag([1.0, -1.0, -1.0, 1.0])
 _EDGE_UNITS = np.array([1e3] * 3 + [180 / np.pi] * 3)
 

@@ -6,6 +6,7 @@ import time
 import numpy as np
 from viser import uplot
 
+from sim.names import COMPONENTS, LEARNED
 from sim.page import LOCAL, grey, mesh, pin_lines, place, rgb, serve, stop
 from sim.playback import SPEEDS, Playback
 from sim.pose import to_mm_deg
@@ -20,9 +21,7 @@ _CURVES_HZ = 5.0
 """How often the mark on the curves is: they are sent whole."""
 
 _CURVES = (("x", 0, "mm"), ("depth", 2, "mm"), ("Rx", 3, "deg"), ("Ry", 4, "deg"), ("Rz", 5, "deg"))
-"""Components that can be felt: name, place in a label, unit."""
-
-_LEARNED = {"surface": ("depth", "Rx", "Ry"), "edge": ("x", "depth", "Rx", "Ry", "Rz")}
+"""Components that can be felt: what they are called, place in a label, unit."""
 
 
 class Viewer:
@@ -133,7 +132,7 @@ class Viewer:
         self._curves = []
         steps = np.arange(self._record["steps"], dtype=float)
         for name, k, unit in _CURVES:
-            if name in _LEARNED[self._record["task"]]:
+            if COMPONENTS[k] in LEARNED[self._record["task"]]:
                 data = (steps, self._true[:, k].copy(), self._felt[:, k].copy())
                 series = [uplot.Series(label="step"), uplot.Series(label="true", stroke="black", width=2)]
                 series += [uplot.Series(label="felt", stroke="#c0392b", width=1), _dot()]

@@ -1,10 +1,11 @@
 """Draws: uniform, within range, independent, the same whoever asks."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 
+from sim.names import COMPONENTS
 from sim.pose import to_mm_deg
 from sim.sampling import POSE_RANGES, SHEAR_RANGES, SPLITS, Ranges, generator
 from tactip_model.errors import TactipError
@@ -59,6 +60,12 @@ def test_a_fixed_component_leaves_the_others_where_they_are():
 def test_bad_ranges_are_refused(bad):
     with pytest.raises(TactipError, match=r"pose\.depth_mm"):
         Ranges(depth_mm=bad).check("pose")
+
+
+def test_ranges_come_in_the_order_of_the_components():
+    ranges = Ranges(**{field.name: (k, k) for k, field in enumerate(fields(Ranges))})
+    assert ranges.bounds()[:, 0].tolist() == list(range(len(COMPONENTS)))
+    assert [field.name.split("_")[0] for field in fields(Ranges)] == ["x", "y", "depth", "roll", "pitch", "yaw"]
 
 
 def test_unknown_names_are_refused_with_the_valid_ones():
