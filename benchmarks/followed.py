@@ -88,7 +88,7 @@ _SHORT = {
 
 
 def cases(options):
-    """The runs (list of Case) there are. options: benchmarks.options.ServoOptions."""
+    """The runs (list of Case) there are. options: benchmarks.options.FollowedOptions."""
     out = [Case("objects", name, run) for name, run in _LONG.items()]
     out += [Case("oracle", name, replace(run, model="oracle")) for name, run in _LONG.items()]
     others = {"bust": options.other_surface, "rim": options.other_edge}

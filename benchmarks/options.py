@@ -87,7 +87,7 @@ class TransferredOptions:
 
 
 @dataclass(frozen=True)
-class ServoOptions:
+class FollowedOptions:
     """Measure what the servo reaches: objects, arms, fidelities, what it withstands, random starts."""
 
     groups: tuple[str, ...] = ()

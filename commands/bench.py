@@ -6,8 +6,15 @@ from typing import Annotated
 
 import tyro
 
-from benchmarks.options import LearningOptions, ScaleOptions, SearchOptions, SpeedOptions, TransferredOptions, ViewerOptions
-from benchmarks.options import ServoOptions as FollowedOptions
+from benchmarks.options import (
+    FollowedOptions,
+    LearningOptions,
+    ScaleOptions,
+    SearchOptions,
+    SpeedOptions,
+    TransferredOptions,
+    ViewerOptions,
+)
 
 
 @dataclass(frozen=True)

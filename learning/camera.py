@@ -15,7 +15,7 @@ _LEAST_PINS = 20
 
 
 @dataclass(frozen=True)
-class Sight:
+class Reading:
     """What one frame gives."""
 
     number: int
@@ -32,14 +32,14 @@ class Sight:
     """What is wrong with it; empty if nothing is."""
 
     def as_json(self):
-        """The Sight as a dict of JSON types, without its image."""
+        """The Reading as a dict of JSON types, without its image."""
         row = {"frame": self.number, "time_s": round(self.time_s, 4), "pins": self.pins}
         row |= {name: round(value, 4) for name, value in self.felt.items()}
         return row | ({"fault": self.fault} if self.fault else {})
 
 
 class Camera:
-    """Turns frames into Sights."""
+    """Turns frames into Readings."""
 
     def __init__(self, frames, layout, model=None, neutral=None):
         """frames: iterable of (h, w, 3) uint8. layout: Layout, of which the image's part is used. model: Model or None.
@@ -52,7 +52,7 @@ class Camera:
         self._frames, self._layout, self._model, self._neutral = frames, layout, model, neutral
 
     def __iter__(self):
-        """Yields Sights. Raises TactipError where the first frame shows no tip, and where frames end in a fault of their
+        """Yields Readings. Raises TactipError where the first frame shows no tip, and where frames end in a fault of their
         source."""
         reader, usual, start = None, 0, 0.0
         for number, frame in enumerate(self._frames):
@@ -66,12 +66,12 @@ class Camera:
                 if number == 0:
                     raise TactipError(f"the frames do not fit: {error}") from error
                 size = self._layout.size_px
-                yield Sight(number, time.perf_counter() - start, 0, np.zeros((size, size), np.uint8), {}, str(error))
+                yield Reading(number, time.perf_counter() - start, 0, np.zeros((size, size), np.uint8), {}, str(error))
                 continue
             pins = len(find_blobs(binary).centres)
             fault = "" if pins >= FEW * usual else f"{pins} pins are seen, {usual} were in the undeformed tip"
             felt = {} if fault or self._model is None else _felt(self._model, image)
-            yield Sight(number, time.perf_counter() - start, pins, image, felt, fault)
+            yield Reading(number, time.perf_counter() - start, pins, image, felt, fault)
 
     def _reader(self, neutral):
         """A FrameReader, the pins of the undeformed tip, and the time now."""

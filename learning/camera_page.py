@@ -4,7 +4,7 @@ from sim.page import LOCAL, grey, serve, stop
 
 
 class CameraPage:
-    """A page that shows Sights as they come."""
+    """A page that shows Readings as they come."""
 
     def __init__(self, title, host=LOCAL, port=8080):
         """title: str. host: str. port: int, or the next that is free. Raises TactipError where it cannot be served."""
@@ -15,19 +15,19 @@ class CameraPage:
         self._server.gui.set_panel_label(title)
         self._told, self._image = self._server.gui.add_markdown(""), None
 
-    def show(self, sight, rate):
-        """Show a camera.Sight. rate: float, frames/s."""
-        lines = [f"frame {sight.number}, {sight.pins} pins, {rate:.1f} frames/s"]
-        if sight.felt:
-            rows = [f"| {name} | {value:.2f} {'°' if '_R' in name else 'mm'} |" for name, value in sight.felt.items()]
+    def show(self, reading, rate):
+        """Show a camera.Reading. rate: float, frames/s."""
+        lines = [f"frame {reading.number}, {reading.pins} pins, {rate:.1f} frames/s"]
+        if reading.felt:
+            rows = [f"| {name} | {value:.2f} {'°' if '_R' in name else 'mm'} |" for name, value in reading.felt.items()]
             lines.append("\n".join(["| | felt |", "|---|---|", *rows]))
-        lines += [f"**{sight.fault}**"] if sight.fault else []
+        lines += [f"**{reading.fault}**"] if reading.fault else []
         with self._server.atomic():
             self._told.content = "\n\n".join(lines)
             if self._image is None:
-                self._image = self._server.gui.add_image(grey(sight.image), label="felt", format="png")
+                self._image = self._server.gui.add_image(grey(reading.image), label="felt", format="png")
             else:
-                self._image.image = grey(sight.image)
+                self._image.image = grey(reading.image)
 
     def close(self):
         """Stop serving."""

@@ -87,7 +87,7 @@ class TrainSettings:
         is_half(self.precision, "cpu")
 
 
-class Diverged(TactipError):
+class TrainingDiverged(TactipError):
     """The loss is no longer a number."""
 
 
@@ -159,7 +159,7 @@ class Training:
     def train_epoch(self, tick=lambda count: None):
         """Go through the training set once, and judge. tick: called with the number of images of each step.
 
-        Returns the epoch's figures (dict). Raises Diverged.
+        Returns the epoch's figures (dict). Raises TrainingDiverged.
         """
         start = time.perf_counter()
         draw = np.random.Generator(np.random.PCG64(np.random.SeedSequence(self.settings.seed, spawn_key=(self.epoch,))))
@@ -170,7 +170,7 @@ class Training:
             loss = self._steps(order, tick)
         val = self.error(self._val_images, self._val_targets)
         if not math.isfinite(loss) or not math.isfinite(val):
-            raise Diverged(
+            raise TrainingDiverged(
                 f"the loss is {loss} after epoch {self.epoch + 1}: the training diverged; a learning rate below "
                 f"{self.settings.rate:g} may help"
             )

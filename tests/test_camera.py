@@ -86,18 +86,18 @@ def test_images_are_read_in_their_order_and_as_few_as_asked_for(presses, tmp_pat
 def test_the_image_is_the_one_that_a_set_would_have(presses):
     layout = Layout(threshold=(61, -5.0), crop=CROP, mask="none")
     design = find_design("tactip-127")
-    sight = next(iter(Camera(presses[0][1:2], layout)))
+    reading = next(iter(Camera(presses[0][1:2], layout)))
     plain = tactile_image(presses[0][1], replace(design.image, crop=CROP))
-    assert np.array_equal(sight.image, plain)
+    assert np.array_equal(reading.image, plain)
 
 
 def test_a_frame_that_does_not_fit_is_a_fault_and_the_next_goes_on(presses):
     shots = [presses[0][0], np.zeros_like(presses[0][0]), presses[0][1][:100], presses[0][2]]
-    sights = list(Camera(shots, Layout(threshold=(61, -5.0), crop=CROP)))
-    assert [bool(s.fault) for s in sights] == [False, True, True, False]
-    assert "pins are seen, 127 were in the undeformed tip" in sights[1].fault
-    assert "it is 640 by 100 px, the others are 640 by 480 px" in sights[2].fault
-    assert not sights[1].felt and "fault" in sights[1].as_json()
+    readings = list(Camera(shots, Layout(threshold=(61, -5.0), crop=CROP)))
+    assert [bool(s.fault) for s in readings] == [False, True, True, False]
+    assert "pins are seen, 127 were in the undeformed tip" in readings[1].fault
+    assert "it is 640 by 100 px, the others are 640 by 480 px" in readings[2].fault
+    assert not readings[1].felt and "fault" in readings[1].as_json()
 
 
 def test_a_first_frame_without_a_tip(presses):

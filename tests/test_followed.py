@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from benchmarks import followed
-from benchmarks.options import ServoOptions
+from benchmarks.options import FollowedOptions
 from control.options import RouteOptions
 from tactip_model.errors import TactipError
 
@@ -23,7 +23,7 @@ def options(tmp_path, monkeypatch):
     runs += [followed.Case("objects", "plate", plate), followed.Case("starts", "bust, 0", away)]
     monkeypatch.setattr(followed, "cases", lambda options: runs)
     monkeypatch.setattr(followed, "Crew", _Here)
-    return ServoOptions(runs=tmp_path / "runs", out=tmp_path / "out")
+    return FollowedOptions(runs=tmp_path / "runs", out=tmp_path / "out")
 
 
 class _Here:
@@ -109,7 +109,7 @@ def test_a_run_of_other_options_is_made_anew(options, monkeypatch):
 
 
 def test_there_is_a_run_for_all_that_is_promised():
-    every = followed.cases(ServoOptions(other_surface="a"))
+    every = followed.cases(FollowedOptions(other_surface="a"))
     names = [(c.group, c.name) for c in every]
     assert len(set(names)) == len(names)
     assert {c.group for c in every} == set(followed.GROUPS)
@@ -124,7 +124,7 @@ def test_there_is_a_run_for_all_that_is_promised():
 
 def test_a_group_that_is_none_is_refused():
     with pytest.raises(TactipError, match="unknown group 'speed': choose one of objects, oracle, arm"):
-        followed.run(ServoOptions(groups=("speed",)))
+        followed.run(FollowedOptions(groups=("speed",)))
 
 
 def test_what_another_network_learned_from_stands_beside_it(options):

@@ -21,7 +21,7 @@ from learning.muon import Muon, inner_weights
 from learning.networks import Recipe, read_recipe, recipe_json
 from learning.posenet import PoseNetConfig
 from learning.samples import read_samples, read_splits
-from learning.train import Diverged, Training, TrainSettings, read_metrics, train
+from learning.train import Training, TrainingDiverged, TrainSettings, read_metrics, train
 from sim.dataset import encode_image, read_dataset
 from sim.sampling import POSE_RANGES
 from tactip_model.errors import Stopped, TactipError
@@ -206,7 +206,7 @@ def test_a_loss_that_is_no_number_is_seen(splits):
     training = Training(*splits, NET, QUICK)
     with torch.no_grad():
         training.net.dense[1].weight.fill_(float("nan"))
-    with pytest.raises(Diverged, match="the training diverged"):
+    with pytest.raises(TrainingDiverged, match="the training diverged"):
         training.train_epoch()
 
 
