@@ -1,14 +1,17 @@
 """Contacts that cannot be trusted are played again, then named; motions that are too steep are not played."""
 
 import json
+import threading
+from concurrent.futures import ThreadPoolExecutor
 
+import mujoco
 import numpy as np
 import pytest
 from set_commands import configuration
 
 import tactip
 from sim import generation
-from sim.contact import TRIES, Bounds, CarefulPlayer, too_steep
+from sim.contact import TRIES, Bounds, CarefulPlayer, counted_warnings, too_steep
 from sim.fidelity import fidelity_named, finer
 from sim.generation import Job
 from sim.pose import from_mm_deg
@@ -37,6 +40,66 @@ def test_the_second_try_takes_finer_steps(design):
     contact, faults = CarefulPlayer(design, "surface", draft, Bounds(penetration_m=between)).play(pose, shear)
     assert len(faults) == 1
     assert contact.penetration_m == fine.penetration_m
+
+
+def warn():
+    """Have MuJoCo warn in this thread."""
+    model = mujoco.MjModel.from_xml_string(
+        "<mujoco><worldbody><body><freejoint/><geom size='1'/></body></worldbody></mujoco>"
+    )
+    data = mujoco.MjData(model)
+    data.qpos[0] = np.nan
+    mujoco.mj_step(model, data)
+
+
+def test_warnings_are_those_of_the_thread_that_counts_them():
+    """Two threads count at a time, and the one that began first ends first: each hears its own, and what heard them before
+    hears them again."""
+    others, theirs, both, ours_over = [], [], threading.Barrier(2, timeout=60), threading.Event()
+
+    def count():
+        with counted_warnings() as messages:
+            both.wait()
+            warn()
+            both.wait()
+            assert ours_over.wait(60)
+            warn()
+            theirs.extend(messages)
+
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(others.append)
+    try:
+        thread = threading.Thread(target=count)
+        with counted_warnings() as ours:
+            thread.start()
+            both.wait()
+            warn()
+            warn()
+            both.wait()
+        ours_over.set()
+        thread.join()
+        assert (len(ours), len(theirs), len(others)) == (2, 2, 0)
+        warn()
+        assert len(others) == 1
+    finally:
+        mujoco.set_mju_user_warning(before)
+
+
+def test_warnings_of_a_thread_that_counts_none_are_everybodys():
+    begun, over = threading.Barrier(3, timeout=60), threading.Event()
+
+    def count():
+        with counted_warnings() as messages:
+            begun.wait()
+            assert over.wait(60)
+            return len(messages)
+
+    with ThreadPoolExecutor(2) as pool:
+        counts = [pool.submit(count) for _ in range(2)]
+        begun.wait()
+        warn()
+        over.set()
+        assert [c.result() for c in counts] == [1, 1]
 
 
 def test_a_diverged_state_is_a_fault(on_surface):
