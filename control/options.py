@@ -14,9 +14,9 @@ class Settings:
     step_mm: float = within(0.05, 10, default=1.0)
     """Tangential step, mm [P]."""
     slow_deg: float | None = within(0, 90, default=None)
-    """Felt angle to the normal at which the step is down to a fifth, degrees; in between it shrinks evenly. 0: never, as the
-    paper. If not given 2 over surfaces (docs/servo.md has what it buys on the bust, and at what price), and 0 along edges,
-    whose pitch is felt to 2 degrees only."""
+    """Felt angle to the normal at which the step would be nothing, degrees: it shrinks evenly with the angle, to a fifth at
+    0.8 of it, and no further. 0: never, as the paper. If not given 2 over surfaces (docs/servo.md has what it buys on the
+    bust, and at what price), and 0 along edges, whose pitch is felt to 2 degrees only."""
     touch: float = within(0.01, 0.99, default=0.12)
     """How far an image must be from that of a tip in the air to count as touched, -: on a ball and a rim, presses of half a
     millimetre gave 0.1, of one 0.2. An estimate: what a camera's noise gives is not measured."""
