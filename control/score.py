@@ -20,10 +20,10 @@ _SPACING_M = 2e-3
 """Spacing of the places that are asked for on a surface, m."""
 
 
-def score(arrays, record, reference_mm, targets):
+def score(arrays, record, reference_mm_deg, targets):
     """What a recording is worth (dict, JSON).
 
-    arrays, record: of sim.recording.read_recording. reference_mm: (6,), the label that was to be kept, mm and degrees.
+    arrays, record: of sim.recording.read_recording. reference_mm_deg: (6,), the label that was to be kept, mm and degrees.
     targets: (m, 3) m, places in the base frame that were to be touched.
 
     Mean errors are over the steps of the phase `follow`: depth and, along an edge, x, of the true label against the
@@ -41,11 +41,11 @@ def score(arrays, record, reference_mm, targets):
     out = {
         "task": record["task"],
         "object": record["object"],
-        "depth_mae_mm": _mean(np.abs(true[:, 2] - reference_mm[2])),
-        "depth_bias_mm": _mean(true[:, 2] - reference_mm[2]),
+        "depth_mae_mm": _mean(np.abs(true[:, 2] - reference_mm_deg[2])),
+        "depth_bias_mm": _mean(true[:, 2] - reference_mm_deg[2]),
         "angle_mean_deg": _mean(angles),
         "angle_p95_deg": float(np.percentile(angles, 95)) if len(angles) else None,
-        "lateral_mae_mm": _mean(np.abs(true[:, 0] - reference_mm[0])) if edge else None,
+        "lateral_mae_mm": _mean(np.abs(true[:, 0] - reference_mm_deg[0])) if edge else None,
         "felt_mae": {name: _mean(np.abs(felt - true)[:, k]) for k, name in enumerate(COMPONENTS)},
         "contact_losses": sum(e["kind"] == "contact lost" for e in record["events"]),
         "events": len(record["events"]),
@@ -60,7 +60,7 @@ def score(arrays, record, reference_mm, targets):
         "steps_per_s": len(seconds) / whole if whole else None,
         "ms_a_step": dict(zip(("simulation", "image", "network", "control"), _medians_ms(seconds), strict=True)),
         "stopped_because": record["stopped_because"],
-        "passes": _passes(arrays, following, true, angles, reference_mm) if not edge else [],
+        "passes": _passes(arrays, following, true, angles, reference_mm_deg) if not edge else [],
     }
     return out
 
@@ -108,7 +108,7 @@ def _angles(labels):
     return np.degrees(np.arccos(np.clip(leaning, -1, 1)))
 
 
-def _passes(arrays, following, true, angles, reference_mm):
+def _passes(arrays, following, true, angles, reference_mm_deg):
     """Figures (list of dict) of each pass: the even parts of a route."""
     parts, out = arrays["part"][following], []
     for part in sorted(set(parts[parts % 2 == 0].tolist())):
@@ -117,7 +117,7 @@ def _passes(arrays, following, true, angles, reference_mm):
             {
                 "pass": part // 2,
                 "steps": int(mine.sum()),
-                "depth_mae_mm": _mean(np.abs(true[mine, 2] - reference_mm[2])),
+                "depth_mae_mm": _mean(np.abs(true[mine, 2] - reference_mm_deg[2])),
                 "angle_mean_deg": _mean(angles[mine]),
                 "angle_p95_deg": float(np.percentile(angles[mine], 95)),
             }
