@@ -29,6 +29,7 @@ class Import:
     layout: Path | None = None
     """JSON file of the options below; those that are given beside it come before its."""
     told: Annotated[Layout, tyro.conf.arg(name="")] = field(default_factory=Layout)
+    """What the set's columns and frames mean."""
 
     def run(self):
         from sim.import_report import report_lines
@@ -79,6 +80,7 @@ class Transfer:
     device: str = "auto"
     """auto, cpu or cuda."""
     settings: Annotated[TransferSettings, tyro.conf.arg(name="")] = field(default_factory=TransferSettings)
+    """How the experiments are made."""
 
     def run(self):
         from json import dumps
@@ -141,6 +143,7 @@ class Camera:
     frames: int = within(0, 10**9, default=0)
     """Stop after so many frames; 0: go on to the end."""
     layout: Annotated[Layout, tyro.conf.arg(name="")] = field(default_factory=lambda: Layout(threshold=(61, -5.0)))
+    """What its frames mean, and what is used of them."""
 
     def __post_init__(self):
         check(self)

@@ -67,6 +67,7 @@ class Source:
     """A laboratory's folder. (n frames)"""
 
     folder: Path
+    """Where it is."""
     names: tuple[str, ...]
     """(n) what the table calls the frames."""
     paths: tuple[Path | None, ...]
