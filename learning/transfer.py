@@ -158,7 +158,7 @@ class Experiment:
         if self._told:
             told = in_use(self._told, camera_of(self.real))
             return replace(told, image=replace(told.image, size_px=self.samples.size))
-        self._say("the tip and its camera are fitted to the neutral image")
+        self._say("the tip and its camera are fitted to its image at rest")
         design, figures = twin_of(self.real, self.samples.size)
         self.out.mkdir(parents=True, exist_ok=True)
         write_design(self.out / "design.json", design, {"neutral_image_of": self.real.name, **figures})

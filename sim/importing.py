@@ -231,14 +231,7 @@ def _import(source, layout, out, record, quiet):
     report = report_of(source, kept, pins, left_out) | {"neutral_image": neutral is not None}
     report["camera"] = None if neutral is None else _camera(source, kept, reader, neutral)
     if neutral is None:
-        chosen = _hardly_touching(source.poses, kept)
-        frames = [reader.masked(load(source.paths[i])) for i in chosen]
-        at_rest = _middle(frames)
-        if len(find_blobs(at_rest).centres) < _ERASED * usual:
-            first = np.argmax(source.poses[chosen, 2])
-            chosen, at_rest = chosen[[first]], frames[first]
-        depths = source.poses[chosen, 2]
-        report["stand_in"] = {"frames": len(chosen), "pose_z": [round(float(d), 6) for d in (depths.max(), depths.min())]}
+        at_rest, report["stand_in"] = _stand_in(source, kept, reader, usual)
     else:
         at_rest = reader.masked(neutral)
     files = {"targets.csv": _targets(source, kept), REPORT: (json.dumps(report, indent=1) + "\n").encode()}
@@ -282,15 +275,22 @@ def _reader(source, layout, neutral):
     return reader
 
 
-def _hardly_touching(poses, rows):
-    """Those of some rows (n,) int of poses (m, 6), mm and degrees, whose frames are nearest to the tip at rest."""
-    shallow = rows[np.argsort(-poses[rows, 2], kind="stable")][: max(_LEAST_SHALLOW, round(_SHALLOW * len(rows)))]
-    return shallow[np.argsort(np.linalg.norm(poses[shallow, 3:5], axis=1), kind="stable")][:_STAND_IN]
+def _stand_in(source, kept, reader, usual):
+    """What stands for the neutral image of a Source: binary, (h, w) uint8; and of which frames it is (dict).
 
-
-def _middle(frames):
-    """What most of some binary frames (h, w) uint8 show: a pin is where it is in the half of them that do not press it."""
-    return np.where(np.mean([frame > 127 for frame in frames], 0) > 0.5, 255, 0).astype(np.uint8)
+    kept: (n,) int, rows of it. reader: FrameReader. usual: float, pins in most frames.
+    """
+    poses = source.poses
+    shallow = kept[np.argsort(-poses[kept, 2], kind="stable")][: max(_LEAST_SHALLOW, round(_SHALLOW * len(kept)))]
+    chosen = shallow[np.argsort(np.linalg.norm(poses[shallow, 3:5], axis=1), kind="stable")][:_STAND_IN]
+    frames = [reader.masked(load(source.paths[i])) for i in chosen]
+    # What most of them show: a pin is where it is in the half of them that do not press it.
+    image = np.where(np.mean([frame > 127 for frame in frames], 0) > 0.5, 255, 0).astype(np.uint8)
+    if len(find_blobs(image).centres) < _ERASED * usual:
+        first = np.argmax(poses[chosen, 2])
+        chosen, image = chosen[[first]], frames[first]
+    depths = poses[chosen, 2]
+    return image, {"frames": len(chosen), "pose_z": [round(float(d), 6) for d in (depths.max(), depths.min())]}
 
 
 def _camera(source, kept, reader, neutral):
