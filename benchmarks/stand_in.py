@@ -27,6 +27,8 @@ class Options:
     """Folder of the laboratory's set."""
     real: Path
     """Folder that it was imported into (tactip import)."""
+    keep: Path | None = None
+    """Folder to keep the set in that is imported without its neutral image: for tactip transfer."""
 
 
 def distance(options):
@@ -42,8 +44,9 @@ def distance(options):
         raise TactipError(f"{options.real} is no set that tactip import made")
     size, pins = layout.size_px, report["pins"]["median"]
     with tempfile.TemporaryDirectory() as folder:
-        import_set(replace(read_source(options.lab, layout), neutral=None), layout, Path(folder) / "set")
-        blind, _ = twin_of(Path(folder) / "set", size)
+        out = options.keep or Path(folder) / "set"
+        import_set(replace(read_source(options.lab, layout), neutral=None), layout, out)
+        blind, _ = twin_of(out, size)
     seeing = cKDTree(neutral_px(twin_of(options.real, size)[0]))
     designs = {"of frames alone": blind, "fitted to nothing": nominal_of(pins, size)}
     return {name: float(np.sqrt((seeing.query(neutral_px(d))[0] ** 2).mean())) for name, d in designs.items()}
