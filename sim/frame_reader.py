@@ -19,7 +19,7 @@ _OBLONG = 0.05
 
 _GREY, _MOST_GREY = (24, 232), 0.25
 """Pixels from one value to the other are neither black nor white; a binary frame has fewer of them than this share, also one
-that was made smaller (3 % [M]) or kept as JPEG."""
+that was made smaller (3 % [M]) or kept as JPEG; an estimate between that and the 97 % of a grey one [?]."""
 
 _ROOM = 1.28
 """Half of the width of a frame, in distances of the outermost pins from the middle, as the presets' cameras have it."""

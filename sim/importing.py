@@ -56,7 +56,7 @@ In two real sets, with depths from 0 and from 1 mm on, pins are then 0.4 px of 2
 
 _ERASED = 0.97
 """Where that middle has fewer pins than this share of the usual number, the frames are too unlike: the shallowest of them
-stands for the neutral image."""
+stands for the neutral image. An estimate [?]."""
 
 _MOST_LEFT_OUT = 0.5
 """Share of the frames that may be left out: with more, it is not the frames that are wrong."""

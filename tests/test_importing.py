@@ -65,6 +65,14 @@ def write_table(folder, rows):
         writer.writerows(rows)
 
 
+def redraw(folder, change):
+    """Put what a function makes of each of a laboratory's images in its place."""
+    for path in [folder / "init_0.png", *(folder / "images").iterdir()]:
+        image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+        assert image is not None
+        cv2.imwrite(str(path), change(image))
+
+
 def bring(folder, out, *options):
     return tactip.main(["import", str(folder), "--out", str(out), "--columns", *COLUMNS, *options])
 
@@ -338,10 +346,7 @@ def test_without_a_neutral_image_the_shallowest_frames_stand_for_it(tmp_path, ca
 
 def test_frames_that_are_grey_are_told_of_and_how(tmp_path, capsys):
     write_set(tmp_path / "lab")
-    for path in [tmp_path / "lab" / "init_0.png", *(tmp_path / "lab" / "images").iterdir()]:
-        image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-        assert image is not None
-        cv2.imwrite(str(path), (60 + 0.5 * image).astype(np.uint8))
+    redraw(tmp_path / "lab", lambda image: (60 + 0.5 * image).astype(np.uint8))
     assert bring(tmp_path / "lab", tmp_path / "set") == 1
     told = capsys.readouterr().err
     assert "are neither black nor white" in told and "give --threshold 43 -5" in told
@@ -352,10 +357,7 @@ def test_frames_that_are_grey_are_told_of_and_how(tmp_path, capsys):
 
 def test_a_wide_frame_is_refused_with_the_crop_that_does(tmp_path, capsys):
     write_set(tmp_path / "lab")
-    for path in [tmp_path / "lab" / "init_0.png", *(tmp_path / "lab" / "images").iterdir()]:
-        image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-        assert image is not None
-        cv2.imwrite(str(path), np.pad(image, ((20, 30), (150, 40))))
+    redraw(tmp_path / "lab", lambda image: np.pad(image, ((20, 30), (150, 40))))
     assert bring(tmp_path / "lab", tmp_path / "set") == 1
     told = capsys.readouterr().err
     assert "should be square: give --crop " in told
