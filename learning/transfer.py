@@ -132,6 +132,7 @@ class Experiment:
         fidelity_named(settings.fidelity)
         self.recipe()
         self._told = find_design(settings.design) if settings.design else None
+        self._fitted = None
         self._start = find_model(settings.start) if settings.start else None
 
     def recipe(self, variant=Variant()):
@@ -158,11 +159,12 @@ class Experiment:
         if self._told:
             told = in_use(self._told, camera_of(self.real))
             return replace(told, image=replace(told.image, size_px=self.samples.size))
-        self._say("the tip and its camera are fitted to its image at rest")
-        design, figures = twin_of(self.real, self.samples.size)
-        self.out.mkdir(parents=True, exist_ok=True)
-        write_design(self.out / "design.json", design, {"neutral_image_of": self.real.name, **figures})
-        return design
+        if self._fitted is None:
+            self._say("the tip and its camera are fitted to its image at rest")
+            self._fitted, figures = twin_of(self.real, self.samples.size)
+            self.out.mkdir(parents=True, exist_ok=True)
+            write_design(self.out / "design.json", self._fitted, {"neutral_image_of": self.real.name, **figures})
+        return self._fitted
 
     def simulated(self, variant=Variant()):
         """Training and validation Samples of a Variant, made if they are not there."""

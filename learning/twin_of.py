@@ -1,7 +1,8 @@
 """A design of a real sensor from its neutral image: lens, camera and pins are fitted, the rest is as the field has it.
 
-No label is needed. How the camera has changed since that image is told by the light at the rim of unlabelled frames, where
-it shows. What neither tells, the mechanics, is varied instead (sim/variation.py).
+No label is needed. Where pressed frames stand for that image, their press is simulated and taken off. How the camera has
+changed since that image is told by the light at the rim of unlabelled frames, where it shows. What neither tells, the
+mechanics, is varied instead (sim/variation.py).
 """
 
 from dataclasses import replace
@@ -9,17 +10,26 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
+from sim.contact import ContactPlayer
+from sim.dataset import read_meta
+from sim.fidelity import fidelity_named
 from sim.importing import NEUTRAL, NEUTRAL_TACTILE, read_report
+from sim.pose import from_mm_deg
 from tactip_model.blobs import find_blobs
 from tactip_model.errors import TactipError
 from tactip_model.image import tactile_image
-from tactip_model.neutral import fit_neutral
+from tactip_model.neutral import fit_neutral, fit_pins, neutral_px, reference_pixels
+from tactip_model.optics import Lens
 from tactip_model.pins import neutral_pins
 from tactip_model.presets import NOMINAL
 from tactip_model.raster import Raster
 
 _ROUNDS = 4
 """Times that the pins' sizes are corrected."""
+
+_PRESSED_MM = 3.0
+"""The deepest press that is taken off what stands for a neutral image, mm: of one deeper than that it is likelier that a
+table's depth has its zero elsewhere. An estimate [?]."""
 
 
 def twin_of(folder, size_px):
@@ -39,12 +49,44 @@ def twin_of(folder, size_px):
     blobs = len(find_blobs(image).centres)
     name = _nearest(blobs)
     design, fit = fit_neutral(replace(NOMINAL[name], name=folder.resolve().name), image)
+    pressed_mm = _pressed_mm(folder)
+    pressed = _contact(design, pressed_mm)
+    if pressed:
+        # By how far a press moves the pins of a tip that is fitted a little off differs less than that tip's pins do.
+        moved = _positions_px(design, pressed) - neutral_px(design)
+        design, _ = fit_pins(design, fit.pins_px - moved)
     design = replace(design, image=replace(design.image, size_px=size_px))
-    design = with_pin_sizes(design, tactile > 127)
+    design = with_pin_sizes(design, tactile > 127, pressed and (pressed.tips, pressed.directions))
     camera = camera_of(folder)
     design = in_use(design, camera)
     found = {"layout": name, "pins": blobs, "before_px": fit.before_px, "lattice_px": fit.lattice_px}
-    return design, found | {"camera": camera}
+    return design, found | {"pressed_mm": pressed_mm, "camera": camera}
+
+
+def _pressed_mm(folder):
+    """Depth, mm, at which the tip is that an imported set has for its neutral image; 0 if at rest, and over an edge.
+
+    Of frames that are tilted and sheared in turn, the middle is near an upright press of their mean depth.
+    """
+    report = read_report(folder)
+    if report is None or report["neutral_image"] or read_meta(folder)["configuration"]["task"] != "surface":
+        return 0.0
+    return float(np.clip(-np.mean(report["stand_in"]["pose_z"]), 0.0, _PRESSED_MM))
+
+
+def _contact(design, depth_mm):
+    """The Contact of a Design pressed upright on a flat surface; None where it is not pressed."""
+    if not depth_mm:
+        return None
+    return ContactPlayer(design, "surface", fidelity_named("draft")).play(
+        from_mm_deg([0, 0, -depth_mm, 0, 0, 0]), np.zeros(6)
+    )
+
+
+def _positions_px(design, contact):
+    """Where a Design's pins appear in a Contact, (p, 2) px of a 256 px image."""
+    lens = Lens(design)
+    return reference_pixels(lens.project(contact.tips), lens.width)
 
 
 def camera_of(folder):
@@ -73,19 +115,22 @@ def _nearest(pins):
     return min(counts, key=lambda name: abs(counts[name] - pins))
 
 
-def with_pin_sizes(design, image):
-    """The Design with pins as large as in a neutral tactile image (size, size) bool: in the middle, and at the rim."""
+def with_pin_sizes(design, image, pins=None):
+    """The Design with pins as large as in a tactile image (size, size) bool: in the middle, and at the rim.
+
+    pins: tips and directions, (p, 3) each, of the pins in that image; at rest if None.
+    """
     radius = np.linalg.norm(np.indices(image.shape) - (np.array(image.shape)[:, None, None] - 1) / 2, axis=0)
     white = radius[image]
     middle = radius < np.median(white)
     for _ in range(_ROUNDS):
-        drawn = tactile_image(Raster(design).render(*neutral_pins(design)), design.image) > 127
+        drawn = tactile_image(Raster(design).render(*(pins or neutral_pins(design))), design.image) > 127
         inner, outer = (np.sqrt(max(image[part].sum(), 1) / max(drawn[part].sum(), 1)) for part in (middle, ~middle))
         # Half of the pins are outside of the middle, most of them near the rim.
-        pins = replace(
+        sized = replace(
             design.pins,
             diameter_m=float(np.clip(design.pins.diameter_m * inner, 0.1e-3, design.pins.pitch_m)),
             rim_diameter_m=float(np.clip(design.pins.rim_diameter_m * outer, 0.1e-3, design.pins.pitch_m)),
         )
-        design = replace(design, pins=pins)
+        design = replace(design, pins=sized)
     return design

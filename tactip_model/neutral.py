@@ -72,13 +72,23 @@ def fit_neutral(design, image):
             f"only {known.sum()} of {count} pins of the design {design.name!r} are found in the neutral image: is it of "
             "another tip, or pressed?"
         )
-    # The map above takes the pins for flat; with the camera off the axis, the dome's height enters.
+    # That map takes the pins for flat; with the camera off the axis, the dome's height enters.
+    fitted, on_lattice = fit_pins(_design_of(design, guess), seen)
+    return fitted, NeutralFit(seen, _rms(before, seen), _rms(on_lattice, seen), _rms(neutral_px(fitted), seen))
+
+
+def fit_pins(design, seen):
+    """Fit a design's optics and pins to where its pins are seen, from near by.
+
+    design: Design, whose optics are near and whose zoom is 1. seen: (p, 2) px of 256, at rest; NaN where not seen.
+    Returns the fitted Design, and where its pins would be on the lattice, (p, 2) px of 256.
+    """
+    known, optics, pins = np.isfinite(seen[:, 0]), design.optics, design.pins
+    centre, offset = np.array(optics.centre) * REFERENCE_PX, np.array(optics.camera_offset_m) / pins.pitch_m
+    guess = np.array([np.radians(pins.rotation_deg), *centre, *optics.neutral_radius, *offset])
     guess = least_squares(lambda p: (neutral_px(_design_of(design, p)) - seen)[known].ravel(), guess, x_scale=_SCALE).x
     fitted = _design_of(design, guess)
-    on_lattice = neutral_px(fitted)
-    fitted = as_built(fitted, seen)
-    known = np.isfinite(seen[:, 0])
-    return fitted, NeutralFit(seen, _rms(before, seen), _rms(on_lattice, seen), _rms(neutral_px(fitted), seen))
+    return as_built(fitted, seen), neutral_px(fitted)
 
 
 _SIZES = (1.0, 0.97, 0.94, 0.91, 0.88, 0.85, 1.03)

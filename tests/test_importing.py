@@ -12,9 +12,12 @@ import tactip
 from learning.samples import read_samples
 from learning.twin_of import twin_of
 from sim import importing
+from sim.contact import ContactPlayer
 from sim.dataset import read_dataset
+from sim.fidelity import fidelity_named
 from sim.frame_reader import FrameReader
 from sim.layout import Layout
+from sim.pose import from_mm_deg
 from tactip_model.blobs import find_blobs
 from tactip_model.errors import TactipError
 from tactip_model.image import tactile_image
@@ -317,7 +320,7 @@ def test_without_a_neutral_image_the_shallowest_frames_stand_for_it(tmp_path, ca
     tips, directions = neutral_pins(DESIGN)
     rows = []
     for k in range(90):
-        depth = 0.5 if k < 5 else 4.0
+        depth = 0.05 if k < 5 else 4.0
         away = tips[:, :2] - 0.008 * np.array([np.cos(1.2 * k), np.sin(1.2 * k)])
         pressed = np.linalg.norm(away, axis=1) < 2e-3 * (1 + depth)
         moved = tips + np.where(pressed[:, None], np.pad(away * 0.4, ((0, 0), (0, 1))), 0.0)
@@ -327,7 +330,7 @@ def test_without_a_neutral_image_the_shallowest_frames_stand_for_it(tmp_path, ca
     write_table(tmp_path / "lab", rows)
     command = ["import", str(tmp_path / "lab"), "--out", str(tmp_path / "set"), "--columns", "pose_z=-pose_2-5"]
     assert tactip.main(command) == 0
-    told = "the middle of 5 of the shallowest frames, -0.5 to -0.5 mm, stands for it"
+    told = "the middle of 5 of the shallowest frames, -0.05 to -0.05 mm, stands for it"
     assert told in capsys.readouterr().out
     design, figures = twin_of(tmp_path / "set", 128)
     assert figures["pins"] == 127 and figures["camera"] is None
@@ -342,6 +345,37 @@ def test_without_a_neutral_image_the_shallowest_frames_stand_for_it(tmp_path, ca
     (tmp_path / "set" / "import.json").write_text("{")
     assert tactip.main(command) == 1
     assert "import.json cannot be read as JSON" in capsys.readouterr().err
+
+
+def test_the_press_of_frames_that_stand_for_a_neutral_image_is_taken_off(tmp_path):
+    """Six frames of a stiffer tip at rest 1 to 2 mm deep: the twin's pins are where that tip's are when nothing touches."""
+    write_set(tmp_path / "lab", 1)
+    (tmp_path / "lab" / "init_0.png").unlink()
+    stiffer = replace(DESIGN, materials=replace(DESIGN.materials, skin_young_pa=1.3 * DESIGN.materials.skin_young_pa))
+    player = ContactPlayer(stiffer, "surface", fidelity_named("draft"))
+    rows = []
+    for k, depth in enumerate(np.linspace(1, 2, 6)):
+        contact = player.play(from_mm_deg([0, 0, -depth, 0, 0, 0]), np.zeros(6))
+        drawn = Raster(DESIGN).render(contact.tips, contact.directions)
+        image = tactile_image(drawn, replace(DESIGN.image, size_px=SIZE))
+        cv2.imwrite(str(tmp_path / "lab" / "images" / f"frame_{k}.png"), image)
+        rows.append({"image_name": f"frame_{k}.png", "pose_2": depth - 5})
+    write_table(tmp_path / "lab", rows)
+    command = ["import", str(tmp_path / "lab"), "--out", str(tmp_path / "set"), "--columns", "pose_z=-pose_2-5"]
+    assert tactip.main(command) == 0
+
+    def off_px():
+        design, figures = twin_of(tmp_path / "set", 128)
+        return np.sqrt(((neutral_px(design) - neutral_px(DESIGN)) ** 2).sum(1).mean()), figures["pressed_mm"], design
+
+    off, pressed_mm, design = off_px()
+    assert pressed_mm == pytest.approx(1.4) and off < 0.4
+    assert design.pins.diameter_m == pytest.approx(DESIGN.pins.diameter_m, rel=0.15)
+    # As it is where the frames' depth is not known to be one.
+    report = json.loads((tmp_path / "set" / "import.json").read_text())
+    report["stand_in"]["pose_z"] = [0.5, 0.5]
+    (tmp_path / "set" / "import.json").write_text(json.dumps(report))
+    assert off_px()[:2] == (pytest.approx(1.15, abs=0.2), 0.0)
 
 
 def test_frames_that_are_grey_are_told_of_and_how(tmp_path, capsys):
