@@ -9,12 +9,10 @@ docs/fidelity.json, .md and .png.
 import json
 import sys
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
-import tyro
 from tqdm import tqdm
 
 from benchmarks.cases import CASES, CONVERGING, training
@@ -41,22 +39,6 @@ SMALLEST_ORDER = 0.5
 
 NEAR_PX = 1.5
 """Distance, px of the tactile image, at which a blob is the pin that is expected there: a fifth of the pins' spacing."""
-
-
-@dataclass(frozen=True)
-class Options:
-    """Measure error against run time."""
-
-    contacts: int = 10
-    """Contacts of each training set on which presets are measured."""
-    swept: int = 5
-    """Contacts of each training set on which numbers are swept."""
-    out: Path = Path("docs")
-    """Folder for fidelity.json, fidelity.md and fidelity.png."""
-    kept: Path = Path("build/fidelity")
-    """Folder for the contacts played so far; removed when all is done."""
-    redraw: bool = False
-    """Only write page and figure anew from fidelity.json."""
 
 
 def jobs(options):
@@ -86,7 +68,7 @@ class Measurement:
     """Errors and costs, from contacts that are played or found."""
 
     def __init__(self, options, plays):
-        """options: Options. plays: called with a Case and a Variant for a Played (benchmarks.plays)."""
+        """options: ErrorOptions. plays: called with a Case and a Variant for a Played (benchmarks.plays)."""
         self._options, self._plays = options, plays
         self._pins = ImagePins(design_named(DESIGN))
         self._worths = {}
@@ -265,7 +247,7 @@ def seen_at(frame, settings, places):
 
 
 def run(options):
-    """Measure, and write fidelity.json, .md and .png. options: Options. Returns the result (dict).
+    """Measure, and write fidelity.json, .md and .png. options: ErrorOptions. Returns the result (dict).
 
     Raises TactipError and OSError. Stopped by Ctrl-C, the contacts played so far are kept.
     """
@@ -291,7 +273,3 @@ def run(options):
     if not options.redraw:
         plays.forget()
     return result
-
-
-if __name__ == "__main__":
-    run(tyro.cli(Options))

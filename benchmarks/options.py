@@ -11,6 +11,44 @@ from learning.transfer_settings import TransferSettings
 
 
 @dataclass(frozen=True)
+class StabilityOptions:
+    """Map where contacts converge and where they are refused. Run again, it goes on where it stopped."""
+
+    out: Path = Path("docs")
+    """Folder for stability.json, stability.md and stability.png."""
+    quick: bool = False
+    """Every seventh cell: about a minute and a half on two cores."""
+    workers: str = "auto"
+    """Worker processes; auto is one a core."""
+
+
+@dataclass(frozen=True)
+class ErrorOptions:
+    """Measure errors and costs of contacts over presets and numbers. Run again, it goes on where it stopped."""
+
+    out: Path = Path("docs")
+    """Folder for fidelity.json, fidelity.md and fidelity.png."""
+    contacts: int = 10
+    """Contacts of each training set for the presets."""
+    swept: int = 5
+    """Contacts of each training set for numbers changed one at a time."""
+    kept: Path = Path("build/fidelity")
+    """Folder for the contacts played so far; removed when all is done."""
+    redraw: bool = False
+    """Only write page and figure anew from fidelity.json."""
+
+
+@dataclass(frozen=True)
+class PartsOptions:
+    """Measure what each part of the data-set scene costs, and count what it holds."""
+
+    out: Path = Path("docs")
+    """Folder for parts.json and parts.md."""
+    contacts: int = 6
+    """Contacts of each training set."""
+
+
+@dataclass(frozen=True)
 class LearningOptions:
     """Measure what each step of learning buys, what shear is worth, and error against run time over networks."""
 

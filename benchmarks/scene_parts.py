@@ -9,13 +9,11 @@ import json
 import sys
 import time
 from collections import Counter
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
 from unittest import mock
 
 import mujoco
 import numpy as np
-import tyro
 from tqdm import tqdm
 
 import sim.scene
@@ -39,16 +37,6 @@ NOTHING = 0
 
 AWAY_MM = -15.0
 """Place beside the edge, x, at which the tip touches the block's flat top alone, mm."""
-
-
-@dataclass(frozen=True)
-class Options:
-    """Measure what the scene's parts cost."""
-
-    contacts: int = 6
-    """Contacts of each training set."""
-    out: Path = Path("docs")
-    """Folder for parts.json and parts.md."""
 
 
 def _with_skin(**changes):
@@ -271,7 +259,7 @@ def inventory(scene):
 
 
 def run(options):
-    """Measure, and write parts.json and parts.md. options: Options. Returns the result (dict).
+    """Measure, and write parts.json and parts.md. options: PartsOptions. Returns the result (dict).
 
     Raises TactipError and OSError.
     """
@@ -355,7 +343,3 @@ def page(result):
         needed = " / ".join(dict.fromkeys(str(r[2]) for r in rows))
         lines.append(f"| {rows[0][0]} | " + " | ".join(str(r[1]) for r in rows) + f" | {needed} | {rows[0][3]} |")
     return "\n".join(lines) + "\n"
-
-
-if __name__ == "__main__":
-    run(tyro.cli(Options))

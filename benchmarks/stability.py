@@ -15,7 +15,7 @@ import numpy as np
 
 from benchmarks.machine import machine, machine_text
 from sim.contact import UNPROVEN, Bounds, CarefulPlayer, ContactPlayer
-from sim.crew import Crew
+from sim.crew import Crew, worker_count
 from sim.fidelity import FASTEST_M_S, FASTEST_SHEAR_M_S, Fidelity, fidelity_named, finer
 from sim.plot import pyplot
 from sim.pose import from_mm_deg
@@ -321,13 +321,14 @@ def _done(folder, index, cell):
     return record if {key: record.get(key) for key in expected} == expected else None
 
 
-def run(out, workers, quick=False, say=print):
-    """Measure the map and write stability.json, .md and .png.
+def run(options, say=print):
+    """Measure the map and write stability.json, .md and .png. options: StabilityOptions. say: called with lines for the
+    user.
 
-    out: Path, a folder. workers: int. quick: bool, every seventh cell. say: called with lines for the user.
     Returns the result (dict). Raises Stopped at Ctrl-C (what is done is kept) and OSError.
     """
     fidelity: Fidelity = fidelity_named("standard")
+    out, quick, workers = options.out, options.quick, worker_count(options.workers)
     chosen = _chosen(quick)
     folder = out / (".stability-quick" if quick else ".stability")
     folder.mkdir(parents=True, exist_ok=True)

@@ -1,77 +1,58 @@
 """tactip bench: measurements."""
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated
 
 import tyro
 
 from benchmarks.options import (
+    ErrorOptions,
     FollowedOptions,
     LearningOptions,
+    PartsOptions,
     ScaleOptions,
     SearchOptions,
     SpeedOptions,
+    StabilityOptions,
     TransferredOptions,
     ViewerOptions,
 )
 
 
-@dataclass(frozen=True)
-class Stability:
-    """Map where contacts converge and where they are refused. Run again, it goes on where it stopped."""
+def _measured(options, run, page):
+    """Run a measurement with its options, and say where its page (str) is. Returns its result (dict)."""
+    result = run(options)
+    print(f"{options.out / page} written")
+    return result
 
-    out: Path = Path("docs")
-    """Folder for stability.json, stability.md and stability.png."""
-    quick: bool = False
-    """Every seventh cell: about a minute and a half on two cores."""
-    workers: str = "auto"
-    """Worker processes; auto is one a core."""
+
+class Stability(StabilityOptions):
+    __doc__ = StabilityOptions.__doc__
 
     def run(self):
         from benchmarks.stability import run
-        from sim.crew import worker_count
 
-        result = run(self.out, worker_count(self.workers), self.quick)
-        print(f"{self.out / 'stability.md'} written")
+        result = _measured(self, run, "stability.md")
         return 1 if result["counts"]["wrong"] else 0
 
 
-@dataclass(frozen=True)
-class Error:
-    """Measure errors and costs of contacts over presets and numbers. Run again, it goes on where it stopped."""
-
-    out: Path = Path("docs")
-    """Folder for fidelity.json, fidelity.md and fidelity.png."""
-    contacts: int = 10
-    """Contacts of each training set for the presets."""
-    swept: int = 5
-    """Contacts of each training set for numbers changed one at a time."""
-    redraw: bool = False
-    """Only write page and figure anew from fidelity.json."""
+class Error(ErrorOptions):
+    __doc__ = ErrorOptions.__doc__
 
     def run(self):
-        from benchmarks.error_against_time import Options, run
+        from benchmarks.error_against_time import run
 
-        run(Options(contacts=self.contacts, swept=self.swept, out=self.out, redraw=self.redraw))
-        print(f"{self.out / 'fidelity.md'} written")
+        _measured(self, run, "fidelity.md")
         return 0
 
 
-@dataclass(frozen=True)
-class Parts:
-    """Measure what each part of the data-set scene costs, and count what it holds."""
-
-    out: Path = Path("docs")
-    """Folder for parts.json and parts.md."""
-    contacts: int = 6
-    """Contacts of each training set."""
+class Parts(PartsOptions):
+    __doc__ = PartsOptions.__doc__
 
     def run(self):
-        from benchmarks.scene_parts import Options, run
+        from benchmarks.scene_parts import run
 
-        run(Options(contacts=self.contacts, out=self.out))
-        print(f"{self.out / 'parts.md'} written")
+        _measured(self, run, "parts.md")
         return 0
 
 
@@ -81,8 +62,7 @@ class Learning(LearningOptions):
     def run(self):
         from benchmarks.learned import run
 
-        run(self)
-        print(f"{self.out / 'learning.md'} written")
+        _measured(self, run, "learning.md")
         return 0
 
 
@@ -92,8 +72,7 @@ class Search(SearchOptions):
     def run(self):
         from benchmarks.searched import run
 
-        run(self)
-        print(f"{self.out / 'search.md'} written")
+        _measured(self, run, "search.md")
         return 0
 
 
@@ -103,8 +82,7 @@ class Followed(FollowedOptions):
     def run(self):
         from benchmarks.followed import run
 
-        run(self)
-        print(f"{self.out / 'servo.md'} written")
+        _measured(self, run, "servo.md")
         return 0
 
 
@@ -114,8 +92,7 @@ class Transferred(TransferredOptions):
     def run(self):
         from benchmarks.transferred import run
 
-        run(self)
-        print(f"{self.out / 'transfer.md'} written")
+        _measured(self, run, "transfer.md")
         return 0
 
 
@@ -125,8 +102,7 @@ class Speed(SpeedOptions):
     def run(self):
         from benchmarks.speed import run
 
-        run(self)
-        print(f"{self.out / 'performance.md'} written")
+        _measured(self, run, "performance.md")
         return 0
 
 
@@ -136,8 +112,7 @@ class Scaled(ScaleOptions):
     def run(self):
         from benchmarks.scaled import run
 
-        run(self)
-        print(f"{self.out / 'scale.md'} written")
+        _measured(self, run, "scale.md")
         return 0
 
 
@@ -147,8 +122,7 @@ class Viewed(ViewerOptions):
     def run(self):
         from benchmarks.viewed import run
 
-        run(self)
-        print(f"{self.out / 'viewer.md'} written")
+        _measured(self, run, "viewer.md")
         return 0
 
 

@@ -12,9 +12,10 @@ import sim.scene
 from benchmarks import error_against_time, label_worth
 from benchmarks import plays as played_contacts
 from benchmarks.cases import CASES, LABELS, Case, moved, training
-from benchmarks.error_against_time import Options, jobs, seen_at, sequence, spread
+from benchmarks.error_against_time import jobs, seen_at, sequence, spread
 from benchmarks.error_page import page
 from benchmarks.label_worth import ImagePins, LabelWorth
+from benchmarks.options import ErrorOptions
 from benchmarks.plays import STANDARD, Played, Plays, Variant, without_timings
 from benchmarks.scene_parts import inventory
 from benchmarks.sweeps import REFINED_MM, small_steps, sweeps
@@ -169,7 +170,7 @@ def small(monkeypatch, tmp_path):
     }
     for name, value in small.items():
         monkeypatch.setattr(error_against_time, name, value)
-    return Options(contacts=1, swept=1, out=tmp_path / "docs", kept=tmp_path / "kept")
+    return ErrorOptions(contacts=1, swept=1, out=tmp_path / "docs", kept=tmp_path / "kept")
 
 
 def test_a_stopped_measurement_goes_on_and_gives_the_same(small, monkeypatch):
@@ -195,9 +196,9 @@ def test_a_stopped_measurement_goes_on_and_gives_the_same(small, monkeypatch):
 
 def test_nothing_to_redraw_from_is_an_error(tmp_path):
     with pytest.raises(TactipError, match="measure first"):
-        error_against_time.run(Options(out=tmp_path, redraw=True))
+        error_against_time.run(ErrorOptions(out=tmp_path, redraw=True))
     with pytest.raises(TactipError, match="at least 1"):
-        error_against_time.run(Options(out=tmp_path, swept=0))
+        error_against_time.run(ErrorOptions(out=tmp_path, swept=0))
 
 
 @pytest.mark.slow

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 import tactip
 from benchmarks import stability
+from benchmarks.options import StabilityOptions
 from sim import stimulus as stimuli
 from sim.contact import TRIES, UNPROVEN, Bounds, CarefulPlayer, ContactPlayer, check_ranges
 from sim.fidelity import SHORTEST_STEP_S, Fidelity, Motion, Solver, fidelity_named, finer
@@ -441,7 +442,7 @@ def test_a_map_is_made_resumed_and_written(tmp_path, monkeypatch):
     for i, cell in enumerate(chosen):
         record = stability.asdict(cell) | stability.judge(cell, fidelity_named("draft"))
         (folder / f"{i:04d}.json").write_text(json.dumps(record))
-    result = stability.run(tmp_path, 1, quick=True, say=lambda line: None)
+    result = stability.run(StabilityOptions(tmp_path, quick=True, workers="1"), say=lambda line: None)
     assert result["counts"]["refused beforehand"] == 3
     assert "Shape.radius_m is 0.041" in (tmp_path / "stability.md").read_text()
     assert (tmp_path / "stability.png").stat().st_size > 10_000
