@@ -18,8 +18,8 @@ class Import:
     """Bring a set of a real sensor, published or your own, into the project's format, and picture what was made of it."""
 
     source: tyro.conf.Positional[Path]
-    """Folder of the set: a table, frames in it or in images/ or frames/, and a neutral image init* or neutral* if there is
-    one."""
+    """Folder of the set: a table, frames (or films) in it or in images/, frames/ or videos/, and a neutral image init* or
+    neutral* if there is one."""
     out: Path
     """Folder to write."""
     targets: Path | None = None
@@ -186,7 +186,8 @@ class Camera:
         return 0
 
     def _source(self):
-        from sim.frames import CameraFrames, FilmFrames, ImageFrames
+        from sim.film import FilmFrames
+        from sim.frames import CameraFrames, ImageFrames
         from tactip_model.errors import TactipError
 
         given = [x for x in (self.device, self.video, self.images) if x is not None]

@@ -6,6 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from sim.film import FILMS, frame_of
 from tactip_model.design import TactileImage
 from tactip_model.errors import TactipError
 from tactip_model.image import binary_frame, tactile_image
@@ -25,10 +26,15 @@ _ROOM = 1.28
 """Half of the width of a frame, in distances of the outermost pins from the middle, as the presets' cameras have it."""
 
 
-def load(path):
-    """A frame (h, w, 3) uint8. Raises TactipError where it cannot be read."""
+def load(path, film_frame=-1):
+    """A frame (h, w, 3) uint8: an image, or one of a film. film_frame: int, as sim.film.frame_of has it.
+
+    Raises TactipError where it cannot be read.
+    """
     if not Path(path).is_file():
         raise TactipError("it does not exist")
+    if Path(path).suffix.lower() in FILMS:
+        return frame_of(path, film_frame)
     frame = cv2.imread(str(path), cv2.IMREAD_COLOR)
     if frame is None:
         raise TactipError("it cannot be read as an image")

@@ -1,11 +1,12 @@
-"""Where frames come from: a camera, a film, a folder of images; one after the other, as a sensor's camera gives them."""
+"""Where frames come from: a camera, a folder of images (and films: sim/film.py); one after the other, as a sensor's camera
+gives them."""
 
-import contextlib
 import time
 from pathlib import Path
 
 import cv2
 
+from sim.film import quiet
 from sim.frame_reader import IMAGES, load
 from tactip_model.errors import TactipError
 
@@ -19,7 +20,7 @@ class CameraFrames:
     def __init__(self, device, patience_s=_PATIENCE_S):
         """device: int. Raises TactipError where there is no such camera."""
         self._device, self._patience_s = device, patience_s
-        with _quiet():
+        with quiet():
             self._capture = cv2.VideoCapture(device)
         if not self._capture.isOpened():
             raise TactipError(f"the camera {device} cannot be opened: is it plugged in, and not in use by another program?")
@@ -43,36 +44,6 @@ class CameraFrames:
 
     def close(self):
         """Let go of the camera."""
-        self._capture.release()
-
-
-class FilmFrames:
-    """Frames of a film, in order."""
-
-    def __init__(self, path):
-        """path: path. Raises TactipError where it is no film."""
-        self._path = Path(path)
-        if not self._path.is_file():
-            raise TactipError(f"the film {path} does not exist")
-        with _quiet():
-            self._capture = cv2.VideoCapture(str(path))
-        if not self._capture.isOpened():
-            raise TactipError(f"{path} cannot be read as a film")
-
-    def __iter__(self):
-        """Yields frames (h, w, 3) uint8. Raises TactipError where there is none."""
-        count = 0
-        while True:
-            good, frame = self._capture.read()
-            if not good:
-                break
-            count += 1
-            yield frame
-        if not count:
-            raise TactipError(f"{self._path} cannot be read as a film: it has no frame")
-
-    def close(self):
-        """Let go of the film."""
         self._capture.release()
 
 
@@ -103,14 +74,3 @@ class ImageFrames:
 def _by_number(path):
     digits = "".join(c if c.isdigit() else " " for c in path.stem).split()
     return [int(d) for d in digits], path.name
-
-
-@contextlib.contextmanager
-def _quiet():
-    """OpenCV without what its back ends write of a camera that is not there: the error says it."""
-    before = cv2.utils.logging.getLogLevel()
-    cv2.utils.logging.setLogLevel(0)
-    try:
-        yield
-    finally:
-        cv2.utils.logging.setLogLevel(before)

@@ -3,7 +3,6 @@
 import cv2
 import numpy as np
 
-from sim.frame_reader import load
 from sim.names import LABELS, SHEARS
 from tactip_model.blobs import find_blobs
 
@@ -76,7 +75,7 @@ def picture(source, kept, pins, reader, neutral):
     for i in chosen:
         p = source.poses[i]
         told = f"z {p[2]:.1f}  R {p[3]:.0f} {p[4]:.0f} {p[5]:.0f}  pins {pins[i]}"
-        tiles.append(_tile(load(source.paths[i]), reader, told))
+        tiles.append(_tile(source.load(i), reader, told))
     return np.concatenate(tiles, 1)
 
 

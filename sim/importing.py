@@ -26,6 +26,7 @@ from sim.dataset import (
 )
 from sim.frame_reader import IMAGES, FrameReader, check_frame, load, load_neutral
 from sim.import_report import picture, report_of
+from sim.layout import Layout
 from sim.relabel import image_column, labels
 from sim.sampling import POSE_RANGES, SHEAR_RANGES, Ranges
 from tactip_model.blobs import find_blobs
@@ -33,7 +34,7 @@ from tactip_model.errors import Stopped, TactipError
 from tactip_model.files import write_file
 from tactip_model.neutral import camera_change
 
-FOLDERS = ("images", "frames", "frames_bw", "")
+FOLDERS = ("images", "frames", "frames_bw", "videos", "")
 """Where frames are looked for, inside the set's folder."""
 
 NEUTRAL, NEUTRAL_TACTILE, REPORT, PICTURE = "neutral.png", "neutral_tactile.png", "import.json", "import.png"
@@ -80,6 +81,15 @@ class Source:
     """The undeformed tip, if there is an image of it."""
     digest: str
     """Checksum of the table."""
+    film_frame: int = -1
+    """Which frame of a film is meant (Layout.film_frame)."""
+
+    def load(self, i):
+        """Frame i, (h, w, 3) uint8. Raises TactipError where it is not there or cannot be read."""
+        path = self.paths[i]
+        if path is None:
+            raise TactipError("the frame is not there")
+        return load(path, self.film_frame)
 
 
 def read_source(folder, layout, targets=None, neutral=None):
@@ -108,7 +118,8 @@ def read_source(folder, layout, targets=None, neutral=None):
     if not any(paths):
         places = ", ".join(str(folder / f) for f in FOLDERS)
         raise TactipError(f"no frame of the table is there: {names[0]!r} was looked for in {places}")
-    return Source(folder, names, paths, poses, shears, Path(neutral) if neutral else next(iter(found), None), checksum(data))
+    neutral = Path(neutral) if neutral else next(iter(found), None)
+    return Source(folder, names, paths, poses, shears, neutral, checksum(data), layout.film_frame)
 
 
 def _found(folder, name):
@@ -117,19 +128,19 @@ def _found(folder, name):
         return None
     for place in FOLDERS:
         for tail in dict.fromkeys((name, Path(name).name)):
-            for suffix in ("", ".png", ".jpg"):
+            for suffix in ("", ".png", ".jpg", ".mp4"):
                 path = folder / place / f"{tail}{suffix}"
                 if path.is_file():
                     return path
     return None
 
 
-def _some(paths):
-    """_UNTOLD frames, spread over those of `paths` that are there, can be read, and are as large as the first of them."""
+def _some(source):
+    """_UNTOLD frames, spread over those of a Source that are there, can be read, and are as large as the first of them."""
     frames = []
-    for path in _spread([path for path in paths if path]):
+    for i in _spread([i for i, path in enumerate(source.paths) if path]):
         with contextlib.suppress(TactipError):  # it is left out, and said, when its turn comes
-            frames.append(load(path))
+            frames.append(source.load(i))
     return [frame for frame in frames if frame.shape == frames[0].shape]
 
 
@@ -147,6 +158,8 @@ def import_set(source, layout, out, say=print, quiet=False):
     """
     out = Path(out)
     record = {"task": layout.task, "layout": json.loads(json.dumps(dataclasses.asdict(layout)))}
+    if layout.film_frame == Layout.film_frame:
+        del record["layout"]["film_frame"]  # sets that were imported before there were films are the same still
     record |= {"source": {"name": source.folder.resolve().name, "targets_sha256": source.digest}}
     record["source"]["neutral_sha256"] = source.neutral and checksum(source.neutral.read_bytes())
     there = _there(out, record)
@@ -210,10 +223,7 @@ def _import(source, layout, out, record, quiet):
         try:
             if not (np.isfinite(source.poses[i]).all() and np.isfinite(source.shears[i]).all()):
                 raise TactipError("its row has a cell that is no finite number")
-            path = source.paths[i]
-            if path is None:
-                raise TactipError("the frame is not there")
-            binary = reader.masked(load(path))
+            binary = reader.masked(source.load(i))
             pins[i], images[i] = len(find_blobs(binary).centres), encode_image(reader.shrunk(binary))
         except TactipError as error:
             left_out.append({"row": i, "frame": name, "why": str(error)})
@@ -262,7 +272,7 @@ def _import(source, layout, out, record, quiet):
 
 def _reader(source, layout, neutral):
     """The FrameReader of a Source, tried on a frame. Raises TactipError where the layout does not fit that one."""
-    others = [] if neutral is not None else _some(source.paths)
+    others = [] if neutral is not None else _some(source)
     first = neutral if neutral is not None else next(iter(others), None)
     try:
         if first is not None:
@@ -283,7 +293,7 @@ def _stand_in(source, kept, reader, usual):
     poses = source.poses
     shallow = kept[np.argsort(-poses[kept, 2], kind="stable")][: max(_LEAST_SHALLOW, round(_SHALLOW * len(kept)))]
     chosen = shallow[np.argsort(np.linalg.norm(poses[shallow, 3:5], axis=1), kind="stable")][:_STAND_IN]
-    frames = [reader.masked(load(source.paths[i])) for i in chosen]
+    frames = [reader.masked(source.load(i)) for i in chosen]
     # What most of them show: a pin is where it is in the half of them that do not press it.
     image = np.where(np.mean([frame > 127 for frame in frames], 0) > 0.5, 255, 0).astype(np.uint8)
     if len(find_blobs(image).centres) < _ERASED * usual:
@@ -297,7 +307,7 @@ def _camera(source, kept, reader, neutral):
     """What the light at the rim tells of zoom and drift since the neutral image: dict; None where there is too little."""
     before = reader.with_rim(neutral)
     middle = find_blobs(reader.cropped(reader.masked(neutral))).centres.mean(0)
-    found = camera_change(before, (reader.with_rim(load(source.paths[i])) for i in _spread(list(kept))), middle)
+    found = camera_change(before, (reader.with_rim(source.load(i)) for i in _spread(list(kept))), middle)
     if found is None:
         return None
     (zoom, *drift), (zoom_of_one, *drift_of_one) = (values.tolist() for values in found)

@@ -31,7 +31,10 @@ class Layout:
     columns: tuple[str, ...] = ()
     """OURS=THEIRS, for pose_x to pose_Rz and shear_x to shear_Rz, mm and degrees: pose_z=-pose_2-5."""
     image_column: str = ""
-    """Column that names the frames; sensor_image, image_name, image or filename if not given."""
+    """Column that names the frames; sensor_image, image_name, image, filename, sensor_video, video_name or video if not
+    given."""
+    film_frame: int = within(-100000, 100000, default=-1)
+    """Which frame is used where the table names films: 0 is the first, -1 the last."""
     angles: str = "vector"
     """What their three angles are: `vector` (axis times angle), or Euler angles in the order of letters: xyz about fixed
     axes, XYZ about turned ones."""

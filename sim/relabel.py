@@ -8,7 +8,7 @@ from sim.names import LABELS, SHEARS
 from sim.pose import from_mm_deg, label_of, matrix, sensor_in_contact, shear_between, to_mm_deg
 from tactip_model.errors import TactipError
 
-IMAGE_COLUMNS = ("sensor_image", "image_name", "image", "filename")
+IMAGE_COLUMNS = ("sensor_image", "image_name", "image", "filename", "sensor_video", "video_name", "video")
 """Names under which tables have their frames."""
 
 

@@ -18,6 +18,7 @@ from sim.fidelity import fidelity_named
 from sim.frame_reader import FrameReader
 from sim.layout import Layout
 from sim.pose import from_mm_deg
+from sim.video import write_video
 from tactip_model.blobs import find_blobs
 from tactip_model.errors import TactipError
 from tactip_model.image import tactile_image
@@ -376,6 +377,33 @@ def test_the_press_of_frames_that_stand_for_a_neutral_image_is_taken_off(tmp_pat
     report["stand_in"]["pose_z"] = [0.5, 0.5]
     (tmp_path / "set" / "import.json").write_text(json.dumps(report))
     assert off_px()[:2] == (pytest.approx(1.15, abs=0.2), 0.0)
+
+
+def test_films_stand_where_frames_do(tmp_path, capsys):
+    """Each row's film is at rest but in its middle frame, which is the row's own; films are squeezed as cameras' are."""
+    rows = write_set(tmp_path / "lab")
+    assert bring(tmp_path / "lab", tmp_path / "frames") == 0
+    (tmp_path / "lab" / "images").rename(tmp_path / "lab" / "stills")
+    (tmp_path / "lab" / "videos").mkdir()
+    for k, row in enumerate(rows):
+        still = cv2.imread(str(tmp_path / "lab" / "stills" / row.pop("image_name")))
+        rest = cv2.cvtColor(with_rim(frame()), cv2.COLOR_GRAY2RGB)
+        write_video(tmp_path / "lab" / "videos" / f"video_{k}.mp4", [rest, still, rest], 10)
+        row["sensor_video"] = f"video_{k}.mp4"
+    write_table(tmp_path / "lab", rows)
+    assert bring(tmp_path / "lab", tmp_path / "films", "--film-frame", "1") == 0
+    films, frames = (read_dataset(tmp_path / name) for name in ("films", "frames"))
+    assert np.array_equal(films.poses, frames.poses)
+    for i in range(len(rows)):
+        assert (films.image(i) != frames.image(i)).mean() < 0.01
+    # The last frame, if none is told; here each shows the tip at rest.
+    assert bring(tmp_path / "lab", tmp_path / "last") == 0
+    last = read_dataset(tmp_path / "last")
+    apart = [(each.image(0) != each.image(1)).mean() for each in (last, films)]
+    assert apart[0] < 0.001 and apart[1] > 0.01
+    capsys.readouterr()
+    assert bring(tmp_path / "lab", tmp_path / "none", "--film-frame", "3") == 1
+    assert "the film has no frame 3 (0 is the first, -1 the last)" in capsys.readouterr().err
 
 
 def test_frames_that_are_grey_are_told_of_and_how(tmp_path, capsys):
