@@ -23,7 +23,7 @@ class Import:
     out: Path
     """Folder to write."""
     targets: Path | None = None
-    """The table of poses; SOURCE/targets.csv if not given."""
+    """The table of poses; if not given, SOURCE/targets.csv, or the only table there is."""
     neutral: Path | None = None
     """Image of the undeformed tip. If there is none, the middle of the shallowest frames stands for it."""
     layout: Path | None = None

@@ -93,12 +93,15 @@ class Source:
 
 
 def read_source(folder, layout, targets=None, neutral=None):
-    """The Source in a folder (path). layout: Layout. targets: path of the table, targets.csv in the folder if None. neutral:
-    path of the neutral image; one that begins with init or neutral if None. Raises TactipError."""
+    """The Source in a folder (path). layout: Layout. targets: path of the table; if None, targets.csv in the folder, or the
+    only table there is. neutral: path of the neutral image; one that begins with init or neutral if None.
+
+    Raises TactipError.
+    """
     folder = Path(folder)
     if not folder.is_dir():
         raise TactipError(f"{folder} is no folder: it must hold a table targets.csv and frames")
-    path = Path(targets) if targets else folder / "targets.csv"
+    path = Path(targets) if targets else _table_in(folder)
     try:
         data = path.read_bytes()
         rows = list(csv.DictReader(io.StringIO(data.decode("utf-8-sig"))))
@@ -120,6 +123,17 @@ def read_source(folder, layout, targets=None, neutral=None):
         raise TactipError(f"no frame of the table is there: {names[0]!r} was looked for in {places}")
     neutral = Path(neutral) if neutral else next(iter(found), None)
     return Source(folder, names, paths, poses, shears, neutral, checksum(data), layout.film_frame)
+
+
+def _table_in(folder):
+    """Path of the table in a folder (Path): targets.csv, or the only one there is. Raises TactipError."""
+    tables = sorted(folder.glob("*.csv"))
+    path = folder / "targets.csv"
+    if path in tables or not tables:
+        return path
+    if len(tables) > 1:
+        raise TactipError(f"{folder} has no targets.csv: name its table by --targets, {' or '.join(map(str, tables))}")
+    return tables[0]
 
 
 def _found(folder, name):

@@ -32,7 +32,7 @@ def labels(layout, table):
     if not told and not found:
         raise TactipError(
             "the table has none of our columns (pose_x … shear_Rz): say by --columns which is what, as pose_z=-pose_2-5; "
-            f"its columns are {', '.join(table)}"
+            f"its columns are {', '.join(name + _span(cells) for name, cells in table.items())}"
         )
     count = len(next(iter(table.values())))
     values = {name: _column(table, *told.get(name, (1.0, name if name in found else None, 0.0)), count) for name in LABELS}
@@ -73,6 +73,12 @@ def _column(table, factor, column, offset, count):
     if column not in table:
         raise TactipError(f"the table has no column {column!r}: its columns are {', '.join(table)}")
     return factor * np.array([_number(cell) for cell in table[column]]) + offset
+
+
+def _span(cells):
+    """In words, from where to where a column's cells (list of str) go; nothing if they are not numbers all."""
+    numbers = np.array([_number(cell) for cell in cells])
+    return f" ({numbers.min():.3g} to {numbers.max():.3g})" if np.isfinite(numbers).all() and np.ptp(numbers) else ""
 
 
 def _number(cell):

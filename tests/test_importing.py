@@ -212,6 +212,11 @@ def test_what_does_not_fit_is_left_out_and_named(tmp_path, capsys):
     ("spoil", "options", "words"),
     [
         (lambda lab: (lab / "targets.csv").unlink(), [], "targets.csv does not exist: name it by --targets"),
+        (
+            lambda lab: [(lab / "targets.csv").rename(lab / "a.csv"), (lab / "b.csv").touch()],
+            [],
+            "has no targets.csv: name its table by --targets",
+        ),
         (lambda lab: (lab / "targets.csv").write_text("image_name,pose_2\n"), [], "has no rows"),
         (lambda lab: None, ["--image-column", "photo"], "has no column photo"),
         (lambda lab: [p.unlink() for p in (lab / "images").iterdir()], [], "no frame of the table is there"),
@@ -234,6 +239,13 @@ def test_a_wrong_set_is_one_sentence(tmp_path, capsys, spoil, options, words):
     told = capsys.readouterr().err.strip().splitlines()[-1]
     assert words in told
     assert not (tmp_path / "set" / "meta.json").exists()
+
+
+def test_the_only_table_is_the_sets_whatever_its_name(tmp_path):
+    write_set(tmp_path / "lab")
+    (tmp_path / "lab" / "targets.csv").rename(tmp_path / "lab" / "targets_images.csv")
+    assert bring(tmp_path / "lab", tmp_path / "set") == 0
+    assert len(read_dataset(tmp_path / "set").images) == 12
 
 
 def test_an_imported_set_that_is_damaged_is_one_sentence(tmp_path, capsys):

@@ -96,6 +96,8 @@ def test_columns_that_are_not_there():
         labels(Layout(columns=("pose_z=depth",)), table_of(pose_1=0.0, pose_2=0.0))
     with pytest.raises(TactipError, match="none of our columns"):
         labels(Layout(), table_of(pose_1=0.0))
+    with pytest.raises(TactipError, match=r"its columns are name, pose_1, pose_2 \(-4 to 1.5\)$"):
+        labels(Layout(), {"name": ["a", "b"], "pose_1": ["0", "0"], "pose_2": ["1.5", "-4"]})
     with pytest.raises(TactipError, match="no column photo"):
         image_column(Layout(image_column="photo"), ["image_name"])
 
