@@ -186,8 +186,8 @@ class Camera:
         return 0
 
     def _source(self):
-        from sim.film import FilmFrames
         from sim.frames import CameraFrames, ImageFrames
+        from sim.sensor_film import FilmFrames
         from tactip_model.errors import TactipError
 
         given = [x for x in (self.device, self.video, self.images) if x is not None]

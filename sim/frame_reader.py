@@ -6,7 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from sim.film import FILMS, frame_of
+from sim.sensor_film import FILMS, frame_of
 from tactip_model.design import TactileImage
 from tactip_model.errors import TactipError
 from tactip_model.image import binary_frame, tactile_image
@@ -27,7 +27,7 @@ _ROOM = 1.28
 
 
 def load(path, film_frame=-1):
-    """A frame (h, w, 3) uint8: an image, or one of a film. film_frame: int, as sim.film.frame_of has it.
+    """A frame (h, w, 3) uint8: an image, or one of a film. film_frame: int, as sim.sensor_film.frame_of has it.
 
     Raises TactipError where it cannot be read.
     """

@@ -1,13 +1,13 @@
-"""Where frames come from: a camera, a folder of images (and films: sim/film.py); one after the other, as a sensor's camera
-gives them."""
+"""Where frames come from: a camera, a folder of images (a film: sim/sensor_film.py); one after the other, as a sensor's
+camera gives them."""
 
 import time
 from pathlib import Path
 
 import cv2
 
-from sim.film import quiet
 from sim.frame_reader import IMAGES, load
+from sim.sensor_film import quiet
 from tactip_model.errors import TactipError
 
 _PATIENCE_S = 3.0
