@@ -125,8 +125,8 @@ def rows(task, paper):
         Row("laptop-most", "`laptop`, on more contacts", "most", laptop),
     ]
     start, further = f"{task}-{DESIGN}", replace(laptop, settings=replace(laptop.settings, **_FURTHER))
-    again = f"`{start}` taught further, on contacts of the tip as it is fitted now"
-    out.append(Row("laptop-further", again, "symmetric", further, start))
+    again = f"`{start}` taught further, on contacts of the tip as it is fitted now, those of `laptop-most`"
+    out.append(Row("laptop-further", again, "most", further, start))
     if task == "surface":
         bent = f"`{start}` taught further, on surfaces bent by {BENT_PER_M[0]:g} to {BENT_PER_M[1]:g} /m unevenly"
         out.append(Row("laptop-bent", bent, "bent", further, start))

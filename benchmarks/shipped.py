@@ -29,7 +29,7 @@ from tactip_model.files import write_file
 MOST_BYTES = 5_000_000
 """Weights of a shipped network are smaller."""
 
-_AS_MANY = {"laptop-most": "most", "laptop-bent": "bent"}
+_AS_MANY = {"laptop-most": "most", "laptop-further": "most", "laptop-bent": "bent"}
 """Option of `tactip bench learning` that says how many contacts a row has, where it is not `contacts`."""
 
 EVALUATION, CARD = "evaluation.json", "card.md"
