@@ -31,8 +31,8 @@ _SHARE = 0.75
 """Share of the depth, as a table has it, whose press is taken off what stands for a neutral image. Of two real sets, the
 pins come nearest to where they are at all of it (0.44 mm, 127 pins) and at 0.6 of it (1.07 mm, 331 pins): a tip may touch
 later than its table says, and gives way as the twin does only when the twin is calibrated. Taken off whole, the pins of the
-331-pin tip are 0.40 px of 256 off in place of 0.24, and a network that has seen no label
-errs by 0.34 mm of depth in place of 0.29."""
+331-pin tip are 0.40 px of 256 off in place of 0.24, and a network that has seen no label errs by 0.34 mm of depth in place
+of 0.29."""
 
 _PRESSED_MM = 3.0
 """The deepest press that is taken off what stands for a neutral image, mm: of one deeper than that it is likelier that a

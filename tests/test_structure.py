@@ -27,6 +27,35 @@ def test_imports_go_with_the_flow(path):
     assert not above & set(imported(path))
 
 
+def names_of(path):
+    """Names that a module has, or that another takes from it."""
+    names = set()
+    for node in ast.parse(path.read_text()).body:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            names.add(node.name)
+        elif isinstance(node, ast.Import | ast.ImportFrom):
+            names |= {(alias.asname or alias.name).split(".")[0] for alias in node.names}
+        elif isinstance(node, ast.Assign | ast.AnnAssign):
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            names |= {n.id for target in targets for n in ast.walk(target) if isinstance(n, ast.Name)}
+    return names
+
+
+@pytest.mark.parametrize("path", [*FILES, *ON_TOP, ROOT / "tactip.py"], ids=lambda p: str(p.relative_to(ROOT)))
+def test_what_is_imported_is_there(path):
+    """Also where it is imported late, by a command that no test may run."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if (
+            isinstance(node, ast.ImportFrom)
+            and node.module
+            and node.module.split(".")[0] in (*FLOW, "commands", "benchmarks")
+        ):
+            folder = ROOT / node.module.replace(".", "/")
+            file = folder / "__init__.py" if folder.is_dir() else folder.with_suffix(".py")
+            there = names_of(file) | {p.stem for p in folder.glob("*.py")}
+            assert {alias.name for alias in node.names} <= there, node.module
+
+
 def test_there_are_files_to_look_at():
     assert len(FILES) > 15
 
