@@ -162,6 +162,10 @@ class Experiment:
         if self._fitted is None:
             self._say("the tip and its camera are fitted to its image at rest")
             self._fitted, figures = twin_of(self.real, self.samples.size)
+            if figures["pressed_mm"]:
+                self._say(
+                    f"there is no such image: a press of {figures['pressed_mm']:.2f} mm is taken off its shallowest frames"
+                )
             self.out.mkdir(parents=True, exist_ok=True)
             write_design(self.out / "design.json", self._fitted, {"neutral_image_of": self.real.name, **figures})
         return self._fitted

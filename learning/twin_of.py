@@ -1,8 +1,8 @@
 """A design of a real sensor from its neutral image: lens, camera and pins are fitted, the rest is as the field has it.
 
-No label is needed. Where pressed frames stand for that image, their press is simulated and taken off. How the camera has
-changed since that image is told by the light at the rim of unlabelled frames, where it shows. What neither tells, the
-mechanics, is varied instead (sim/variation.py).
+No label is needed, but where pressed frames stand for that image: their press, by the depth that a table has, is simulated
+and taken off. How the camera has changed since that image is told by the light at the rim of unlabelled frames, where it
+shows. What neither tells, the mechanics, is varied instead (sim/variation.py).
 """
 
 from dataclasses import replace
@@ -59,7 +59,7 @@ def twin_of(folder, size_px):
     pressed_mm = _pressed_mm(folder)
     pressed = _contact(design, pressed_mm)
     if pressed:
-        # By how far a press moves the pins of a tip that is fitted a little off differs less than that tip's pins do.
+        # Of a tip that is fitted a little off, the motion under a press is nearly that of the right one.
         moved = _positions_px(design, pressed) - neutral_px(design)
         design, _ = fit_pins(design, fit.pins_px - moved)
     design = replace(design, image=replace(design.image, size_px=size_px))
