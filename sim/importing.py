@@ -29,6 +29,7 @@ from sim.import_report import picture, report_of
 from sim.layout import Layout
 from sim.relabel import image_column, labels
 from sim.sampling import POSE_RANGES, SHEAR_RANGES, Ranges
+from sim.sensor_film import FILMS
 from tactip_model.blobs import find_blobs
 from tactip_model.errors import Stopped, TactipError
 from tactip_model.files import write_file
@@ -52,8 +53,8 @@ FEW = 0.8
 _SHALLOW, _LEAST_SHALLOW, _STAND_IN = 0.05, 5, 21
 """Where there is no neutral image, the middle of some frames stands for it: of this share, the shallowest, but not fewer
 than five, those that are tilted least, 21 at most. (A tilted dome that hardly touches, as a table has it, may be deep in.)
-In two real sets, with depths from 0 and from 1 mm on, pins are then 0.4 px of 256 (rms) from where they are, and 0.9 and
-0.8 with nothing fitted (benchmarks/stand_in.py)."""
+In two real sets, with depths from 0 and from 1 mm on, the twin's pins are then 0.4 and 0.2 px of 256 (rms) from where they
+are (learning/twin_of.py takes the press off), and 0.9 and 0.8 with nothing fitted (benchmarks/stand_in.py)."""
 
 _ERASED = 0.97
 """Where that middle has fewer pins than this share of the usual number, the frames are too unlike: the shallowest of them
@@ -142,7 +143,7 @@ def _found(folder, name):
         return None
     for place in FOLDERS:
         for tail in dict.fromkeys((name, Path(name).name)):
-            for suffix in ("", ".png", ".jpg", ".mp4"):
+            for suffix in ("", ".png", ".jpg", *FILMS):
                 path = folder / place / f"{tail}{suffix}"
                 if path.is_file():
                     return path
