@@ -85,15 +85,15 @@ test-all: $(READY)
 	@$(BIN)/python -m pytest -m ""
 
 report: $(READY)
-	@$(BIN)/python -m benchmarks.mechanics
-	@$(BIN)/python -m benchmarks.materials
-	@$(BIN)/python -m benchmarks.second_code
-	@$(BIN)/python -m benchmarks.friction
-	@$(BIN)/python -m benchmarks.met
+	@$(BIN)/python -m tactip_twin.benchmarks.physics.mechanics
+	@$(BIN)/python -m tactip_twin.benchmarks.physics.materials
+	@$(BIN)/python -m tactip_twin.benchmarks.physics.fem_cross_check
+	@$(BIN)/python -m tactip_twin.benchmarks.physics.friction
+	@$(BIN)/python -m tactip_twin.benchmarks.physics.mesh_contact
 	@$(BIN)/tactip bench error
 	@$(BIN)/tactip bench parts
 	@$(BIN)/tactip bench stability
-	@$(BIN)/python -m benchmarks.real_comparison
+	@$(BIN)/python -m tactip_twin.benchmarks.learning.real_comparison
 
 lint: $(READY)
 	@$(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/pyright

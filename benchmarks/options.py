@@ -7,7 +7,7 @@ from typing import Annotated
 
 import tyro
 
-from learning.transfer_settings import TransferSettings
+from tactip_twin.sim2real.transfer.settings import TransferSettings
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import tyro
 
-from benchmarks.options import (
+from tactip_twin.benchmarks.options import (
     ErrorOptions,
     FollowedOptions,
     LearningOptions,
@@ -30,7 +30,7 @@ class Stability(StabilityOptions):
     __doc__ = StabilityOptions.__doc__
 
     def run(self):
-        from benchmarks.stability import run
+        from tactip_twin.benchmarks.physics.stability import run
 
         result = _measured(self, run, "stability.md")
         return 1 if result["counts"]["wrong"] else 0
@@ -40,7 +40,7 @@ class Error(ErrorOptions):
     __doc__ = ErrorOptions.__doc__
 
     def run(self):
-        from benchmarks.error_against_time import run
+        from tactip_twin.benchmarks.physics.fidelity import run
 
         _measured(self, run, "fidelity.md")
         return 0
@@ -50,7 +50,7 @@ class Parts(PartsOptions):
     __doc__ = PartsOptions.__doc__
 
     def run(self):
-        from benchmarks.scene_parts import run
+        from tactip_twin.benchmarks.physics.scene_cost import run
 
         _measured(self, run, "parts.md")
         return 0
@@ -60,7 +60,7 @@ class Learning(LearningOptions):
     __doc__ = LearningOptions.__doc__
 
     def run(self):
-        from benchmarks.learned import run
+        from tactip_twin.benchmarks.learning.learning import run
 
         _measured(self, run, "learning.md")
         return 0
@@ -70,7 +70,7 @@ class Search(SearchOptions):
     __doc__ = SearchOptions.__doc__
 
     def run(self):
-        from benchmarks.searched import run
+        from tactip_twin.benchmarks.learning.search import run
 
         _measured(self, run, "search.md")
         return 0
@@ -80,7 +80,7 @@ class Followed(FollowedOptions):
     __doc__ = FollowedOptions.__doc__
 
     def run(self):
-        from benchmarks.followed import run
+        from tactip_twin.benchmarks.servo.servo import run
 
         _measured(self, run, "servo.md")
         return 0
@@ -90,7 +90,7 @@ class Transferred(TransferredOptions):
     __doc__ = TransferredOptions.__doc__
 
     def run(self):
-        from benchmarks.transferred import run
+        from tactip_twin.benchmarks.learning.transfer import run
 
         _measured(self, run, "transfer.md")
         return 0
@@ -100,7 +100,7 @@ class Speed(SpeedOptions):
     __doc__ = SpeedOptions.__doc__
 
     def run(self):
-        from benchmarks.speed import run
+        from tactip_twin.benchmarks.scale.performance import run
 
         _measured(self, run, "performance.md")
         return 0
@@ -110,7 +110,7 @@ class Scaled(ScaleOptions):
     __doc__ = ScaleOptions.__doc__
 
     def run(self):
-        from benchmarks.scaled import run
+        from tactip_twin.benchmarks.scale.scale import run
 
         _measured(self, run, "scale.md")
         return 0
@@ -120,7 +120,7 @@ class Viewed(ViewerOptions):
     __doc__ = ViewerOptions.__doc__
 
     def run(self):
-        from benchmarks.viewed import run
+        from tactip_twin.benchmarks.servo.viewer import run
 
         _measured(self, run, "viewer.md")
         return 0

@@ -3,8 +3,8 @@
 import sys
 from dataclasses import dataclass
 
-from commands.waiting import Waiting
-from control.options import Options as ServoOptions
+from tactip_twin.commands._progress import Waiting
+from tactip_twin.control.options import Options as ServoOptions
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Servo(ServoOptions):
 
         try:
             with waiting:
-                from control.run import FIGURE, SCORE, run
+                from tactip_twin.control.servo_run import FIGURE, SCORE, run
 
                 score = run(self, progress, say=(lambda line: None) if self.json else print)
         finally:

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim.names import COMPONENTS
-from sim.pose import from_mm_deg
-from tactip_model.errors import TactipError
-from tactip_model.image import tactile_image
-from tactip_model.pins import neutral_pins
-from tactip_model.renderer import renderer_named
+from tactip_twin.sim.labels import COMPONENTS
+from tactip_twin.sim.pose import from_mm_deg
+from tactip_twin.tactip_model.errors import TactipError
+from tactip_twin.tactip_model.pins import neutral_pins
+from tactip_twin.tactip_model.renderer import renderer_named
+from tactip_twin.tactip_model.tactile_image import tactile_image
 
 
 @dataclass(frozen=True)

@@ -3,8 +3,8 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from tactip_model.bounds import check, within
-from tactip_model.errors import choose
+from tactip_twin.tactip_model.bounds import check, within
+from tactip_twin.tactip_model.errors import choose
 
 
 @dataclass(frozen=True)

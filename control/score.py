@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from sim.names import COMPONENTS
-from sim.pose import to_mm_deg
-from sim.recording import PHASES
+from tactip_twin.sim.labels import COMPONENTS
+from tactip_twin.sim.pose import to_mm_deg
+from tactip_twin.sim.robot.recording import PHASES
 
 COVERED_M = 7e-3
 """How far from the tip's way a place of a surface counts as touched, m: as far as the patch of a press of 2 mm goes on the
@@ -23,7 +23,8 @@ _SPACING_M = 2e-3
 def score(arrays, record, reference_mm_deg, targets):
     """What a recording is worth (dict, JSON).
 
-    arrays, record: of sim.recording.read_recording. reference_mm_deg: (6,), the label that was to be kept, mm and degrees.
+    arrays, record: of tactip_twin.sim.robot.recording.read_recording. reference_mm_deg: (6,), the label that was to be
+    kept, mm and degrees.
     targets: (m, 3) m, places in the base frame that were to be touched.
 
     Mean errors are over the steps of the phase `follow`: depth and, along an edge, x, of the true label against the

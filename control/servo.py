@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sim.pose import from_mm_deg, inverse, matrix, sensor_in_contact
-from tactip_model.bounds import check, within
-from tactip_model.errors import choose
+from tactip_twin.sim.pose import from_mm_deg, inverse, matrix, sensor_in_contact
+from tactip_twin.tactip_model.bounds import check, within
+from tactip_twin.tactip_model.errors import choose
 
 
 @dataclass(frozen=True)

@@ -5,12 +5,12 @@ from pathlib import Path
 import cv2
 import tyro
 
-from sim.contact import ContactPlayer
-from sim.fidelity import fidelity_named
-from sim.pose import from_mm_deg
-from tactip_model.image import tactile_image
-from tactip_model.presets import find_design
-from tactip_model.renderer import renderer_named
+from tactip_twin.sim.contact.fidelity import fidelity_named
+from tactip_twin.sim.contact.simulator import ContactPlayer
+from tactip_twin.sim.pose import from_mm_deg
+from tactip_twin.tactip_model.presets import find_design
+from tactip_twin.tactip_model.renderer import renderer_named
+from tactip_twin.tactip_model.tactile_image import tactile_image
 
 
 def main(out: Path = Path("contact.png"), renderer: str = "pyrender"):

@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 import tyro
 
-from control.estimator import Estimator, Sight
-from control.options import Options, RouteOptions
-from control.run import run
-from sim.dataset import read_dataset, read_pins
-from sim.pose import from_mm_deg
+from tactip_twin.control.estimator import Estimator, Sight
+from tactip_twin.control.options import Options, RouteOptions
+from tactip_twin.control.servo_run import run
+from tactip_twin.sim.dataset.format import read_dataset, read_pins
+from tactip_twin.sim.pose import from_mm_deg
 
 
 class Linear(Estimator):

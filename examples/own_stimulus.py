@@ -6,12 +6,12 @@ import mujoco
 import numpy as np
 import tyro
 
-from sim.contact import ContactPlayer
-from sim.fidelity import fidelity_named
-from sim.pose import from_mm_deg
-from sim.stimulus import HALF_SIZE_M, Stimulus
-from tactip_model.body import TOUCHES_VERTICES
-from tactip_model.presets import find_design
+from tactip_twin.sim.contact.fidelity import fidelity_named
+from tactip_twin.sim.contact.simulator import ContactPlayer
+from tactip_twin.sim.contact.stimuli import HALF_SIZE_M, Stimulus
+from tactip_twin.sim.pose import from_mm_deg
+from tactip_twin.tactip_model.presets import find_design
+from tactip_twin.tactip_model.soft_body import TOUCHES_VERTICES
 
 
 @dataclass(frozen=True)

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import tyro
 
-from learning.evaluate import evaluate
-from learning.model import load_model
-from learning.networks import recipe_named
-from learning.samples import read_samples, read_splits
-from learning.train import train
+from tactip_twin.learning.data import read_samples, read_splits
+from tactip_twin.learning.evaluate import evaluate
+from tactip_twin.learning.model import load_model
+from tactip_twin.learning.recipes import recipe_named
+from tactip_twin.learning.train import train
 
 
 def main(data: Path, out: Path = Path("runs/example"), epochs: int = 20, filters: int = 8):

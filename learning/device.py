@@ -4,7 +4,7 @@ import contextlib
 
 import torch
 
-from tactip_model.errors import TactipError
+from tactip_twin.tactip_model.errors import TactipError
 
 PRECISIONS = ("auto", "float32", "bfloat16")
 

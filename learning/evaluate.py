@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from learning.posenet import parameter_count
-from learning.samples import check_alike
+from tactip_twin.learning.data import check_alike
+from tactip_twin.learning.posenet import parameter_count
 
 BINS = 10
 """Bins of a label or of the size of the shear."""

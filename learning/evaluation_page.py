@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-from learning.evaluate import tables
-from sim.plot import pyplot
-from tactip_model.files import write_file
+from tactip_twin.learning.evaluate import tables
+from tactip_twin.sim.view.plot import pyplot
+from tactip_twin.tactip_model.files import write_file
 
 _BAND = 0.08
 """Standard deviation of the Gaussian that smooths errors along a label, of the label's range."""

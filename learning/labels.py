@@ -4,9 +4,9 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from sim.names import COMPONENTS, LEARNED
-from sim.sampling import Ranges
-from tactip_model.errors import TactipError, choose
+from tactip_twin.sim.dataset.sampling import Ranges
+from tactip_twin.sim.labels import COMPONENTS, LEARNED
+from tactip_twin.tactip_model.errors import TactipError, choose
 
 _RANGES = tuple(field.name for field in fields(Ranges))
 """Names of a component's range in a configuration, in the order of COMPONENTS."""

@@ -12,13 +12,13 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from assets import MODELS
-from learning.device import one_thread
-from learning.labels import Labels
-from learning.posenet import PoseNet, PoseNetConfig
-from sim.names import LEARNED
-from tactip_model.errors import TactipError, choose
-from tactip_model.files import write_file
+from tactip_twin.assets import MODELS
+from tactip_twin.learning.device import one_thread
+from tactip_twin.learning.labels import Labels
+from tactip_twin.learning.posenet import PoseNet, PoseNetConfig
+from tactip_twin.sim.labels import LEARNED
+from tactip_twin.tactip_model.errors import TactipError, choose
+from tactip_twin.tactip_model.files import write_file
 
 FORMAT = "tactip-twin PoseNet"
 VERSION = 1

@@ -14,8 +14,8 @@ from dataclasses import asdict, dataclass
 import torch
 from torch import nn
 
-from tactip_model.bounds import check, require, within
-from tactip_model.errors import choose
+from tactip_twin.tactip_model.bounds import check, require, within
+from tactip_twin.tactip_model.errors import choose
 
 ACTIVATIONS = {"relu": nn.ReLU, "elu": nn.ELU}
 """Activations by name [P]."""

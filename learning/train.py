@@ -18,17 +18,17 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
-from learning.device import device_named, is_half
-from learning.drawn import DrawnImages
-from learning.model import net_sha256, save_model, tensors_of, to_input, weights_bytes
-from learning.muon import Muon, inner_weights
-from learning.posenet import PoseNet, PoseNetConfig, parameter_count
-from learning.varied import OPTICS
-from sim.dataset import labels_sha256
-from sim.lock import locked
-from tactip_model.bounds import check, within
-from tactip_model.errors import Stopped, TactipError, choose
-from tactip_model.files import write_file
+from tactip_twin.learning.augmentation import DrawnImages
+from tactip_twin.learning.device import device_named, is_half
+from tactip_twin.learning.model import net_sha256, save_model, tensors_of, to_input, weights_bytes
+from tactip_twin.learning.muon import Muon, inner_weights
+from tactip_twin.learning.optics_ranges import OPTICS
+from tactip_twin.learning.posenet import PoseNet, PoseNetConfig, parameter_count
+from tactip_twin.sim.dataset.format import labels_sha256
+from tactip_twin.sim.parallel.file_lock import locked
+from tactip_twin.tactip_model.bounds import check, within
+from tactip_twin.tactip_model.errors import Stopped, TactipError, choose
+from tactip_twin.tactip_model.files import write_file
 
 CHECKPOINT, METRICS, LOCK = "checkpoint.pt", "metrics.jsonl", ".lock"
 

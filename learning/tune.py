@@ -25,14 +25,14 @@ from hyperopt import STATUS_FAIL, STATUS_OK, Trials, rand, tpe
 from hyperopt.base import JOB_STATE_DONE, Domain
 from tqdm import tqdm
 
-from learning.samples import read_splits
-from learning.space import SearchSpace
-from learning.train import METRICS, Pruned, TrainSettings, as_of_now, read_metrics, train
-from sim.lock import locked
-from sim.plot import pyplot
-from tactip_model.bounds import check, within
-from tactip_model.errors import Stopped, TactipError
-from tactip_model.files import write_file
+from tactip_twin.learning.data import read_splits
+from tactip_twin.learning.search_space import SearchSpace
+from tactip_twin.learning.train import METRICS, Pruned, TrainSettings, as_of_now, read_metrics, train
+from tactip_twin.sim.parallel.file_lock import locked
+from tactip_twin.sim.view.plot import pyplot
+from tactip_twin.tactip_model.bounds import check, within
+from tactip_twin.tactip_model.errors import Stopped, TactipError
+from tactip_twin.tactip_model.files import write_file
 
 TRIAL, RESULTS, BEST, LOCK = "trial.json", "results.jsonl", "best.json", ".lock"
 

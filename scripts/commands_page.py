@@ -7,10 +7,7 @@ import re
 import sys
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT))
-
-import tactip  # noqa: E402
+from tactip_twin.commands import main as tactip
 
 _WIDE = "100"
 """Columns of the terminal that help is written for: wider, and its boxes stand side by side."""

@@ -50,7 +50,7 @@ def record(out: Path, tactip: list[str]) -> None:
 
     def run(name: str, *words: str) -> str:
         start = time.perf_counter()
-        ended = subprocess.run([*tactip, *words], capture_output=True, text=True)
+        ended = subprocess.run([*tactip, *words], check=False, capture_output=True, text=True)
         seconds[name] = time.perf_counter() - start
         if ended.returncode:
             sys.exit(f"{name} failed ({shlex.join(words)}): {ended.stderr[-2000:]}")
@@ -74,7 +74,9 @@ def record(out: Path, tactip: list[str]) -> None:
         "--training.epochs", "3", "--training.least-steps", "0", "--device", "cpu")  # fmt: skip
     for task, objects in (("surface", SURFACES), ("edge", EDGES)):
         for name in objects:
-            route = ("--route.kind", "straight", "--route.length-mm", "20") if task == "surface" else ("--route.most-mm", "20")
+            route = (
+                ("--route.kind", "straight", "--route.length-mm", "20") if task == "surface" else ("--route.most-mm", "20")
+            )
             run(f"servo-{name}", "servo", "--task", task, "--object", name, *route, "--out", str(out / f"servo-{name}"))
     (out / "seconds.json").write_text(json.dumps(seconds, indent=1) + "\n")
 
@@ -111,7 +113,9 @@ def compare(before: Path, after: Path) -> list[str]:
         elif path.suffix == ".npz":
             wrong += [f"{name}: {text}" for text in _arrays(path, other)]
         elif path.suffix == ".json":
-            wrong += [f"{name}: {text}" for text in _numbers(json.loads(path.read_text()), json.loads(other.read_text()), "")]
+            wrong += [
+                f"{name}: {text}" for text in _numbers(json.loads(path.read_text()), json.loads(other.read_text()), "")
+            ]
         elif path.suffix in (".png", ".csv", ".pt") and _digest(path) != _digest(other):
             wrong.append(f"{name} has other bytes")
         count += 1

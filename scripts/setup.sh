@@ -34,15 +34,15 @@ fi
 [ -x .venv/bin/python ] || "$python" -m venv .venv
 .venv/bin/python -m pip install --quiet --disable-pip-version-check --constraint requirements.lock --editable '.[dev]'
 
-if ! .venv/bin/python -m tactip_model.camera >/dev/null 2>&1; then
-    packages=$(.venv/bin/python -c 'from tactip_model.opengl import DEBIAN_PACKAGES as p; print(*p)')
+if ! .venv/bin/python -m tactip_twin.tactip_model.pyrender_renderer >/dev/null 2>&1; then
+    packages=$(.venv/bin/python -c 'from tactip_twin.tactip_model.opengl import DEBIAN_PACKAGES as p; print(*p)')
     if as_root_with_apt; then
         echo "setup: installing OpenGL: $packages"
         # shellcheck disable=SC2086 # the list is to be split
         install_debian $packages
-        .venv/bin/python -m tactip_model.camera
+        .venv/bin/python -m tactip_twin.tactip_model.pyrender_renderer
     else
-        .venv/bin/python -m tactip_model.camera >&2 || true
+        .venv/bin/python -m tactip_twin.tactip_model.pyrender_renderer >&2 || true
         echo "setup: to draw with OpenGL run 'sudo apt-get install -y $packages' and make again" >&2
         exit 1
     fi

@@ -17,7 +17,8 @@ image, z towards the housing): three coordinates of the apex and a rotation vect
     T_contact_sensor = [R(rotation vector), position] · (half a turn about x)
 
 depth: z, negative into the object; roll, pitch, yaw: the rotation vector's x, y, z. What the image does when one
-component alone grows (held by tests/test_labels.py): x: the edge goes left; z falls: pins move outward; roll: the tip
+component alone grows (held by tests/sim/contact/test_labels.py): x: the edge goes left; z falls: pins move outward;
+roll: the tip
 leans on its image's lower side; pitch: on its right side; yaw: the edge turns clockwise.
 """
 

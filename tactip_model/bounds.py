@@ -12,7 +12,7 @@ from numbers import Integral, Real
 from types import NoneType, UnionType
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
-from tactip_model.errors import TactipError
+from tactip_twin.tactip_model.errors import TactipError
 
 
 def within(low, high, *, default) -> Any:

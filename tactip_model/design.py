@@ -6,7 +6,7 @@ Sources, here and below: [P] Lepora & Lloyd, RAM 2020; [M] measured on public im
 
 from dataclasses import dataclass, field
 
-from tactip_model.bounds import check, require, within
+from tactip_twin.tactip_model.bounds import check, require, within
 
 WIDEST_LAYOUT = 0.95
 """Farthest that the outermost pins may be from the axis, in radii of the dome: beyond, there is no skin to root in."""

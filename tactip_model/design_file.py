@@ -5,9 +5,9 @@ from dataclasses import MISSING, asdict, fields, is_dataclass, replace
 from pathlib import Path
 from typing import get_type_hints
 
-from tactip_model.design import Design
-from tactip_model.errors import TactipError
-from tactip_model.files import write_file
+from tactip_twin.tactip_model.design import Design
+from tactip_twin.tactip_model.errors import TactipError
+from tactip_twin.tactip_model.files import write_file
 
 FORMAT = "tactip-design 1"
 

@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
-from tactip_model.blobs import find_blobs
-from tactip_model.errors import TactipError
+from tactip_twin.tactip_model.errors import TactipError
+from tactip_twin.tactip_model.pin_detection import find_blobs
 
 _FEWEST = 20
 """Blobs below which an image does not tell where the pins are."""

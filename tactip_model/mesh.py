@@ -12,7 +12,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 from scipy.spatial import Delaunay
 
-from tactip_model.bounds import check, within
+from tactip_twin.tactip_model.bounds import check, within
 
 GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
 

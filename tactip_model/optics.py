@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tactip_model.pins import neutral_pins, plan_positions
+from tactip_twin.tactip_model.pins import neutral_pins, plan_positions
 
 REFERENCE_PX = 256
 """Image width, px, in which `Optics.neutral_radius` is given."""

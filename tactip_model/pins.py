@@ -3,9 +3,9 @@
 import numpy as np
 from scipy.sparse import coo_matrix
 
-from tactip_model.bounds import require
-from tactip_model.errors import choose
-from tactip_model.mesh import CONTACT_RADIUS_M
+from tactip_twin.tactip_model.bounds import require
+from tactip_twin.tactip_model.errors import choose
+from tactip_twin.tactip_model.mesh import CONTACT_RADIUS_M
 
 
 def hexagonal(rings):

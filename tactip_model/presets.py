@@ -6,9 +6,9 @@ calibration of another sensor of its kind begins.
 
 from pathlib import Path
 
-from tactip_model.design import Design, Optics, Pins
-from tactip_model.design_file import read_design
-from tactip_model.errors import TactipError, choose
+from tactip_twin.tactip_model.design import Design, Optics, Pins
+from tactip_twin.tactip_model.design_file import read_design
+from tactip_twin.tactip_model.errors import TactipError, choose
 
 NOMINAL = {
     # The first ring is turned by 29.5 degrees; the centre is at (126.2, 129.8), counted from the middle of the first pixel

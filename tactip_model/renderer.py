@@ -1,6 +1,6 @@
 """What draws the camera's frame, by name."""
 
-from tactip_model.errors import choose
+from tactip_twin.tactip_model.errors import choose
 
 
 def renderer_named(name, design):
@@ -12,13 +12,13 @@ def renderer_named(name, design):
 
 
 def _pyrender(design):
-    from tactip_model.camera import PinCamera
+    from tactip_twin.tactip_model.pyrender_renderer import PinCamera
 
     return PinCamera(design).render
 
 
 def _raster(design):
-    from tactip_model.raster import Raster
+    from tactip_twin.tactip_model.raster_renderer import Raster
 
     return Raster(design).render
 

@@ -5,14 +5,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import hypothesis
-import numpy as np
 import pytest
-from set_commands import make, run
 
-from sim.contact import ContactPlayer
-from sim.fidelity import fidelity_named
-from sim.pose import from_mm_deg
-from tactip_model.presets import design_named
+from helpers.set_commands import make, run
+from tactip_twin.sim.contact.fidelity import fidelity_named
+from tactip_twin.sim.contact.simulator import ContactPlayer
+from tactip_twin.sim.pose import from_mm_deg
+from tactip_twin.tactip_model.presets import design_named
 
 # No deadline: the first call of a cold library is slow, and timings are not tested here. The same examples every time.
 hypothesis.settings.register_profile("steady", deadline=None, derandomize=True, database=None)
@@ -58,10 +57,6 @@ class Press:
 
     def __call__(self, pose, shear=(0, 0, 0, 0, 0, 0)):
         return self.player.play(from_mm_deg(pose), from_mm_deg(shear))
-
-
-def rms(values):
-    return float(np.sqrt(np.mean(np.square(values))))
 
 
 @pytest.fixture(scope="session")

@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 import pytest
 
-import tactip
-from tests.learning_sets import write_fake_splits
+from helpers.learning_sets import write_fake_splits
+from tactip_twin.commands import main as tactip
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 

@@ -57,7 +57,13 @@ def test_it_works_where_there_is_no_checkout(wheel, tmp_path, version):
         return ended.stdout
 
     subprocess.run(
-        [bin_ / "python", "-W", "error", "-c", "import tactip_model, sim, learning, control, hyperopt"],
+        [
+            bin_ / "python",
+            "-W",
+            "error",
+            "-c",
+            "import tactip_twin.tactip_model, tactip_twin.sim, tactip_twin.learning, tactip_twin.control, hyperopt",
+        ],
         cwd=tmp_path,
         check=True,
     )

@@ -12,8 +12,8 @@ import igl
 import numpy as np
 import trimesh
 
-from assets.meshes.rims import RIMS, block
-from assets.meshes.solids import BUST_SCALE, ball, bust, saddle
+from tactip_twin.assets.meshes.rims import RIMS, block
+from tactip_twin.assets.meshes.solids import BUST_SCALE, ball, bust, saddle
 
 HERE = Path(__file__).parent
 

@@ -1,0 +1,1 @@
+"""Errors of networks, in simulation and on real sensors."""

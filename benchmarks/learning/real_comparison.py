@@ -1,0 +1,194 @@
+"""The simulated 127-pin tip beside the real one: `python -m tactip_twin.benchmarks.learning.real_comparison`.
+
+The real sensor enters by what was measured on its public images (Tac-VGNN's 127-pin surface set): the map of its
+neutral image, and the outward displacement of its pins at five depths. Its frames themselves are not ours to keep; with
+--real DIR (a folder with init_0.png) the picture is made with that frame instead of its measured map, for your eyes.
+Writes docs/real_and_simulated.png and prints the errors.
+"""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import tyro
+
+from tactip_twin.sim.contact.fidelity import fidelity_named
+from tactip_twin.sim.contact.simulator import ContactPlayer
+from tactip_twin.sim.pose import from_mm_deg
+from tactip_twin.sim.view.plot import pyplot
+from tactip_twin.tactip_model.design_file import read_in_use
+from tactip_twin.tactip_model.neutral_image import neutral_px, reference_pixels
+from tactip_twin.tactip_model.optics import REFERENCE_PX, Lens
+from tactip_twin.tactip_model.pins import LAYOUTS, neutral_pins
+from tactip_twin.tactip_model.presets import FITTED
+from tactip_twin.tactip_model.pyrender_renderer import PinCamera
+from tactip_twin.tactip_model.tactile_image import tactile_image
+
+DEPTHS_MM = (1.25, 2.25, 3.25, 4.25, 4.75)
+SHELLS = (1, 3, 4, 7, 9, 12, 13, 16, 19, 21, 25, 27, 28, 31, 36)
+"""N = i² + ij + j² of the hexagonal lattice."""
+
+REAL_OUTWARD_PX = np.array(
+    [
+        [1.39, 1.51, 1.37, 1.29, 1.18, 1.00, 0.89, 1.04, 1.04, 0.94, 0.94, 0.99, 1.00, 1.02, 1.04],
+        [2.04, 3.11, 3.22, 3.13, 2.80, 2.40, 2.26, 2.14, 2.00, 1.87, 1.73, 1.76, 1.72, 1.67, 1.47],
+        [2.60, 4.17, 4.58, 5.32, 5.13, 4.49, 4.23, 3.93, 3.55, 3.29, 3.00, 2.90, 2.88, 2.68, 2.13],
+        [3.13, 5.09, 5.69, 7.09, 7.36, 7.01, 6.75, 6.22, 5.62, 5.21, 4.58, 4.45, 4.40, 3.97, 3.01],
+        [3.47, 5.61, 6.30, 7.97, 8.54, 8.55, 8.32, 7.68, 6.98, 6.46, 5.72, 5.50, 5.41, 4.86, 3.61],
+    ]
+)
+"""Measured: outward displacement, px of a 256 px image, of each shell's pins at each depth (its zero known to 0.5 mm)."""
+
+
+SHEARS_MM = (0.5, 1.5, 2.5, 3.5, 4.5)
+
+REAL_SHIFT_PX = np.array(
+    [
+        [0.1, 0.4, 0.5, 0.5, 0.5],
+        [0.1, 0.5, 1.1, 1.2, 1.3],
+        [0.5, 1.2, 1.9, 1.7, 1.8],
+        [1.0, 2.4, 3.3, 3.2, 2.3],
+        [0.4, 3.0, 3.6, 4.2, 4.2],
+    ]
+)
+"""Measured: mean shift of the pin field along the shear, px of 256, at each depth for shears of 0–1, 1–2, … 4–5 mm."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """Draw the comparison."""
+
+    out: Path = Path("docs/real_and_simulated.png")
+    """Picture to write."""
+    real: Path | None = None
+    """Folder with the real neutral frame init_0.png; not needed."""
+    fidelity: str = "standard"
+    """draft, standard or reference."""
+
+
+DONE = np.linspace(0, 1, 6)
+"""Shares of its move at which a frame was taken: the real frames lag behind their rows, by anything from nothing to all of
+the move alike (docs/your-own-sensor.md)."""
+
+ZEROS_MM = np.arange(-0.5, 0.51, 0.25)
+"""Zeros of depth that are tried: it is known to 0.5 mm."""
+
+
+def shells(pins):
+    """N of each pin (p,) of design.Pins in a hexagonal layout."""
+    return np.rint((LAYOUTS[pins.layout](pins.rings) ** 2).sum(1)).astype(int)
+
+
+def at_rest(design):
+    """The Design with the camera as it was when the neutral image was taken."""
+    return replace(design, optics=replace(design.optics, zoom=1.0, drift=(0.0, 0.0)))
+
+
+def simulated_outward_px(player, depths_mm):
+    """The table above as simulated at depths (n,) mm: (n, 15) px, and the contacts."""
+    design = player.scene.design
+    lens, n, neutral = Lens(design), shells(design.pins), neutral_px(at_rest(design))
+    outward = neutral - neutral[n == 0]
+    outward /= np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-9)
+    contacts = [player.play(from_mm_deg([0, 0, -d, 0, 0, 0]), np.zeros(6)) for d in depths_mm]
+    moved = [((reference_pixels(lens.project(c.tips), lens.width) - neutral) * outward).sum(1) for c in contacts]
+    return np.array([[m[n == s].mean() for s in SHELLS] for m in moved]), contacts
+
+
+def best_zero(player):
+    """The zero of depth, mm, that fits the table best, what is left (5, 15) px there, and what is left without it."""
+    depths = np.add.outer(np.array(DEPTHS_MM), ZEROS_MM)
+    table = simulated_outward_px(player, depths.ravel())[0].reshape(*depths.shape, len(SHELLS))
+    left = table - REAL_OUTWARD_PX[:, None]
+    fine = np.linspace(ZEROS_MM[0], ZEROS_MM[-1], 101)
+    between = np.array([[np.interp(fine, ZEROS_MM, column) for column in row.T] for row in left])
+    best = (between**2).mean((0, 1)).argmin()
+    return float(fine[best]), between[:, :, best], left[:, len(ZEROS_MM) // 2]
+
+
+def simulated_shift_px(player):
+    """The shift of the pin field as simulated, (5, 5) px, depths by shears: of moves that are over, and as frames lag."""
+    lens = Lens(player.scene.design)
+
+    def shifts(depth, shear):
+        stages = player.stages(from_mm_deg([0, 0, -depth, 0, 0, 0]), from_mm_deg([shear, 0, 0, 0, 0, 0]), DONE)
+        x = [reference_pixels(lens.project(c.tips), lens.width)[:, 0].mean() for c in stages]
+        return x[0] - np.array(x)
+
+    table = np.array([[shifts(d, s) for s in SHEARS_MM] for d in DEPTHS_MM])
+    return table[..., -1], table.mean(-1)
+
+
+def measured_neutral(design, size=384):
+    """The real neutral image drawn from its measured pin map and blob sizes: (size, size) uint8."""
+    rho = np.sqrt(shells(design.pins))
+    diameter = np.interp(rho, [0, 3, 4, 5, 6], [4.35, 4.37, 4.61, 5.04, 5.50]) * size / REFERENCE_PX
+    image = np.zeros((size, size), np.uint8)
+    for (x, y), d in zip((neutral_px(at_rest(design)) + 0.5) * size / REFERENCE_PX - 0.5, diameter, strict=True):
+        cv2.circle(image, (round(x * 16), round(y * 16)), round(d * 8), 255, -1, cv2.LINE_AA, 4)
+    return image
+
+
+def rms(values):
+    """Root mean square (float) of an array."""
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def main(options: Options):
+    """Measure, print, draw."""
+    plt = pyplot()
+    design = read_in_use(FITTED["tactip-127"])
+    player = ContactPlayer(design, "surface", fidelity_named(options.fidelity))
+    zero, left, without = best_zero(player)
+    simulated, contacts = simulated_outward_px(player, np.array(DEPTHS_MM) + zero)
+    for depth, row, contact in zip(DEPTHS_MM, left, contacts, strict=True):
+        print(f"{depth:.2f} mm: {rms(row):.2f} px rms off; {contact.normal_force_n:.2f} N")
+    print(f"all depths: {rms(left):.2f} px rms of 256 with a zero of depth of {zero:.2f} mm, {rms(without):.2f} px with 0")
+    over, lagging = simulated_shift_px(player)
+    print("shift of the pin field under shears of 0.5, 1.5, 2.5, 3.5, 4.5 mm, px: move over | as frames lag | real")
+    for depth, *rows in zip(DEPTHS_MM, over, lagging, REAL_SHIFT_PX, strict=True):
+        print(f"{depth:.2f} mm: " + " | ".join(" ".join(f"{x:.1f}" for x in row) for row in rows))
+    print(
+        f"as frames lag: {rms(lagging - REAL_SHIFT_PX):.2f} px rms; all moves over: {rms(over - REAL_SHIFT_PX):.2f} px rms"
+    )
+    for depth in (1, 2, 3):
+        force = player.play(from_mm_deg([0, 0, -depth, 0, 0, 0]), np.zeros(6)).normal_force_n
+        print(f"normal force at {depth} mm: {force:.2f} N")
+
+    camera = PinCamera(design)
+    neutral = tactile_image(camera.render(*neutral_pins(design)), design.image)
+    sheared = player.play(from_mm_deg([0, 0, -4, 8, -6, 0]), from_mm_deg([3, 2, 0, 0, 0, 0]))
+    pressed = tactile_image(camera.render(sheared.tips, sheared.directions), design.image)
+    if options.real is None:
+        real, title = measured_neutral(design), "real tip, at rest\n(drawn from its measured pin map)"
+    else:
+        real, title = cv2.imread(str(options.real / "init_0.png"), cv2.IMREAD_GRAYSCALE), "real tip, at rest"
+
+    figure, axes = plt.subplots(1, 4, figsize=(15, 4.2), width_ratios=[1, 1, 1, 1.35])
+    pictures = (
+        (real, title),
+        (neutral, "simulated, at rest"),
+        (pressed, "simulated, pressed 4 mm,\ntilted and sheared"),
+    )
+    for axis, (image, text) in zip(axes, pictures, strict=False):
+        axis.imshow(image, cmap="gray", interpolation="nearest")
+        axis.set_title(text, fontsize=10)
+        axis.axis("off")
+    for k, depth in enumerate(DEPTHS_MM):
+        colour = plt.cm.viridis(k / len(DEPTHS_MM))
+        axes[3].plot(np.sqrt(SHELLS), REAL_OUTWARD_PX[k], "o", color=colour, ms=4)
+        axes[3].plot(np.sqrt(SHELLS), simulated[k], "-", color=colour, label=f"{depth} mm")
+    axes[3].set_xlabel("distance of the pin from the axis, pitches")
+    axes[3].set_ylabel("outward displacement, px of 256")
+    axes[3].set_title("pins under a flat press: real (dots), simulated (lines)", fontsize=10)
+    axes[3].legend(fontsize=8, frameon=False)
+    axes[3].spines[["top", "right"]].set_visible(False)
+    figure.tight_layout()
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(options.out, dpi=80)
+    print(f"{options.out} written")
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Options))

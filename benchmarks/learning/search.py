@@ -1,0 +1,117 @@
+"""The paper's search, with as many trials as a machine has time for, and what was cut, on one page.
+
+`tactip bench search --task surface --trials 60`: makes the sets that it lacks, searches, and writes docs/search.md, .json
+and a figure a task. Stopped, it goes on where it was; more trials later are added to those that are there.
+"""
+
+import dataclasses
+import json
+from collections import Counter
+from dataclasses import replace
+
+from tactip_twin.benchmarks.hardware import machine, machine_text
+from tactip_twin.benchmarks.learning import learning as learned
+from tactip_twin.benchmarks.options import LearningOptions
+from tactip_twin.learning.search_space import SearchSpace
+from tactip_twin.learning.train import TrainSettings, as_of_now
+from tactip_twin.learning.tune import PARAMETERS, TuneSettings, draw, tune
+from tactip_twin.sim.dataset.generate import Job, make
+from tactip_twin.sim.parallel.worker_pool import worker_count
+from tactip_twin.tactip_model.errors import choose
+from tactip_twin.tactip_model.files import write_file
+
+LAPTOP = TuneSettings(
+    trials=60,
+    startup=20,
+    space=SearchSpace(most_conv_layers=4, most_filters=16, most_units=128, blur_px=1.0, reduce=2),
+    training=TrainSettings(epochs=40, rate=1e-3),
+)
+"""A search for two cores: few epochs, hence ten times the paper's rate [?]."""
+
+BEST = 5
+"""Trials that the page names."""
+
+
+def jobs(options):
+    """The sets (list of Job) that are needed, made already or not."""
+    judged = LearningOptions(task=options.task, judged=options.judged, data=options.data)
+    (val,) = (job for job in learned.jobs(judged, ("plain",)) if job.folder == options.data / "plain" / options.task / "val")
+    train = replace(val.configuration, split="train", samples=options.contacts)
+    return [val, Job(train, val.folder.with_name("train"))]
+
+
+def run(options, say=print):
+    """Search; returns the task's record (dict). say: called with lines for the user.
+
+    Raises TactipError, and Stopped at Ctrl-C.
+    """
+    choose("task", options.task, dict.fromkeys(learned.PAPER))
+    settings = TuneSettings() if options.paper else replace(LAPTOP, trials=options.trials)
+    make(jobs(options), worker_count(options.workers), say)
+    results = tune(options.data / "plain" / options.task, options.runs / options.task, settings, options.jobs, say=say)
+    results = sorted(results, key=lambda r: r["trial"])
+    record = {
+        "contacts": options.contacts,
+        "judged": options.judged,
+        "settings": dataclasses.asdict(settings),
+        "machine": machine(),
+        "trials": [{k: r.get(k) for k in ("trial", "status", "loss", "network", "why")} for r in results],
+    }
+    options.out.mkdir(parents=True, exist_ok=True)
+    path = options.out / "search.json"
+    whole = json.loads(path.read_text()) if path.exists() else {}
+    whole[options.task] = record
+    whole = {task: whole[task] for task in learned.PAPER if task in whole}
+    write_file(path, (json.dumps(whole, indent=1) + "\n").encode())
+    write_file(options.out / "search.md", page(whole).encode())
+    draw(results, options.out / f"search_{options.task}.png", settings.startup)
+    return record
+
+
+def page(whole):
+    """The Markdown (str) of search.json."""
+    lines = [
+        "# The search for a network",
+        "",
+        "Written by `tactip bench search`; do not edit. Hyperopt's TPE over the paper's ten parameters; loss is the "
+        "validation error, each component over its scale, squared and summed. In the figures, left above: loss by trial, "
+        "the best so far, and where random trials end; the others: each parameter against the rank of its loss; red is "
+        "the best.",
+    ]
+    for task, record in whole.items():
+        state = machine_text(record["machine"])
+        ended = Counter(t["status"] for t in record["trials"])
+        good = sorted((t for t in record["trials"] if t["status"] == "ok"), key=lambda t: t["loss"])
+        names = [name for name, _ in PARAMETERS]
+        lines += [
+            "",
+            f"## {task}",
+            "",
+            f"{len(record['trials'])} trials ({', '.join(f'{n} {status}' for status, n in sorted(ended.items()))}), "
+            f"{record['contacts']} contacts to train on and {record['judged']} to validate. On: {state}.",
+            "",
+            f"Unlike the paper's: {', '.join(cuts(record['settings'])) or 'nothing'}.",
+            "",
+            f"![search](search_{task}.png)",
+            "",
+            "| trial | loss | " + " | ".join(names) + " |",
+            "|" + "---|" * (2 + len(names)),
+        ]
+        for trial in good[:BEST]:
+            cells = (f"{v:.2g}" if isinstance(v, float) else str(v) for v in (trial["network"][name] for name in names))
+            lines.append(f"| {trial['trial']} | {trial['loss']:.4g} | " + " | ".join(cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def cuts(settings):
+    """What of a search's settings (dict) is not the paper's: a list of str."""
+
+    def differing(ours, papers, name):
+        for key, value in papers.items():
+            if isinstance(value, dict):
+                yield from differing(ours[key], value, f"{name}{key}.")
+            elif ours[key] != value:
+                yield f"{name}{key} {ours[key]:g} instead of {value:g}"
+
+    papers = dataclasses.asdict(TuneSettings())
+    return list(differing(as_of_now(settings, papers), papers, ""))

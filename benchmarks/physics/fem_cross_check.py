@@ -1,0 +1,181 @@
+"""The pressed gel, element for element, in other finite-element codes: `python -m
+tactip_twin.benchmarks.physics.fem_cross_check`.
+
+The same tetrahedra are solved by benchmarks/physics/fem_tetrahedra.py and, where it is installed (Debian: calculix-ccx),
+by CalculiX.
+The vertices that touch the plate are held at the height where the simulator has them; what is compared is where the rest of
+the surface goes, in mm, and the force. Writes docs/second_code.md and docs/second_code.json.
+"""
+
+import json
+import shutil
+import subprocess
+import tempfile
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import tyro
+
+from tactip_twin.benchmarks.physics.fem_tetrahedra import Solid, lame
+from tactip_twin.benchmarks.physics.materials import Specimen, gel
+from tactip_twin.sim.contact.fidelity import FIDELITIES
+from tactip_twin.sim.contact.simulator import ContactPlayer
+from tactip_twin.sim.pose import from_mm_deg
+from tactip_twin.tactip_model.files import write_file
+from tactip_twin.tactip_model.presets import design_named
+from tactip_twin.tactip_model.soft_body import gel_attributes
+
+DEPTHS_MM = (1.0, 2.0, 3.0, 5.0)
+PLAIN_POISSON = 0.3
+"""Where St Venant-Kirchhoff's law, which MuJoCo and CalculiX share, still stands 2 mm of depth."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """Compare with other codes."""
+
+    out: Path = Path("docs")
+    """Folder for second_code.md and second_code.json."""
+
+
+def calculix():
+    """Path of CalculiX's solver `ccx`, or None where it is not installed."""
+    return shutil.which("ccx")
+
+
+def solve_with_calculix(vertices, tetrahedra, law, young, poisson, held, places, folder):
+    """Displacements (n, 3) m and reactions (n, 3) N by CalculiX's four-node tetrahedra (C3D4).
+
+    law: `St Venant-Kirchhoff` (its *ELASTIC at large displacements) or `split neo-Hooke` (its *HYPERELASTIC, NEO HOOKE).
+    held, places: as for tetrahedra.Solid.solve. folder: an empty folder for its files. Raises ArithmeticError where it
+    does not finish.
+    """
+    lam, mu = lame(young, poisson)
+    constants = {
+        "St Venant-Kirchhoff": f"*ELASTIC\n{young * 1e-6:.12g}, {poisson:.12g}",
+        "split neo-Hooke": f"*HYPERELASTIC, NEO HOOKE\n{mu * 1e-6 / 2:.12g}, {2 / ((lam + 2 / 3 * mu) * 1e-6):.12g}",
+    }
+    lines = ["*NODE, NSET=ALL"]  # in mm, N and MPa
+    lines += [f"{i}, {x:.12g}, {y:.12g}, {z:.12g}" for i, (x, y, z) in enumerate(1e3 * vertices, 1)]
+    lines += ["*ELEMENT, TYPE=C3D4, ELSET=GEL"]
+    lines += [f"{i}, {a}, {b}, {c}, {d}" for i, (a, b, c, d) in enumerate(tetrahedra + 1, 1)]
+    lines += ["*MATERIAL, NAME=GEL", constants[law], "*SOLID SECTION, ELSET=GEL, MATERIAL=GEL"]
+    lines += ["*STEP, NLGEOM, INC=1000", "*STATIC", "0.1, 1, 1e-5, 0.1", "*BOUNDARY"]
+    lines += [f"{i + 1}, {k + 1}, {k + 1}, {1e3 * places[i, k]:.12g}" for i, k in np.argwhere(held)]
+    lines += ["*NODE PRINT, NSET=ALL, FREQUENCY=1000", "U, RF", "*END STEP", ""]
+    (folder / "gel.inp").write_text("\n".join(lines))
+    command = [str(calculix()), "gel"]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300, check=False)  # noqa: S603
+    blocks = (folder / "gel.dat").read_text().split("\n\n") if (folder / "gel.dat").exists() else []
+    tables = [np.loadtxt(block.splitlines()) for block in blocks if len(block.splitlines()) == len(vertices)]
+    if done.returncode or len(tables) != 2:
+        raise ArithmeticError(f"CalculiX did not finish: {done.stdout[-300:]}")
+    return 1e-3 * tables[0][:, 1:], tables[1][:, 1:]
+
+
+def pressed_gel(depth_mm, fidelity="standard"):
+    """The tip without skin, pressed without friction, by the simulator.
+
+    Returns its mesh.Mesh, the flex's law constants (young Pa, poisson), held (n, 3) bool, displacements (n, 3) m, and the
+    force, N. Held are bonded vertices, and the height of those that touch the plate.
+    """
+    design = design_named("nominal-127")
+    materials = replace(design.materials, friction=0.0, skin_young_pa=1.0)  # a skin of 1 Pa is none
+    fidelity = FIDELITIES[fidelity]
+    player = ContactPlayer(replace(design, materials=materials), "surface", fidelity)
+    force = player.play(from_mm_deg([0, 0, -depth_mm, 0, 0, 0]), np.zeros(6)).normal_force_n
+    scene = player.scene
+    held = np.repeat(scene.mesh.bonded[:, None], 3, 1)
+    names = [scene.model.geom(g).name for pair in scene.data.contact.geom for g in pair if g >= 0]
+    touching = [int(name.split("/")[1]) for name in names if name.startswith("tip/")]
+    held[touching, 2] = True
+    flex = gel_attributes(materials, fidelity.mesh)
+    return scene.mesh, (flex["young"], flex["poisson"]), held, scene.vertices() - scene.mesh.vertices, force
+
+
+def differences(moved, other, free, height):
+    """Distances, mm, of free surface vertices between two solutions (n, 3): a dict of rms and greatest."""
+    distance = 1e3 * np.linalg.norm(moved - other, axis=1)[free]
+    return {"rms_mm": float(np.sqrt(np.mean(distance**2))), "greatest_mm": float(distance.max()), "of_mm": height}
+
+
+def compare_simulator(depth_mm):
+    """The product's own press against tetrahedra.Solid of the same law: a dict."""
+    mesh, constants, held, moved, force = pressed_gel(depth_mm)
+    solid = Solid(mesh.vertices, mesh.tetrahedra, "stable neo-Hooke", *constants)
+    other = solid.solve(held, moved)
+    surface = np.arange(len(moved)) < mesh.surface_count
+    row = {"depth_mm": depth_mm, "law": "stable neo-Hooke", "codes": "simulator, benchmarks/physics/fem_tetrahedra.py"}
+    row |= differences(moved, other, surface & ~mesh.bonded, 1e3 * float(np.abs(moved).max()))
+    touching = held[:, 2] & ~mesh.bonded
+    return row | {"force_ratio": float(force / -solid.forces(other)[touching, 2].sum())}
+
+
+def compare_codes(depth_mm, law, folder):
+    """The same gel of PLAIN_POISSON in CalculiX and in the others that know the law: a list of dict."""
+    mesh, _, held, places, _ = pressed_gel(depth_mm)
+    young, surface = design_named("nominal-127").materials.gel_young_pa, np.arange(len(places)) < mesh.surface_count
+    free, touching = surface & ~mesh.bonded, held[:, 2] & ~mesh.bonded
+    problem = mesh.vertices, mesh.tetrahedra, law, young, PLAIN_POISSON
+    expected, reaction = solve_with_calculix(*problem, held, places, folder)
+    solid = Solid(*problem)
+    moved = solid.solve(held, places)
+    solutions = {"benchmarks/physics/fem_tetrahedra.py": (moved, solid.forces(moved))}
+    if law == "St Venant-Kirchhoff":
+        specimen = Specimen(mesh.vertices, mesh.tetrahedra, gel(PLAIN_POISSON, law, young), held)
+        at, force = mesh.vertices, np.zeros(mesh.vertices.shape)
+        for share in np.linspace(0, 1, 11)[1:]:
+            at, force = specimen.rest(np.where(held, mesh.vertices + share * places, at), within=1e-5)
+        solutions["MuJoCo's flex"] = at - mesh.vertices, -force
+    rows = []
+    for name, (moved, force) in solutions.items():
+        row = {"depth_mm": depth_mm, "law": law, "codes": f"{name}, CalculiX"}
+        row |= differences(moved, expected, free, 1e3 * float(np.abs(expected).max()))
+        rows.append(row | {"force_ratio": float(force[touching, 2].sum() / reaction[touching, 2].sum())})
+    return rows
+
+
+def main(options: Options):
+    """Measure, print, and write the page."""
+    rows = [compare_simulator(depth) for depth in DEPTHS_MM]
+    if calculix() is None:
+        print("CalculiX is not installed (Debian: apt install calculix-ccx): its comparison is left out")
+    else:
+        for depth, law in ((1.0, "St Venant-Kirchhoff"), (2.0, "St Venant-Kirchhoff"), (3.0, "split neo-Hooke")):
+            with tempfile.TemporaryDirectory() as folder:
+                rows += compare_codes(depth, law, Path(folder))
+    result = {"rows": rows}
+    options.out.mkdir(parents=True, exist_ok=True)
+    write_file(options.out / "second_code.json", (json.dumps(result, indent=1) + "\n").encode())
+    write_file(options.out / "second_code.md", page(result).encode())
+    print(page(result))
+
+
+def page(result):
+    """The Markdown (str) of a result."""
+    lines = [
+        "# The pressed gel in other finite-element codes",
+        "",
+        "Written by `python -m tactip_twin.benchmarks.physics.fem_cross_check`; do not edit. The gel of the "
+        "127-pin tip on the `standard` mesh, "
+        "without skin and friction, solved by two codes on the very same tetrahedra; the vertices that touch the plate are "
+        "held at the simulator's height. *Simulator*: a contact as it is played for data sets. *MuJoCo's flex*: the flex "
+        f"alone. CalculiX's gel has a Poisson's ratio of {PLAIN_POISSON}; its two laws are `*ELASTIC` at large "
+        "displacements and `*HYPERELASTIC, NEO HOOKE`.",
+        "",
+        "| codes | law | depth, mm | free surface, rms mm | greatest, mm | force ratio |",
+        "|---|---|---|---|---|---|",
+    ]
+    for r in result["rows"]:
+        lines.append(
+            f"| {r['codes']} | {r['law']} | {r['depth_mm']:g} | {r['rms_mm']:.1e} | {r['greatest_mm']:.1e} | "
+            f"{r['force_ratio']:.6f} |"
+        )
+    if not any("CalculiX" in r["codes"] for r in result["rows"]):
+        lines += ["", "CalculiX was not installed."]
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Options))

@@ -1,0 +1,251 @@
+"""The pressed tip against an independent finite-element code: `python -m tactip_twin.benchmarks.physics.mechanics`.
+
+Centred press on the flat without friction: force over that of benchmarks/physics/fem_axisymmetric.py (which does not
+lock and whose
+skin is solid), for the gel alone and the whole sensor; force and shape over Poisson's ratio and mesh, with and without what
+mesh.Resolution does about locking; what the skin's bending is worth; the ripple of the force–depth curve; the loss of
+volume. Writes docs/mechanics.md and docs/mechanics.json.
+"""
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import tyro
+
+from tactip_twin.benchmarks.physics.fem_axisymmetric import Dome, Layer
+from tactip_twin.sim.contact.fidelity import FIDELITIES
+from tactip_twin.sim.contact.simulator import ContactPlayer
+from tactip_twin.sim.pose import from_mm_deg
+from tactip_twin.tactip_model.files import write_file
+from tactip_twin.tactip_model.mesh import CONTACT_RADIUS_M, tetrahedron_volumes
+from tactip_twin.tactip_model.presets import design_named
+
+DEPTHS_MM = (0.5, 1.0, 2.0, 3.0, 4.0, 5.0)
+LOCKING_DEPTHS_MM = (1.0, 3.0, 5.0)
+SHAPE_DEPTH_MM = 3.0
+POISSONS = (0.45, 0.47, 0.49, 0.499)
+
+
+@dataclass(frozen=True)
+class Options:
+    """Measure the mechanics."""
+
+    out: Path = Path("docs")
+    """Folder for mechanics.md and mechanics.json."""
+
+
+class Expected:
+    """Forces and shapes of the independent code for one tip."""
+
+    def __init__(self, design, what, poisson):
+        """design: Design. what: `gel` or `sensor`. poisson: of the gel, -."""
+        m, r = design.materials, design.shape.radius_m
+        gel, t = (m.gel_young_pa, poisson), m.skin_thickness_m
+        layers = {
+            "gel": [Layer(r - 2 * CONTACT_RADIUS_M, *gel, 12), Layer(r, *gel, 1)],
+            "sensor": [Layer(r - t, *gel, 12), Layer(r, m.skin_young_pa, m.skin_poisson, round(t / 2 / CONTACT_RADIUS_M))],
+        }
+        dome, steps = Dome(layers[what], polar_elements=40), _pressed(layers[what])
+        # Nodes where the simulator's surface vertices lie. Not all points of the grid are nodes of elements.
+        used = np.unique(dome.elements)
+        nodes = used[np.isclose(np.linalg.norm(dome.nodes[used], axis=1), r - CONTACT_RADIUS_M, rtol=1e-6)]
+        polar = np.arctan2(*dome.nodes[nodes].T)
+        order = np.argsort(polar)
+        self._polar = polar[order]
+        self._force = {depth: force for depth, (force, _) in steps.items()}
+        self._moved = {depth: u[nodes[order]] for depth, (_, u) in steps.items()}
+
+    def force(self, depth_mm):
+        """Force, N, at one of DEPTHS_MM."""
+        return self._force[depth_mm]
+
+    def shape_error(self, scene, depth_mm):
+        """Distance, mm, of the scene's skin vertices from where they should be at a depth: rms and greatest."""
+        count = scene.mesh.surface_count
+        rest = scene.mesh.vertices[:count] - scene.mesh.centre
+        moved = scene.vertices()[:count] - scene.mesh.vertices[:count]
+        radius = np.hypot(rest[:, 0], rest[:, 1])
+        outward = rest[:, :2] / np.maximum(radius, 1e-9)[:, None]
+        u_r, u_z = (np.interp(np.arctan2(radius, rest[:, 2]), self._polar, u) for u in self._moved[depth_mm].T)
+        error = 1e3 * np.linalg.norm(moved - np.column_stack([outward * u_r[:, None], u_z]), axis=1)
+        return [float(np.sqrt(np.mean(error**2))), float(error.max())]
+
+
+def _pressed(layers):
+    """Depths, mm, to (force, displacements) of the independent code, in steps as long as it stands: dict."""
+    for step in (0.25, 0.125, 0.0625):
+        depths = np.arange(step, max(DEPTHS_MM) + step / 2, step)
+        try:
+            steps = list(Dome(layers, polar_elements=40).press(depths * 1e-3))
+        except ArithmeticError as error:
+            print(f"steps of {step} mm: {error}", flush=True)
+            continue
+        return {depth: state for depth, state in zip(depths.tolist(), steps, strict=True) if depth in DEPTHS_MM}
+    raise ArithmeticError("the reference solution needs smaller steps than tried")
+
+
+def press(player, depth_mm):
+    """Press the centre. Returns the Contact."""
+    return player.play(from_mm_deg([0, 0, -depth_mm, 0, 0, 0]), np.zeros(6))
+
+
+def frictionless(what, poisson=None):
+    """The 127-pin tip without friction, `gel` alone or the whole `sensor`, its gel of a Poisson's ratio: a Design."""
+    design = design_named("nominal-127")
+    m = replace(design.materials, friction=0.0)
+    if what == "gel":
+        m = replace(m, skin_young_pa=1.0)  # a skin of 1 Pa is none
+    return replace(design, materials=replace(m, gel_poisson=m.gel_poisson if poisson is None else poisson))
+
+
+def meshes():
+    """Name to Fidelity: the presets' meshes, all played at the pace of `standard`."""
+    standard = FIDELITIES["standard"]
+    return {name: replace(standard, mesh=FIDELITIES[name].mesh) for name in ("draft", "standard", "reference")}
+
+
+def as_it_is(fidelity):
+    """The Fidelity that gives its elements the gel's own Poisson's ratio."""
+    return replace(fidelity, mesh=replace(fidelity.mesh, poisson_limit=0.5, locked_stiffness=1.0))
+
+
+def against_depth(expected):
+    """Force ratios at DEPTHS_MM of the presets and of what they undo: a list of dict. expected: dict of what to Expected."""
+    standard, rows = FIDELITIES["standard"], []
+    cases = {"draft": FIDELITIES["draft"], "standard": standard, "standard mesh, 0.49 as it is": as_it_is(standard)}
+    for what in expected:
+        for name, fidelity in cases.items():
+            player = ContactPlayer(frictionless(what), "surface", fidelity)
+            ratios = [press(player, d).normal_force_n / expected[what].force(d) for d in DEPTHS_MM]
+            lost = 1 - tetrahedron_volumes(player.scene.vertices(), player.scene.mesh.tetrahedra).sum() / (
+                player.scene.mesh.volumes.sum()
+            )
+            rows.append({"tip": what, "mesh": name, "force_ratio": ratios, "volume_lost_at_5_mm": float(lost)})
+            print(json.dumps(rows[-1]), flush=True)
+    return rows
+
+
+def locking(known):
+    """Force and shape over POISSONS and meshes: a list of dict. known: dict of what to the Expected of the design's gel."""
+    rows, own = [], design_named("nominal-127").materials.gel_poisson
+    for what in ("gel", "sensor"):
+        for poisson in POISSONS:
+            expected = known[what] if poisson == own else Expected(design_named("nominal-127"), what, poisson)
+            for name, fidelity in meshes().items():
+                cures = {"as it is": as_it_is(fidelity)}
+                if poisson > fidelity.mesh.poisson_limit:
+                    cures["cured"] = fidelity
+                for cure, played in cures.items():
+                    player = ContactPlayer(frictionless(what, poisson), "surface", played)
+                    row = {"tip": what, "poisson": poisson, "mesh": name, "elements": cure, "force_ratio": []}
+                    for depth in LOCKING_DEPTHS_MM:
+                        row["force_ratio"].append(press(player, depth).normal_force_n / expected.force(depth))
+                        if depth == SHAPE_DEPTH_MM:
+                            row["shape_mm"] = expected.shape_error(player.scene, depth)
+                    rows.append(row)
+                    print(json.dumps(row), flush=True)
+    return rows
+
+
+def bending(expected):
+    """Force and shape of the sensor at `standard` with the skin's bending scaled: a list of dict. expected: Expected."""
+    rows = []
+    for factor in (0.0, 1.0, 2.0):
+        player = ContactPlayer(frictionless("sensor"), "surface", FIDELITIES["standard"])
+        player.scene.model.flex_bending[:] *= factor
+        row = {"bending": factor, "force_ratio": []}
+        for depth in DEPTHS_MM:
+            row["force_ratio"].append(press(player, depth).normal_force_n / expected.force(depth))
+            if depth == SHAPE_DEPTH_MM:
+                row["shape_mm"] = expected.shape_error(player.scene, depth)
+        rows.append(row)
+        print(json.dumps(row), flush=True)
+    return rows
+
+
+def ripple():
+    """Greatest distance (relative) of the forces every 0.1 mm from a smooth curve, `standard`, with friction."""
+    player = ContactPlayer(design_named("nominal-127"), "surface", FIDELITIES["standard"])
+    depth = np.arange(0.5, 5.01, 0.1)
+    force = np.array([press(player, d).normal_force_n for d in depth])
+    smooth = np.exp(np.polyval(np.polyfit(np.log(depth), np.log(force), 3), np.log(depth)))
+    return float(np.abs(force / smooth - 1).max())
+
+
+def main(options: Options):
+    """Measure, print, and write the page."""
+    design = design_named("nominal-127")
+    expected = {what: Expected(design, what, design.materials.gel_poisson) for what in ("gel", "sensor")}
+    result = {
+        "depths_mm": DEPTHS_MM,
+        "independent_force_n": {what: [e.force(d) for d in DEPTHS_MM] for what, e in expected.items()},
+        "rows": against_depth(expected),
+        "locking": locking(expected),
+        "bending": bending(expected["sensor"]),
+        "ripple": ripple(),
+    }
+    options.out.mkdir(parents=True, exist_ok=True)
+    write_file(options.out / "mechanics.json", (json.dumps(result, indent=1) + "\n").encode())
+    write_file(options.out / "mechanics.md", page(result).encode())
+
+
+def page(result):
+    """The Markdown (str) of a result."""
+    depths, mesh = result["depths_mm"], FIDELITIES["standard"].mesh
+    lines = [
+        "# The pressed tip against an independent code",
+        "",
+        "Written by `python -m tactip_twin.benchmarks.physics.mechanics`; do not edit. Centred press on the flat "
+        "without friction. Force over "
+        "that of `benchmarks/physics/fem_axisymmetric.py` (eight-node elements with reduced integration, a solid skin) at",
+        "",
+        "| tip | mesh | " + " | ".join(f"{d} mm" for d in depths) + " | volume lost at 5 mm |",
+        "|---|---|" + "---|" * (len(depths) + 1),
+    ]
+    for name, forces in result["independent_force_n"].items():
+        lines.append(f"| {name} | *independent code, N* | " + " | ".join(f"*{f:.3f}*" for f in forces) + " | |")
+    for r in result["rows"]:
+        ratios = " | ".join(f"{x:.2f}" for x in r["force_ratio"])
+        lines.append(f"| {r['tip']} | {r['mesh']} | {ratios} | {100 * r['volume_lost_at_5_mm']:.1f} % |")
+    lines += [
+        "",
+        f"Force every 0.1 mm from 0.5 to 5 mm with friction, `standard`: within {100 * result['ripple']:.1f} % of a smooth "
+        "curve (a cubic in the logarithms).",
+        "",
+        "## Locking, and what is done about it",
+        "",
+        "Linear tetrahedra are too stiff near incompressibility. *As it is*: elements of the gel's own Poisson's ratio. "
+        f"*Cured*: as `mesh.Resolution` has it, of {mesh.poisson_limit} with the factor on the modulus that "
+        "belongs to the mesh (0.87, 0.90, 1). Force "
+        "over that of the independent code, and distance of surface vertices from it at "
+        f"{SHAPE_DEPTH_MM:g} mm, rms / greatest:",
+        "",
+        "| tip | Poisson's ratio | mesh | elements | "
+        + " | ".join(f"{d:g} mm" for d in LOCKING_DEPTHS_MM)
+        + " | shape, mm |",
+        "|---|---|---|---|" + "---|" * (len(LOCKING_DEPTHS_MM) + 1),
+    ]
+    for r in result["locking"]:
+        ratios = " | ".join(f"{x:.2f}" for x in r["force_ratio"])
+        shape = " / ".join(f"{x:.3f}" for x in r["shape_mm"])
+        lines.append(f"| {r['tip']} | {r['poisson']} | {r['mesh']} | {r['elements']} | {ratios} | {shape} |")
+    lines += [
+        "",
+        "## The skin's bending",
+        "",
+        "Sensor at `standard`, the bending of its skin taken times a factor ([materials.md](materials.md) says how exact it "
+        "is):",
+        "",
+        "| factor | " + " | ".join(f"{d} mm" for d in depths) + f" | shape at {SHAPE_DEPTH_MM:g} mm |",
+        "|---|" + "---|" * (len(depths) + 1),
+    ]
+    for r in result["bending"]:
+        ratios = " | ".join(f"{x:.2f}" for x in r["force_ratio"])
+        lines.append(f"| {r['bending']:g} | {ratios} | " + " / ".join(f"{x:.3f}" for x in r["shape_mm"]) + " |")
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Options))

@@ -1,0 +1,209 @@
+"""By what a mesh is met: rigid flexes, signed distances and what follows the skin, by error and cost.
+
+`python -m tactip_twin.benchmarks.physics.mesh_contact`: the same sheared contacts with a stimulus and with a mesh of its
+shape, met in each of the ways
+that there are, and writes docs/objects.md and .json. Some minutes.
+"""
+
+import json
+import sys
+import time
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import trimesh
+
+from tactip_twin.assets.meshes.rims import block
+from tactip_twin.benchmarks.hardware import machine, machine_text
+from tactip_twin.sim.contact.fidelity import fidelity_named
+from tactip_twin.sim.contact.signed_distance import Solid
+from tactip_twin.sim.contact.simulator import ContactPlayer
+from tactip_twin.sim.contact.solid_stimulus import Shape
+from tactip_twin.sim.contact.stimuli import EDGE_RADIUS_M, SPHERE_RADIUS_M, Stimulus, stimulus_named
+from tactip_twin.sim.pose import from_mm_deg
+from tactip_twin.tactip_model.errors import TactipError
+from tactip_twin.tactip_model.files import write_file
+from tactip_twin.tactip_model.presets import find_design
+from tactip_twin.tactip_model.soft_body import TOUCHES_FACETS, TOUCHES_VERTICES
+
+DESIGN, FIDELITY = "tactip-127", "standard"
+
+CONTACTS, SEED = 4, 1
+
+SIZES_MM = (6.0, 2.0, 1.0)
+"""Longest side of a triangle, mm."""
+
+
+class Native(Stimulus):
+    """A mesh as MuJoCo itself meets it; its true shape is that of another stimulus."""
+
+    def __init__(self, true, mesh, kind, touches):
+        """true: Stimulus. mesh: trimesh.Trimesh, m. kind: `flex` or `sdf`. touches: contact bits of what meets it."""
+        self._true, self._mesh, self._kind, self._touches = true, mesh, kind, touches
+
+    @property
+    def sharpest_m(self):
+        """See Stimulus."""
+        return self._true.sharpest_m
+
+    def distance(self, points):
+        """See Stimulus."""
+        return self._true.distance(points)
+
+    def height_to_clear(self, centre, radius, top=0.0):
+        """See Stimulus."""
+        return self._true.height_to_clear(centre, radius)
+
+    def add_geoms(self, spec, body, touch):
+        """See Stimulus."""
+        vertices, triangles = np.asarray(self._mesh.vertices).ravel(), np.asarray(self._mesh.faces).ravel()
+        bits = {"contype": 0, "conaffinity": self._touches}
+        if self._kind == "flex":
+            none = mujoco.mjtFlexSelf.mjFLEXSELF_NONE
+            where = {"vertbody": [body.name], "vert": vertices, "elem": triangles}
+            spec.add_flex(name="mesh", dim=2, radius=1e-6, selfcollide=none, **where, **bits, **touch)
+            return
+        spec.add_mesh(name="mesh", uservert=vertices, userface=triangles, inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_EXACT)
+        body.add_geom(name="mesh", type=mujoco.mjtGeom.mjGEOM_SDF, meshname="mesh", **bits, **touch)
+
+
+def shapes():
+    """Names of stimuli and trimesh.Trimesh, m, of their shapes."""
+    edge = trimesh.convex.convex_hull(block(30.0, 30.0, 1e3 * EDGE_RADIUS_M))
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=1e3 * SPHERE_RADIUS_M)
+    flat = trimesh.creation.box((60.0, 60.0, 30.0))
+    edge.apply_translation([-30, 0, 0])
+    ball.apply_translation([0, 0, -1e3 * SPHERE_RADIUS_M])
+    flat.apply_translation([0, 0, -15])
+    return {"surface": flat, "edge": edge, "sphere": ball}
+
+
+def cut(name, mesh, size_mm):
+    """A trimesh.Trimesh, m, with triangles of at most size_mm; a ball's new corners are on the ball."""
+    cut_up = trimesh.remesh.subdivide_to_size(mesh.vertices, mesh.faces, size_mm, max_iter=20)
+    fine = trimesh.Trimesh(*cut_up[:2])
+    fine.merge_vertices()
+    if name == "sphere":
+        radius = 1e3 * SPHERE_RADIUS_M
+        own = fine.vertices - np.array([0, 0, -radius])
+        fine.vertices = own / np.linalg.norm(own, axis=1, keepdims=True) * radius - [0, 0, radius]
+    fine.apply_scale(1e-3)
+    return fine
+
+
+def ways(name, mesh):
+    """The ways (dict of functions that make a Stimulus) in which a mesh of the stimulus `name` can be met."""
+    true, out = stimulus_named(name), {}
+    both = TOUCHES_VERTICES | TOUCHES_FACETS
+    for size in SIZES_MM:
+        fine = cut(name, mesh, size)
+        tell = f"{len(fine.faces)} triangles"
+        sharpest = EDGE_RADIUS_M if name != "sphere" else SPHERE_RADIUS_M
+        out[f"follows the skin, {tell}"] = lambda fine=fine, r=sharpest: Shape(
+            Solid(fine.vertices, fine.faces), sharpest_m=r
+        )
+        if size != SIZES_MM[-1]:
+            out[f"rigid flex, {tell}"] = lambda fine=fine: Native(true, fine, "flex", both)
+            out[f"rigid flex, vertices alone, {tell}"] = lambda fine=fine: Native(true, fine, "flex", TOUCHES_VERTICES)
+            out[f"signed distance, {tell}"] = lambda fine=fine: Native(true, fine, "sdf", both)
+    return out
+
+
+def contacts(name):
+    """Poses and shears (pairs of (6,), m and rad), the same for all ways."""
+    draw = np.random.default_rng(SEED)
+    low, high = np.array([-2, 0, -4, -10, -10, -30.0]), np.array([2, 0, -2, 10, 10, 30.0])
+    if name == "sphere":
+        low[:2], high[:2] = -1, 1
+    far = np.array([3, 3, 0, 4, 4, 4.0])
+    return [(from_mm_deg(draw.uniform(low, high)), from_mm_deg(draw.uniform(-far, far))) for _ in range(CONTACTS)]
+
+
+def measure(say=print):
+    """The record (dict, JSON): for each stimulus, rows of ways."""
+    design, fidelity = find_design(DESIGN), fidelity_named(FIDELITY)
+    out = {"machine": machine(), "contacts": CONTACTS, "design": DESIGN, "fidelity": FIDELITY, "stimuli": {}}
+    for name, mesh in shapes().items():
+        rows, true = [], None
+        for way, stimulus in {"the stimulus itself": lambda name=name: name, **ways(name, mesh)}.items():
+            try:
+                player = ContactPlayer(design, stimulus(), fidelity)
+            except TactipError as error:
+                rows.append({"way": way, "refused": str(error).splitlines()[0]})
+                say(f"{name}: {way}: refused")
+                continue
+            played, seconds = [], []
+            for pose, shear in contacts(name):
+                start = time.perf_counter()
+                played.append(player.play(pose, shear))
+                seconds.append(time.perf_counter() - start)
+            true = true or played
+            rows.append({"way": way, **_figures(played, true, seconds)})
+            if way.startswith("rigid flex"):
+                rows[-1]["force"] = None  # Scene.contact_force tells sides by geoms: a flex has none
+            say(f"{name}: {way}: {rows[-1]['pins_mm']} mm, {rows[-1]['seconds']:.2f} s")
+        out["stimuli"][name] = rows
+    return out
+
+
+def _figures(played, true, seconds):
+    apart = [1e3 * float(np.sqrt(((p.tips - t.tips) ** 2).sum(1).mean())) for p, t in zip(played, true, strict=True)]
+    force = [abs(abs(p.normal_force_n / t.normal_force_n) - 1) for p, t in zip(played, true, strict=True)]
+    return {
+        "pins_mm": [float(np.median(apart)), max(apart)],
+        "force": float(np.median(force)),
+        "overlap_mm": 1e3 * max(p.overlap_m for p in played),
+        "seconds": float(np.median(seconds)),
+        "steps": float(np.median([p.steps for p in played])),
+    }
+
+
+def page(record):
+    """The Markdown (str) of a record."""
+    state = machine_text(record["machine"])
+    lines = [
+        "# By what a mesh is met",
+        "",
+        "Written by `python -m tactip_twin.benchmarks.physics.mesh_contact`; do not edit. "
+        f"{record['contacts']} sheared contacts of `{record['design']}` at `{record['fidelity']}`, with a stimulus and "
+        f"with a mesh of its shape; errors are against the stimulus itself. On: {state}.",
+        "",
+        "The skin's vertices and facets may meet a mesh as a rigid flex (triangle by triangle), as a signed distance "
+        "(MuJoCo's `sdf`), or by a surface that follows the skin (`sim/contact/solid_stimulus.py`), which is what "
+        "objects are met by. "
+        "Overlap is the greatest depth of a facet inside the true shape: 0.1 mm is allowed of a record.",
+    ]
+    for name, rows in record["stimuli"].items():
+        lines += [
+            "",
+            f"## {name}",
+            "",
+            "| met as | pins off, mm: median, most | force off | overlap, mm | s | over the first |",
+        ]
+        lines.append("|---|---|---|---|---|---|")
+        base = rows[0]["seconds"]
+        for row in rows:
+            if "refused" in row:
+                lines.append(f"| {row['way']} | refused: {row['refused']} | | | | |")
+                continue
+            force = "not read" if row["force"] is None else f"{100 * row['force']:.1f} %"
+            lines.append(
+                f"| {row['way']} | {row['pins_mm'][0]:.3f}, {row['pins_mm'][1]:.3f} | {force} | "
+                f"{row['overlap_mm']:.3f} | {row['seconds']:.2f} | {row['seconds'] / base:.1f} |"
+            )
+    return "\n".join(lines) + "\n"
+
+
+def main():
+    """Measure and write."""
+    record = measure()
+    docs = Path("docs")
+    docs.mkdir(exist_ok=True)
+    write_file(docs / "objects.json", (json.dumps(record, indent=1) + "\n").encode())
+    write_file(docs / "objects.md", page(record).encode())
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,109 @@
+"""What is swept: `standard` with one number changed at a time, and the sequences by which the reference is refined."""
+
+from dataclasses import replace
+
+from tactip_twin.benchmarks.physics.contact_cache import STANDARD, Variant
+from tactip_twin.sim.contact.fidelity import FIDELITIES, finer
+
+REFINED_MM = tuple(1.2 * 2 ** (k / 2) for k in (2, 1, 0, -1))
+"""Spacings on the surface of the sequence that ends one refinement beyond the reference, mm; all else in proportion."""
+
+
+def changed(part, **changes):
+    """`standard` with numbers of one of its parts (str) changed: a Variant."""
+    fidelity = STANDARD.fidelity
+    return Variant(replace(fidelity, **{part: replace(getattr(fidelity, part), **changes)}))
+
+
+def small_steps(fidelity):
+    """The Fidelity's mesh played as the reference is, at half its steps."""
+    fine = finer(FIDELITIES["reference"])
+    return replace(fine, name=f"mesh of {fidelity.name}, small steps", mesh=fidelity.mesh)
+
+
+def refined_meshes():
+    """Spacing on the surface, mm, to the reference with a mesh of that spacing: a dict of Variant."""
+    reference = FIDELITIES["reference"]
+    mesh, out = reference.mesh, {}
+    for spacing in REFINED_MM:
+        share = spacing * 1e-3 / mesh.surface_m
+        lengths = {name: getattr(mesh, name) * share for name in ("surface_m", "rim_m", "coarsest_m")}
+        out[spacing] = Variant(replace(reference, name=f"reference, {spacing:.2f} mm", mesh=replace(mesh, **lengths)))
+    return out
+
+
+def refined_steps():
+    """Share of the reference's steps to the mesh of `standard` played with them: a dict of Variant."""
+    mesh, reference = STANDARD.fidelity.mesh, FIDELITIES["reference"]
+    half = finer(reference)
+    motion = reference.motion
+    twice = replace(
+        motion,
+        step_s=2 * motion.step_s,
+        press_step_m=2 * motion.press_step_m,
+        shear_step_m=2 * motion.shear_step_m,
+        settle_steps=motion.settle_steps // 2,
+    )
+    fidelities = {2.0: replace(reference, motion=twice), 1.0: reference, 0.5: half, 0.25: finer(half)}
+    return {s: Variant(replace(f, name=f"mesh of standard, {s:g} steps", mesh=mesh)) for s, f in fidelities.items()}
+
+
+def _row(part, name, values, scale=1.0):
+    """Variants of one number: dict of text of its value to Variant. values: in the page's unit; scale: of it in SI."""
+    return {f"{v:g}": changed(part, **{name: type(v)(v * scale) if isinstance(v, int) else v * scale}) for v in values}
+
+
+def sweeps():
+    """What is swept (str, with its unit) to (whether it is of the mesh, dict of its value as text to Variant)."""
+    contact, motion = STANDARD.fidelity.contact, STANDARD.fidelity.motion
+    (k_moving, d_moving), (k_resting, d_resting) = contact.moving, contact.resting
+    easing = {
+        (0.0, 0.0): "steady",
+        (0.0, 1.5): "0, 1.5",
+        (1.5, 0.5): "1.5, 0.5",
+        (1.5, 1.5): "1.5, 1.5",
+        (0.5, 3.0): "0.5, 3",
+    }
+    mesh = {
+        "spacing on the surface, mm": _row("mesh", "surface_m", (1.2, 1.5, 1.7, 2.2, 2.6, 3.2), 1e-3),
+        "spacing at the rim, mm": _row("mesh", "rim_m", (2.5, 3.5, 4.5, 6.0), 1e-3),
+        "fine up to a polar angle of, degrees": _row("mesh", "fine_angle_deg", (15.0, 40.0, 55.0)),
+        "layers: growth of spacing inward": _row("mesh", "growth", (1.1, 1.2, 1.35, 1.6, 2.0)),
+        "layers: largest spacing, mm": _row("mesh", "coarsest_m", (5.0, 10.0), 1e-3),
+    }
+    rest = {
+        "time step, ms": _row("motion", "step_s", (3.0, 4.0, 10.0, 14.0), 1e-3),
+        "approach a step, mm": _row("motion", "press_step_m", (0.3, 0.6, 2.4), 1e-3),
+        "travel of the skin a step of the shear, mm": _row("motion", "shear_step_m", (0.1, 0.2, 0.6, 1.0), 1e-3),
+        "fewest steps of a motion": _row("motion", "least_steps", (2, 8, 16)),
+        "steps at rest, at least": _row("motion", "settle_steps", (1, 2, 8, 16)),
+        "settled below, mm/s": _row("motion", "settle_speed_m_s", (0.2, 0.7, 6.0, 20.0), 1e-3),
+        "steps at rest, at most": _row("motion", "settle_limit", (4, 10, 40, 100)),
+        "easing (in, out)": {t: changed("motion", ease_in=i, ease_out=o) for (i, o), t in easing.items()},
+        "solver's tolerance in motion": _row("solver", "tolerance", (1e-9, 1e-8, 1e-6, 1e-5)),
+        "solver's tolerance at rest": _row("solver", "settle_tolerance", (1e-11, 1e-10, 1e-7, 1e-6)),
+        "solver's iterations": _row("solver", "iterations", (100, 300, 3000)),
+        "frictional to normal impedance": _row("solver", "impratio", (1.0, 3.0, 30.0, 100.0)),
+        "contact in motion, stiffness": {
+            f"times {s:g}": changed("contact", moving=(s * k_moving, d_moving)) for s in (0.1, 0.3, 3, 10)
+        },
+        "contact in motion, damping": {
+            f"times {s:g}": changed("contact", moving=(k_moving, s * d_moving)) for s in (0.1, 0.3, 3, 10)
+        },
+        "contact at rest, stiffness": {
+            f"times {s:g}": changed("contact", resting=(s * k_resting, d_resting)) for s in (0.1, 0.3, 3, 10)
+        },
+        "one contact for both": {
+            "stiff": changed("contact", moving=contact.resting),
+            "soft": changed("contact", resting=contact.moving),
+        },
+        "margin of contact, mm": _row("contact", "margin_m", (0.0, 0.1, 0.2, 0.8), 1e-3),
+        "contact's impedance": _row("contact", "impedance", (0.8, 0.9, 0.99)),
+        "mass of a skin vertex, mg": _row("contact", "vertex_mass_kg", (3.0, 10.0, 100.0, 300.0), 1e-6),
+        "sliding skin (De Saxcé)": {"lifted": replace(STANDARD, lowered=False)},
+    }
+    least = min(motion.settle_steps, 4)
+    rest["steps at rest, at most"]["4"] = changed("motion", settle_limit=least, settle_steps=least)
+    found = {name: (True, v) for name, v in mesh.items()} | {name: (False, v) for name, v in rest.items()}
+    # What is listed above may be what `standard` has: it is measured as itself.
+    return {name: (m, {t: v for t, v in variants.items() if v != STANDARD}) for name, (m, variants) in found.items()}

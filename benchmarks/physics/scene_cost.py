@@ -1,0 +1,347 @@
+"""What each part of the data-set scene costs, and that it holds no other: `tactip bench parts`.
+
+The first contacts of the training sets at `standard`, and right after each the same without one part: what that saves and
+what it does to the pins. Where the time of a contact goes, call by call. What a sample costs beside its contact. And an
+account of all that the compiled scene holds. Writes docs/parts.md and docs/parts.json.
+"""
+
+import json
+import sys
+import time
+from collections import Counter
+from dataclasses import replace
+from unittest import mock
+
+import mujoco
+import numpy as np
+from tqdm import tqdm
+
+import tactip_twin.sim.contact.scene
+from tactip_twin.benchmarks.hardware import machine, machine_text
+from tactip_twin.benchmarks.physics.contact_cache import DESIGN, STANDARD, UnloweredPlayer
+from tactip_twin.benchmarks.physics.contact_cases import Case, training
+from tactip_twin.sim.contact.simulator import ContactPlayer
+from tactip_twin.sim.dataset.format import encode_image
+from tactip_twin.sim.labels import TASKS
+from tactip_twin.tactip_model import soft_body as body
+from tactip_twin.tactip_model.files import write_file
+from tactip_twin.tactip_model.presets import design_named
+from tactip_twin.tactip_model.pyrender_renderer import PinCamera
+from tactip_twin.tactip_model.raster_renderer import Raster
+from tactip_twin.tactip_model.soft_body import TOUCHES_VERTICES, skin_attributes
+from tactip_twin.tactip_model.tactile_image import tactile_image
+
+STRETCHING_ALONE = 2
+NOTHING = 0
+"""MjsFlex.elastic2d."""
+
+AWAY_MM = -15.0
+"""Place beside the edge, x, at which the tip touches the block's flat top alone, mm."""
+
+
+def _with_skin(**changes):
+    """A maker of players whose skin has other attributes of its flex."""
+
+    def make(task):
+        with mock.patch.object(body, "skin_attributes", lambda materials: skin_attributes(materials) | changes):
+            return _player(task)
+
+    return make
+
+
+def _player(task, **materials):
+    design = design_named(DESIGN)
+    design = replace(design, materials=replace(design.materials, **materials))
+    return ContactPlayer(design, task, STANDARD.fidelity)
+
+
+def _with_facets_deaf(task):
+    """A player whose stimulus the skin's facets do not meet."""
+    player = _player(task)
+    model = player.scene.model
+    model.geom_conaffinity[model.geom_bodyid == model.body("stimulus").id] &= TOUCHES_VERTICES
+    return player
+
+
+def _with_plain_steps(task):
+    """A player that steps by mujoco.mj_step, with contacts that begin where they touch."""
+    player = _player(task)
+    scene = player.scene
+    scene.model.geom_margin[:] = 0
+    scene.step = lambda: mujoco.mj_step(scene.model, scene.data)
+    return player
+
+
+PARTS = {
+    "nothing (the same twice)": _player,
+    "the skin's bending": _with_skin(elastic2d=STRETCHING_ALONE),
+    "the skin, stretching and bending": _with_skin(elastic2d=NOTHING),
+    "friction": lambda task: _player(task, friction=0.0),
+    "contact of the skin's facets": _with_facets_deaf,
+    "the correction for sliding skin": lambda task: UnloweredPlayer(design_named(DESIGN), task, STANDARD.fidelity),
+    "Scene.step (mujoco.mj_step in its place)": _with_plain_steps,
+}
+"""What is left out, to a function of the task that makes a player without it. The gel cannot be left out."""
+
+
+def _played(player, case):
+    """A Contact and its CPU time, s."""
+    start = time.process_time()
+    contact = player.play(*case.si())
+    return contact, time.process_time() - start
+
+
+def side_by_side(pairs):
+    """Median ratio of CPU times and mean distance of pins, mm, over ((player, Case), (player, Case)) pairs."""
+    ratios, apart = [], []
+    for first, second in pairs:
+        (a, a_s), (b, b_s) = _played(*first), _played(*second)
+        ratios.append(b_s / a_s)
+        apart.append(np.linalg.norm(a.tips - b.tips, axis=1).mean())
+    return float(np.median(ratios)), float(1e3 * np.mean(apart))
+
+
+def parts(task, count, step):
+    """Rows (list of dict): what it saves to leave a part out. step: called after each."""
+    whole, rows = _player(task), []
+    for what, make in PARTS.items():
+        without = make(task)
+        cost, pins = side_by_side(((whole, case), (without, case)) for case in training(task, count))
+        rows.append({"task": task, "without": what, "cost": cost, "pins_mm": pins})
+        step()
+    return rows
+
+
+def edge_against_plane(count):
+    """The edge's block over the flat surface (dict): the same contacts on its top, and at its edge."""
+    flat, block = _player("surface"), _player("edge")
+    cases = [(case, Case(case.name, "edge", (AWAY_MM, *case.pose_mm_deg[1:]), case.shear_mm_deg)) for case in _level(count)]
+    cost, pins = side_by_side(((flat, a), (block, b)) for a, b in cases)
+    at_edge, _ = side_by_side(((flat, a), (block, a)) for a, _ in cases)
+    return {"on_top": cost, "on_top_pins_mm": pins, "at_its_edge": at_edge}
+
+
+def _level(count):
+    """Presses of the surface's training set whose shear leads along the edge alone, so that the top holds all of it."""
+    return [replace(case, shear_mm_deg=(0.0, *case.shear_mm_deg[1:])) for case in training("surface", count)]
+
+
+class _TimedCalls:
+    """MuJoCo's module with the CPU time of each function's calls added up."""
+
+    def __init__(self):
+        self.seconds = Counter()
+
+    def __getattr__(self, name):
+        value = getattr(mujoco, name)
+        if not name.startswith("mj_"):
+            return value
+
+        def timed(*arguments):
+            start = time.process_time()
+            try:
+                return value(*arguments)
+            finally:
+                self.seconds[name] += time.process_time() - start
+
+        return timed
+
+
+class _TimedPlayer(ContactPlayer):
+    """A player that adds up the CPU time of its records."""
+
+    recording = 0.0
+
+    def _record(self, *arguments):
+        start = time.process_time()
+        try:
+            return super()._record(*arguments)
+        finally:
+            self.recording += time.process_time() - start
+
+
+CALLS = {
+    "mj_fwdPosition": "stiffness for the implicit step, collisions, contact rows",
+    "mj_forwardSkip": "forces of gel and skin",
+    "mj_fwdConstraint": "solver",
+    "mj_mulJacVec": "correction for sliding skin",
+    "mj_integratePos": "new positions",
+    "mj_step": "mj_step",
+    "mj_resetData": "reset",
+}
+"""MuJoCo's functions that Scene calls, and what they are for."""
+
+
+def split(task, count):
+    """Where the time of a contact goes: shares of its CPU time by what it is for (dict), of `count` contacts."""
+    calls = _TimedCalls()
+    player = _TimedPlayer(design_named(DESIGN), task, STANDARD.fidelity)
+    with mock.patch.object(tactip_twin.sim.contact.scene, "mujoco", calls):
+        total = sum(_played(player, case)[1] for case in training(task, count))
+    shares = {CALLS.get(name, name): s / total for name, s in calls.seconds.items()}
+    shares["recording"] = player.recording / total
+    return shares | {"the rest (path, pace, Python)": 1 - sum(shares.values())}
+
+
+def position_stage(task):
+    """What mj_fwdPosition is made of, CPU ms a call (dict), in the state of the task's first contact.
+
+    With explicit steps MuJoCo does the same but for the matrix of the implicit step: the difference is the matrix's.
+    """
+    player = _player(task)
+    player.play(*training(task, 1)[0].si())
+    model, data = player.scene.model, player.scene.data
+
+    def milliseconds(function):
+        took = []
+        for _ in range(20):
+            start = time.process_time()
+            function(model, data)
+            took.append(1e3 * (time.process_time() - start))
+        return float(np.median(took))
+
+    whole = milliseconds(mujoco.mj_fwdPosition)
+    collisions, rows = milliseconds(mujoco.mj_collision), milliseconds(mujoco.mj_makeConstraint)
+    model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
+    explicit = milliseconds(mujoco.mj_fwdPosition)
+    return {
+        "stiffness of gel and skin for the implicit step": whole - explicit,
+        "collisions": collisions,
+        "contact rows": rows,
+        "vertices, and the rest": explicit - collisions - rows,
+    }
+
+
+def beside(task, count):
+    """What a sample costs beside its contact: median CPU milliseconds (dict), and the contact's own."""
+    design, player = design_named(DESIGN), _player(task)
+    painters = {"image by pyrender": PinCamera(design), "image by raster": Raster(design)}
+    out = {"contact": []}
+
+    def timed(what, function):
+        start = time.process_time()
+        result = function()
+        out.setdefault(what, []).append(1e3 * (time.process_time() - start))
+        return result
+
+    for case in training(task, count):
+        contact = timed("contact", lambda case=case: player.play(*case.si()))
+        for what, painter in painters.items():
+            frame = timed(what, lambda p=painter, c=contact: p.render(c.tips, c.directions))
+        image = timed("threshold", lambda f=frame: tactile_image(f, design.image))
+        timed("PNG", lambda i=image: encode_image(i))
+    return {what: float(np.median(ms[1:])) for what, ms in out.items()}  # the first of each warms up
+
+
+def inventory(scene):
+    """All that a compiled scene (tactip_twin.sim.contact.scene.Scene) holds, as rows (what, how many, how many its job
+    needs, for what)."""
+    model, mesh = scene.model, scene.mesh
+    free = int((~mesh.bonded).sum())
+    skin = int((~mesh.bonded[: mesh.surface_count]).sum())
+    hulls = len(set(model.geom_dataid[model.geom_type == mujoco.mjtGeom.mjGEOM_MESH].tolist()))
+    of_stimulus = int((model.geom_bodyid == model.body("stimulus").id).sum())
+    needed = {
+        "nbody": (3 + free, "world, stimulus, tip, and one for each free vertex"),
+        "njnt": (1 + 3 * free, "the stimulus's free joint, three slides a free vertex"),
+        "nv": (6 + 3 * free, "their degrees of freedom"),
+        "ngeom": (1 + skin, "the stimulus, and a sphere for each free skin vertex"),
+        "nflex": (2, "gel and skin"),
+        "nmesh": (hulls, "the stimulus's shape, where that is a hull"),
+    }
+    rows = [(name, int(getattr(model, name)), *what) for name, what in needed.items()]
+    rows.append(("geoms of the stimulus", of_stimulus, 1, "one shape"))
+    nothing = "nu nsensor ncam nlight ntex nmat neq ntendon nmocap nsite nskin nhfield nplugin npair nexclude nkey nuserdata"
+    rows += [(name, int(getattr(model, name)), 0, "none") for name in nothing.split() if hasattr(model, name)]
+    touching = (model.geom_contype | model.geom_conaffinity) == 0
+    rows.append(("geoms that touch nothing", int(touching.sum()), 0, "none"))
+    rows.append(("flexes that touch", int((model.flex_contype | model.flex_conaffinity > 0).sum()), 1, "the skin"))
+    return rows
+
+
+def run(options):
+    """Measure, and write parts.json and parts.md. options: PartsOptions. Returns the result (dict).
+
+    Raises TactipError and OSError.
+    """
+    with tqdm(total=len(TASKS) * (len(PARTS) + 2) + 1, unit="part", file=sys.stderr) as bar:
+        result = {
+            "contacts_a_task": options.contacts,
+            "machine": machine(),
+            "parts": [],
+            "split": {},
+            "stage": {},
+            "beside": {},
+        }
+        for task in TASKS:
+            result["parts"] += parts(task, options.contacts, bar.update)
+            result["split"][task] = split(task, options.contacts)
+            result["stage"][task] = position_stage(task)
+            result["beside"][task] = beside(task, options.contacts)
+            bar.update(2)
+        result["edge"] = edge_against_plane(options.contacts)
+        bar.update()
+    result["inventory"] = {task: [list(row) for row in inventory(_player(task).scene)] for task in TASKS}
+    options.out.mkdir(parents=True, exist_ok=True)
+    write_file(options.out / "parts.json", (json.dumps(result, indent=1) + "\n").encode())
+    write_file(options.out / "parts.md", page(result).encode())
+    return result
+
+
+def page(result):
+    """The Markdown (str) of a result."""
+    lines = [
+        "# What a scene does not need",
+        "",
+        "Written by `tactip bench parts`; do not edit. The first "
+        f"{result['contacts_a_task']} contacts of each training set of seed 0 at `standard`, 127-pin tip, one core of: "
+        + machine_text(result["machine"])
+        + ".",
+        "",
+        "## What it saves to leave a part out",
+        "",
+        "CPU time of a contact without the part over that of the same contact with it, played one right after the other "
+        "(median), and how far the pins are apart then (mean). More than 1: without it the solver has a harder time.",
+        "",
+        "| without | surface: cost | pins, mm | edge: cost | pins, mm |",
+        "|---|---|---|---|---|",
+    ]
+    by = {(r["task"], r["without"]): r for r in result["parts"]}
+    for what in PARTS:
+        cells = [f"{by[t, what]['cost']:.2f} | {by[t, what]['pins_mm']:.3f}" for t in TASKS]
+        lines.append(f"| {what} | {' | '.join(cells)} |")
+    edge = result["edge"]
+    lines += [
+        "",
+        f"The edge's block in place of the flat surface: the same contacts on its top, away from the edge, cost "
+        f"{edge['on_top']:.2f} times as much (pins {edge['on_top_pins_mm']:.4f} mm apart); across its edge, "
+        f"{edge['at_its_edge']:.2f} times. Hence the flat surface is a plate of its own that the skin's facets do not meet.",
+        "",
+        "## Where the time of a contact goes",
+        "",
+        "| | " + " | ".join(TASKS) + " |",
+        "|---|" + "---|" * len(TASKS),
+    ]
+    for what in sorted(result["split"]["surface"], key=result["split"]["surface"].get, reverse=True):
+        lines.append(f"| {what} | " + " | ".join(f"{100 * result['split'][t].get(what, 0):.1f} %" for t in TASKS) + " |")
+    lines += ["", "Of the first of them, CPU ms a step:", "", "| | " + " | ".join(TASKS) + " |", "|---|---|---|"]
+    for what in result["stage"]["surface"]:
+        lines.append(f"| {what} | " + " | ".join(f"{result['stage'][t][what]:.2f}" for t in TASKS) + " |")
+    lines += ["", "## What a sample costs beside it", "", "| CPU, ms | " + " | ".join(TASKS) + " |", "|---|---|---|"]
+    for what in result["beside"]["surface"]:
+        lines.append(f"| {what} | " + " | ".join(f"{result['beside'][t][what]:.2f}" for t in TASKS) + " |")
+    lines += [
+        "",
+        "## What the scene holds",
+        "",
+        "Counted in the compiled model; tests/benchmarks/physics/test_fidelity.py holds the scenes to it. Arm, "
+        "mounting and object meshes come "
+        "with the scenes that use them.",
+        "",
+        "| | " + " | ".join(TASKS) + " | needed | for |",
+        "|---|" + "---|" * (len(TASKS) + 2),
+    ]
+    for rows in zip(*(result["inventory"][t] for t in TASKS), strict=True):
+        needed = " / ".join(dict.fromkeys(str(r[2]) for r in rows))
+        lines.append(f"| {rows[0][0]} | " + " | ".join(str(r[1]) for r in rows) + f" | {needed} | {rows[0][3]} |")
+    return "\n".join(lines) + "\n"

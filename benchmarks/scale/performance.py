@@ -1,0 +1,484 @@
+"""What everything costs on one machine, and how it grows: `tactip bench speed` writes docs/performance.md and .json.
+
+Each group is measured alone and kept: the page has what was measured last. Rates of sets are marginal: the time of a set of
+n contacts less that of one of a few, over the difference, so that what is paid once stands by itself.
+"""
+
+import contextlib
+import json
+import multiprocessing
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from mujoco import batch
+
+from tactip_twin.benchmarks.hardware import machine, machine_text
+from tactip_twin.benchmarks.scale import mujoco_warp as gpu_engine
+from tactip_twin.sim.contact.fidelity import fidelity_named
+from tactip_twin.sim.contact.simulator import ContactPlayer
+from tactip_twin.sim.dataset.format import Configuration
+from tactip_twin.sim.dataset.generate import Job, make
+from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES
+from tactip_twin.sim.dataset.symmetry import SYMMETRIES
+from tactip_twin.tactip_model.errors import TactipError, choose
+from tactip_twin.tactip_model.files import write_file
+from tactip_twin.tactip_model.presets import find_design
+
+_LOOKS = 20
+"""Looks at a contact, where there is more than one."""
+
+_FEW = 4
+"""Contacts of the smaller of two sets, a worker."""
+
+_REPEATS = 5
+"""Times that what is short is measured; the median counts."""
+
+_LEAST_STEPS = 4
+"""Steps of a servo run, at least. For so many a slide over an object is one step."""
+
+_TRIES = 3
+"""Times that a rate is measured, where what comes out cannot be."""
+
+_BATCH = 64
+"""Images at a time, where they are drawn, learned from or judged in batches."""
+
+COMMANDS = (
+    (), ("dataset", "make"), ("dataset", "verify"), ("import",), ("calibrate",), ("train",), ("tune",), ("evaluate",),
+    ("transfer",), ("camera",), ("servo",), ("replay",), ("view",), ("bench",),
+)  # fmt: skip
+"""Commands whose help is timed."""
+
+
+def run(options, say=print):
+    """Measure. options: benchmarks.options.SpeedOptions. Returns the record (dict). say: called with lines for the user.
+
+    Raises TactipError.
+    """
+    names = [choose("group", name, dict(zip(GROUPS, GROUPS, strict=True))) for name in options.groups or GROUPS]
+    for name, given, least in (("contacts", options.contacts, 1), ("steps", options.steps, _LEAST_STEPS)):
+        if given < least:
+            raise TactipError(f"--{name} is {given}: it must be at least {least}")
+    path = options.out / "performance.json"
+    groups = json.loads(path.read_text())["groups"] if path.exists() else {}
+    options.out.mkdir(parents=True, exist_ok=True)
+    for name in names:
+        if name == "gpu-engine" and (lacking := gpu_engine.missing()):
+            if name in options.groups:
+                raise TactipError(lacking)
+            say(f"left out: {lacking}")
+            continue
+        say(f"{name}: {GROUPS[name][0]}")
+        groups[name] = {"machine": machine(), "rows": GROUPS[name][1](options)}
+        record = {"groups": {g: groups[g] for g in GROUPS if g in groups}}
+        write_file(path, (json.dumps(record, indent=1) + "\n").encode())
+        write_file(options.out / "performance.md", page(record).encode())
+    return record
+
+
+def _median(measured, repeats=_REPEATS):
+    """Median time (s) of a function's calls, the first left out."""
+    measured()
+    times = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        measured()
+        times.append(time.perf_counter() - start)
+    return statistics.median(times)
+
+
+@contextlib.contextmanager
+def _quietly():
+    """Without the bars of what is timed."""
+    with Path(os.devnull).open("w") as nowhere, contextlib.redirect_stderr(nowhere):
+        yield
+
+
+def made_set(folder, samples, workers, task, fidelity, renderer, symmetric, design, looks=1):
+    """The folder (Path) of a set of `samples`, made in `folder`."""
+    configuration = Configuration(
+        task=task,
+        split="train",
+        samples=samples,
+        seed=0,
+        renderer=renderer,
+        design=find_design(design),
+        fidelity=fidelity_named(fidelity),
+        pose=POSE_RANGES[task],
+        shear=SHEAR_RANGES,
+        symmetric=symmetric,
+        looks=looks,
+    )
+    with _quietly():
+        make([Job(configuration, Path(folder) / "set")], workers, lambda line: None)
+    return Path(folder) / "set"
+
+
+def set_seconds(contacts, workers, **case):
+    """Time (s) and peak memory of a worker (MiB) of a set, made in a folder that is thrown away."""
+    each = _each(case)
+    with tempfile.TemporaryDirectory() as folder:
+        start = time.perf_counter()
+        made = made_set(folder, contacts * each, workers, **case)
+        seconds = time.perf_counter() - start
+        run = json.loads((made / "run.json").read_text())
+    return seconds, run["peak_memory_of_a_worker_MiB"]
+
+
+def _each(case):
+    """Samples (int) that a contact of a set makes."""
+    return (len(SYMMETRIES[case["task"]]) if case["symmetric"] else 1) * case.get("looks", 1)
+
+
+def _samples(options):
+    """Samples a second of whole sets: contact, image, record and file."""
+    plain = {"task": "surface", "fidelity": "standard", "renderer": "raster", "symmetric": False, "design": "tactip-127"}
+    cores = int(machine()["cores"])
+    cases = [(plain, workers) for workers in sorted({1, cores})]
+    changes = ({"symmetric": True}, {"renderer": "pyrender"}, {"fidelity": "draft"}, {"fidelity": "reference"})
+    cases += [(plain | change, cores) for change in (*changes, {"design": "nominal-331"}, {"task": "edge"})]
+    cases += [(plain | {"task": "edge", "symmetric": True}, cores)]
+    cases += [(plain | {"task": task, "looks": _LOOKS}, cores) for task in ("surface", "edge")]
+    rows = []
+    for case, workers in cases:
+        more = max(cores, options.contacts // case.get("looks", 1))
+        rate, once, peak = _rate(_FEW * workers, more, workers, **case)
+        rows.append({
+            "what": _name(case, plain), "workers": workers, "contacts/s": rate, "samples/s": rate * _each(case),
+            "once, s": once, "a worker's memory, MiB": peak,
+        })  # fmt: skip
+    return rows
+
+
+def _rate(few, more, workers, **case):
+    """Contacts a second (float), the time that is paid once (s), and a worker's peak memory (MiB), by sets of `few` contacts
+    and another of `more` more.
+
+    Raises TactipError where, _TRIES times, the larger set took no longer, or so much longer that nothing was paid once.
+    """
+    for _ in range(_TRIES):
+        base, _ = set_seconds(few, workers, **case)
+        whole, peak = set_seconds(few + more, workers, **case)
+        once = base - few * (whole - base) / more
+        if whole > base and once >= 0:
+            return more / (whole - base), once, peak
+    raise TactipError(
+        f"the machine is too busy to measure: sets of {few} and of {few + more} contacts took {base:.1f} and {whole:.1f} s, "
+        f"after {_TRIES - 1} other tries; the larger must take longer, by less than in proportion to its contacts"
+    )
+
+
+def _growth(options):
+    """Whole sets of more and more contacts: what one more costs."""
+    case = {"task": "surface", "fidelity": "draft", "renderer": "raster", "symmetric": True, "design": "tactip-127"}
+    cores, rows = int(machine()["cores"]), []
+    for contacts in (options.contacts * 4**k for k in range(3)):
+        seconds, peak = set_seconds(contacts, cores, **case)
+        more = (seconds - rows[-1]["s"]) / (contacts - rows[-1]["contacts"]) if rows else None
+        rows.append({
+            "contacts": contacts, "samples": contacts * _each(case), "s": seconds, "s more a contact more": more,
+            "a worker's memory, MiB": peak,
+        })  # fmt: skip
+    return rows
+
+
+def _name(case, plain):
+    """What a set is, in words."""
+    words = [case["task"], case["fidelity"], case["renderer"], case["design"]]
+    words += ["symmetric"] * (case["symmetric"] != plain["symmetric"])
+    return ", ".join(words + [f"{looks} looks a contact" for looks in [case.get("looks", 1)] if looks > 1])
+
+
+def _images(options):
+    """Images a second of each renderer, alone, and of the drawing in training, in batches."""
+    import torch
+
+    from tactip_twin.learning.augmentation import DrawnImages
+    from tactip_twin.learning.data import read_samples
+    from tactip_twin.learning.device import one_thread
+    from tactip_twin.learning.optics_ranges import OPTICS
+    from tactip_twin.tactip_model.pins import neutral_pins
+    from tactip_twin.tactip_model.renderer import renderer_named
+    from tactip_twin.tactip_model.tactile_image import tactile_image
+
+    rows = []
+    for name in ("tactip-127", "nominal-331"):
+        design = find_design(name)
+        pins = neutral_pins(design)
+        for renderer in ("pyrender", "raster"):
+            render = renderer_named(renderer, design)
+            frame = render(*pins)
+            rows.append({
+                "design": name, "what": f"{renderer}, one at a time",
+                "frames/s": 1 / _median(lambda render=render, pins=pins: render(*pins), 20),
+                "tactile image of a frame/s": 1 / _median(lambda f=frame, d=design: tactile_image(f, d.image), 20),
+            })  # fmt: skip
+        with tempfile.TemporaryDirectory() as folder:
+            case = {"task": "surface", "fidelity": "draft", "renderer": "raster", "symmetric": True, "design": name}
+            samples = read_samples(made_set(folder, _BATCH, 1, **case))
+            chosen = torch.arange(len(samples))
+            for varied in ("lens", "real"):
+                drawn = DrawnImages(samples, 1.0, OPTICS[varied])
+                with one_thread():
+                    seconds = _median(lambda d=drawn, c=chosen: d.draw(c))
+                what = f"drawn in training, `{varied}`, {_BATCH} at a time"
+                rows.append({"design": name, "what": what, "frames/s": len(samples) / seconds})
+    return rows
+
+
+def _learning(options):
+    """Images a second in training, judged on as many as it learns from, and the time of an estimate."""
+    import torch
+
+    from tactip_twin.learning.data import read_samples
+    from tactip_twin.learning.device import one_thread
+    from tactip_twin.learning.model import find_model
+    from tactip_twin.learning.recipes import recipe_named
+    from tactip_twin.learning.train import Training
+
+    rows = []
+    with tempfile.TemporaryDirectory() as folder:
+        case = {"task": "surface", "fidelity": "draft", "renderer": "raster", "symmetric": True, "design": "tactip-127"}
+        samples = read_samples(made_set(folder, _BATCH, 1, **case))
+        for recipe in ("laptop", "paper"):
+            its = recipe_named(recipe, "surface")
+            settings = replace(its.settings, drawn=0.0)
+            for drawn in (0.0, its.settings.drawn) if its.settings.drawn else (0.0,):
+                training = Training(samples, samples, its.network, replace(settings, drawn=drawn))
+                seconds = _median(lambda t=training: t.train_epoch(), 3 if recipe == "laptop" else 1)
+                rows.append({
+                    "what": f"an epoch of `{recipe}`, {drawn:.0%} of the images drawn anew",
+                    "images/s": len(samples) / seconds,
+                    "threads": torch.get_num_threads(),
+                })  # fmt: skip
+        for name in ("surface-tactip-127", "edge-tactip-127"):
+            model = find_model(name)
+            image = samples.images[:1]
+            one = _median(lambda m=model, i=image: m.predict(i), 50)
+            with one_thread():
+                many = _median(lambda m=model: m.predict(samples.images)) / len(samples)
+            rows.append({"what": f"an estimate of `{name}`", "ms, alone": 1e3 * one, "ms, of 64": 1e3 * many})
+    return rows
+
+
+def _following(options):
+    """Servo steps a second, and where their time goes."""
+    from tactip_twin.control.options import Options, RouteOptions, Settings
+    from tactip_twin.control.servo_run import run as follow
+
+    rows = []
+    for task, thing in (("surface", "bust"), ("edge", "rim-round")):
+        for arm in ("none", "dynamic"):
+            for fidelity in ("draft", "standard"):
+                with tempfile.TemporaryDirectory() as folder:
+                    asked = Options(
+                        Path(folder) / "run", task, thing, arm=arm, fidelity=fidelity, route=RouteOptions(),
+                        settings=Settings(most_steps=options.steps),
+                    )  # fmt: skip
+                    done = follow(asked, say=lambda line: None)
+                what = f"{thing}, arm {arm}, {fidelity}"
+                rows.append({"what": what, "steps/s": done["steps_per_s"], **_split(done["ms_a_step"])})
+    return rows
+
+
+def _split(milliseconds):
+    return {f"ms, {name}": value for name, value in milliseconds.items()}
+
+
+def _faces(options):
+    """Time of a step on an object by the number of its triangles: a ball, pressed 3 mm and slid along."""
+    import trimesh
+
+    from tactip_twin.sim.contact.signed_distance import Solid
+    from tactip_twin.sim.robot.arm_models import carrier_named
+    from tactip_twin.sim.robot.mounted_tip import Fingertip
+
+    rows = []
+    for subdivisions in (3, 5, 7):
+        ball = trimesh.creation.icosphere(subdivisions=subdivisions, radius=0.04)
+        start = time.perf_counter()
+        solid = Solid(np.asarray(ball.vertices), np.asarray(ball.faces))
+        built = time.perf_counter() - start
+        finger = Fingertip(
+            find_design("tactip-127"), solid, fidelity_named("standard"), carrier_named("none"), np.eye(4)
+        )  # fmt: skip
+        facing = np.diag([1.0, -1, -1, 1])
+        pose = facing.copy()
+        pose[2, 3] = 0.05
+        finger.put(pose)
+        pose = pose.copy()
+        pose[2, 3] = 0.037
+        finger.go(pose)
+        seconds = []
+        for k in range(options.steps // _LEAST_STEPS):
+            turn = (k + 1) * 1e-3 / 0.04
+            c, s = np.cos(turn), np.sin(turn)
+            round_it = np.array([[c, 0, s, 0], [0, 1, 0, 0], [-s, 0, c, 0], [0, 0, 0, 1]])
+            start = time.perf_counter()
+            finger.go(round_it @ pose)
+            seconds.append(time.perf_counter() - start)
+        rows.append({
+            "triangles": len(ball.faces), "ms a millimetre of way": 1e3 * statistics.median(seconds), "built in, s": built,
+        })  # fmt: skip
+    return rows
+
+
+_PRESSED_M = (0.0, 0.0, -3e-3, 0.1, 0.0, 0.0)
+"""The pose of the contact that threads and processes play, m and rad."""
+
+_SHEARED_M = (2e-3, 0.0, 0.0, 0.0, 0.0, 0.0)
+"""Its shear."""
+
+
+def _played_contacts(count):
+    """Time (s) of `count` contacts by a player of its own, the first left out."""
+    player = ContactPlayer(find_design("tactip-127"), "surface", fidelity_named("standard"))
+    player.play(_PRESSED_M, _SHEARED_M)
+    start = time.perf_counter()
+    for _ in range(count):
+        player.play(_PRESSED_M, _SHEARED_M)
+    return time.perf_counter() - start
+
+
+def _threads(options):
+    """Contacts by processes and by threads of one process; steps of a pressed tip by MuJoCo's own batches, beside ours."""
+    cores, count = int(machine()["cores"]), max(1, options.contacts // 4)
+    rows = []
+    spawned = multiprocessing.get_context("spawn")
+    for workers in sorted({1, cores}):
+        with ProcessPoolExecutor(workers, spawned) as pool:
+            seconds = max(pool.map(_played_contacts, [count] * workers))
+        rows.append({"what": "contacts, processes", "workers": workers, "contacts/s": workers * count / seconds})
+    with ThreadPoolExecutor(cores) as pool:
+        seconds = max(pool.map(_played_contacts, [count] * cores))
+    rows.append({"what": "contacts, threads of one process", "workers": cores, "contacts/s": cores * count / seconds})
+    player = ContactPlayer(find_design("tactip-127"), "surface", fidelity_named("standard"))
+    player.play(_PRESSED_M, _SHEARED_M)
+    model, data, steps = player.scene.model, player.scene.data, 25 * count
+    size = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_INTEGRATION)
+    state = np.empty(size)
+    mujoco.mj_getState(model, data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
+
+    def rate(step):
+        mujoco.mj_setState(model, data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
+        step()
+        start = time.perf_counter()
+        for _ in range(steps):
+            step()
+        return steps / (time.perf_counter() - start)
+
+    rows.append({"what": "steps, ours", "workers": 1, "steps/s": rate(player.scene.step)})
+    rows.append({"what": "steps, mj_step", "workers": 1, "steps/s": rate(lambda: mujoco.mj_step(model, data))})
+    for threads in sorted({1, cores}):
+        many = batch.Batch(model, nsim=4 * cores, nthread=threads, persistent=True)
+        many.state[:] = state
+        many.step(nstep=1)
+        start = time.perf_counter()
+        many.step(nstep=steps // 4)
+        rows.append({
+            "what": f"steps, mujoco.batch of {4 * cores}", "workers": threads,
+            "steps/s": 4 * cores * (steps // 4) / (time.perf_counter() - start),
+        })  # fmt: skip
+    return rows
+
+
+def _start_up(options):
+    """Time of every command's help: what is imported before anything is done."""
+    rows = []
+    for command in COMMANDS:
+        words = [_program(), *command, "--help"]
+        seconds = _median(lambda w=words: subprocess.run(w, check=True, capture_output=True))  # noqa: S603
+        rows.append({"command": " ".join(["tactip", *command]), "s": seconds})
+    return rows
+
+
+def _first_words(options):
+    """Time until a command that is given something to do says its first word; it is ended then."""
+    case = {"task": "surface", "fidelity": "draft", "renderer": "raster", "symmetric": False, "design": "tactip-127"}
+    rows = []
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place)
+        for split in ("train", "val"):
+            made_set(folder, 8, 1, **case).rename(folder / split)
+        data = str(folder / "train")
+        for command in (
+            ("dataset", "make"), ("dataset", "verify", data), ("dataset", "show", data), ("dataset", "record", data),
+            ("train", "--data", place), ("tune", "--data", place), ("transfer", "pseudo-real"),
+            ("evaluate", "--model", "surface-tactip-127", "--data", data),
+            ("servo", "--task", "surface"), ("servo", "--task", "edge", "--object", "rim-round"),
+        ):  # fmt: skip
+            seconds = []
+            for k in range(3):
+                out = folder / f"out-{len(rows)}-{k}"
+                out = out.with_suffix(".png") if "show" in command else out
+                given = [] if {"verify", "evaluate"} & set(command) else ["--out", str(out)]
+                seconds.append(_first_word([_program(), *command, *given]))
+            told = (word for word in command if not word.startswith(place))
+            rows.append({"command": " ".join(["tactip", *told]), "s": statistics.median(seconds)})
+    return rows
+
+
+def _first_word(words):
+    """Time (s) from a command's start to its first byte, on either stream."""
+    start = time.perf_counter()
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT) as process:  # noqa: S603
+        first = process.stdout.read(1) if process.stdout else b""
+        seconds = time.perf_counter() - start
+        process.kill()
+    if not first:
+        raise TactipError(f"the command {' '.join(words)} said nothing")
+    return seconds
+
+
+def _program():
+    return str(Path(sys.executable).parent / "tactip")
+
+
+GROUPS = {
+    "samples": ("Sets: contacts and samples a second, from end to end", _samples),
+    "growth": ("Sets of more and more contacts, draft", _growth),
+    "images": ("Images a second, one core", _images),
+    "learning": ("Training and estimates", _learning),
+    "servo": ("Servo steps a second", _following),
+    "faces": ("Steps on objects of more triangles", _faces),
+    "threads": ("Threads against processes", _threads),
+    "gpu-engine": ("MuJoCo's GPU engine", lambda options: gpu_engine.rows()),
+    "start-up": ("Every command's help", _start_up),
+    "first-words": ("Time until a command at work says its first word", _first_words),
+}
+"""Title and function of each group."""
+
+
+def page(record):
+    """The Markdown (str) of performance.json."""
+    lines = [
+        "# What it costs",
+        "",
+        "Written by `tactip bench speed`; do not edit. Times on shared machines differ from day to day by a tenth and more: "
+        "ratios of rows of one table hold. Errors stand beside costs in [fidelity.md](fidelity.md), "
+        "[learning.md](learning.md) and [servo.md](servo.md).",
+    ]
+    for name, group in record["groups"].items():
+        rows = group["rows"]
+        columns = list(dict.fromkeys(key for row in rows for key in row))
+        state = machine_text(group["machine"])
+        lines += ["", f"## {GROUPS[name][0]}", "", "| " + " | ".join(columns) + " |", "|" + "---|" * len(columns)]
+        lines += ["| " + " | ".join(_cell(row.get(key)) for key in columns) + " |" for row in rows]
+        lines += ["", f"On: {state}.", *(["", gpu_engine.note(rows)] if name == "gpu-engine" else [])]
+    return "\n".join(lines) + "\n"
+
+
+def _cell(value):
+    if value is None:
+        return ""
+    if not isinstance(value, float):
+        return str(value)
+    return f"{value:.3g}" if value < 100 else f"{value:.0f}"

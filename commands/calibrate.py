@@ -1,0 +1,51 @@
+"""tactip calibrate: a design from real frames."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+
+from tactip_twin.tactip_model.errors import TactipError
+
+
+@dataclass(frozen=True)
+class Calibrate:
+    """Fit the sensor to real frames: lens, pins, materials, friction, rig. Run again, it goes on where it stopped."""
+
+    real: tyro.conf.Positional[Path]
+    """Folder of the real set: a neutral image init*.png, frames, targets.csv and meta.json
+    (sim2real/calibration/real_set.py)."""
+    design: str = "nominal-127"
+    """Design to start from: nominal-127, nominal-331, another preset, or a design file (.json)."""
+    out: Path = Path("design.json")
+    """Design file to write; --design of other commands takes it."""
+    report: Path | None = None
+    """Folder for the report; the design file's name with _calibration if not given."""
+    frames: int = 60
+    """Frames to fit, of one half of the set."""
+    judged: int = 150
+    """Frames to judge, of the other half."""
+    seed: int = 0
+    """Seed of the draws of frames."""
+
+    def run(self):
+        from dataclasses import replace
+
+        from tactip_twin.sim2real.calibration.fit import Settings, calibrate
+        from tactip_twin.sim2real.calibration.report import write_report
+        from tactip_twin.tactip_model.presets import find_design
+
+        if self.out.suffix != ".json":
+            raise TactipError(f"the design file {self.out} must end in .json")
+        if self.frames < 10 or self.judged < 10:
+            raise TactipError(f"{self.frames} frames to fit and {self.judged} to judge: each must be at least 10")
+        report = self.report or self.out.with_name(f"{self.out.stem}_calibration")
+        settings = Settings(frames=self.frames, judged=self.judged, seed=self.seed)
+        result = calibrate(self.real, find_design(self.design), settings, report / "state.json")
+        design = replace(result.twin.design, name=self.out.stem)
+        result = replace(result, twin=replace(result.twin, design=design))
+        figures = write_report(result, self.real.resolve().name, settings, self.out, report)
+        judged = figures["frames_px"]["share_of_move_found"]
+        print(f"judged frames: {judged['rms']:.2f} px rms, median {judged['median']:.2f} px (256 px image)")
+        print(f"{self.out} and {report / 'calibration.md'} written")
+        return 0

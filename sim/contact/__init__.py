@@ -1,0 +1,1 @@
+"""One contact of the soft tip with a stimulus: scene, stimuli, simulation, record."""

@@ -1,0 +1,294 @@
+"""The data-set scene: a tip fixed in the world, a stimulus that moves, and nothing else.
+
+The world frame is the sensor frame. The arm, object meshes and MuJoCo's renderer are left out: a tip that hangs on an
+arm costs two to six times as much a step.
+"""
+
+import functools
+
+import mujoco
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from tactip_twin.sim.contact.slip_weakening import SlipMemory
+from tactip_twin.sim.contact.solid_stimulus import Follower, Shape
+from tactip_twin.sim.contact.stimuli import Stimulus, add_stimulus, stimulus_named
+from tactip_twin.tactip_model.errors import TactipError
+from tactip_twin.tactip_model.mesh import CONTACT_RADIUS_M, build_mesh
+from tactip_twin.tactip_model.soft_body import STEP_OF_RESTING_S, STIFFENED, add_body
+
+_STIMULUS_QPOS = 7
+_STIMULUS_QVEL = 6
+
+_UNSOLVED = 1e30
+"""A solver's tolerance that any start meets, -."""
+
+_LOST_M = 1.0
+"""A vertex so far off, m, belongs to a state that is lost."""
+
+OVERLAP_ERROR_M = 5e-6
+"""What sampling may miss of an overlap, m: a tenth of what is allowed."""
+
+
+class Scene:
+    """A compiled contact scene: the MuJoCo model, the mesh, and where things are in the state."""
+
+    def __init__(self, design, stimulus, fidelity):
+        """design: Design. stimulus: a name in stimulus.STIMULI, or a Stimulus. fidelity: Fidelity.
+
+        Raises TactipError on what cannot be built.
+        """
+        self.stimulus = stimulus if isinstance(stimulus, Stimulus) else stimulus_named(stimulus)
+        self.design, self.fidelity = design, fidelity
+        try:
+            self.mesh = build_mesh(design.shape, fidelity.mesh)
+            self.model = self._compile()
+        except ValueError as error:
+            raise TactipError(f"the tip {design.name!r} cannot be built: {error}") from error
+        self.data = mujoco.MjData(self.model)
+        self._free = ~self.mesh.bonded
+        self._neighbours = _neighbours(self.mesh.triangles)
+        self._areas = np.linalg.norm(_area_normals(self.mesh.vertices, self.mesh.triangles), axis=1)
+        self._stimulus_body = self.model.body("stimulus").id
+        weakens = self._rubs() and design.materials.kinetic_share < 1
+        self._slip = SlipMemory(self.model, self._stimulus_body, design.materials) if weakens else None
+
+    def _compile(self):
+        motion, solver = self.fidelity.motion, self.fidelity.solver
+        spec = mujoco.MjSpec()
+        spec.compiler.degree = False
+        spec.memory = 256 << 20
+        spec.option.gravity = [0, 0, 0]
+        spec.option.timestep = motion.step_s
+        spec.option.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
+        spec.option.solver = mujoco.mjtSolver.mjSOL_CG
+        spec.option.iterations = solver.iterations
+        spec.option.tolerance = solver.tolerance
+        spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+        spec.option.impratio = solver.impratio
+        # Contact springs are stiffer than the step resolves; clamping them would let the stimulus sink in.
+        spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_REFSAFE
+        # One tip is one island: to tell it apart buys nothing, and MuJoCo then leaves efc_state as it was before the solve
+        # (measured with 4.0.0), which is where sim/contact/slip_weakening.py reads what slides.
+        spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
+        # A diverged state must stay to be seen: MuJoCo would start again from the undeformed tip, and say nothing.
+        spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+        friction = self.design.materials.friction
+        add_stimulus(spec, self.stimulus, friction, self.fidelity.contact)
+        tip = spec.worldbody.add_body(name="tip")
+        add_body(spec, tip, self.design, self.mesh, self.fidelity.mesh, self.fidelity.contact)
+        self._follower = None
+        if isinstance(self.stimulus, Shape):
+            self._follower = Follower(spec, self.stimulus, self.mesh, friction, self.fidelity.contact)
+        model = spec.compile()
+        if self._follower:
+            self._follower.bind(model)
+        # The solver's tolerance is relative to the mean inertia: the stimulus's 1000 kg must not loosen it.
+        model.stat.meaninertia = model.body_mass[model.body_mass < 1].mean()
+        return model
+
+    def reset(self):
+        """Undeformed tip, nothing remembered: a contact depends on nothing that was played before."""
+        mujoco.mj_resetData(self.model, self.data)
+        if self._follower:
+            self._follower.forget()
+        if self._slip:
+            self._slip.reset()
+
+    def stiffen(self, resting):
+        """Set contact and solver to those for a tip that comes to rest (True), or that is moved (False).
+
+        What could come through the skin presses on few points: it is held off all along, as stiffly as the step allows.
+        """
+        contact, solver = self.fidelity.contact, self.fidelity.solver
+        solref = -np.array(contact.resting if resting else contact.moving)
+        if np.isfinite(self.stimulus.width_m):
+            share = np.clip(STEP_OF_RESTING_S / self.fidelity.motion.step_s, 1.0, STIFFENED)
+            solref = -np.array(contact.resting) * [share**2, share]
+        for each in (self.model.geom_solref, self.model.flex_solref, self.model.pair_solref):
+            each[:] = solref
+        self.model.opt.tolerance = solver.settle_tolerance if resting else solver.tolerance
+
+    def step(self):
+        """One time step: mujoco.mj_step, with these differences.
+
+        The surface of a solid follows the skin (sim/contact/solid_stimulus.py), if that is what the tip is pressed on.
+
+        Contacts begin before they touch (ContactModel.margin_m), with their force at the surface all the same: the margin
+        is taken out of their rows.
+
+        MuJoCo's friction cone is convex: what slides at v is lifted by friction * v * (step + damping / stiffness). The
+        surface is lowered by as much (De Saxcé's correction, with the speed of the last step), so that sliding skin stays
+        where it would be at rest.
+
+        Friction falls where the skin has slid, if the materials say so (sim/contact/slip_weakening.py).
+
+        The motion without contacts, that MuJoCo solves for first, is not needed where there are contacts: it would only be
+        one of two places to start from. It is left unsolved, which saves a third of the time; the result is the same to the
+        solver's tolerance.
+        """
+        model, data = self.model, self.data
+        if self._follower:
+            self._follower.follow(model, self.skin_in_stimulus())
+        tolerance, before = model.opt.tolerance, data.qacc_warmstart.copy()
+        mujoco.mj_fwdPosition(model, data)
+        touching = data.nefc > 0
+        if touching:
+            data.efc_margin[:] = 0.0
+            if self._rubs():
+                self._rub()
+            model.opt.tolerance = _UNSOLVED
+        mujoco.mj_forwardSkip(model, data, mujoco.mjtStage.mjSTAGE_POS, 1)
+        if touching:
+            model.opt.tolerance = tolerance
+            data.qacc_warmstart[:] = before
+            mujoco.mj_fwdConstraint(model, data)
+            if self._slip:
+                self._slip.remember(data)
+        elif self._slip:
+            self._slip.reset()  # all of the skin has left the object
+        data.qacc_warmstart[:] = data.qacc
+        data.qvel[:] += model.opt.timestep * data.qacc
+        mujoco.mj_integratePos(model, data.qpos, data.qvel, model.opt.timestep)
+        data.time += model.opt.timestep
+
+    def _rubs(self):
+        """Whether there is friction."""
+        return self.design.materials.friction > 0
+
+    def _rub(self):
+        """Weaken the contacts' friction, and lower their surface, by how fast they slide: see `step`."""
+        data, contacts, step = self.data, self.data.contact, self.model.opt.timestep
+        acting = contacts.efc_address >= 0
+        row = contacts.efc_address[acting]
+        rates = np.zeros(data.nefc)
+        mujoco.mj_mulJacVec(self.model, data, rates, data.qvel)
+        speed = np.zeros(data.ncon)
+        speed[acting] = np.hypot(rates[row + 1], rates[row + 2])
+        if self._slip:
+            self._slip.weaken(data, speed * step)
+        data.efc_margin[row] = -self._lift(speed)[acting]
+
+    def _lift(self, speed):
+        """How far (contacts,) m what slides at `speed` (contacts,) m/s is lifted."""
+        contacts = self.data.contact
+        stiffness, damping = -contacts.solref[0]
+        return contacts.friction[:, 0] * speed * (self.model.opt.timestep + damping / stiffness)
+
+    def place(self, position, quaternion, linear=(0, 0, 0), angular=(0, 0, 0)):
+        """Set the stimulus: position (3,) m and quaternion (4,) in the sensor frame, velocity m/s, and rad/s in its own."""
+        self.data.qpos[:3], self.data.qpos[3:_STIMULUS_QPOS] = position, quaternion
+        self.data.qvel[:3], self.data.qvel[3:_STIMULUS_QVEL] = linear, angular
+
+    def vertices(self):
+        """Vertices (n, 3) of the mesh as deformed now, m, sensor frame."""
+        vertices = self.mesh.vertices.copy()
+        vertices[self._free] += self.data.qpos[_STIMULUS_QPOS:].reshape(-1, 3)
+        return vertices
+
+    def skin_in_stimulus(self):
+        """Vertices (s, 3) of the skin as deformed now, m, in the stimulus's frame."""
+        place, quaternion = self.data.qpos[:3], self.data.qpos[3:_STIMULUS_QPOS]
+        turn = Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
+        return (self.vertices()[: self.mesh.surface_count] - place) @ turn
+
+    def greatest_speed(self):
+        """Speed (m/s) of the fastest vertex."""
+        return float(np.sqrt((self.data.qvel[_STIMULUS_QVEL:].reshape(-1, 3) ** 2).sum(1).max()))
+
+    def contact_force(self):
+        """Force (3,) N of the stimulus on the tip in the sensor frame, at the last step."""
+        forces, _ = self._contact_forces()
+        return np.add.accumulate(forces)[-1] if len(forces) else np.zeros(3)
+
+    def contact_wrench(self):
+        """Force (3,) N, and torque (3,) N m about the apex, of the stimulus on the tip in the sensor frame, at the last
+        step."""
+        forces, places = self._contact_forces()
+        return forces.sum(0), np.cross(places, forces).sum(0)
+
+    def _contact_forces(self):
+        """Forces (c, 3) N on the tip and places (c, 3) m of the contacts that act, in the sensor frame."""
+        contacts, forces = self.data.contact, self.data.efc_force
+        acting = contacts.efc_address >= 0
+        if not acting.any():
+            return np.zeros((0, 3)), np.zeros((0, 3))
+        # With elliptic cones, the force along each axis of the contact's frame; without friction, along the first alone.
+        rows = contacts.efc_address[acting, None] + np.arange(contacts.dim[acting][0])
+        # The frame points from the first to the second in contact.
+        first = contacts.geom[acting, 0]
+        sign = np.where((first >= 0) & (self.model.geom_bodyid[first] == self._stimulus_body), 1.0, -1.0)
+        axes = contacts.frame[acting].reshape(-1, 3, 3)[:, : rows.shape[1]]
+        return np.matmul((sign[:, None] * forces[rows])[:, None], axes)[:, 0], contacts.pos[acting]
+
+    def penetration(self):
+        """Greatest depth (m) of a contact point inside the stimulus, at the last step; 0 without contact."""
+        return max(0.0, -float(self.data.contact.dist.min())) if self.data.ncon else 0.0
+
+    def ran_out(self):
+        """Whether the solver ran out of iterations at the last step."""
+        return bool(self.data.solver_niter.max() >= self.model.opt.iterations)
+
+    def overlap(self, T_contact_sensor):
+        """Greatest depth (m) of the skin's facets, as thick as it is in contact, inside the stimulus's true shape.
+
+        T_contact_sensor: (4, 4). Facets that may touch are sampled so closely that OVERLAP_ERROR_M is missed at most.
+        """
+        skin = self.vertices()[: self.mesh.surface_count] @ T_contact_sensor[:3, :3].T + T_contact_sensor[:3, 3]
+        if not (np.abs(skin) < _LOST_M).all():  # a state on its way to infinity; a NaN is none below either
+            return np.inf
+        depth = CONTACT_RADIUS_M - self.stimulus.distance(skin)
+        greatest = max(0.0, float(depth.max()))
+        corners = skin[self.mesh.triangles]
+        side = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(1)
+        # No point of a facet is further than this from a corner, and a distance cannot change faster than the place.
+        near = depth[self.mesh.triangles].max(1) + side / np.sqrt(3) > greatest
+        spacing = np.sqrt(6 * OVERLAP_ERROR_M * (self.stimulus.sharpest_m + CONTACT_RADIUS_M))
+        if np.isinf(spacing) or not near.any():
+            return greatest
+        samples = _barycentric(int(np.ceil(side[near].max() / spacing))) @ corners[near]
+        return max(greatest, CONTACT_RADIUS_M - float(self.stimulus.distance(samples).min()))
+
+    def imbalance(self):
+        """Force left over on the free vertices at the last step over the contact force on them (norms), -; 0 without."""
+        contact = self.data.qfrc_constraint[_STIMULUS_QVEL:]
+        size = float(np.linalg.norm(contact))
+        return float(np.linalg.norm(self.data.qfrc_smooth[_STIMULUS_QVEL:] + contact)) / size if size else 0.0
+
+    def stored_power(self):
+        """Size of the rate (W) at which the elastic energy of gel and skin changes."""
+        return abs(float(self.data.qfrc_spring[_STIMULUS_QVEL:] @ self.data.qvel[_STIMULUS_QVEL:]))
+
+    def skin_shape(self, vertices):
+        """Smallest ratio of a facet's area to its undeformed one (-), and greatest angle (rad) between the normals of
+        neighbouring facets, for vertices (n, 3) m.
+        """
+        normals = _area_normals(vertices, self.mesh.triangles)
+        area = np.linalg.norm(normals, axis=1)
+        normals /= np.maximum(area, 1e-300)[:, None]
+        a, b = normals[self._neighbours].transpose(1, 0, 2)
+        return float((area / self._areas).min()), float(np.arccos(np.clip((a * b).sum(1).min(), -1, 1)))
+
+
+def _area_normals(vertices, triangles):
+    """Outward normals (k, 3) of triangles (k, 3) over vertices (n, 3), twice as long as their area, m^2."""
+    a, b, c = (vertices[triangles[:, i]] for i in range(3))
+    return np.cross(b - a, c - a)
+
+
+def _neighbours(triangles):
+    """Pairs (e, 2) of triangles (k, 3) that share an edge."""
+    edges = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
+    owner = np.tile(np.arange(len(triangles)), 3)
+    order = np.lexsort(edges.T)
+    edges, owner = edges[order], owner[order]
+    same = (edges[1:] == edges[:-1]).all(1)
+    return np.stack([owner[:-1][same], owner[1:][same]], 1)
+
+
+@functools.cache
+def _barycentric(n):
+    """Barycentric coordinates (s, 3) of the points of a triangle's grid with n intervals a side."""
+    i, j = np.meshgrid(np.arange(n + 1), np.arange(n + 1))
+    inside = i + j <= n
+    return np.stack([i[inside], j[inside], n - i[inside] - j[inside]], 1) / n

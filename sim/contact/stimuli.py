@@ -1,0 +1,375 @@
+"""What the tip is pressed on: rigid things by name, each in its own contact frame (sim/pose.py), moved on a free joint.
+
+`surface` and `edge` are the paper's; the others hold the model to account: round, pointed, sharp, cornered and hollow.
+Every one has its highest point at z = 0 and its true shape as a signed distance, so that what MuJoCo's contacts say can be
+checked against the shape itself.
+"""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from tactip_twin.tactip_model.errors import choose
+from tactip_twin.tactip_model.soft_body import TOUCHES_FACETS, TOUCHES_VERTICES, contact_attributes
+
+HALF_SIZE_M = 60e-3
+"""Half the length and width of a block, plate or blade, and the length of a rod, m: far more than the tip can reach."""
+
+EDGE_RADIUS_M = 0.5e-3
+"""Rounding of the edge, of the corner and of the hole's rim, m, as of a printed or deburred one."""
+
+SPHERE_RADIUS_M = 5e-3
+"""Radius of the sphere, m: a quarter of the dome's."""
+
+POINT_RADIUS_M = 1e-3
+"""Radius of the peg with a round end, m: its width is that of one facet of the skin."""
+
+NEEDLE_RADIUS_M = 0.25e-3
+"""Radius of the needle and of its round end, m: it fits between any two vertices of the skin."""
+
+KNIFE_RADIUS_M = 0.25e-3
+"""Rounding of the knife's edge, m: the bluntest that still passes between vertices."""
+
+KNIFE_ANGLE_RAD = np.radians(10.0)
+"""Angle between a side of the knife and its middle plane, rad."""
+
+HOLE_RADIUS_M = 5e-3
+"""Radius of the hole at its narrowest, m: a quarter of the dome's, so that the tip rests on the rim and bulges in."""
+
+_EDGE_FACETS = 12
+"""Facets of a quarter turn of a rounding: it is 1 µm off a true one."""
+
+_CORNER_FACETS = 8
+"""Facets of a quarter turn of the corner's round end: 5 µm off a true one."""
+
+_HOLE_SECTORS = 48
+"""Convex pieces round the hole: it is 11 µm off a true one."""
+
+_DEEPEST_OF_A_ROD = 20.0
+"""Deepest press of a rod in its radii: beyond, the skin stands so steeply round it that its facets decide the force."""
+
+_BOTH = TOUCHES_VERTICES | TOUCHES_FACETS
+
+
+class Stimulus(ABC):
+    """A rigid thing to press the tip on."""
+
+    @property
+    def sharpest_m(self):
+        """Least radius of what can lie between the skin's vertices, m; infinite where nothing can."""
+        return np.inf
+
+    @property
+    def width_m(self):
+        """Width of what could come through the skin, m; infinite where nothing could."""
+        return np.inf
+
+    @property
+    def deepest_m(self):
+        """Depth up to which its contacts hold (docs/stability.md), m; infinite where that of the tip comes first."""
+        return np.inf
+
+    @property
+    def catches(self):
+        """Whether a slid skin catches on it by chance: which vertex or facet does is a matter of the last step."""
+        return False
+
+    @abstractmethod
+    def add_geoms(self, spec, body, touch):
+        """Add what is met. spec: mujoco.MjSpec. body: its frame is the contact frame. touch: body.contact_attributes."""
+
+    @abstractmethod
+    def distance(self, points) -> np.ndarray:
+        """Signed distance (...) m of points (..., 3) m in the contact frame to the true shape; negative inside.
+
+        What is far beyond the tip's reach (HALF_SIZE_M) is taken for endless.
+        """
+
+    def height_to_clear(self, centre, radius, top=0.0):
+        """How far (m) a sphere must rise along z to leave the thing; negative if it is clear by more.
+
+        centre: (3,) m, in the contact frame. radius, top: float, m, of the sphere, and height of the thing's highest point.
+        Infinitely negative where it passes beside the thing. May be more than is needed, never less: the sphere comes down
+        as far as it is sure to be clear, again and again.
+        """
+        centre = np.asarray(centre, float)
+        lift = top + radius - centre[2]
+        for _ in range(1000):
+            gap = float(self.distance(centre + np.array([0, 0, lift]))) - radius
+            if gap < 1e-9:
+                break
+            lift -= gap
+            if centre[2] + lift < -HALF_SIZE_M:
+                return -np.inf
+        return lift
+
+
+@dataclass(frozen=True)
+class Flat(Stimulus):
+    """A flat surface. Met by vertices alone: see tactip_model/soft_body.py."""
+
+    def add_geoms(self, spec, body, touch):
+        """See Stimulus."""
+        a = HALF_SIZE_M
+        body.add_geom(
+            name="flat",
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            size=[a, a, a / 2],
+            pos=[0, 0, -a / 2],
+            contype=0,
+            conaffinity=TOUCHES_VERTICES,
+            **touch,
+        )
+
+    def distance(self, points):
+        """See Stimulus; of the endless surface."""
+        return points[..., 2]
+
+    def height_to_clear(self, centre, radius):
+        """See Stimulus."""
+        return float(radius - centre[2])
+
+
+@dataclass(frozen=True)
+class Edge(Stimulus):
+    """A block that fills x < 0, with one straight, rounded edge along y."""
+
+    radius_m: float = EDGE_RADIUS_M
+    """Rounding of the edge, m."""
+
+    @property
+    def sharpest_m(self):
+        """See Stimulus."""
+        return self.radius_m
+
+    def add_geoms(self, spec, body, touch):
+        """See Stimulus."""
+        turn = np.linspace(0, np.pi / 2, _EDGE_FACETS + 1)
+        r = self.radius_m
+        profile = np.stack([r * (np.sin(turn) - 1), r * (np.cos(turn) - 1)], 1)
+        far = [[0, -HALF_SIZE_M], [-2 * HALF_SIZE_M, -HALF_SIZE_M], [-2 * HALF_SIZE_M, 0]]
+        _add_mesh(spec, body, "edge", _along_y(np.concatenate([profile, far])), _BOTH, touch)
+
+    def distance(self, points):
+        """See Stimulus; of the endless block."""
+        x, z = points[..., 0] + self.radius_m, points[..., 2] + self.radius_m
+        return np.hypot(np.maximum(x, 0), np.maximum(z, 0)) + np.minimum(np.maximum(x, z), 0) - self.radius_m
+
+    def height_to_clear(self, centre, radius):
+        """See Stimulus. The rounding is left out: the answer is on the safe side by less than it."""
+        beside = max(centre[0], 0.0)
+        if beside >= radius:
+            return -np.inf
+        return float(np.sqrt(radius**2 - beside**2) - centre[2])
+
+
+class Thin(Stimulus):
+    """What the skin could be pierced by: everything but what is flat."""
+
+    radius_m: float
+    """Radius of what the skin meets, m."""
+
+    @property
+    def sharpest_m(self):
+        """See Stimulus."""
+        return self.radius_m
+
+    @property
+    def width_m(self):
+        """See Stimulus."""
+        return 2 * self.radius_m
+
+    @property
+    def catches(self):
+        """See Stimulus; a peg of 1 mm does not, a corner rounded by 0.5 mm does (docs/stability.md)."""
+        return self.radius_m <= EDGE_RADIUS_M
+
+
+@dataclass(frozen=True)
+class Ball(Thin):
+    """A sphere."""
+
+    radius_m: float
+    """Its radius, m."""
+
+    def add_geoms(self, spec, body, touch):
+        """See Stimulus."""
+        kind, r = mujoco.mjtGeom.mjGEOM_SPHERE, self.radius_m
+        body.add_geom(name="ball", type=kind, size=[r, 0, 0], pos=[0, 0, -r], contype=0, conaffinity=_BOTH, **touch)
+
+    def distance(self, points):
+        """See Stimulus."""
+        return np.linalg.norm(points + np.array([0, 0, self.radius_m]), axis=-1) - self.radius_m
+
+
+@dataclass(frozen=True)
+class Rod(Thin):
+    """A rod along z with a round end: a peg or a needle."""
+
+    radius_m: float
+    """Radius of the rod and of its end, m."""
+
+    @property
+    def deepest_m(self):
+        """See Stimulus."""
+        return _DEEPEST_OF_A_ROD * self.radius_m
+
+    def add_geoms(self, spec, body, touch):
+        """See Stimulus."""
+        r, half = self.radius_m, HALF_SIZE_M / 2
+        kind, place = mujoco.mjtGeom.mjGEOM_CAPSULE, [0, 0, -r - half]
+        body.add_geom(name="rod", type=kind, size=[r, half, 0], pos=place, contype=0, conaffinity=_BOTH, **touch)
+
+    def distance(self, points):
+        """See Stimulus; of the endless rod."""
+        above = np.maximum(points[..., 2] + self.radius_m, 0)
+        return np.sqrt(points[..., 0] ** 2 + points[..., 1] ** 2 + above**2) - self.radius_m
+
+
+@dataclass(frozen=True)
+class Knife(Thin):
+    """A blade in the plane of y and z, its rounded edge along y."""
+
+    radius_m: float = KNIFE_RADIUS_M
+    """Rounding of the edge, m."""
+    angle_rad: float = float(KNIFE_ANGLE_RAD)
+    """Angle between a side and the middle plane, rad."""
+
+    def add_geoms(self, spec, body, touch):
+        """See Stimulus."""
+        r, a, down = self.radius_m, self.angle_rad, HALF_SIZE_M
+        turn = np.linspace(a - np.pi / 2, np.pi / 2 - a, 2 * _EDGE_FACETS + 1)
+        profile = np.stack([r * np.sin(turn), r * (np.cos(turn) - 1)], 1)
+        wide = profile[-1, 0] + (profile[-1, 1] + down) * np.tan(a)
+        _add_mesh(spec, body, "knife", _along_y(np.concatenate([profile, [[wide, -down], [-wide, -down]]])), _BOTH, touch)
+
+    def distance(self, points):
+        """See Stimulus; of the endless blade: a sharp wedge, `radius_m` fatter."""
+        x, z = np.abs(points[..., 0]), points[..., 2] + self.radius_m
+        s, c = np.sin(self.angle_rad), np.cos(self.angle_rad)
+        side, along = x * c + z * s, x * s - z * c
+        return np.where(along > 0, side, np.hypot(x, z)) - self.radius_m
+
+
+@dataclass(frozen=True)
+class Corner(Thin):
+    """A rounded cube that stands on one corner: the opposite one, where three faces meet, points up."""
+
+    radius_m: float = EDGE_RADIUS_M
+    """Rounding of corner and edges, m."""
+
+    _UPRIGHT = Rotation.align_vectors([[0, 0, 1]], [[1, 1, 1]])[0].as_matrix()
+    """Turns the cube's diagonal to the normal."""
+
+    def add_geoms(self, spec, body, touch):
+        """See Stimulus."""
+        r = self.radius_m
+        turn = np.linspace(0, np.pi / 2, _CORNER_FACETS + 1)
+        polar, azimuth = np.meshgrid(turn, turn)
+        octant = np.stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)], -1)
+        octant = np.unique(octant.reshape(-1, 3).round(12), axis=0)
+        signs = np.array([[x, y, z] for x in (1, -1) for y in (1, -1) for z in (1, -1)])
+        # A cube whose corner's middle of rounding is the origin, the opposite one half a block away.
+        middles = np.where(signs > 0, 0.0, -HALF_SIZE_M)
+        cube = np.concatenate([m + r * s * octant for m, s in zip(middles, signs, strict=True)])
+        _add_mesh(spec, body, "corner", cube @ self._UPRIGHT.T - [0, 0, r], _BOTH, touch)
+
+    def distance(self, points):
+        """See Stimulus; of the endless corner."""
+        own = (points + np.array([0, 0, self.radius_m])) @ self._UPRIGHT
+        return np.linalg.norm(np.maximum(own, 0), axis=-1) + np.minimum(own.max(-1), 0) - self.radius_m
+
+
+@dataclass(frozen=True)
+class Hole(Stimulus):
+    """A plate with a round hole about the origin, its rim rounded.
+
+    Vertices meet convex sectors of the plate, which are flat or hollow to the skin; facets meet the rim alone, a chain of
+    capsules: they have no seams for a facet to catch on.
+    """
+
+    radius_m: float = HOLE_RADIUS_M
+    """Radius of the hole, m."""
+    rim_m: float = EDGE_RADIUS_M
+    """Rounding of the rim, m."""
+
+    @property
+    def sharpest_m(self):
+        """See Stimulus."""
+        return self.rim_m
+
+    def add_geoms(self, spec, body, touch):
+        """See Stimulus."""
+        half = np.pi / _HOLE_SECTORS
+        outside = 1 / np.sqrt(np.cos(half))  # corners as far outside of the circle as the middles of sides are inside
+        turn = np.linspace(-np.pi / 2, 0, _EDGE_FACETS // 2 + 1)
+        rounding = np.stack([np.sin(turn) + 1, np.cos(turn) - 1], 1) * self.rim_m + [self.radius_m, 0]
+        down = HALF_SIZE_M / 2
+        profile = np.concatenate([rounding, [[self.radius_m, -down], [HALF_SIZE_M, -down], [HALF_SIZE_M, 0]]])
+        ring = (self.radius_m + self.rim_m) * outside
+        for k in range(_HOLE_SECTORS):
+            middle = 2 * half * k
+            ends = [np.array([np.cos(a), np.sin(a)]) for a in (middle - half, middle + half)]
+            sector = np.concatenate([np.column_stack([np.outer(profile[:, 0] * outside, e), profile[:, 1]]) for e in ends])
+            _add_mesh(spec, body, f"sector/{k}", sector, TOUCHES_VERTICES, touch)
+            body.add_geom(
+                name=f"rim/{k}",
+                type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+                size=[self.rim_m, 0, 0],
+                fromto=[*(ring * ends[0]), -self.rim_m, *(ring * ends[1]), -self.rim_m],
+                contype=0,
+                conaffinity=TOUCHES_FACETS,
+                **touch,
+            )
+
+    def distance(self, points):
+        """See Stimulus; of the endless plate."""
+        inward = self.radius_m + self.rim_m - np.hypot(points[..., 0], points[..., 1])
+        z = points[..., 2] + self.rim_m
+        outside = np.hypot(np.maximum(inward, 0), np.maximum(z, 0))
+        return outside + np.minimum(np.maximum(inward, z), 0) - self.rim_m
+
+
+STIMULI: dict[str, Stimulus] = {
+    "surface": Flat(),
+    "edge": Edge(),
+    "sphere": Ball(SPHERE_RADIUS_M),
+    "point": Rod(POINT_RADIUS_M),
+    "needle": Rod(NEEDLE_RADIUS_M),
+    "knife": Knife(),
+    "corner": Corner(),
+    "hole": Hole(),
+}
+"""What the tip can be pressed on, by name."""
+
+
+def stimulus_named(name):
+    """Return the Stimulus called `name`; raise TactipError that lists them where there is none."""
+    return choose("stimulus", name, STIMULI)
+
+
+def add_stimulus(spec, stimulus, friction, contact):
+    """Add a body `stimulus` whose frame is the contact frame (sim/pose.py).
+
+    spec: mujoco.MjSpec. stimulus: Stimulus. friction: float, -. contact: body.ContactModel.
+
+    It is 1000 kg: its motion is set at every step, and no contact force is to change it within one.
+    """
+    body = spec.worldbody.add_body(name="stimulus", mass=1000.0, inertia=[10.0] * 3, explicitinertial=True)
+    body.add_freejoint(name="stimulus")
+    stimulus.add_geoms(spec, body, contact_attributes(friction, contact))
+
+
+def _add_mesh(spec, body, name, vertices, touches, touch):
+    """Add the convex hull of vertices (n, 3), m, to a body. touches: contact bits of what meets it."""
+    spec.add_mesh(name=name, uservert=vertices.ravel())
+    kind = mujoco.mjtGeom.mjGEOM_MESH
+    body.add_geom(name=name, type=kind, meshname=name, contype=0, conaffinity=touches, **touch)
+
+
+def _along_y(profile):
+    """Corners (2 n, 3), m, of a block along y with a profile (n, 2) in x and z."""
+    return np.concatenate([np.insert(profile, 1, y, axis=1) for y in (-HALF_SIZE_M, HALF_SIZE_M)])

@@ -1,0 +1,56 @@
+"""A contact sheet: a data set's images beside their labels."""
+
+import cv2
+import numpy as np
+
+from tactip_twin.sim.dataset.format import encode_image, read_dataset
+from tactip_twin.tactip_model.errors import TactipError
+from tactip_twin.tactip_model.files import write_file
+
+_MARGIN = 6
+_TEXT = 34
+
+
+def contact_sheet(folder, count=24, columns=6):
+    """Image (h, w) uint8 of `count` samples spread over the set in `folder`, `columns` a line, each over its label.
+
+    The first line of a caption has x, y and depth in mm, the second roll, pitch and yaw in degrees.
+    Raises TactipError where the set or an image cannot be read, or count or columns are below 1.
+    """
+    if count < 1 or columns < 1:
+        raise TactipError(f"a sheet of {count} images in {columns} columns cannot be drawn: both must be at least 1")
+    dataset = read_dataset(folder)
+    if not dataset.images:
+        raise TactipError(f"the set in {folder} has no images to show")
+    chosen = np.unique(np.linspace(0, len(dataset.images) - 1, min(count, len(dataset.images))).round().astype(int))
+    tiles = [_tile(dataset.image(i), dataset.poses[i]) for i in chosen]
+    height, width = max(t.shape[0] for t in tiles), max(t.shape[1] for t in tiles)
+    columns = min(columns, len(tiles))
+    lines = -(-len(tiles) // columns)
+    sheet = np.full((lines * (height + _MARGIN) + _MARGIN, columns * (width + _MARGIN) + _MARGIN), 255, np.uint8)
+    for k, tile in enumerate(tiles):
+        top = _MARGIN + (k // columns) * (height + _MARGIN)
+        left = _MARGIN + (k % columns) * (width + _MARGIN)
+        sheet[top : top + tile.shape[0], left : left + tile.shape[1]] = tile
+    return sheet
+
+
+def write_sheet(folder, out, count=24, columns=6):
+    """Write `contact_sheet` of `folder` to `out` (Path, .png). Raises TactipError and OSError."""
+    if out.suffix.lower() != ".png":
+        raise TactipError(f"the sheet is written as PNG: {out} must end in .png")
+    sheet = contact_sheet(folder, count, columns)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    write_file(out, encode_image(sheet))
+
+
+def _tile(image, pose):
+    """An image over its caption. image (size, size) uint8; pose (6,) mm and degrees."""
+    width = max(image.shape[1], 128)
+    tile = np.full((image.shape[0] + _TEXT, width), 255, np.uint8)
+    tile[: image.shape[0], : image.shape[1]] = image
+    lines = ("%.1f %.1f %.1f mm" % tuple(pose[:3]), "%.0f %.0f %.0f deg" % tuple(pose[3:]))
+    for k, text in enumerate(lines):
+        place = (2, image.shape[0] + 13 + 15 * k)
+        cv2.putText(tile, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.4, 0, 1, cv2.LINE_AA)
+    return tile

@@ -1,0 +1,353 @@
+"""The data-set format, of simulated and real sets alike: a folder.
+
+    images/image_00000.png …   binary tactile images
+    targets.csv                a row an image: labels and shears in mm and degrees, and what the simulator measured
+    pins.npz                   simulated sets: every pin's tip and direction (m, sensor frame), rows as in targets.csv
+    meta.json                  configuration, versions, seed, failures, and a checksum of every file above
+    run.json                   simulated sets: when, where and how fast it was made; alone not the same in two runs
+
+meta.json is written last: a folder that has one is complete. Large sets are folders of such folders
+(sim/dataset/shards.py), which
+readers take as one.
+"""
+
+import bisect
+import csv
+import dataclasses
+import hashlib
+import io
+import json
+import platform
+import zipfile
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from tactip_twin.sim.contact.fidelity import Fidelity
+from tactip_twin.sim.contact.record import Bounds
+from tactip_twin.sim.dataset.mechanics_randomization import Variation
+from tactip_twin.sim.dataset.sampling import Ranges
+from tactip_twin.sim.dataset.symmetry import SYMMETRIES
+from tactip_twin.sim.labels import LABELS, SHEARS
+from tactip_twin.sim.pose import to_mm_deg
+from tactip_twin.tactip_model.design import Design
+from tactip_twin.tactip_model.design_file import built
+from tactip_twin.tactip_model.errors import TactipError
+
+FORMAT = "tactip-twin data set"
+VERSION = 1
+
+MEASURES = (
+    "normal_force_N",
+    "tangential_force_N",
+    "penetration_mm",
+    "volume_ratio",
+    "speed_mm_s",
+    "solver_warnings",
+    "steps",
+    "tries",
+)
+COLUMNS = ("sensor_image", *LABELS, *SHEARS, *MEASURES, "index", "seed")
+"""Columns of a simulated set's targets.csv; the first thirteen are those of every set."""
+
+PARTIAL = ".partial"
+"""Folder inside an unfinished set that holds what is made so far."""
+
+
+@dataclass(frozen=True)
+class Configuration:
+    """Everything that decides what a set's bytes are, beside the versions of the libraries."""
+
+    task: str
+    """`surface` or `edge`."""
+    split: str
+    """`train`, `val` or `test`."""
+    samples: int
+    """Samples to make: contacts, times the symmetries and the looks of each."""
+    seed: int
+    """Seed of the set; each sample spawns its own generator from it (sim/dataset/sampling.py)."""
+    renderer: str
+    """`pyrender` or `raster`."""
+    design: Design
+    """The sensor."""
+    fidelity: Fidelity
+    """What trades the contacts' error for time."""
+    pose: Ranges
+    """Labelled poses."""
+    shear: Ranges
+    """Unlabelled perturbations."""
+    bounds: Bounds = field(default_factory=Bounds)
+    """What a record must keep to be trusted."""
+    symmetric: bool = False
+    """Whether each contact is a sample for every symmetry of its task (sim/dataset/symmetry.py), or one alone."""
+    curvature_per_m: tuple[float, float] = (0.0, 0.0)
+    """Range of both principal curvatures of the surface that is touched, 1/m, positive where it bulges out; flat if both are
+    0. Not a label."""
+    uneven: float = 0.0
+    """Share of surfaces along which these curvatures change (sim/contact/curved_surface.py), 0 to 1. Not a label."""
+    shard_samples: int = 10_000
+    """Samples of a shard: a set of more is a folder of shards (sim/dataset/shards.py)."""
+    first: int = 0
+    """Index of its first sample, where it is a shard of a larger set."""
+    looks: int = 1
+    """Times that a contact is looked at: at its pose, and then on a walk from there (sim/dataset/sliding.py), after each
+    stride."""
+    mechanics: Variation = field(default_factory=Variation)
+    """How far the tip's mechanics differ from contact to contact (sim/dataset/mechanics_randomization.py); the optics do
+    not."""
+
+    @property
+    def bent(self):
+        """Whether the surface is not flat."""
+        return any(self.curvature_per_m)
+
+    @property
+    def symmetries(self):
+        """The symmetries (tuple of Symmetry) that make samples of each contact."""
+        return SYMMETRIES[self.task][: None if self.symmetric else 1]
+
+    @property
+    def each(self):
+        """Samples (int) that a contact makes."""
+        return len(self.symmetries) * self.looks
+
+    def as_json(self):
+        """The configuration as a dict of JSON types. What came to it later is named where it is used alone: what was made
+        before keeps its digest."""
+        fields = dataclasses.asdict(self)
+        if not self.bent:
+            del fields["curvature_per_m"]
+        if not self.uneven:
+            del fields["uneven"]
+        for name in ("shard_samples", "first", "looks"):
+            if fields[name] == type(self).__dataclass_fields__[name].default:
+                del fields[name]
+        if self.mechanics.still:
+            del fields["mechanics"]
+        return json.loads(json.dumps(fields))
+
+    def digest(self):
+        """A checksum (hex str) of the configuration."""
+        return digest_of(self.as_json())
+
+
+def samples_each(configuration):
+    """Samples (int) that a contact makes, by a configuration as dict of JSON types."""
+    turned = len(SYMMETRIES[configuration["task"]]) if configuration.get("symmetric") else 1
+    return turned * configuration.get("looks", 1)
+
+
+def digest_of(configuration):
+    """Checksum (hex str) of a configuration (dict of JSON types)."""
+    return checksum(json.dumps(configuration, sort_keys=True).encode())
+
+
+def checksum(data):
+    """SHA-256 (hex str) of bytes."""
+    return hashlib.sha256(data).hexdigest()
+
+
+def versions():
+    """Versions (dict) of what decides a set's bytes."""
+    packages = ("mujoco", "numpy", "scipy", "opencv-contrib-python-headless", "scikit-robot-pyrender")
+    return {
+        "python": platform.python_version(),
+        "tactip-twin": version("tactip-twin"),
+        **{name: version(name) for name in packages},
+    }
+
+
+def image_name(index):
+    """File name of sample `index`."""
+    return f"image_{index:05d}.png"
+
+
+def encode_image(image):
+    """PNG bytes of a uint8 image."""
+    ok, data = cv2.imencode(".png", image)
+    if not ok:
+        raise TactipError(f"an image of {image.dtype} {image.shape} cannot be written as PNG")
+    return data.tobytes()
+
+
+def row_of(contact, index, tries, seed):
+    """A row (dict by COLUMNS, str and numbers) of a tactip_twin.sim.contact.simulator.Contact."""
+    values = {"sensor_image": image_name(index)}
+    values.update(zip(LABELS, to_mm_deg(contact.pose).tolist(), strict=True))
+    values.update(zip(SHEARS, to_mm_deg(contact.shear).tolist(), strict=True))
+    measures = (
+        contact.normal_force_n,
+        contact.tangential_force_n,
+        1e3 * contact.penetration_m,
+        contact.volume_ratio,
+        1e3 * contact.speed_m_s,
+        contact.warnings,
+        contact.steps,
+        tries,
+    )
+    values.update(zip(MEASURES, measures, strict=True))
+    return {**values, "index": index, "seed": seed}
+
+
+def targets_csv(rows):
+    """The bytes of targets.csv from rows (list of dict by COLUMNS). Six decimals: nanometres and microdegrees."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    for row in rows:
+        writer.writerow([f"{row[c]:.6f}" if isinstance(row[c], float) else row[c] for c in COLUMNS])
+    return text.getvalue().encode()
+
+
+def meta_json(configuration, samples, checksums, more):
+    """The bytes of meta.json.
+
+    configuration: Configuration. samples: dict of how many were asked, kept and failed. checksums: dict of file name to
+    checksum. more: dict of what this set has besides.
+    """
+    meta = {
+        "format": FORMAT,
+        "version": VERSION,
+        "digest": configuration.digest(),
+        "samples": samples,
+        "configuration": configuration.as_json(),
+        "versions": versions(),
+        "timings": "run.json",
+        "files": checksums,
+        **more,
+    }
+    return (json.dumps(meta, indent=1) + "\n").encode()
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """A finished set, real or simulated, as read from its folder. n images."""
+
+    folder: Path
+    """Where it was read from."""
+    meta: dict
+    """Its meta.json."""
+    images: tuple[str, ...]
+    """(n) file names inside `images/`, of the folder or of its shards."""
+    poses: np.ndarray
+    """(n, 6) labels, mm and degrees."""
+    shears: np.ndarray
+    """(n, 6), mm and degrees."""
+    ends: tuple[int, ...]
+    """Where in the rows its shards end, or the set itself, which is then its only one."""
+
+    @property
+    def simulated(self):
+        """Whether it was simulated, so that where its pins are is known."""
+        return all((part / "pins.npz").exists() for part in parts_of(self.folder, self.meta))
+
+    def image(self, i):
+        """Image i, (size, size) uint8. Raises TactipError where it cannot be read."""
+        place = parts_of(self.folder, self.meta)[bisect.bisect_right(self.ends, i)]
+        path = place / "images" / self.images[i]
+        image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) if path.exists() else None
+        if image is None:
+            raise TactipError(f"the image {path} cannot be read: the set is damaged, see `tactip dataset verify`")
+        return image
+
+
+def read_meta(folder):
+    """The meta.json of a finished set as a dict. Raises TactipError where there is none, or one of something else."""
+    path = Path(folder) / "meta.json"
+    if not path.exists():
+        if (Path(folder) / PARTIAL).exists():
+            raise TactipError(f"the set in {folder} is unfinished: the command that makes it goes on where it stopped")
+        raise TactipError(f"there is no data set in {folder}: it has no meta.json")
+    try:
+        meta = json.loads(path.read_text())
+    except (ValueError, OSError) as error:
+        raise TactipError(f"{path} cannot be read as JSON: {error}") from error
+    if not isinstance(meta, dict) or meta.get("format") != FORMAT:
+        raise TactipError(f"{path} does not describe a data set of this project: its format is not {FORMAT!r}")
+    if meta.get("version") != VERSION:
+        raise TactipError(f"{path} is of version {meta.get('version')!r}: this program reads version {VERSION}")
+    return meta
+
+
+def read_configuration(meta, folder):
+    """The Configuration of a set that was simulated, from its meta.json (dict). folder: whose it is.
+
+    Raises TactipError where it has none, or one of another version of the project.
+    """
+    if not isinstance(meta.get("configuration"), dict) or "fidelity" not in meta["configuration"]:
+        raise TactipError(f"the set in {folder} was not simulated: it has no configuration to play its contacts by")
+    return built(Configuration, meta["configuration"], f"{folder}: configuration")
+
+
+def read_targets(folder):
+    """Rows (list of dict of str) of targets.csv. Raises TactipError where it is missing or lacks a needed column."""
+    path = Path(folder) / "targets.csv"
+    try:
+        with path.open(newline="") as file:
+            reader = csv.DictReader(file)
+            rows = list(reader)
+            columns = reader.fieldnames or []
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise TactipError(f"{path} cannot be read: {error}") from error
+    missing = [c for c in COLUMNS[:13] if c not in columns]
+    if missing:
+        raise TactipError(f"{path} lacks the columns {', '.join(missing)}")
+    return rows
+
+
+def parts_of(folder, meta):
+    """Folders (list of Path) in which a set's images and tables are: its shards, or its own. meta: dict, its meta.json."""
+    return [Path(folder) / name for name in meta["shards"]] if "shards" in meta else [Path(folder)]
+
+
+def read_rows(folder, meta):
+    """Rows (list of dict of str) of a finished set, of all its shards. Raises TactipError as read_targets does."""
+    return [row for part in parts_of(folder, meta) for row in read_targets(part)]
+
+
+def read_dataset(folder):
+    """Read a finished set's labels and names. Raises TactipError where it is damaged beyond reading."""
+    folder = Path(folder)
+    meta = read_meta(folder)
+    names, poses, shears, ends = [], [], [], []
+    for part in parts_of(folder, meta):
+        rows = read_targets(part)
+        try:
+            poses.append(np.array([[float(row[c]) for c in LABELS] for row in rows]).reshape(-1, 6))
+            shears.append(np.array([[float(row[c]) for c in SHEARS] for row in rows]).reshape(-1, 6))
+        except (TypeError, ValueError) as error:
+            raise TactipError(f"{part / 'targets.csv'} has a cell that is no number: {error}") from error
+        names += [row["sensor_image"] for row in rows]
+        ends.append(len(names))
+    return Dataset(folder, meta, tuple(names), np.concatenate(poses), np.concatenate(shears), tuple(ends))
+
+
+def read_pins(folder, meta):
+    """Tips and directions of all pins of a simulated set, (n, p, 3) float32 each; rows as of read_dataset.
+
+    meta: dict, its meta.json. Raises TactipError where it has none, or they cannot be read.
+    """
+    tips, directions = [], []
+    for part in parts_of(folder, meta):
+        path = part / "pins.npz"
+        try:
+            with path.open("rb") as file, np.load(file, allow_pickle=False) as pins:
+                tips.append(pins["tips"])
+                directions.append(pins["directions"])
+        except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile) as error:
+            raise TactipError(
+                f"{path} cannot be read ({error}): only simulated sets, which have pins, can do this"
+            ) from error
+    return np.concatenate(tips), np.concatenate(directions)
+
+
+def labels_sha256(meta):
+    """Checksum (hex str) of a set's labels, None where it has none. meta: dict, its meta.json.
+
+    Of shards, it is a checksum of theirs, which cover everything.
+    """
+    files = meta.get("files", {})
+    return checksum(json.dumps(files, sort_keys=True).encode()) if "shards" in meta else files.get("targets.csv")

@@ -1,0 +1,188 @@
+"""Is a data set whole? Every promise of its format, checked; every breach, a sentence."""
+
+import zipfile
+from collections import Counter
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from tactip_twin.sim.dataset.format import (
+    COLUMNS,
+    checksum,
+    digest_of,
+    image_name,
+    read_configuration,
+    read_meta,
+    read_targets,
+    samples_each,
+)
+from tactip_twin.sim.dataset.sampling import seed_text
+from tactip_twin.sim.dataset.shards import shards_of
+from tactip_twin.sim.labels import LABELS, SHEARS
+from tactip_twin.tactip_model.errors import TactipError
+
+_ROUNDING = 1e-6
+"""A cell may lie this far outside its range: the table has six decimals."""
+
+
+def verify(folder):
+    """Check a finished set. Returns what is wrong with it: a list of sentences, empty if nothing is.
+
+    Raises TactipError where there is no set to check.
+    """
+    folder = Path(folder)
+    meta = read_meta(folder)
+    return _shards(folder, meta) if "shards" in meta else _whole(folder, meta)
+
+
+def _shards(folder, meta):
+    """What is wrong with a set of shards: with its manifest, or with one of them."""
+    problems, found = _files(folder, meta) + _altered(meta), {"asked": 0, "kept": 0, "failed": 0}
+    try:
+        wanted = shards_of(read_configuration(meta, folder))
+    except TactipError as error:
+        return [*problems, str(error)]
+    if meta["shards"] != list(wanted):
+        problems.append(f"meta.json: its shards are {meta['shards']} instead of {list(wanted)}")
+    for name in sorted({path.name for path in folder.glob("shard-*")} - set(wanted)):
+        problems.append(f"{name}: it is no shard of this set")
+    for name, configuration in wanted.items():
+        try:
+            own = read_meta(folder / name)
+            for key in found:
+                found[key] += own["samples"][key]
+            if own.get("configuration") != configuration.as_json():
+                problems.append(f"{name}: it is of another configuration")
+            problems += [f"{name}/{problem}" for problem in verify(folder / name)]
+        except (TactipError, KeyError) as error:
+            problems.append(f"{name}: {error}")
+    if found != meta.get("samples"):
+        problems.append(f"meta.json: it promises samples {meta.get('samples')}, its shards have {found}")
+    return problems
+
+
+def _altered(meta):
+    configuration = meta.get("configuration")
+    if configuration is not None and digest_of(configuration) != meta.get("digest"):
+        return ["meta.json: its configuration was altered: it does not have the digest that it was made with"]
+    return []
+
+
+def _whole(folder, meta):
+    configuration = meta.get("configuration")
+    problems = _altered(meta)
+    try:
+        rows = read_targets(folder)
+    except TactipError as error:
+        return [*problems, str(error)]
+    problems += _files(folder, meta) + _images(folder, meta, rows) + _rows(rows, meta)
+    if _simulated(configuration):
+        problems += _pins(folder, meta, rows)
+    return problems
+
+
+def _files(folder, meta):
+    problems = []
+    for name, expected in meta.get("files", {}).items():
+        path = folder / name
+        if not path.exists():
+            problems.append(f"{name}: missing")
+        elif checksum(path.read_bytes()) != expected:
+            problems.append(f"{name}: altered: it does not have the checksum in meta.json")
+    return problems
+
+
+def _images(folder, meta, rows):
+    named = [row["sensor_image"] for row in rows]
+    problems = [f"targets.csv: the image {n} has more than one row" for n, k in sorted(Counter(named).items()) if k > 1]
+    there = {path.name for path in (folder / "images").glob("*")}
+    problems += [f"images/{name}: missing" for name in sorted(set(named) - there)]
+    problems += [f"images/{name}: has no row in targets.csv" for name in sorted(there - set(named))]
+    expected = meta.get("images", {})
+    size = (meta.get("configuration") or {}).get("design", {}).get("image", {}).get("size_px")
+    for name in sorted(set(named) & there):
+        data = (folder / "images" / name).read_bytes()
+        if name in expected and checksum(data) == expected[name]:
+            continue
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE) if data else None
+        if image is None:
+            problems.append(f"images/{name}: truncated or not an image ({len(data)} bytes)")
+        elif size is not None and image.shape != (size, size):
+            problems.append(f"images/{name}: it is {image.shape[1]} by {image.shape[0]} px instead of {size} by {size}")
+        elif name in expected:
+            problems.append(f"images/{name}: altered: it does not have the checksum in meta.json")
+        elif not np.isin(image, (0, 255)).all():
+            problems.append(f"images/{name}: it has values other than 0 and 255")
+    return problems
+
+
+def _rows(rows, meta):
+    problems = []
+    configuration = meta.get("configuration")
+    kept = meta.get("samples", {}).get("kept")
+    if kept is not None and kept != len(rows):
+        problems.append(f"targets.csv: it has {len(rows)} rows, meta.json promises {kept}")
+    ranges = {}
+    if configuration is not None:
+        # The shear of a look on a walk is the whole way since the first touch.
+        walked = configuration.get("looks", 1) > 1
+        for columns, key in ((LABELS, "pose"), *(() if walked else ((SHEARS, "shear"),))):
+            ranges.update(zip(columns, configuration[key].values(), strict=True))
+    for number, row in enumerate(rows, start=2):
+        where = f"targets.csv, line {number}"
+        if None in row or None in row.values():
+            problems.append(f"{where}: it has more or fewer cells than the header")
+            continue
+        for column in (*LABELS, *SHEARS):
+            try:
+                value = float(row[column])
+            except ValueError:
+                problems.append(f"{where}: {column} is {row[column]!r}, not a number")
+                continue
+            if not np.isfinite(value):
+                problems.append(f"{where}: {column} is {row[column]}, not a finite number")
+            elif column in ranges and not ranges[column][0] - _ROUNDING <= value <= ranges[column][1] + _ROUNDING:
+                problems.append(
+                    f"{where}: {column} is {row[column]}, outside the set's range {ranges[column]}: "
+                    "a row of another configuration"
+                )
+        if _simulated(configuration) and not _belongs(row, configuration):
+            problems.append(f"{where}: its seed {row.get('seed')!r} or its image is not of this set: a mixed configuration")
+    return problems
+
+
+def _simulated(configuration):
+    """Whether a set with a configuration (dict or None) was simulated, and not imported."""
+    return configuration is not None and "fidelity" in configuration
+
+
+def _belongs(row, configuration):
+    """Whether a row's index, seed and image fit each other and the set."""
+    if any(row.get(c) is None for c in COLUMNS) or not row["index"].isdigit():
+        return False
+    index = int(row["index"])
+    number = index // samples_each(configuration)
+    seed = seed_text(configuration["seed"], configuration["task"], configuration["split"], number)
+    inside = 0 <= index - configuration.get("first", 0) < configuration["samples"]
+    return inside and row["seed"] == seed and row["sensor_image"] == image_name(index)
+
+
+def _pins(folder, meta, rows):
+    path = folder / "pins.npz"
+    if not path.exists():
+        return []  # reported by its checksum
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as pins:
+            digest, tips = str(pins["digest"]), pins["tips"]
+            finite = all(np.isfinite(pins[k]).all() for k in ("tips", "directions"))
+    except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile) as error:
+        return [f"pins.npz: it cannot be read: {error}"]
+    problems = []
+    if digest != meta["digest"]:
+        problems.append("pins.npz: it belongs to a set of another configuration")
+    if len(tips) != len(rows):
+        problems.append(f"pins.npz: it has {len(tips)} records, targets.csv {len(rows)} rows")
+    if not finite:
+        problems.append("pins.npz: it has numbers that are not finite")
+    return problems

@@ -1,0 +1,1 @@
+"""What people look at: geometry, pages in a browser, windows, videos, figures."""

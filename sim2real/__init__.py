@@ -1,0 +1,1 @@
+"""Everything that touches a real sensor: frames, import, calibration, transfer."""

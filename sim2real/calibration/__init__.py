@@ -1,0 +1,1 @@
+"""A design and a rig fitted to real frames."""

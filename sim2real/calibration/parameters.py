@@ -1,0 +1,119 @@
+"""What a calibration fits: a sensor on a rig, and the numbers of both that frames tell."""
+
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from tactip_twin.sim2real.calibration.rig import Rig
+from tactip_twin.tactip_model.design import WIDEST_LAYOUT, Design
+
+
+@dataclass(frozen=True)
+class Twin:
+    """A sensor on a rig."""
+
+    design: Design
+    """The sensor."""
+    rig: Rig
+    """How it hangs on the arm that took the frames."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """Something that is fitted."""
+
+    name: str
+    """What it is called in reports and in the state of a run."""
+    unit: str
+    """Of its value: m, Pa, deg, widths (of the image), or - for none."""
+    low: float
+    """Least value that it is held at, in its unit."""
+    high: float
+    """Greatest value, in its unit."""
+    step: float
+    """Change for the difference quotients; of the value's logarithm if `logarithmic`."""
+    believed: tuple[float, float] | None
+    """Value and standard deviation before any frame is seen (of the logarithm, for the latter); None if nothing is known."""
+    part: str
+    """What it belongs to: rig, optics, pins, materials."""
+    attribute: str
+    """Field of that part."""
+    item: int | None = None
+    """Place in the field, where it is a tuple."""
+    logarithmic: bool = False
+    """Whether steps and beliefs are of the value's logarithm: for what is known to a factor."""
+    mechanical: bool = True
+    """Whether a contact must be played anew when it changes."""
+    searched: bool = False
+    """Whether it is found by trying: skin sticks or slips, and a frame's share then jumps, so that slopes lead astray."""
+
+    def read(self, twin):
+        """Its value (float) in a Twin."""
+        value = getattr(self._of(twin), self.attribute)
+        return float(value if self.item is None else value[self.item])
+
+    def write(self, twin, value):
+        """The Twin with this value (float), held within the bounds."""
+        value = float(np.clip(value, self.low, self.high))
+        if self.item is not None:
+            whole = list(getattr(self._of(twin), self.attribute))
+            whole[self.item] = value
+            value = tuple(whole)
+        part = replace(self._of(twin), **{self.attribute: value})
+        if self.part == "rig":
+            return replace(twin, rig=part)
+        return replace(twin, design=replace(twin.design, **{self.part: part}))
+
+    def moved(self, twin, amount):
+        """The Twin with this parameter moved by `amount` of its steps."""
+        value = self.read(twin)
+        return self.write(twin, value * np.exp(amount * self.step) if self.logarithmic else value + amount * self.step)
+
+    def surprise(self, twin):
+        """How far (standard deviations) the value is from what is believed; 0 if nothing is."""
+        if self.believed is None:
+            return 0.0
+        value, (mean, deviation) = self.read(twin), self.believed
+        return (np.log(value / mean) if self.logarithmic else value - mean) / deviation
+
+    def _of(self, twin):
+        return twin.rig if self.part == "rig" else getattr(twin.design, self.part)
+
+
+UNKNOWN_CAMERA = np.array([1.0, 0.0, 0.0]), np.array([0.01, 0.004, 0.004])
+"""Zoom and drift, and their standard deviations, where reflections do not tell them."""
+
+
+def parameters(design, camera=UNKNOWN_CAMERA):
+    """The Parameters that pressed frames tell.
+
+    design: Design to start from. camera: what is believed of zoom and drift and its deviation, (3,) each.
+    """
+    # Where a frame lags, its lag explains what friction would: frames alone hardly tell the three numbers of friction. They
+    # are believed from a load cell (0.55 to 0.7) and from the mean shifts of 25 kinds of shear of a real tip, to which a
+    # share of 0.5 to 0.6 after 1 mm comes nearest (benchmarks/learning/real_comparison.py).
+    searched = partial(Parameter, logarithmic=True, searched=True)
+    zoom, x, y = zip(*camera, strict=True)
+    pitch = design.pins.pitch_m
+    widest = WIDEST_LAYOUT * design.shape.radius_m / design.pins.rings
+    return (
+        Parameter("azimuth", "deg", -360, 360, 2.0, None, "rig", "azimuth_deg"),
+        Parameter("depth_zero", "m", -2e-3, 2e-3, 0.1e-3, (0.0, 0.5e-3), "rig", "depth_zero_m"),
+        Parameter("tcp_behind_apex", "m", -0.06, 0.06, 1.5e-3, (0.0, 20e-3), "rig", "tcp_behind_apex_m"),
+        Parameter("tilt_zero_x", "deg", -5, 5, 0.8, (0.0, 2.0), "rig", "tilt_zero_deg", 0),
+        Parameter("tilt_zero_y", "deg", -5, 5, 0.8, (0.0, 2.0), "rig", "tilt_zero_deg", 1),
+        searched("friction", "-", 0.1, 1.0, 0.15, (0.6, 0.1), "materials", "friction"),
+        searched("kinetic_share", "-", 0.2, 1.0, 0.15, (0.55, 0.15), "materials", "kinetic_share"),
+        searched("kinetic_after", "m", 0.3e-3, 10e-3, 0.25, (1e-3, 0.3), "materials", "kinetic_after_m"),
+        Parameter("skin_young", "Pa", 1e5, 5e6, 0.25, (0.6e6, 0.4), "materials", "skin_young_pa", logarithmic=True),
+        Parameter("gel_young", "Pa", 3e3, 2e5, 0.25, (2e4, 0.4), "materials", "gel_young_pa", logarithmic=True),
+        Parameter("pin_length", "m", 0.8e-3, 4e-3, 0.1e-3, (2e-3, 0.5e-3), "pins", "length_m", mechanical=False),
+        Parameter(
+            "pitch", "m", 0.7 * pitch, widest, 0.02, (pitch, 0.05), "pins", "pitch_m", logarithmic=True, mechanical=False
+        ),
+        Parameter("camera_height", "m", 2e-3, 40e-3, 0.5e-3, (8e-3, 4e-3), "optics", "camera_height_m", mechanical=False),
+        Parameter("zoom", "-", 0.95, 1.05, 0.001, zoom, "optics", "zoom", mechanical=False),
+        Parameter("drift_x", "widths", -0.02, 0.02, 0.001, x, "optics", "drift", 0, mechanical=False),
+        Parameter("drift_y", "widths", -0.02, 0.02, 0.001, y, "optics", "drift", 1, mechanical=False),
+    )

@@ -1,0 +1,123 @@
+"""A folder of real images with the commands of the rig that took them, read as it is published.
+
+init_0.png                neutral image (any name that starts with init)
+images/*.png or *.png     binary frames
+targets.csv               image_name or sensor_image; pose_1 … pose_6 and move_1 … move_6, mm and degrees, in the rig's frame
+meta.json                 tap_move: the tap that makes contact, after the commanded pose, mm and degrees
+"""
+
+import csv
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from tactip_twin.sim.pose import from_mm_deg
+from tactip_twin.tactip_model.errors import TactipError
+
+_NAMES = ("image_name", "sensor_image")
+
+
+@dataclass(frozen=True)
+class RealSet:
+    """Frames of a real sensor and the commands under which they were taken. (n frames)"""
+
+    folder: Path
+    """Where it was read from."""
+    files: tuple[Path, ...]
+    """The frames, n of them."""
+    poses: np.ndarray
+    """(n, 6) float: commanded poses in the rig's frame, m and rad."""
+    moves: np.ndarray
+    """(n, 6) float: commanded motions in contact that lead to the poses, m and rad."""
+    tap: np.ndarray
+    """(6,) float: the tap after each pose that makes contact, m and rad."""
+    neutral: np.ndarray
+    """(h, w) uint8: the undeformed tip."""
+
+    def frame(self, index):
+        """Frame `index`, (h, w) uint8. Raises TactipError where it cannot be read or is of another size than the neutral."""
+        frame = _image(self.files[index])
+        if frame.shape != self.neutral.shape:
+            sizes = (f"{i.shape[1]} by {i.shape[0]} px" for i in (frame, self.neutral))
+            raise TactipError(f"{self.files[index]}: a frame of {next(sizes)}, and the neutral image has {next(sizes)}")
+        return frame
+
+
+def read_real_set(folder):
+    """The RealSet in a folder. Raises TactipError that names what is missing or does not fit."""
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise TactipError(
+            f"{folder} is no folder: it must hold targets.csv, meta.json, a neutral image init*.png and frames"
+        )
+    inits = sorted(folder.glob("init*.png"))
+    if not inits:
+        raise TactipError(f"{folder} has no neutral image: a file init*.png")
+    rows = _rows(folder / "targets.csv")
+    name = next((n for n in _NAMES if n in rows[0]), None)
+    columns = [[f"{kind}_{k}" for k in range(1, 7)] for kind in ("pose", "move")]
+    lacking = [c for group in columns for c in group if c not in rows[0]]
+    if name is None or lacking:
+        what = f"none of {', '.join(_NAMES)}" if name is None else f"no {', '.join(lacking)}"
+        raise TactipError(
+            f"{folder / 'targets.csv'} has {what}: columns must be image_name, pose_1 … pose_6, move_1 … move_6"
+        )
+    for number, row in enumerate(rows, 1):
+        short = [c for c in (name, *columns[0], *columns[1]) if row[c] is None]
+        if short:
+            raise TactipError(f"{folder / 'targets.csv'}: row {number} ends before {short[0]}: it must have all the columns")
+    try:
+        numbers = [np.array([[float(row[c]) for c in group] for row in rows]) for group in columns]
+    except ValueError as error:
+        raise TactipError(f"{folder / 'targets.csv'}: {error}") from error
+    if not all(np.isfinite(n).all() for n in numbers):
+        raise TactipError(f"{folder / 'targets.csv'} has poses or moves that are not finite")
+    files = tuple(_found(folder, row[name]) for row in rows)
+    return RealSet(
+        folder, files, *(from_mm_deg(n) for n in numbers), tap=_tap(folder / "meta.json"), neutral=_image(inits[0])
+    )
+
+
+def _rows(path):
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            rows = list(csv.DictReader(file))
+    except FileNotFoundError:
+        raise TactipError(f"{path} does not exist: it must name the frames and their poses") from None
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise TactipError(f"{path} cannot be read as a table in UTF-8: {error}") from error
+    if not rows:
+        raise TactipError(f"{path} has no rows")
+    return rows
+
+
+def _found(folder, name):
+    for path in (folder / "images" / name, folder / name):
+        if path.is_file():
+            return path
+    raise TactipError(f"{folder} lacks the frame {name}, in it or in its folder images")
+
+
+def _tap(path):
+    try:
+        tap = json.loads(path.read_text())["tap_move"]
+        tap = np.array(tap, float)
+    except FileNotFoundError:
+        raise TactipError(
+            f"{path} does not exist: it must give tap_move, the tap that makes contact, mm and degrees"
+        ) from None
+    except (ValueError, KeyError, TypeError) as error:
+        raise TactipError(f"{path} has no usable tap_move, six numbers in mm and degrees: {error}") from error
+    if tap.shape != (6,) or not np.isfinite(tap).all() or not np.linalg.norm(tap[:3]) > 0 or tap[3:].any():
+        raise TactipError(f"{path}: tap_move is {tap.tolist()}: it must be six numbers, mm and degrees, a translation")
+    return from_mm_deg(tap)
+
+
+def _image(path):
+    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    if image is None:
+        raise TactipError(f"{path} cannot be read as an image")
+    return image

@@ -1,0 +1,241 @@
+"""What a calibration is worth: judged on frames that it was not fitted to, as tables, text and pictures."""
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+
+from tactip_twin.sim.view.plot import pyplot
+from tactip_twin.sim2real.calibration.fit import LOAD_CELL_N, best_share, distances
+from tactip_twin.sim2real.calibration.rig import RigMotion
+from tactip_twin.tactip_model.design_file import write_fitted
+from tactip_twin.tactip_model.files import write_file
+
+RINGS = 8
+"""Rings of equally many pins, by their distance from the middle of the neutral image."""
+
+UPRIGHT_RAD = np.radians(8)
+"""Commanded tilt up to which a frame counts as upright, rad."""
+
+_DISPLAY = {"m": (1e3, "mm"), "Pa": (1e-3, "kPa"), "deg": (1.0, "°"), "-": (1.0, ""), "widths": (256.0, "px of 256")}
+
+
+def judge(result):
+    """Figures (dict, JSON) of a calibration.Result on its judged frames. Distances in px of a 256 px image."""
+    frames, stages = result.judged, result.stages
+    seen = frames.pins_px
+    share, pins, _ = best_share(stages, seen)
+    commanded, before = distances(stages[:, -1], seen), distances(stages[:, 0], seen)
+    fitted = distances(pins, seen)
+    depths, slides, tilts, directions = _commands(result)
+    parameters = {}
+    for p, deviation in zip(result.chosen, result.deviations, strict=True):
+        value = p.read(result.twin)
+        spread = deviation * p.step * (value if p.logarithmic else 1.0)
+        held = bool(value in (p.low, p.high))
+        parameters[p.name] = {"value": value, "deviation": float(spread), "unit": p.unit, "at_its_bound": held}
+    return {
+        "parameters": parameters,
+        "rig": asdict(result.twin.rig),
+        "neutral_px": {
+            "as_it_came": result.neutral.before_px,
+            "lens_camera_turn": result.neutral.lattice_px,
+            "pins_as_built": result.neutral.after_px,
+        },
+        "rounds": result.rounds,
+        "judged_frames": len(seen),
+        "frames_px": {
+            "share_of_move_found": _summary(fitted),
+            "before_or_after_move": _summary(np.minimum(commanded, before)),
+            "as_commanded": _summary(commanded),
+        },
+        "share_of_move_done": np.histogram(share, [0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.01])[0].tolist(),
+        "depth": _depth_table(depths, tilts, seen, pins, result.neutral.pins_px),
+        "shear": _shear_table(depths, slides, directions, seen, pins, stages, result.neutral.pins_px),
+        "force_n": {
+            f"{1e3 * d:g} mm": [float(f), r] for f, (d, r) in zip(result.forces_n, LOAD_CELL_N.items(), strict=True)
+        },
+    }
+
+
+def _summary(distance):
+    """Root mean square, median and 90th percentile over frames of their rms distances."""
+    return {
+        "rms": float(np.sqrt((distance**2).mean())),
+        "median": float(np.median(distance)),
+        "p90": float(np.quantile(distance, 0.9)),
+    }
+
+
+def _commands(result):
+    """Depths (n,) m, lateral moves (n,) m, tilts (n,) rad and directions in the image (n, 2) by the frames' labels."""
+    motion = RigMotion(result.twin.rig)
+    contacts = [motion.contact(pose, move, result.judged.tap) for pose, move in result.judged.commands]
+    poses, shears = (np.array(c) for c in zip(*contacts, strict=True))
+    lateral = shears[:, :2] * [1, -1]
+    slide = np.linalg.norm(lateral, axis=1)
+    return -poses[:, 2], slide, np.linalg.norm(poses[:, 3:5], axis=1), lateral / np.maximum(slide, 1e-9)[:, None]
+
+
+def _depth_table(depths, tilts, seen, pins, neutral):
+    """Outward motion of rings of pins, seen and simulated, for bins of depth, over upright frames."""
+    middle = neutral.mean(0)
+    radius = np.linalg.norm(neutral - middle, axis=1)
+    outward = (neutral - middle) / np.maximum(radius, 1e-9)[:, None]
+    ring = np.minimum((np.argsort(np.argsort(radius)) * RINGS) // len(radius), RINGS - 1)
+    rows = []
+    for low in np.arange(0.5e-3, 6e-3, 0.5e-3):
+        chosen = (depths >= low) & (depths < low + 0.5e-3) & (tilts < UPRIGHT_RAD)
+        if chosen.sum() < 2:
+            continue
+        real, mine = (np.nanmean(((p[chosen] - neutral) * outward).sum(-1), 0) for p in (seen, pins))
+        means = [[float(np.nanmean(m[ring == k])) for k in range(RINGS)] for m in (real, mine)]
+        rows.append({"depth_mm": float(1e3 * depths[chosen].mean()), "frames": int(chosen.sum()), "real_px": means[0]})
+        rows[-1]["simulated_px"] = means[1]
+    return {"rows": rows, "rms_px": _table_rms(rows, "simulated_px")}
+
+
+def _shear_table(depths, slides, directions, seen, pins, stages, neutral):
+    """Mean motion of all pins against the direction of the move, seen and simulated, for bins of depth and of shear."""
+
+    def shift(p):
+        return -np.nanmean(((p - neutral) * directions[:, None]).sum(-1), 1)
+
+    shifts = [shift(seen), shift(pins), shift(stages[:, -1])]
+    rows = []
+    for low in np.arange(1e-3, 5e-3, 1e-3):
+        row = {"depth_mm": [1e3 * low, 1e3 * low + 1], "shear_mm": [], "frames": [], "real_px": []}
+        row |= {"simulated_px": [], "as_commanded_px": []}
+        for slide in np.arange(0, 6e-3, 1e-3):
+            chosen = (depths >= low) & (depths < low + 1e-3) & (slides >= slide) & (slides < slide + 1e-3)
+            if chosen.sum() < 2:
+                continue
+            row["shear_mm"].append(float(1e3 * slides[chosen].mean()))
+            row["frames"].append(int(chosen.sum()))
+            for key, s in zip(("real_px", "simulated_px", "as_commanded_px"), shifts, strict=True):
+                row[key].append(float(s[chosen].mean()))
+        rows.append(row)
+    return {
+        "rows": rows,
+        "rms_px": _table_rms(rows, "simulated_px"),
+        "as_commanded_rms_px": _table_rms(rows, "as_commanded_px"),
+    }
+
+
+def _table_rms(rows, key):
+    differences = np.concatenate([np.subtract(r[key], r["real_px"]) for r in rows]) if rows else np.zeros(0)
+    return float(np.sqrt((differences**2).mean())) if differences.size else None
+
+
+def write_report(result, real_name, settings, out, folder):
+    """Write the fitted design and the report. Returns the figures (dict).
+
+    result: calibration.Result. real_name: str. settings: calibration.Settings. out: path of the design file. folder: path
+    for calibration.json, calibration.md, pins.png and curves.png.
+    """
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    figures = judge(result)
+    figures = {"real": real_name, "design": result.twin.design.name, "settings": asdict(settings)} | figures
+    write_file(folder / "calibration.json", (json.dumps(figures, indent=1) + "\n").encode())
+    write_file(folder / "calibration.md", page(figures).encode())
+    _draw_pins(result, folder / "pins.png")
+    _draw_curves(figures, folder / "curves.png")
+    kept = ("real", "settings", "parameters", "rig", "neutral_px", "judged_frames", "frames_px", "force_n")
+    write_fitted(out, result.twin.design, {"by": "tactip calibrate"} | {k: figures[k] for k in kept})
+    return figures
+
+
+def page(figures):
+    """The Markdown (str) of a report."""
+    n, f = figures["neutral_px"], figures["frames_px"]
+    lines = [
+        f"# {figures['design']} fitted to {figures['real']}",
+        "",
+        f"Fitted to {figures['settings']['frames']} frames of one half of the set, judged on {figures['judged_frames']} of "
+        "the other. Distances are those of pins, in px of a 256 px image.",
+        "",
+        "| judged | rms px | median frame | 90 % of frames |",
+        "|---|---|---|---|",
+        f"| neutral image: as it came / lens, camera and turn / pins as built | {n['as_it_came']:.2f} / "
+        f"{n['lens_camera_turn']:.2f} / {n['pins_as_built']:.2f} | | |",
+    ]
+    names = {
+        "share_of_move_found": "frames, share of the move that is done found from each",
+        "before_or_after_move": "frames, taken either before or after the move",
+        "as_commanded": "frames, all taken after the move as the rows say",
+    }
+    lines += [f"| {text} | {f[k]['rms']:.2f} | {f[k]['median']:.2f} | {f[k]['p90']:.2f} |" for k, text in names.items()]
+    lines += [
+        f"| outward motion of {RINGS} rings by depth, upright frames | {figures['depth']['rms_px']:.2f} | | |",
+        f"| mean shift by depth and shear | {figures['shear']['rms_px']:.2f} (as commanded "
+        f"{figures['shear']['as_commanded_rms_px']:.2f}) | | |",
+        "",
+        "Frames by the share of the move that was done when they were taken, 0–0.1, –0.3, –0.5, –0.7, –0.9, –1: "
+        + ", ".join(str(k) for k in figures["share_of_move_done"])
+        + ".",
+        "",
+        "Normal force on the flat, simulated (load cell): "
+        + ", ".join(f"{a:.2f} N ({b:.2f}) at {d}" for d, (a, b) in figures["force_n"].items())
+        + ".",
+        "",
+        "| parameter | value | deviation | |",
+        "|---|---|---|---|",
+    ]
+    for name, p in figures["parameters"].items():
+        scale, unit = _DISPLAY[p["unit"]]
+        note = "at its bound" if p["at_its_bound"] else ""
+        lines.append(f"| {name} | {scale * p['value']:.4g} {unit} | {scale * p['deviation']:.2g} | {note} |")
+    lines += ["", "![pins](pins.png)", "", "![curves](curves.png)"]
+    return "\n".join(lines) + "\n"
+
+
+def _draw_pins(result, path):
+    """Pins seen (rings) and simulated (dots) of six judged frames, what is left as arrows three times their length."""
+    plt = pyplot()
+    seen = result.judged.pins_px
+    share, pins, _ = best_share(result.stages, seen)
+    rms = distances(pins, seen)
+    shown = np.argsort(rms)[(np.linspace(0.05, 0.95, 6) * len(rms)).astype(int)]
+    depths, slides, tilts, _ = _commands(result)
+    figure, axes = plt.subplots(2, 3, figsize=(13, 9))
+    for axis, i in zip(axes.ravel(), shown, strict=True):
+        left = seen[i] - pins[i]
+        axis.plot(*seen[i].T, "o", mfc="none", color="0.4", ms=6, label="real")
+        axis.plot(*pins[i].T, ".", color="C3", ms=5, label="simulated")
+        axis.quiver(*pins[i].T, *left.T, angles="xy", scale_units="xy", scale=1 / 3, color="C0", width=0.003)
+        axis.set(xlim=(0, 256), ylim=(256, 0), aspect="equal", xticks=[], yticks=[])
+        axis.set_title(
+            f"{1e3 * depths[i]:.1f} mm deep, tilt {np.degrees(tilts[i]):.0f}°, move {1e3 * slides[i]:.1f} mm, "
+            f"{100 * share[i]:.0f} % done: {rms[i]:.2f} px",
+            fontsize=9,
+        )
+    axes[0, 0].legend(fontsize=8, loc="lower left")
+    figure.tight_layout()
+    figure.savefig(path, dpi=70)
+    plt.close(figure)
+
+
+def _draw_curves(figures, path):
+    """Depth and shear response, real (dots) and simulated (lines)."""
+    plt = pyplot()
+    figure, axes = plt.subplots(1, 2, figsize=(11, 4.3))
+    for k, row in enumerate(figures["depth"]["rows"]):
+        colour = plt.cm.viridis(k / max(1, len(figures["depth"]["rows"])))
+        rings = np.arange(1, RINGS + 1)
+        axes[0].plot(rings, row["real_px"], "o", color=colour, ms=4)
+        axes[0].plot(rings, row["simulated_px"], "-", color=colour, label=f"{row['depth_mm']:.1f} mm")
+    axes[0].set(xlabel="ring of pins, inner to outer", ylabel="outward, px of 256", title="upright presses")
+    for k, row in enumerate(figures["shear"]["rows"]):
+        colour = plt.cm.viridis(k / max(1, len(figures["shear"]["rows"])))
+        axes[1].plot(row["shear_mm"], row["real_px"], "o", color=colour, ms=4)
+        low, high = row["depth_mm"]
+        axes[1].plot(row["shear_mm"], row["simulated_px"], "-", color=colour, label=f"{low:.0f}–{high:.0f} mm deep")
+    axes[1].set(xlabel="commanded move, mm", ylabel="mean shift of the pins, px of 256", title="moves in contact")
+    for axis in axes:
+        axis.legend(fontsize=8, frameon=False)
+        axis.spines[["top", "right"]].set_visible(False)
+    figure.tight_layout()
+    figure.savefig(path, dpi=80)
+    plt.close(figure)

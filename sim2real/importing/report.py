@@ -1,0 +1,93 @@
+"""What was made of a laboratory's set: in words, and as a picture."""
+
+import cv2
+import numpy as np
+
+from tactip_twin.sim.labels import LABELS, SHEARS
+from tactip_twin.tactip_model.pin_detection import find_blobs
+
+
+def report_of(source, kept, pins, left_out):
+    """What was found (dict).
+
+    source: Source. kept: (n,) int, its rows that are kept. pins: pins seen (int) by row. left_out: list of dict.
+    """
+    counts = np.array([pins[i] for i in kept])
+    spans = {}
+    for names, values in ((LABELS, source.poses[kept]), (SHEARS, source.shears[kept])):
+        for name, column in zip(names, values.T, strict=True):
+            spans[name] = [round(float(column.min()), 6), round(float(column.max()), 6)]
+    return {
+        "frames": len(source.names),
+        "kept": len(kept),
+        "left_out": left_out,
+        "pins": {"least": int(counts.min()), "median": float(np.median(counts)), "most": int(counts.max())},
+        "ranges": spans,
+    }
+
+
+def report_lines(report):
+    """A report (dict) in words: a list of lines."""
+    pins = report["pins"]
+    lines = [
+        f"{report['kept']} of {report['frames']} frames; {pins['median']:g} pins in most, {pins['least']} to {pins['most']}",
+    ]
+    for name, (low, high) in report["ranges"].items():
+        if low or high:
+            lines.append(f"{name}: {low:g} to {high:g} {'°' if '_R' in name else 'mm'}")
+    if report["ranges"]["pose_z"][0] + report["ranges"]["pose_z"][1] > 0:
+        lines.append("pose_z is mostly positive, and is negative into the object: is its sign right (--columns pose_z=-…)?")
+    if not report["neutral_image"]:
+        low, high = report["stand_in"]["pose_z"]
+        many = report["stand_in"]["frames"]
+        what = (
+            f"the middle of {many} of the shallowest frames, {low:g} to {high:g} mm,"
+            if many > 1
+            else f"a frame at {low:g} mm"
+        )
+        lines.append(f"there is no neutral image: {what} stands for it")
+    elif report["camera"]:
+        zoom, drift = report["camera"]["zoom"], report["camera"]["drift"]
+        lines.append(
+            f"by the light at the rim the image is {zoom:.4f} times the neutral one, and moved by {drift[0]:+.4f} and "
+            f"{drift[1]:+.4f} of its width"
+        )
+    else:
+        lines.append("too little light at the rim to tell by it how the camera has changed since the neutral image")
+    lines += [f"left out: {one['frame'] or 'row ' + str(one['row'])}: {one['why']}" for one in report["left_out"][:5]]
+    if len(report["left_out"]) > 5:
+        lines.append(f"and {len(report['left_out']) - 5} more: see import.json")
+    return lines
+
+
+_TILE = 240
+"""Width of a frame in the picture, px."""
+
+
+def picture(source, kept, pins, reader, neutral):
+    """The neutral image and frames over the depths, each as it came beside what is left, pins ringed: (h, w, 3) uint8.
+
+    As report_of; reader: FrameReader. neutral: (h, w[, 3]) uint8 or None.
+    """
+    order = kept[np.argsort(-source.poses[kept, 2], kind="stable")]
+    chosen = order[np.unique(np.linspace(0, len(order) - 1, 5 if neutral is not None else 6).astype(int))]
+    tiles = [] if neutral is None else [_tile(neutral, reader, "neutral")]
+    for i in chosen:
+        p = source.poses[i]
+        told = f"z {p[2]:.1f}  R {p[3]:.0f} {p[4]:.0f} {p[5]:.0f}  pins {pins[i]}"
+        tiles.append(_tile(source.load(i), reader, told))
+    return np.concatenate(tiles, 1)
+
+
+def _tile(frame, reader, told):
+    upright = reader.binary(frame)
+    binary = reader.masked(frame)
+    scale = _TILE / binary.shape[1]
+    size = (_TILE, round(scale * binary.shape[0]))
+    grey = cv2.resize(upright, size, interpolation=cv2.INTER_AREA)
+    seen = cv2.cvtColor(cv2.resize(binary, size, interpolation=cv2.INTER_AREA), cv2.COLOR_GRAY2BGR)
+    for x, y in (find_blobs(binary).centres + 0.5) * scale:
+        cv2.circle(seen, (round(x), round(y)), 5, (60, 160, 255), 1, cv2.LINE_AA)
+    words = np.full((24, _TILE, 3), 255, np.uint8)
+    cv2.putText(words, told, (3, 16), cv2.FONT_HERSHEY_SIMPLEX, 0.4, (0, 0, 0), 1, cv2.LINE_AA)
+    return np.concatenate([cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR), seen, words], 0)

@@ -1,0 +1,1 @@
+"""A real sensor's frames: cameras, videos, image folders, and their preprocessing."""

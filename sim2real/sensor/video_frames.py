@@ -1,0 +1,70 @@
+"""Films of a sensor: their frames in order, or one of them."""
+
+import contextlib
+from collections import deque
+from itertools import islice
+from pathlib import Path
+
+import cv2
+
+from tactip_twin.tactip_model.errors import TactipError
+
+FILMS = (".mp4", ".avi", ".mov", ".mkv")
+"""Endings of files that are taken for films."""
+
+
+class FilmFrames:
+    """Frames of a film, in order."""
+
+    def __init__(self, path):
+        """path: path. Raises TactipError where it is no film."""
+        self._path = Path(path)
+        if not self._path.is_file():
+            raise TactipError(f"the film {path} does not exist")
+        with quiet():
+            self._capture = cv2.VideoCapture(str(path))
+        if not self._capture.isOpened():
+            raise TactipError(f"{path} cannot be read as a film")
+
+    def __iter__(self):
+        """Yields frames (h, w, 3) uint8. Raises TactipError where there is none."""
+        count = 0
+        while True:
+            good, frame = self._capture.read()
+            if not good:
+                break
+            count += 1
+            yield frame
+        if not count:
+            raise TactipError(f"{self._path} cannot be read as a film: it has no frame")
+
+    def close(self):
+        """Let go of the film."""
+        self._capture.release()
+
+
+def frame_of(path, index):
+    """One frame (h, w, 3) uint8 of a film.
+
+    path: path. index: int, 0 is the first and -1 the last. Read in order: where a film begins anew inside, jumps miss.
+    Raises TactipError where the film cannot be read or has no such frame.
+    """
+    film = FilmFrames(path)
+    try:
+        found = list(islice(film, index, index + 1)) if index >= 0 else deque(film, -index)
+    finally:
+        film.close()
+    if len(found) < (1 if index >= 0 else -index):
+        raise TactipError(f"the film has no frame {index} (0 is the first, -1 the last)")
+    return found[0]
+
+
+@contextlib.contextmanager
+def quiet():
+    """OpenCV without what its back ends write of what cannot be opened: the error says it."""
+    before = cv2.utils.logging.getLogLevel()
+    cv2.utils.logging.setLogLevel(0)
+    try:
+        yield
+    finally:
+        cv2.utils.logging.setLogLevel(before)

@@ -1,0 +1,1 @@
+"""Networks trained in simulation on real frames: experiments, fine-tuning, gaps."""

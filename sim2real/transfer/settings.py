@@ -1,0 +1,57 @@
+"""How transfer experiments are made. Nothing heavy is imported here: the command line reads it."""
+
+from dataclasses import dataclass
+
+from tactip_twin.learning.optics_ranges import OPTICS
+from tactip_twin.sim.dataset.mechanics_randomization import VARIATIONS
+from tactip_twin.tactip_model.bounds import check, within
+from tactip_twin.tactip_model.errors import choose
+
+AUTO = "auto"
+"""Name of the optics that are chosen by the set."""
+
+GAP = "gap.png"
+"""Figure of the gap."""
+
+
+@dataclass(frozen=True)
+class TransferSettings:
+    """How the experiments are made."""
+
+    design: str = ""
+    """Design of the real sensor: a preset or a design file; fitted to the set's neutral image if empty."""
+    contacts: int = within(10, 10**7, default=2000)
+    """Simulated contacts to learn from; each is a sample for every symmetry of its task."""
+    held: int = within(10, 10**6, default=500)
+    """Simulated contacts by which a training is stopped."""
+    real_frames: int | None = within(20, 10**6, default=None)
+    """Real frames that may be learned from, where an experiment has labels; all others are what is tested on. 1500, or three
+    fifths of a smaller set, if not given."""
+    shots: tuple[int, ...] = (10, 50, 100, 500)
+    """Real frames that a network is fine-tuned with."""
+    mechanics: str = "real"
+    """none or real: sim/dataset/mechanics_randomization.py."""
+    optics: str = AUTO
+    """auto, or one of varied.py: lens, real, rim, steady; auto is steady where light at the rim has told how the camera
+    changed since the neutral image, and real elsewhere."""
+    drawn: float = within(0, 1, default=0.6)
+    """Share of the images that are drawn under varied optics."""
+    fidelity: str = "standard"
+    """draft, standard or reference."""
+    recipe: str = "laptop"
+    """Network and training: networks.py."""
+    least_steps: int | None = None
+    """Steps of a training, at least; as many as the recipe has if none are given."""
+    start: str = ""
+    """A shipped network, or the folder of a training, that training on simulated contacts begins with; none if empty."""
+    gap_frames: int = within(8, 10**5, default=150)
+    """Real frames that are held against simulated ones, to see the gap."""
+    tuning_steps: int = within(1, 10**6, default=800)
+    """Steps of a fine-tuning."""
+    seed: int = within(0, 2**31, default=0)
+    """Seed of sets, trainings and the split of the real frames."""
+
+    def __post_init__(self):
+        check(self)
+        choose("mechanics", self.mechanics, VARIATIONS)
+        choose("optics", self.optics, dict.fromkeys((AUTO, *OPTICS)))

@@ -1,0 +1,1 @@
+"""A digital twin of the TacTip, a soft optical fingertip."""

@@ -1,0 +1,72 @@
+"""The page of the search: what was tried, what was cut of the paper's; more trials are added to those that are there."""
+
+import dataclasses
+import json
+from dataclasses import replace
+
+import pytest
+
+from helpers.learning_sets import write_fake_set
+from tactip_twin.benchmarks.learning import search as searched
+from tactip_twin.benchmarks.options import SearchOptions
+from tactip_twin.learning.search_space import SearchSpace
+from tactip_twin.learning.train import TrainSettings
+from tactip_twin.learning.tune import TuneSettings
+from tactip_twin.tactip_model.errors import TactipError
+
+TINY = TuneSettings(
+    startup=2,
+    space=SearchSpace(most_conv_layers=2, most_filters=4, most_dense_layers=1, most_units=4, reduce=2),
+    training=TrainSettings(epochs=1),
+)
+
+
+@pytest.fixture
+def options(tmp_path, monkeypatch):
+    monkeypatch.setattr(searched, "make", lambda jobs, workers, say: None)
+    monkeypatch.setattr(searched, "LAPTOP", TINY)
+    folders = {name: tmp_path / name for name in ("data", "runs", "out")}
+    options = SearchOptions(**folders, trials=2, jobs=1, contacts=12, judged=8)
+    for job in searched.jobs(options):
+        c = job.configuration
+        write_fake_set(job.folder, c.task, c.split, c.samples)
+    return options
+
+
+def test_the_sets_are_plain_ones(options):
+    val, train = (job.configuration for job in searched.jobs(options))
+    assert (val.split, val.samples, train.split, train.samples) == ("val", 8, "train", 12)
+    assert not train.symmetric
+    assert train.shear == val.shear != train.pose
+
+
+def test_a_page_is_written_and_a_search_made_longer(options):
+    searched.run(options, say=lambda line: None)
+    record = searched.run(replace(options, trials=3), say=lambda line: None)
+    assert [t["trial"] for t in record["trials"]] == [0, 1, 2]
+    page = (options.out / "search.md").read_text()
+    assert "3 trials (3 ok), 12 contacts to train on and 8 to validate" in page
+    assert "trials 3 instead of 300" in page and "space.most_filters 4 instead of 512" in page
+    assert "training.epochs 1 instead of 500" in page
+    assert "l1" not in page.split("Unlike the paper's:")[1].split("![search]")[0]
+    best = min(record["trials"], key=lambda t: t["loss"])
+    assert page.index(f"| {best['trial']} | {best['loss']:.4g} |") > 0
+    assert (options.out / "search_surface.png").stat().st_size > 5000
+    assert list(json.loads((options.out / "search.json").read_text())) == ["surface"]
+
+
+def test_the_papers_search_has_no_cuts():
+    import dataclasses
+
+    assert searched.cuts(dataclasses.asdict(TuneSettings())) == []
+
+
+def test_another_task_is_refused():
+    with pytest.raises(TactipError, match="unknown task 'sphere': choose one of surface, edge"):
+        searched.run(SearchOptions(task="sphere"))
+
+
+def test_a_record_from_before_a_field_came_is_not_a_cut():
+    settings = dataclasses.asdict(TuneSettings())
+    del settings["training"]["varied"]
+    assert searched.cuts(settings) == []

@@ -1,0 +1,105 @@
+"""The page of costs: every group is measured and kept, and its rates are of what it says."""
+
+import json
+import re
+import sys
+from dataclasses import replace
+
+import pytest
+
+from tactip_twin.benchmarks.options import SpeedOptions
+from tactip_twin.benchmarks.scale import performance as speed
+from tactip_twin.commands import main as tactip
+from tactip_twin.tactip_model.errors import TactipError
+
+
+def test_every_command_is_timed(capsys):
+    """All that the program itself names."""
+    with pytest.raises(SystemExit):
+        tactip.main(["no-such-command"])
+    told = " ".join(re.sub(r"[^\w,:-]", " ", capsys.readouterr().err).split())
+    names = re.search(r"subcommands: ([\w-]+(?:, [\w-]+)*)", told).group(1).split(", ")
+    assert {command[0] for command in speed.COMMANDS if command} == set(names)
+
+
+def test_the_page_keeps_what_was_measured(tmp_path, monkeypatch):
+    measured = {
+        "faces": ("Objects", lambda o: [{"triangles": 20, "ms": 1.234}]),
+        "servo": ("Servo", lambda o: [{"s": None}]),
+    }
+    monkeypatch.setattr(speed, "GROUPS", measured)
+    options = SpeedOptions(("faces",), out=tmp_path)
+    speed.run(options, say=lambda line: None)
+    speed.run(replace(options, groups=("servo",)), say=lambda line: None)
+    page = (tmp_path / "performance.md").read_text()
+    assert "| triangles | ms |" in page and "| 20 | 1.23 |" in page
+    assert list(json.loads((tmp_path / "performance.json").read_text())["groups"]) == ["faces", "servo"]
+    with pytest.raises(TactipError, match="unknown group 'mesh': choose one of faces, servo"):
+        speed.run(replace(options, groups=("mesh",)))
+
+
+def test_the_rate_of_a_set_is_its_marginal_one(monkeypatch):
+    """A set that takes 3 s and half a second a contact of each worker: what is paid once are the 3 s."""
+    monkeypatch.setattr(speed, "set_seconds", lambda n, workers, **case: (3.0 + n / (2.0 * workers), 500))
+    for row in speed._samples(SpeedOptions(contacts=10)):
+        assert row["contacts/s"] == pytest.approx(2.0 * row["workers"])
+        assert row["once, s"] == pytest.approx(3.0)
+        each = 8 if row["what"].endswith("symmetric") and "surface" in row["what"] else 1
+        each = 2 if row["what"].endswith("symmetric") and "edge" in row["what"] else each
+        each = 20 if row["what"].endswith("20 looks a contact") else each
+        assert row["samples/s"] == pytest.approx(each * row["contacts/s"])
+
+
+def _scripted(monkeypatch, seconds):
+    """What sets take, one after the other, s; returns what is left of it."""
+    left = list(seconds)
+    monkeypatch.setattr(speed, "set_seconds", lambda n, workers, **case: (left.pop(0), 500))
+    return left
+
+
+def test_a_rate_that_cannot_be_is_measured_again(monkeypatch):
+    """A larger set that takes no longer; one that takes so much longer that nothing was paid once; one that can be."""
+    left = _scripted(monkeypatch, [5, 5, 5, 60, 5, 25])
+    assert speed._rate(4, 40, 1) == (2.0, 3.0, 500)
+    assert not left
+
+
+def test_a_machine_that_is_too_busy_is_said(monkeypatch):
+    left = _scripted(monkeypatch, [5, 4] * speed._TRIES)
+    with pytest.raises(TactipError, match=r"too busy to measure: sets of 4 and of 44 contacts took 5\.0 and 4\.0 s"):
+        speed._rate(4, 40, 1)
+    assert not left
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [({"steps": 3}, "--steps is 3: it must be at least 4"), ({"contacts": 0}, "--contacts is 0: it must be at least 1")],
+)
+def test_too_few_are_refused(tmp_path, options, words):
+    with pytest.raises(TactipError, match=words):
+        speed.run(SpeedOptions(("faces",), out=tmp_path, **options))
+
+
+def test_sets_grow_by_fours(monkeypatch):
+    monkeypatch.setattr(speed, "set_seconds", lambda n, workers, **case: (3.0 + n / 2, 500))
+    rows = speed._growth(SpeedOptions(contacts=10))
+    assert [row["contacts"] for row in rows] == [10, 40, 160]
+    assert [row["s"] for row in rows] == [8.0, 23.0, 83.0]
+    assert [row["s more a contact more"] for row in rows][1:] == [0.5, 0.5]
+
+
+def test_a_median_leaves_the_first_call_out():
+    calls = []
+    speed._median(lambda: calls.append(None), 3)
+    assert len(calls) == 4
+
+
+def test_a_first_word_is_waited_for():
+    program = [
+        sys.executable,
+        "-c",
+        "import sys, time; time.sleep(0.5); print('a', file=sys.stderr, flush=True); time.sleep(60)",
+    ]
+    assert 0.5 < speed._first_word(program) < 30
+    with pytest.raises(TactipError, match="said nothing"):
+        speed._first_word([sys.executable, "-c", ""])

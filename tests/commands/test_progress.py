@@ -1,0 +1,81 @@
+"""What takes long says what it does, and what fails at once says one thing."""
+
+import time
+from importlib.metadata import version
+
+import pytest
+
+from tactip_twin.commands import main as tactip
+from tactip_twin.commands._progress import _PATIENCE_S, Waiting
+from tactip_twin.tactip_model.errors import TactipError
+
+
+def test_a_long_wait_is_told_once_and_a_short_one_is_not(capsys):
+    with Waiting("reading"):
+        time.sleep(1.5 * _PATIENCE_S)
+    assert capsys.readouterr().err == "reading …\n"
+    with Waiting("reading"):
+        pass
+    with Waiting("reading") as waiting:
+        waiting.over()
+        time.sleep(1.5 * _PATIENCE_S)
+    assert capsys.readouterr().err == ""
+
+
+def test_the_version_is_told(capsys):
+    assert tactip.main(["--version"]) == 0
+    assert capsys.readouterr().out.strip() == version("tactip-twin")
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_a_stop_before_anything_began_is_one_whole_line(capsys, monkeypatch, late):
+    """Also where it meets a library of compiled code, which then says that it cannot be loaded."""
+
+    def stopped(_):
+        try:
+            raise KeyboardInterrupt
+        except KeyboardInterrupt as error:
+            if late:
+                raise ImportError("initialization failed") from error
+            raise
+
+    monkeypatch.setattr(tactip, "_command", stopped)
+    assert tactip.main([]) == 130
+    assert capsys.readouterr().err == "tactip: stopped\n"
+
+
+def test_a_library_that_is_not_there_is_not_a_stop(monkeypatch):
+    def lacking(_):
+        raise ImportError("no such library")
+
+    monkeypatch.setattr(tactip, "_command", lacking)
+    with pytest.raises(ImportError, match="no such library"):
+        tactip.main([])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["--training.epochs", "0"], "--training.epochs is 0: at least 1"),
+        (["--training.epochs=0"], "--training.epochs is 0: at least 1"),
+        (["--config", "epochs"], "TrainSettings.epochs is 0: at least 1"),  # it stands in a file
+        (["--a.epochs", "1", "--b.epochs", "0"], "TrainSettings.epochs is 0: at least 1"),  # it may be either's
+    ],
+)
+def test_a_number_out_of_bounds_is_told_by_the_option_that_gave_it(capsys, monkeypatch, arguments, told):
+    def refusing(_):
+        raise TactipError("TrainSettings.epochs is 0: at least 1")
+
+    monkeypatch.setattr(tactip, "_command", refusing)
+    assert tactip.main(arguments) == 1
+    assert capsys.readouterr().err == f"tactip: {told}\n"
+
+
+def test_an_error_is_one_line(tmp_path, capsys):
+    """Once libraries are loaded, as they are at the second time."""
+    for command in (["train", "--data"], ["evaluate", "--model", "surface-tactip-127", "--data"]):
+        options = [*command, str(tmp_path / "none"), *(["--out", str(tmp_path / "out")] if "train" in command else [])]
+        for _ in range(2):
+            capsys.readouterr()
+            assert tactip.main(options) == 1
+        assert len(capsys.readouterr().err.splitlines()) == 1

@@ -1,0 +1,238 @@
+"""`tactip servo`: what it leaves behind, and what it says when it cannot."""
+
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tactip_twin.benchmarks.servo.contact_patch import felt_patch
+from tactip_twin.commands import main as tactip
+from tactip_twin.control.options import Options
+from tactip_twin.control.score import coverage
+from tactip_twin.control.servo import DEPTHS_MM
+from tactip_twin.sim.pose import to_mm_deg
+from tactip_twin.sim.robot.objects import find_object
+from tactip_twin.sim.robot.recording import PHASES, read_recording
+from tactip_twin.tactip_model.errors import TactipError
+
+QUICK = ["servo", "--fidelity", "draft", "--renderer", "raster", "--object", "plate"]
+SHORT = ["--route.kind", "straight", "--route.length-mm", "4"]
+
+
+@pytest.fixture(scope="module")
+def ran(tmp_path_factory):
+    """A short run with the shipped network, and what it wrote."""
+    out = tmp_path_factory.mktemp("servo") / "run"
+    assert tactip.main([*QUICK, *SHORT, "--out", str(out)]) == 0
+    return out, json.loads((out / "score.json").read_text()), *read_recording(out)
+
+
+@pytest.mark.parametrize(
+    ("asked", "words"),
+    [
+        ({"noise_grey": -1.0}, "noise_grey is -1.0: it must be a finite number from 0 to 255"),
+        ({"friction": 2.5}, "friction is 2.5: it must be a finite number from 0 to 2"),
+        ({"settle_steps": 0}, "settle_steps is 0: it must be a whole number from 1 to 1000"),
+        ({"scale": 0.0}, "scale is 0.0: it must be a finite number from 1e-06 to 1e"),
+    ],
+)
+def test_options_out_of_bounds_are_refused_before_anything_is_made(tmp_path, asked, words):
+    with pytest.raises(TactipError, match=words):
+        Options(tmp_path / "run", **asked)
+
+
+def test_a_run_leaves_a_score_with_all_its_figures(ran):
+    _, score, record, _ = ran
+    assert score["stopped_because"] == "the route is done"
+    assert score["contact_losses"] == score["events"] == 0
+    assert score["depth_mae_mm"] < 0.4
+    assert score["angle_mean_deg"] < score["angle_p95_deg"] < 3
+    assert (
+        score["steps"]
+        == record["steps"]
+        == score["steps_followed"] + sum(record["steps"] - f for f in [score["steps_followed"]])
+    )
+    assert score["path_mm"] == pytest.approx(4, abs=1.5)
+    assert score["coverage"] > 0.9
+    assert score["lateral_mae_mm"] is None
+    assert not score["closed"]
+    assert [p["pass"] for p in score["passes"]] == [0]
+    assert set(score["ms_a_step"]) == {"simulation", "image", "network", "control"}
+
+
+def test_on_a_plate_the_normal_that_is_felt_is_that_of_any_patch(ran):
+    out, _, _, arrays = ran
+    patch = felt_patch(out, find_object("plate"))
+    assert np.allclose(patch["apart_deg"], 0, atol=1e-3)
+    felt = np.abs(arrays["felt"] - arrays["true"])[arrays["phase"] == PHASES.index("follow"), 3:5]
+    assert np.allclose(patch["felt_deg"], np.degrees(np.linalg.norm(felt, axis=1)).mean(), atol=0.05)
+
+
+def test_a_depth_that_the_network_has_not_learned_is_refused(tmp_path, capsys):
+    assert tactip.main([*QUICK, *SHORT, "--depth-mm", "6", "--out", str(tmp_path / "run")]) == 1
+    assert "--depth-mm is 6: the network surface-bent-tactip-127 has learned 1 to 5 mm" in capsys.readouterr().err
+
+
+def test_a_recording_tells_all_that_was(ran):
+    out, score, record, arrays = ran
+    assert record["complete"] and not (out / "steps.log").exists()
+    following = arrays["phase"] == PHASES.index("follow")
+    true = to_mm_deg(arrays["true"][following])
+    assert score["depth_mae_mm"] == pytest.approx(np.abs(true[:, 2] + DEPTHS_MM["surface"]).mean())
+    assert arrays["images"].shape[1:] == (128, 128)
+    assert set(np.unique(arrays["images"])) == {0, 255}
+    assert arrays["tips_m"].shape[1:] == (127, 3)
+    # The truth is that of the recorded poses: on a plate, depth is height.
+    height = arrays["T_base_tcp"][:, 2, 3] - 0.02
+    assert np.allclose(arrays["true"][:, 2], height, atol=1e-9)
+    assert np.isfinite(arrays["angles_rad"]).all()
+    assert record["options"]["object"] == "plate"
+    assert record["network"]["train"]["digest"]
+
+
+def test_the_same_run_is_the_same(ran, tmp_path):
+    """But for the times that it took."""
+    assert tactip.main([*QUICK, *SHORT, "--out", str(tmp_path / "again")]) == 0
+    _, arrays = read_recording(tmp_path / "again")
+    for name, values in ran[3].items():
+        assert name == "seconds" or np.array_equal(values, arrays[name], equal_nan=name == "angles_rad"), name
+
+
+def test_json_is_one_object(tmp_path, capsys):
+    assert tactip.main([*QUICK, "--route.kind", "straight", "--route.length-mm", "1", "--model", "oracle", "--arm", "none",
+                        "--json", "--out", str(tmp_path / "run")]) == 0  # fmt: skip
+    score = json.loads(capsys.readouterr().out)
+    assert score["depth_mae_mm"] < 0.2
+
+
+def test_an_edge_is_followed_by_sight(tmp_path):
+    out = tmp_path / "run"
+    command = [*QUICK, "--task", "edge", "--object", "rim-round", "--route.most-mm", "5", "--out", str(out)]
+    assert tactip.main(command) == 0
+    score = json.loads((out / "score.json").read_text())
+    assert score["lateral_mae_mm"] < 1
+    assert score["angle_mean_deg"] < 4
+    assert 0.005 < score["coverage"] < 0.1
+
+
+def test_ctrl_c_keeps_what_was_recorded(tmp_path, monkeypatch, capsys):
+    from tactip_twin.control.follow import Explorer
+
+    calls, go = [], Explorer._go
+
+    def stopped(self, *rest):
+        calls.append(1)
+        if len(calls) == 6:
+            raise KeyboardInterrupt
+        return go(self, *rest)
+
+    monkeypatch.setattr(Explorer, "_go", stopped)
+    out = tmp_path / "run"
+    assert tactip.main([*QUICK, *SHORT, "--out", str(out)]) == 130
+    assert "what was recorded is in" in capsys.readouterr().err
+    record, arrays = read_recording(out)
+    assert record["stopped_because"] == "Ctrl-C"
+    assert len(arrays["phase"]) == 6
+    assert json.loads((out / "score.json").read_text())["steps"] == 6
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--task", "corner"], "unknown task 'corner': choose one of surface, edge"),
+        (["--object", "cup"], "there is no object 'cup': choose one of bust"),
+        (["--arm", "left"], "unknown arm 'left'"),
+        (["--gains", "high"], "unknown gains 'high'"),
+        (["--fidelity", "perfect"], "unknown fidelity"),
+        (["--design", "tactip-331"], "no network of the surface is shipped for the tip 'tactip-331': give --model"),
+        (["--model", "none"], "no shipped model of that name"),
+        (["--task", "edge"], "plate has no edge that is known: the edge task takes one of edge, rim-round"),
+        (["--task", "surface", "--model", "edge-tactip-127"], "was trained for the edge, not for the surface"),
+        (["--route.middle-mm", "900", "0"], "must be above the object"),
+        (["--settings.step-mm", "99"], "--settings.step-mm is 99"),
+        (["--route.kind", "spiral"], "unknown route"),
+        (["--seed", "-1"], "tactip: --seed is -1"),
+        (["--place-mm", "nan", "0", "0"], "tactip: --place-mm is (nan, 0.0, 0.0)"),
+    ],
+)
+def test_wrong_input_is_one_sentence(ran, tmp_path, capsys, options, words):
+    """Once libraries are loaded, as they are after a run: before, a second line says what is waited for."""
+    capsys.readouterr()
+    assert tactip.main([*QUICK, *SHORT, *options, "--out", str(tmp_path / "run")]) == 1
+    error = capsys.readouterr().err
+    assert words in error
+    assert len(error.strip().splitlines()) == 1
+    assert not (tmp_path / "run" / "recording.json").exists()
+
+
+def test_a_folder_in_use_is_not_written_over(ran, capsys):
+    assert tactip.main([*QUICK, *SHORT, "--out", str(ran[0])]) == 1
+    assert "is not empty" in capsys.readouterr().err
+
+
+def test_a_start_out_of_reach_is_said(tmp_path):
+    out = tmp_path / "run"
+    far = ["servo", "--fidelity", "draft", "--object", "plate", "--film", "--place-mm", "750", "0", "0", *SHORT]
+    assert tactip.main([*far, "--out", str(out)]) == 1  # what was recorded is there, and nothing was followed
+    assert not (out / "film.mp4").exists()
+    assert tactip.main(["replay", str(out), "--gif", str(tmp_path / "a.gif")]) == 1
+    assert "the start is out of reach" in json.loads((out / "score.json").read_text())["stopped_because"]
+
+
+def test_the_truth_steers_a_tip_that_no_network_is_shipped_for(tmp_path):
+    options = ["--design", "nominal-331", "--model", "oracle", "--settings.most-steps", "60"]
+    assert tactip.main([*QUICK, *SHORT, *options, "--out", str(tmp_path / "run")]) == 0
+    assert json.loads((tmp_path / "run" / "score.json").read_text())["depth_mae_mm"] is not None
+
+
+def test_coverage_counts_what_is_near():
+    targets = np.stack([np.arange(10), np.zeros(10), np.zeros(10)], -1).astype(float)
+    assert coverage(targets[:1], targets, 2.5) == pytest.approx(0.3)
+    assert coverage(targets[:0], targets, 2.5) == 0
+
+
+def test_a_film_of_a_run(tmp_path):
+    """Of every step a picture, with the arm, the object and the image that was felt in it."""
+    import av
+
+    out = tmp_path / "run"
+    command = ["servo", "--fidelity", "draft", "--object", "plate", "--route.kind", "straight", "--route.length-mm", "1"]
+    assert tactip.main([*command, "--film", "--out", str(out)]) == 0
+    _, arrays = read_recording(out)
+    with av.open(str(out / "film.mp4")) as film:
+        frames = [f.to_ndarray(format="rgb24") for f in film.decode(video=0)]
+    assert len(frames) == len(arrays["phase"])
+    assert frames[0].shape == (630, 1120, 3)
+    felt = frames[-1][16 : 16 + 256 : 2, 782:1038:2].mean(-1) > 127  # twice as large as it is
+    assert (felt == (arrays["images"][-1] > 127)).mean() > 0.99
+    assert (out / "figure.png").stat().st_size > 5000
+    # The same from the recording alone.
+    again, gif = tmp_path / "again.mp4", tmp_path / "again.gif"
+    assert tactip.main(["replay", str(out), "--video", str(again), "--gif", str(gif), "--every", "4"]) == 0
+    with av.open(str(again)) as film:
+        few = [f.to_ndarray(format="rgb24") for f in film.decode(video=0)]
+    assert len(few) == len(frames[::4])
+    assert all(np.abs(a.astype(int) - b).mean() < 3 for a, b in zip(few, frames[::4], strict=True))
+    with Image.open(gif) as picture:
+        assert picture.n_frames == len(few)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ([], "there is no recording in"),
+        (["--video", "a.gif"], "the name a.gif does not end in .mp4"),
+        (["--gif", "a.gif", "--every", "0"], "both must be at least 1"),
+        (["--gif", "a.gif"], "there is no recording in"),
+    ],
+)
+def test_what_cannot_be_replayed_is_said(tmp_path, capsys, options, words):
+    assert tactip.main(["replay", str(tmp_path), *options]) == 1
+    assert words in capsys.readouterr().err
+
+
+def test_a_film_needs_a_renderer(tmp_path, capsys):
+    assert tactip.main([*QUICK, *SHORT, "--film", "--out", str(tmp_path / "run")]) == 1
+    assert "--film does not go with --renderer raster" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()

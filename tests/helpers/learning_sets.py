@@ -1,0 +1,57 @@
+"""Small data sets for tests of learning: images that show their labels, made without physics."""
+
+import numpy as np
+
+from tactip_twin.sim.contact.fidelity import fidelity_named
+from tactip_twin.sim.dataset.format import Configuration, checksum, encode_image, image_name, meta_json, row_of, targets_csv
+from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES, generator
+from tactip_twin.sim.pose import from_mm_deg
+from tactip_twin.tactip_model.presets import design_named
+
+
+class _Contact:
+    """As much of a contact's record as a row needs."""
+
+    normal_force_n = tangential_force_n = penetration_m = speed_m_s = 0.0
+    volume_ratio, warnings, steps = 1.0, 0, 1
+
+    def __init__(self, pose, shear):
+        self.pose, self.shear = pose, shear
+
+
+def picture(pose_mm_deg, size):
+    """Three dots whose places tell x, depth, roll, pitch and yaw: (size, size) uint8."""
+    x, _, z, roll, pitch, yaw = pose_mm_deg
+    centres = np.array(
+        [[0.25 + 0.05 * x, 0.25 - 0.08 * z], [0.6 + 0.015 * roll, 0.3 + 0.01 * pitch], [0.5 + 0.008 * yaw, 0.75]]
+    )
+    v, u = np.mgrid[:size, :size] / size
+    near = [np.hypot(u - a, v - b) < 0.09 for a, b in centres]
+    return (255 * np.any(near, axis=0)).astype(np.uint8)
+
+
+def write_fake_set(folder, task="surface", split="train", samples=24, size=40, seed=0, **changes):
+    """Write a finished set. changes: of its Configuration. Returns its folder."""
+    settings = {"renderer": "raster", "design": design_named("nominal-127"), "fidelity": fidelity_named("draft")}
+    settings |= {"pose": POSE_RANGES[task], "shear": SHEAR_RANGES} | changes
+    configuration = Configuration(task=task, split=split, samples=samples, seed=seed, **settings)
+    (folder / "images").mkdir(parents=True)
+    rows, images = [], {}
+    for i in range(samples):
+        draw = generator(seed, task, split, i)
+        contact = _Contact(configuration.pose.draw(draw), configuration.shear.draw(draw))
+        rows.append(row_of(contact, i, 1, str(i)))
+        data = encode_image(picture([rows[-1][f"pose_{c}"] for c in ("x", "y", "z", "Rx", "Ry", "Rz")], size))
+        (folder / "images" / image_name(i)).write_bytes(data)
+        images[image_name(i)] = checksum(data)
+        assert np.allclose(from_mm_deg([rows[-1]["pose_z"]] * 6)[0], contact.pose[2])
+    (folder / "targets.csv").write_bytes(targets_csv(rows))
+    (folder / "meta.json").write_bytes(meta_json(configuration, {"kept": samples}, {}, {"images": images}))
+    return folder
+
+
+def write_fake_splits(folder, task="surface", samples=24, **changes):
+    """Write train, val and test. Returns the folder."""
+    for split in ("train", "val", "test"):
+        write_fake_set(folder / split, task, split, samples, **changes)
+    return folder

@@ -1,0 +1,57 @@
+"""A short recording made up for tests of what shows recordings."""
+
+import numpy as np
+
+from tactip_twin.sim.contact.fidelity import fidelity_named
+from tactip_twin.sim.pose import from_mm_deg
+from tactip_twin.sim.robot.irb120 import READY_RAD, Arm
+from tactip_twin.sim.robot.objects import find_object
+from tactip_twin.sim.robot.recording import PHASES, Scenery
+from tactip_twin.tactip_model.mesh import build_mesh
+from tactip_twin.tactip_model.presets import find_design
+
+
+def tip_mesh():
+    return build_mesh(find_design("tactip-127").shape, fidelity_named("draft").mesh)
+
+
+def scenery(with_arm=True):
+    thing = find_object("sphere")
+    triangles = tip_mesh().triangles
+    return Scenery(thing.solid.vertices, thing.solid.triangles, thing.T_base_object, triangles, 20e-3, with_arm)
+
+
+STEPS = 12
+
+
+def arrays_of(task="edge"):
+    """A tip that goes along x by a millimetre a step."""
+    mesh, T = tip_mesh(), Arm().forward(READY_RAD)
+    poses = np.repeat(T[None], STEPS, 0)
+    poses[:, 0, 3] += 1e-3 * np.arange(STEPS)
+    draw = np.random.default_rng(0)
+    skin = np.repeat(mesh.vertices[None, : mesh.surface_count], STEPS, 0) + 1e-4 * np.arange(STEPS)[:, None, None]
+    return {
+        "T_base_tcp": poses,
+        "angles_rad": READY_RAD + 0.01 * np.arange(STEPS)[:, None],
+        "skin_m": skin.astype(np.float32),
+        "tips_m": draw.normal(size=(STEPS, 5, 3)),
+        "directions": np.repeat([[[0.0, 0, -1]]], STEPS, 0).repeat(5, 1),
+        "felt": np.repeat(from_mm_deg([0, 0, -3, 0, 0, 0])[None], STEPS, 0),
+        "true": np.repeat(from_mm_deg([0, 0, -2.9, 0, 0, 0])[None], STEPS, 0),
+        "phase": np.array([0, 0, *[PHASES.index("follow")] * (STEPS - 2)], np.uint8),
+        "part": np.zeros(STEPS, int),
+        "force_n": np.ones((STEPS, 3)),
+        "penetration_m": np.zeros(STEPS),
+        "seconds": np.full((STEPS, 4), 0.01),
+        "images": 255 * draw.integers(0, 2, (STEPS, 32, 32)).astype(np.uint8),
+    }
+
+
+RECORD = {
+    "task": "edge",
+    "object": "sphere",
+    "steps": STEPS,
+    "events": [{"step": 7, "kind": "force", "what": "9.0 N on the tip"}],
+    "stopped_because": "the loop is closed",
+}

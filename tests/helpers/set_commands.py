@@ -1,0 +1,67 @@
+"""Sets made by the command line, for tests: small ones, and what is in them."""
+
+import csv
+import re
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from tactip_twin.sim.contact.fidelity import fidelity_named
+from tactip_twin.sim.dataset.format import Configuration
+from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES
+
+TACTIP = [str(Path(sys.executable).parent / "tactip"), "dataset"]
+
+
+def make(out, *options, task="edge", samples=6, workers=2, renderer="raster"):
+    return [*TACTIP, "make", "--task", task, "--samples", str(samples), "--out", str(out), "--workers", str(workers)] + [
+        "--fidelity", "draft", "--design", "nominal-127", "--renderer", renderer, *options
+    ]  # fmt: skip
+
+
+def run(command):
+    return subprocess.run(command, capture_output=True, text=True, timeout=300)
+
+
+def table(folder):
+    """Rows (list of dict of str) of targets.csv."""
+    return list(csv.DictReader((Path(folder) / "targets.csv").read_text().splitlines()))
+
+
+def contents(folder):
+    """Bytes of every file of a set but run.json, which is the one that differs."""
+    files = (p for p in Path(folder).rglob("*") if p.is_file() and p.name != "run.json")
+    return {str(p.relative_to(folder)): p.read_bytes() for p in files}
+
+
+def wait_for(condition, seconds=60):
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "it did not come to that"
+        time.sleep(0.02)
+
+
+def samples_found(told):
+    """How many samples a command that goes on found, by its "4 of 6 samples are there already" or "6 of 6 samples"."""
+    return int(re.search(r"(\d+) of \d+ samples", told)[1])
+
+
+def records(folder):
+    return sorted(Path(folder).glob(".partial/*.npz"))
+
+
+def configuration(design, **changes):
+    """A small Configuration."""
+    values = {
+        "task": "surface",
+        "split": "train",
+        "samples": 3,
+        "seed": 0,
+        "renderer": "raster",
+        "design": design,
+        "fidelity": fidelity_named("draft"),
+        "pose": POSE_RANGES["surface"],
+        "shear": SHEAR_RANGES,
+    }
+    return Configuration(**{**values, **changes})

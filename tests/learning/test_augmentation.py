@@ -1,0 +1,189 @@
+"""Images drawn as training runs: other cameras, the same contacts, the same from the seed."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from helpers.learning_sets import write_fake_set
+from tactip_twin.learning.augmentation import DrawnImages
+from tactip_twin.learning.data import read_samples
+from tactip_twin.learning.optics_ranges import OPTICS, OpticsRanges
+from tactip_twin.learning.posenet import PoseNetConfig
+from tactip_twin.learning.train import TrainSettings, read_metrics, train
+from tactip_twin.tactip_model.errors import Stopped, TactipError
+from tactip_twin.tactip_model.pins import neutral_pins
+from tactip_twin.tactip_model.raster_renderer import Raster
+from tactip_twin.tactip_model.tactile_image import tactile_image
+
+
+@pytest.fixture(scope="module")
+def samples(tmp_path_factory, on_surface, design):
+    """A set of 128 px with the pins and the images of four contacts."""
+    folder = write_fake_set(tmp_path_factory.mktemp("drawn") / "set", samples=4, size=128)
+    contacts = [on_surface([0, 0, -d, 0, 0, 0]) for d in (1, 2, 3, 4)]
+    tips, directions = (np.array([getattr(c, k) for c in contacts]) for k in ("tips", "directions"))
+    np.savez(folder / "pins.npz", tips=tips, directions=directions)
+    images = [tactile_image(grey, design.image) for grey in Raster(design).render(tips, directions)]
+    return replace(read_samples(folder), images=np.stack(images))
+
+
+def test_images_of_the_designs_own_optics_are_nearly_the_plain_ones(samples):
+    """As many white pixels, and most of them the same: a pin is four pixels, of which one is often a close call."""
+    drawn, plain = DrawnImages(samples).plain(torch.arange(4)).numpy() > 0, samples.images > 0
+    assert drawn.sum() == pytest.approx(plain.sum(), rel=0.02)
+    assert (drawn & plain).sum() > 0.8 * (drawn | plain).sum()
+    blobs = [cv2.connectedComponents(image.astype(np.uint8), connectivity=4)[0] - 1 for image in drawn]
+    assert blobs == [127] * 4
+
+
+def test_no_variation_is_none(samples):
+    still = DrawnImages(samples, 0.0)
+    assert torch.equal(still.draw(torch.arange(4)), still.plain(torch.arange(4)))
+
+
+NONE = {"zoom": 0.0, "turn_deg": 0.0, "drift": 0.0, "pin_size": 0.0}
+
+
+def varied(samples, **ranges):
+    """Two hundred images of the first sample under optics of these ranges alone, (200, 128, 128) bool, and the plain one."""
+    drawn = DrawnImages(samples, 1.0, OpticsRanges(**NONE | ranges))
+    torch.manual_seed(0)
+    chosen = torch.zeros(200, dtype=torch.int64)
+    return drawn.draw(chosen).numpy() > 0, drawn.plain(chosen[:1])[0].numpy() > 0
+
+
+def middles(image):
+    """Middles (127, 2) of the white blobs of an image, px from its middle."""
+    count, _, _, where = cv2.connectedComponentsWithStats(image.astype(np.uint8), connectivity=4)
+    assert count == 128
+    return where[1:] - 63.5
+
+
+def test_the_image_drifts_no_farther_than_it_may(samples):
+    after, before = varied(samples, drift=0.02)
+    shifts = np.array([middles(i).mean(0) - middles(before).mean(0) for i in after])
+    assert np.abs(shifts).max() < 2.56 + 0.1
+    assert np.abs(shifts).max(0).min() > 0.9 * 2.56
+
+
+def test_the_image_turns_and_zooms_no_farther_than_it_may(samples):
+    """Each pin is found again where a turn, or a zoom, would bring it; the greatest of them is near the end of the range."""
+
+    def turns(images, before):
+        for image in images:
+            a, b = middles(image) @ [1, 1j], middles(before) @ [1, 1j]
+            near = np.abs(a[:, None] - b).argmin(1)
+            yield (a * b[near].conj()).sum() / (np.abs(b[near]) ** 2).sum()
+
+    turned = np.array(list(turns(*varied(samples, turn_deg=2.0))))
+    assert np.abs(np.abs(turned) - 1).max() < 0.005
+    assert 1.8 < np.degrees(np.abs(np.angle(turned))).max() < 2.1
+    zoomed = np.array(list(turns(*varied(samples, zoom=0.03))))
+    assert np.degrees(np.abs(np.angle(zoomed))).max() < 0.1
+    assert 0.027 < np.abs(np.abs(zoomed) - 1).max() < 0.032
+
+
+def test_pins_grow(samples):
+    area = varied(samples, pin_size=0.3)[0].sum((1, 2))
+    assert area.max() / area.min() == pytest.approx((1.3 / 0.7) ** 2, rel=0.25)
+
+
+def test_a_set_without_pins_is_refused(tmp_path):
+    samples = read_samples(write_fake_set(tmp_path / "set", samples=3))
+    with pytest.raises(TactipError, match="only simulated sets, which have pins"):
+        DrawnImages(samples)
+    np.savez(tmp_path / "set" / "pins.npz", tips=np.zeros((2, 127, 3)), directions=np.zeros((2, 127, 3)))
+    with pytest.raises(TactipError, match="has 2 records for 3 images"):
+        DrawnImages(samples)
+
+
+def test_training_on_drawn_images(samples, tmp_path):
+    """The set's own images stay what they are; stopped, it goes on to the same network; and it is not the plain one."""
+
+    def stop(history):
+        if len(history) == 2:
+            raise KeyboardInterrupt
+        return False
+
+    net = PoseNetConfig(conv_layers=2, filters=2, units=4, batch_size=2, reduce=4)
+    drawn, plain = (TrainSettings(epochs=5, rate=1e-2, muon=1e-2, drawn=share) for share in (0.5, 0.0))
+    before = samples.images.copy()
+    train(samples, samples, net, drawn, tmp_path / "whole", say=print, quiet=True)
+    assert np.array_equal(samples.images, before)
+    with pytest.raises(Stopped):
+        train(samples, samples, net, drawn, tmp_path / "stopped", say=print, hopeless=stop, quiet=True)
+    train(samples, samples, net, drawn, tmp_path / "stopped", say=print, quiet=True)
+    train(samples, samples, net, plain, tmp_path / "plain", say=print, quiet=True)
+    losses = [[h["loss"] for h in read_metrics(tmp_path / name)] for name in ("whole", "stopped", "plain")]
+    assert losses[0] == losses[1]
+    assert losses[0] != losses[2]
+
+
+def test_a_camera_that_does_not_move_sees_what_the_lens_sees(samples, design):
+    cameras = DrawnImages(samples, 1.0, OpticsRanges(**NONE, camera_height_m=1e-9))
+    places = cameras._cameras.seen(cameras._tips)
+    assert torch.allclose(places, cameras._centres, atol=0.03)
+
+
+def test_other_cameras_see_the_neutral_tip_alike_and_a_pressed_one_not(samples, design):
+    """The lens of each is fitted to the same neutral image; what comes nearer grows more for a camera that is near."""
+    drawn = DrawnImages(samples, 1.0, OpticsRanges(**NONE, camera_height_m=3e-3, camera_offset_m=0.5e-3))
+    tips = torch.from_numpy(neutral_pins(design)[0].astype(np.float32))
+    torch.manual_seed(0)
+    neutral = drawn._cameras.seen(tips.expand(100, -1, -1))
+    pressed = drawn._cameras.seen(drawn._tips[3:].expand(100, -1, -1))
+    assert neutral.std(0).norm(dim=-1).max() < 0.3
+    moved = (pressed - neutral).norm(dim=-1)
+    assert moved.std(0).max() > 0.05 * moved.mean()
+
+
+def count(images):
+    return np.array([cv2.connectedComponents(image.astype(np.uint8), connectivity=4)[0] - 1 for image in images])
+
+
+def test_pins_go_missing_merge_and_specks_come(samples):
+    missing = count(varied(samples, missing=0.1)[0])
+    # A tenth of 127 is 12.7; three standard deviations of chance more are 23.
+    assert missing.max() == 127 and 127 - 24 < missing.min() < 127 - 10
+    specks = count(varied(samples, speckles=5.0)[0])
+    assert specks.max() > 129 and np.median(specks) < 132
+    # The pins of this tip are three pixels apart and more: what bridges less leaves them alone.
+    assert np.array_equal(*(varied(samples, merged_px=m)[0][0] for m in (0.0, 1.0)))
+    off = varied(samples, jitter_px=0.5)[0][0]
+    assert count([off])[0] > 120
+    assert not np.array_equal(off, varied(samples)[1])
+
+
+@pytest.mark.parametrize("gap", [1.0, 2.0, 2.5])
+def test_two_discs_merge_where_their_gap_is_less_than_what_is_bridged(samples, gap):
+    drawn, radius = DrawnImages(samples), 3.0
+    places = torch.tensor([[[40.0, 64.0], [40.0 + 2 * radius + gap, 64.0]]])
+    for soft, blobs in ((0.6 * gap, 2), (1.5 * gap, 1)):
+        image = drawn._paint_soft(places, torch.full((1, 2), radius), torch.full((1, 1, 1), soft)).numpy()
+        assert count(image > 0) == [blobs]
+    # One disc alone is as large as it was.
+    alone = drawn._paint_soft(places[:, :1], torch.full((1, 1), radius), torch.full((1, 1, 1), 2.0))
+    assert torch.equal(alone, drawn._paint(places[:, :1], torch.full((1, 1), radius)))
+
+
+def test_light_at_the_rim_is_at_the_rim(samples):
+    lit, plain = varied(samples, rim_lights=6.0)
+    added = lit & ~plain
+    assert added.any((1, 2)).mean() > 0.5
+    y, x = np.nonzero(added.any(0))
+    assert np.hypot(x - 63.5, y - 63.5).min() > 0.42 * 128
+
+
+@pytest.mark.parametrize("name", OPTICS)
+def test_images_of_every_declared_variation_keep_most_of_their_pins(samples, name):
+    drawn = DrawnImages(samples, 1.0, OPTICS[name])
+    torch.manual_seed(0)
+    images = drawn.draw(torch.arange(4).repeat(20)).numpy()
+    assert set(np.unique(images)) == {0, 255}
+    blobs = count(images > 0)
+    assert 100 < np.median(blobs) < 140
+    torch.manual_seed(0)
+    assert np.array_equal(drawn.draw(torch.arange(4).repeat(20)).numpy(), images)

@@ -1,0 +1,176 @@
+"""The network is the paper's, and says why where it cannot be."""
+
+from itertools import pairwise
+
+import pytest
+import torch
+from torch import nn
+
+from tactip_twin.learning.posenet import PoseNet, PoseNetConfig, parameter_count
+from tactip_twin.learning.recipes import RECIPES, recipe_named
+from tactip_twin.learning.search_space import SearchSpace
+from tactip_twin.learning.train import TrainSettings, cosine_rate, paper_rate
+from tactip_twin.tactip_model.errors import TactipError
+
+SMALL = PoseNetConfig(conv_layers=2, filters=3, dense_layers=2, units=4, dropout=0.3)
+
+
+def kinds(module):
+    return [type(layer) for layer in module]
+
+
+def test_layers_are_the_papers():
+    net = PoseNet(SMALL, 40, 3)
+    assert kinds(net.convolutions) == [nn.Conv2d, nn.MaxPool2d, nn.ReLU] * 2
+    assert kinds(net.dense) == [nn.Dropout, nn.Linear, nn.ReLU] * 2 + [nn.Dropout, nn.Linear]
+    for layer in net.convolutions:
+        if isinstance(layer, nn.Conv2d):
+            assert (layer.kernel_size, layer.stride, layer.padding) == ((3, 3), (1, 1), (0, 0))
+    # 40 → 38 → 19 → 17 → 8
+    sizes = [3 * 9 + 3, 3 * 3 * 9 + 3, 3 * 64 * 4 + 4, 4 * 4 + 4, 4 * 3 + 3]
+    assert parameter_count(net) == sum(sizes)
+    assert net(torch.zeros(5, 1, 40, 40)).shape == (5, 3)
+
+
+@pytest.mark.parametrize("name", ["relu", "elu"])
+def test_batch_norm_and_activation(name):
+    config = PoseNetConfig(conv_layers=1, filters=2, activation=name, batch_norm=True)
+    activation = {"relu": nn.ReLU, "elu": nn.ELU}[name]
+    assert kinds(PoseNet(config, 20, 1).convolutions) == [nn.Conv2d, nn.BatchNorm2d, activation, nn.MaxPool2d]
+
+
+def test_group_norm_takes_the_place_of_batch_norm_and_knows_no_batch():
+    config = PoseNetConfig(conv_layers=2, filters=6, widening=2, halving="stride", group_norm=4, dropout=0.0)
+    net = PoseNet(config, 40, 2)
+    norms = [m for m in net.convolutions if isinstance(m, nn.GroupNorm)]
+    assert [(m.num_groups, m.num_channels) for m in norms] == [(1, 6), (3, 12)]
+    images = torch.rand(5, 1, 40, 40, generator=torch.Generator().manual_seed(0))
+    together = net(images)  # in training as in use
+    assert torch.allclose(together, torch.cat([net(image[None]) for image in images]), atol=1e-5)
+    with pytest.raises(TactipError, match="0 with batch norm"):
+        PoseNetConfig(batch_norm=True, group_norm=4)
+
+
+@pytest.mark.parametrize("name", ["relu", "elu"])
+def test_without_a_norm_the_order_of_activation_and_pooling_is_free(name):
+    net = PoseNet(PoseNetConfig(conv_layers=1, filters=4, activation=name), 20, 1).convolutions
+    image = torch.randn(3, 1, 20, 20, generator=torch.Generator().manual_seed(0))
+    papers = nn.Sequential(net[0], net[2], net[1])
+    # to a rounding or two: an elu of eight lanes at a time and one of what is left over need not end in the same bit
+    torch.testing.assert_close(net(image), papers(image), rtol=4 * torch.finfo(torch.float32).eps, atol=1e-7)
+
+
+def test_halving_by_strides_keeps_the_sizes_and_further_convolutions_follow():
+    config = PoseNetConfig(conv_layers=3, filters=2, halving="stride", further=1, batch_norm=True)
+    net = PoseNet(config, 40, 1)
+    layer = [nn.Conv2d, nn.BatchNorm2d, nn.ReLU]
+    assert kinds(net.convolutions) == layer * 6
+    # 40 → 19 → 8 → 3
+    assert net.convolutions(torch.zeros(2, 1, 40, 40)).shape == (2, 2, 3, 3)
+    assert config.last_size(40) == 3
+
+
+def test_another_halving_is_refused():
+    with pytest.raises(TactipError, match="unknown halving 'mean': choose one of pool, stride"):
+        PoseNetConfig(halving="mean")
+
+
+def test_the_papers_best_networks():
+    """Table 2: 5×512 and 5×256 convolutions leave 2×2 pixels of 128."""
+    surface, edge = (recipe_named("paper", task).network for task in ("surface", "edge"))
+    assert (surface.conv_layers, surface.filters, surface.dense_layers, surface.units) == (5, 512, 1, 16)
+    assert (edge.conv_layers, edge.filters, edge.dense_layers, edge.units) == (5, 256, 2, 512)
+    assert surface.last_size(128) == edge.last_size(128) == 2
+    assert recipe_named("paper", "edge").settings == TrainSettings()
+
+
+@pytest.mark.parametrize(("layers", "size", "allowed"), [(6, 128, 5), (2, 6, 1), (1, 3, 0)])
+def test_a_network_that_leaves_no_pixels_is_refused(layers, size, allowed):
+    with pytest.raises(TactipError, match=f"conv_layers is {layers}: it must be at most {allowed}: an image of {size} px"):
+        PoseNet(PoseNetConfig(conv_layers=layers, filters=2), size, 3)
+
+
+def test_penalties_are_of_dense_and_output_weights_alone():
+    net = PoseNet(PoseNetConfig(conv_layers=1, filters=2, units=3, l1=0.5, l2=0.25), 8, 2)
+    weights = torch.cat([layer.weight.flatten() for layer in net.dense if isinstance(layer, nn.Linear)])
+    assert net.penalty().item() == pytest.approx((0.5 * weights.abs().sum() + 0.25 * (weights**2).sum()).item())
+    with torch.no_grad():
+        net.convolutions[0].weight.fill_(1e3)
+        for layer in net.dense:
+            if isinstance(layer, nn.Linear):
+                layer.bias.fill_(1e3)
+                layer.weight.zero_()
+    assert net.penalty().item() == 0
+
+
+def test_blur_and_reduction_keep_brightness():
+    net = PoseNet(PoseNetConfig(conv_layers=1, filters=2, blur_px=1.0, reduce=2), 40, 3)
+    image = torch.zeros(1, 1, 40, 40)
+    image[0, 0, 20, 20] = 1.0
+    out = net.convolutions[0](image)
+    assert out.shape == (1, 1, 20, 20)
+    assert 4 * out.sum().item() == pytest.approx(1.0, abs=1e-5)
+    v, u = torch.meshgrid(torch.arange(20.0), torch.arange(20.0), indexing="ij")
+    assert (out[0, 0] * u).sum().item() / out.sum().item() == pytest.approx(9.75, abs=0.01)
+    assert (out[0, 0] * v).sum().item() / out.sum().item() == pytest.approx(9.75, abs=0.01)
+
+
+def test_folding_keeps_every_pixel():
+    """A pixel that moves within its square is lost to the mean of the square, and not to its folded channels."""
+    images = torch.zeros(2, 1, 40, 40)
+    images[0, 0, 20, 20] = images[1, 0, 21, 21] = 1.0
+    torch.manual_seed(0)
+    for fold in (False, True):
+        net = PoseNet(PoseNetConfig(conv_layers=2, filters=4, reduce=2, fold=fold), 40, 3).eval()
+        with torch.no_grad():
+            one, other = net(images)
+        assert torch.allclose(one, other) != fold
+    with pytest.raises(TactipError, match=r"PoseNetConfig\.reduce is 1: it must be above 1 with fold"):
+        PoseNetConfig(fold=True)
+
+
+def test_widening_stops_at_most_filters():
+    assert PoseNetConfig(conv_layers=4, filters=8, widening=2, most_filters=20).widths() == [8, 16, 20, 20]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"conv_layers": 0}, "conv_layers is 0"),
+        ({"filters": 2.5}, "filters is 2.5: it must be a whole number"),
+        ({"filters": [32]}, r"filters is \[32\]: it must be a whole number"),
+        ({"dropout": 1.0}, "dropout is 1.0"),
+        ({"activation": "tanh"}, "choose one of relu, elu"),
+    ],
+)
+def test_wrong_networks_are_refused(changes, message):
+    with pytest.raises(TactipError, match=message):
+        PoseNetConfig(**changes)
+
+
+def test_learning_rates():
+    settings = TrainSettings(rate=0.1, decay=0.5)
+    assert paper_rate(settings, 0, 10) == 0.1
+    assert paper_rate(settings, 2, 10) == pytest.approx(0.05)
+    rates = [cosine_rate(settings, step, 100) for step in range(101)]
+    assert max(rates) == pytest.approx(0.1, rel=0.02)
+    assert rates[0] < 0.03 and rates[-1] < 1e-12
+    assert all(a >= b for a, b in pairwise(rates[5:]))
+
+
+def test_recipes_fit_the_images():
+    for by_task in RECIPES.values():
+        for recipe in by_task.values():
+            assert recipe.network.last_size(128) >= 1
+
+
+def test_the_space_is_the_papers():
+    point = {"conv_layers": 5, "log2_filters": 9, "dense_layers": 1, "log2_units": 4, "activation": "relu"}
+    point |= {"batch_norm": False, "dropout": 0.001, "l1": 0.001, "l2": 0.064, "batch_size": 32}
+    assert SearchSpace().network_of(point) == PoseNetConfig()
+    small = SearchSpace(most_conv_layers=4, reduce=2, blur_px=1.0)
+    assert small.network_of(point) == PoseNetConfig(reduce=2, blur_px=1.0)
+    with pytest.raises(TactipError, match="conv_layers is 7: it must be at most 5"):
+        SearchSpace(most_conv_layers=7).checked(128)
+    with pytest.raises(TactipError, match="at most 4: an image of 128 px"):
+        SearchSpace(most_conv_layers=5, reduce=2).checked(128)

@@ -1,0 +1,173 @@
+"""Bent surfaces: their shape, and data sets of contacts with them."""
+
+import json
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.integrate import cumulative_trapezoid
+
+from tactip_twin.commands import main as tactip
+from tactip_twin.sim.contact import curved_surface as bent
+from tactip_twin.sim.contact.curved_surface import MOST_BENT_PER_M, Profile, bent_surface
+from tactip_twin.sim.contact.fidelity import fidelity_named
+from tactip_twin.sim.contact.record import Bounds
+from tactip_twin.sim.contact.simulator import ContactPlayer
+from tactip_twin.sim.contact.solid_stimulus import Shape
+from tactip_twin.sim.dataset.format import Configuration, read_dataset
+from tactip_twin.sim.dataset.sampling import Ranges
+from tactip_twin.sim.pose import from_mm_deg
+from tactip_twin.tactip_model.presets import find_design
+
+
+@pytest.mark.parametrize("bend", [(0.0, 0.0, 0.0), (50.0, -20.0, 0.4), (MOST_BENT_PER_M, MOST_BENT_PER_M, 1.0)])
+def test_its_top_is_the_paraboloid_and_it_is_closed(bend):
+    first, second, turn = bend
+    solid = bent_surface(*bend)
+    mesh = trimesh.Trimesh(solid.vertices, solid.triangles)
+    assert mesh.is_watertight
+    assert mesh.is_winding_consistent
+    assert mesh.volume > 0
+    u, v = np.random.default_rng(0).uniform(-0.008, 0.008, (2, 200))
+    c, s = np.cos(turn), np.sin(turn)
+    top = np.stack([c * u - s * v, s * u + c * v, -(first * u**2 + second * v**2) / 2], -1)
+    assert np.abs(solid.distance(top)).max() < 40e-6
+    slope = np.stack([first * u, second * v], -1)
+    normal = np.stack([c * slope[:, 0] - s * slope[:, 1], s * slope[:, 0] + c * slope[:, 1], np.ones(200)], -1)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    assert np.abs(solid.distance(top + 2e-3 * normal) - 2e-3).max() < 40e-6
+    assert np.degrees(np.arccos(np.clip((solid.smooth_normal(top) * normal).sum(1), -1, 1))).max() < 0.8
+
+
+def test_the_more_it_bulges_the_less_it_presses():
+    """Hertz: the force goes with the root of 1 / (1/R + k); a hollow that the tip nearly fills is beyond him."""
+    shape = Shape(bent_surface(0, 0, 0), sharpest_m=0.01)
+    player = ContactPlayer(find_design("tactip-127"), shape, fidelity_named("draft"))
+    forces = []
+    for curvature in (-20.0, 0.0, 30.0, 60.0):
+        shape.solid = bent_surface(curvature, curvature, 0.0)
+        contact = player.play(from_mm_deg([0, 0, -2.0, 0, 0, 0]), np.zeros(6))
+        assert not contact.faults(Bounds(penetration_m=0.1e-3))
+        forces.append(contact.normal_force_n)
+    hertz = [(1 / 0.02 + k) ** -0.5 for k in (-20.0, 0.0, 30.0, 60.0)]
+    assert np.allclose(np.array(forces) / forces[1], np.array(hertz) / hertz[1], rtol=0.2)
+    shape.solid = bent_surface(0.0, 0.0, 0.0)
+    flat = ContactPlayer(find_design("tactip-127"), "surface", fidelity_named("draft"))
+    pose = from_mm_deg([0, 0, -3.0, 5, 0, 0]), from_mm_deg([2.0, 0, 0, 0, 0, 0])
+    assert np.allclose(player.play(*pose).tips, flat.play(*pose).tips, atol=2e-6)
+
+
+def test_a_set_of_bent_surfaces_is_the_same_whoever_makes_it(tmp_path):
+    command = ["dataset", "make", "--fidelity", "draft", "--renderer", "raster", "--curvature-per-m", "-20", "60"]
+    for name, workers in (("a", "1"), ("b", "2")):
+        assert tactip.main([*command, "--samples", "3", "--workers", workers, "--out", str(tmp_path / name)]) == 0
+    one, other = (read_dataset(tmp_path / name) for name in "ab")
+    assert one.meta["files"] == other.meta["files"]
+    assert one.meta["configuration"]["curvature_per_m"] == [-20, 60]
+    assert tactip.main(["dataset", "verify", str(tmp_path / "a")]) == 0
+    assert tactip.main([*command[:-3], "--samples", "3", "--out", str(tmp_path / "flat")]) == 0
+    flat = read_dataset(tmp_path / "flat")
+    assert np.allclose(flat.poses, one.poses)
+    assert "curvature_per_m" not in flat.meta["configuration"]
+    with np.load(tmp_path / "flat" / "pins.npz") as a, np.load(tmp_path / "a" / "pins.npz") as b:
+        assert np.abs(a["tips"] - b["tips"]).max() > 0.1e-3
+
+
+def test_a_flat_configuration_is_what_it_was():
+    still = Ranges()
+    made = Configuration(
+        "surface", "train", 1, 0, "raster", find_design("tactip-127"), fidelity_named("draft"), still, still
+    )
+    assert "curvature_per_m" not in made.as_json()
+    assert json.dumps(made.as_json())
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--curvature-per-m", "0", "500"], "the range of curvature is (0.0, 500.0) 1/m"),
+        (["--curvature-per-m", "10", "-10"], "it must be rising"),
+        (["--task", "edge", "--curvature-per-m", "0", "10"], "only a surface can be bent"),
+    ],
+)
+def test_wrong_curvatures_are_one_sentence(tmp_path, capsys, options, words):
+    assert tactip.main(["dataset", "make", *options, "--out", str(tmp_path / "set")]) == 1
+    assert words in capsys.readouterr().err
+
+
+PROFILES = (Profile((-6e-3, 1e-3, 5e-3), (80.0, -20.0, 60.0, 10.0)), Profile((2e-3,), (-28.0, 30.0)))
+
+
+def test_an_unevenly_bent_surface_has_the_curvature_of_its_profiles():
+    """By integrating twice, from the origin, what the docstring says that it is."""
+    fine = np.linspace(0, 8e-3, 8001)
+    for profile in PROFILES:
+        for sign in (-1, 1):
+            curvature = np.array(profile.per_m)[np.searchsorted(profile.changes_m, sign * fine)]
+            slope = cumulative_trapezoid(-curvature, x=fine, initial=0)
+            assert np.allclose(
+                profile.top(sign * fine), cumulative_trapezoid(slope, x=fine, initial=0), atol=2e-7
+            )  # a cell at each change
+    first, second, turn = 10.0, -10.0, 0.7
+    solid = bent_surface(first, second, turn, PROFILES)
+    mesh = trimesh.Trimesh(solid.vertices, solid.triangles)
+    assert mesh.is_watertight and mesh.volume > 0
+    u, v = np.random.default_rng(0).uniform(-0.008, 0.008, (2, 200))
+    cos, sin = np.cos(turn), np.sin(turn)
+    height = -(first * u**2 + second * v**2) / 2 + PROFILES[0].top(u) + PROFILES[1].top(v)
+    assert np.abs(solid.distance(np.stack([cos * u - sin * v, sin * u + cos * v, height], -1))).max() < 40e-6
+    # At the origin it is level, however it is bent: the label's frame is there.
+    assert np.allclose(solid.smooth_normal(np.zeros((1, 3))), [0, 0, 1], atol=0.02)
+
+
+def test_curvatures_of_a_drawn_surface_stay_in_their_range(monkeypatch):
+    """Everywhere on the piece; they are often at an end of the range, and change as often as told."""
+    low, high = -28.0, 80.0
+    drawn = []
+    monkeypatch.setattr(bent, "bent_surface", lambda *given: drawn.append(given))
+    for seed in range(200):
+        bent.drawn_surface(np.random.default_rng(seed), low, high, 1.0)
+    lengths, values = [], []
+    for first, second, _, profiles in drawn:
+        assert first == second == 0
+        for profile in profiles:
+            assert len(profile.per_m) == len(profile.changes_m) + 1
+            assert profile.changes_m[0] < 0.05 and np.abs(profile.changes_m).max() < bent.HALF_WIDTH_M * np.sqrt(2)
+            lengths += np.diff(profile.changes_m).tolist()
+            values += profile.per_m
+    assert bent.STRETCHES_M[0] <= min(lengths) and max(lengths) <= bent.STRETCHES_M[1]
+    values = np.array(values)
+    assert (values.min(), values.max()) == (low, high)
+    # A half of what is drawn from twice the range is beyond it, a quarter to each side.
+    assert np.mean(values == low) == pytest.approx(0.25, abs=0.03)
+    assert np.mean(values == high) == pytest.approx(0.25, abs=0.03)
+
+
+def test_the_share_of_uneven_surfaces_is_kept_and_the_others_are_even(monkeypatch):
+    drawn = []
+    monkeypatch.setattr(bent, "bent_surface", lambda *given: drawn.append(given))
+    for seed in range(400):
+        bent.drawn_surface(np.random.default_rng(seed), -28.0, 80.0, 0.3)
+    even = np.array([given[:2] for given in drawn if len(given) == 3])
+    assert len(even) == pytest.approx(280, abs=30)
+    assert even.mean() == pytest.approx(26.0, abs=4.0) and even.min() < -20 and even.max() > 70
+
+
+def test_an_even_set_keeps_the_digest_that_it_had():
+    given = {"task": "surface", "split": "test", "samples": 1, "seed": 0, "renderer": "raster"}
+    given |= {"design": find_design("nominal-127"), "fidelity": fidelity_named("draft"), "pose": Ranges(), "shear": Ranges()}
+    even = Configuration(**given, curvature_per_m=(-10.0, 30.0))
+    assert "uneven" not in even.as_json()
+    assert Configuration(**given, curvature_per_m=(-10.0, 30.0), uneven=0.5).digest() != even.digest()
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--uneven", "0.5"], "give --curvature-per-m, too"),
+        (["--uneven", "2", "--curvature-per-m", "0", "10"], "it must be from 0 to 1"),
+    ],
+)
+def test_wrong_unevenness_is_one_sentence(tmp_path, capsys, options, words):
+    assert tactip.main(["dataset", "make", *options, "--out", str(tmp_path / "set"), "--samples", "1"]) == 1
+    assert words in capsys.readouterr().err

@@ -1,0 +1,483 @@
+"""The corners of the map: good records or refusals with a reason, and every check able to fail."""
+
+import json
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from tactip_twin.benchmarks.options import StabilityOptions
+from tactip_twin.benchmarks.physics import stability
+from tactip_twin.commands import main as tactip
+from tactip_twin.sim.contact import stimuli
+from tactip_twin.sim.contact.fidelity import SHORTEST_STEP_S, Fidelity, Motion, Solver, fidelity_named, finer
+from tactip_twin.sim.contact.limits import check_ranges
+from tactip_twin.sim.contact.record import Bounds
+from tactip_twin.sim.contact.scene import Scene
+from tactip_twin.sim.contact.simulator import TRIES, UNPROVEN, CarefulPlayer, ContactPlayer
+from tactip_twin.sim.contact.stimuli import STIMULI, stimulus_named
+from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES, Ranges
+from tactip_twin.sim.labels import TASKS
+from tactip_twin.sim.pose import from_mm_deg, inverse, sensor_in_contact
+from tactip_twin.tactip_model.design import Design, Materials, Optics, Pins, Shape, TactileImage
+from tactip_twin.tactip_model.errors import TactipError
+from tactip_twin.tactip_model.mesh import CONTACT_RADIUS_M, Resolution
+from tactip_twin.tactip_model.pins import neutral_pins
+from tactip_twin.tactip_model.soft_body import ContactModel
+
+DOME_M = 20e-3
+
+
+def press(player, depth_mm, slide_mm=0.0, **options):
+    return player.play(from_mm_deg([0, 0, -depth_mm, 0, 0, 0]), from_mm_deg([slide_mm, 0, 0, 0, 0, 0]), **options)
+
+
+@pytest.fixture(scope="module")
+def good(on_surface):
+    contact = on_surface([0, 0, -3, 0, 0, 0], [1, 0, 0, 0, 0, 0])
+    assert contact.faults(Bounds()) == []
+    return contact
+
+
+# Stimuli: their shape, and how far the tip must rise to clear them.
+
+
+class Probe:
+    """Distance of a sphere to a stimulus by MuJoCo's own collision functions."""
+
+    def __init__(self, name, radius):
+        spec = mujoco.MjSpec()
+        stimuli.add_stimulus(spec, stimulus_named(name), 0.3, ContactModel())
+        ball = spec.worldbody.add_body(name="probe", mocap=True)
+        ball.add_geom(name="probe", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0, 0], contype=0, conaffinity=0)
+        self.model = spec.compile()
+        self.data = mujoco.MjData(self.model)
+        self.probe = self.model.geom("probe").id
+
+    def __call__(self, centre):
+        self.data.mocap_pos[0] = centre
+        mujoco.mj_forward(self.model, self.data)
+        others = (g for g in range(self.model.ngeom) if g != self.probe)
+        return min(mujoco.mj_geomDistance(self.model, self.data, self.probe, g, 1.0, None) for g in others)
+
+
+@pytest.mark.parametrize("name", STIMULI)
+def test_distance_is_that_of_the_shape(name):
+    """Outside: to a few µm, as coarse as the rounding's facets are. And the highest point is at zero."""
+    probe, thing, rng = Probe(name, 0.2e-3), stimulus_named(name), np.random.default_rng(0)
+    points = rng.uniform([-8e-3, -8e-3, -8e-3], [8e-3, 8e-3, 4e-3], (60, 3))
+    distance = thing.distance(points)
+    outside = distance > 0.3e-3
+    assert outside.sum() > 10
+    measured = np.array([probe(p) + 0.2e-3 for p in points[outside]])
+    assert np.abs(measured - distance[outside]).max() < 15e-6
+    grid = np.stack(np.meshgrid(*[np.linspace(-9e-3, 9e-3, 181)] * 2), -1).reshape(-1, 2)
+    top = thing.distance(np.column_stack([grid, np.zeros(len(grid))]))
+    assert abs(top.min()) < 1e-9
+
+
+@pytest.mark.parametrize("name", STIMULI)
+def test_height_to_clear_against_brute_force(name):
+    probe, thing, rng = Probe(name, DOME_M), stimulus_named(name), np.random.default_rng(1)
+    more_than_needed = stimuli.EDGE_RADIUS_M if name == "edge" else 20e-6
+    for centre in rng.uniform([-25e-3, -10e-3, 5e-3], [25e-3, 10e-3, 30e-3], (8, 3)):
+        lift = thing.height_to_clear(centre, DOME_M)
+        if np.isinf(lift):
+            heights = np.linspace(-30e-3, 0, 7) - centre[2]
+            assert all(probe(centre + [0, 0, h]) > -20e-6 for h in heights)
+            continue
+        heights = lift + np.array([0.0, 0.5e-3, 2e-3, 10e-3])
+        assert all(probe(centre + [0, 0, h]) > -20e-6 for h in heights)  # clear from there on up
+        if name != "edge" or centre[0] < DOME_M - 1e-3:
+            slack = probe(centre + [0, 0, lift])
+            assert slack < more_than_needed + 1e-6
+
+
+def test_unknown_stimuli_are_refused_with_a_list(design, standard):
+    with pytest.raises(TactipError, match=r"unknown stimulus 'banana': choose one of surface, edge, sphere"):
+        ContactPlayer(design, "banana", standard)
+    assert set(TASKS) < set(STIMULI)
+
+
+@pytest.fixture(scope="module")
+def pressed(design, standard):
+    """The 3 mm press of every stimulus: dict of name to Contact, its fault lists and the tries that were allowed."""
+    players = {name: CarefulPlayer(design, name, standard, Bounds()) for name in STIMULI}
+    return {name: (*press(player, 3), player.tries) for name, player in players.items()}
+
+
+def test_every_stimulus_gives_a_good_record(pressed):
+    for name, (contact, faults, tries) in pressed.items():
+        assert len(faults) < tries, name
+        assert contact.faults(Bounds()) == [], name
+        assert contact.penetration_m < Bounds().penetration_m, name
+
+
+def test_blunter_things_press_harder(pressed):
+    forces = [pressed[name][0].normal_force_n for name in ("needle", "point", "sphere", "knife", "edge", "surface")]
+    assert (np.diff(forces[1:]) > 0).all()
+    # Between vertices 2 mm apart, a needle is as blunt as a point.
+    assert forces[0] == pytest.approx(forces[1], rel=0.02)
+    assert 0.5 < forces[0] < 1.0
+
+
+@pytest.mark.parametrize("name", ["surface", "sphere", "point", "needle", "hole"])
+def test_round_things_press_evenly(pressed, design, name, on_surface):
+    """No side force, and no pin field that drifts to a side."""
+    contact = pressed[name][0]
+    assert contact.tangential_force_n < 0.05 * contact.normal_force_n
+    moved = contact.tips - on_surface.player.reader.tips
+    assert np.linalg.norm(moved.mean(0)[:2]) < 0.03 * np.linalg.norm(moved, axis=1).max()
+
+
+def test_what_comes_through_between_the_vertices_is_seen(design, standard, monkeypatch):
+    """Played as if it were not thin, the needle comes through a facet: no contact is left to tell, the shape does."""
+    monkeypatch.setattr(stimuli.Rod, "width_m", np.inf)
+    contact = press(ContactPlayer(design, "needle", standard), 3)
+    assert contact.penetration_m == 0.0
+    assert contact.normal_force_n == 0.0
+    assert any("overlap" in fault for fault in contact.faults(Bounds()))
+
+
+# Records: each check can fail, and measures what it says.
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        ({"normal_force_n": float("nan")}, "not finite"),
+        ({"overlap_m": float("inf")}, "not finite"),
+        ({"volume_ratio": -0.2}, "shrank"),
+        ({"penetration_m": 0.06e-3}, "inside the skin"),
+        ({"overlap_m": 0.2e-3}, "overlap"),
+        ({"speed_m_s": 0.03}, "still moves"),
+        ({"imbalance": 0.6}, "not balanced"),
+        ({"creep_m_s": 0.01}, "drifts"),
+        ({"area_ratio": 0.05}, "facet"),
+        ({"fold_rad": 3.0}, "folded"),
+        ({"unsolved": 0.5}, "iterations"),
+    ],
+)
+def test_a_spoiled_record_is_refused(good, change, word):
+    (fault,) = replace(good, **change).faults(Bounds())
+    assert word in fault
+
+
+@pytest.mark.parametrize("name", ["surface", "edge", "needle"])
+def test_overlap_is_that_of_the_shapes(design, standard, name):
+    """Undeformed, 2 mm inside: exactly 2 mm less what the mesh's facets lie inside the sphere."""
+    scene = Scene(design, name, standard)
+    overlap = scene.overlap(sensor_in_contact(from_mm_deg([0, 0, -2, 0, 0, 0])))
+    depth = {"surface": 2e-3, "edge": 2e-3, "needle": stimuli.NEEDLE_RADIUS_M + CONTACT_RADIUS_M}[name]
+    assert depth - 0.2e-3 < overlap < depth + 1e-6
+    assert scene.overlap(sensor_in_contact(from_mm_deg([0, 0, 1, 0, 0, 0]))) == 0.0
+
+
+def test_folds_and_shrunk_facets_are_measured(on_surface):
+    scene = on_surface.player.scene
+    rest = scene.mesh.vertices
+    area, fold = scene.skin_shape(rest)
+    assert area == pytest.approx(1.0)
+    assert fold < np.radians(30)
+    apex = int(rest[: scene.mesh.surface_count, 2].argmax())
+    around = np.unique(scene.mesh.triangles[(scene.mesh.triangles == apex).any(1)])
+    facet = scene.mesh.triangles[(scene.mesh.triangles == apex).any(1)][0]
+    opposite = rest[facet[facet != apex]].mean(0)
+    folded = rest.copy()
+    folded[apex] = 2 * opposite - rest[apex]  # over the edge, onto the next facet
+    assert scene.skin_shape(folded)[1] > Bounds().fold_rad
+    squashed = rest.copy()
+    squashed[around] = squashed[apex] + 0.1 * (squashed[around] - squashed[apex])
+    assert scene.skin_shape(squashed)[0] < 0.05
+
+
+def test_a_moving_tip_is_out_of_balance(design, standard, monkeypatch):
+    """A press looked at in full motion: energy goes on being stored."""
+    jerky = replace(standard, motion=replace(standard.motion, ease_in=0.0, ease_out=0.0))
+    player = ContactPlayer(design, "surface", jerky)
+    assert not press(player, 3).faults(Bounds())
+    monkeypatch.setattr(ContactPlayer, "_settle", lambda self, pose: None)
+    assert any("drifts" in fault for fault in press(player, 3).faults(Bounds()))
+
+
+def test_a_starved_solver_is_seen(design, standard):
+    player = ContactPlayer(design, "surface", standard)
+    player.scene.model.opt.iterations = 10
+    contact = press(player, 3, 2)
+    assert contact.unsolved > 0.5
+    assert any("iterations" in fault for fault in contact.faults(Bounds()))
+
+
+# Materials and steps: what is similar comes out similar.
+
+
+@pytest.mark.parametrize("scale", [0.05, 50.0])
+def test_a_tip_stiffer_in_all_is_the_same_tip(design, standard, good, scale):
+    """Moduli times a number: the same shape under that many times the force. Contact goes with the moduli."""
+    m = design.materials
+    other = replace(m, skin_young_pa=scale * m.skin_young_pa, gel_young_pa=scale * m.gel_young_pa)
+    contact = press(ContactPlayer(replace(design, materials=other), "surface", standard), 3, 1)
+    assert contact.faults(Bounds()) == []
+    assert contact.normal_force_n == pytest.approx(scale * good.normal_force_n, rel=0.01)
+    assert np.linalg.norm(contact.tips - good.tips, axis=1).max() < 0.05e-3
+
+
+@pytest.mark.parametrize(
+    "materials",
+    [
+        {"skin_young_pa": 1e3, "gel_young_pa": 1e3},
+        {"skin_young_pa": 1e8, "gel_young_pa": 1e6},
+        {"skin_young_pa": 1e3, "gel_young_pa": 1e6},
+        {"gel_poisson": 0.499, "skin_poisson": 0.0},
+        {"density_kg_m3": 10500.0, "damping_s": 2e-3},
+    ],
+)
+def test_corners_of_the_materials(materials):
+    result = stability.judge(stability.Cell("", "", "", slide_mm=2, materials=materials), fidelity_named("standard"))
+    assert result["verdict"] in ("converged", "after refinement"), result["reasons"]
+
+
+@pytest.mark.parametrize("name", ["needle", "edge", "hole", "sphere"])
+def test_a_start_inside_something_that_is_not_flat_is_refused(design, standard, name):
+    with pytest.raises(TactipError, match="approach is False: it must be True"):
+        press(ContactPlayer(design, name, standard), 1, approach=False)
+
+
+def test_a_plane_that_starts_inside_pushes_the_skin_out(design, standard):
+    player = CarefulPlayer(design, "surface", standard, Bounds())
+    contact, faults = press(player, 1, approach=False)
+    assert len(faults) < player.tries
+    approached, _ = press(player, 1)
+    assert contact.normal_force_n == pytest.approx(approached.normal_force_n, rel=0.05)
+
+
+def test_where_skin_catches_two_steps_must_agree(design, standard):
+    """The first good record is not enough, nor are two that differ."""
+    player = CarefulPlayer(design, "knife", standard, Bounds())
+    contact, faults = press(player, 1, 3)
+    assert faults[-1] == [UNPROVEN]
+    assert len(faults) < player.tries
+    again = ContactPlayer(design, "knife", finer(player._player(len(faults)).scene.fidelity))
+    apart = np.linalg.norm(press(again, 1, 3).tips - contact.tips, axis=1)
+    assert np.sqrt(np.mean(apart**2)) < Bounds().disagreement_m
+    _, faults = press(CarefulPlayer(design, "knife", standard, Bounds(disagreement_m=1e-9)), 1, 3)
+    assert len(faults) == player.tries
+    assert "from where twice the step has them" in faults[-1][0]
+
+
+def test_two_good_records_about_a_bad_one_prove_nothing(design, monkeypatch, good):
+    """They differ by a quarter of the step, and the one between them is no coarser record to go on from."""
+    bad = replace(good, penetration_m=1e-3)
+    player = CarefulPlayer(design, "knife", fidelity_named("draft"), Bounds())
+    script = iter([good, bad, good, good])
+    monkeypatch.setattr(ContactPlayer, "play", lambda *_: next(script))
+    contact, faults = player.play(good.pose, good.shear)
+    assert contact is good
+    assert [f == [UNPROVEN] for f in faults] == [True, False, True]
+    assert player._slider is player._players[2] and player.last is player._players[3]
+
+
+@pytest.mark.parametrize(("name", "friction", "tries"), [("surface", 1.0, 3), ("surface", 1.1, 4), ("corner", 0.3, 4)])
+def test_high_friction_and_sharp_things_must_be_proven(design, name, friction, tries):
+    rough = replace(design, materials=replace(design.materials, friction=friction))
+    assert CarefulPlayer(rough, name, fidelity_named("draft"), Bounds()).tries == tries
+
+
+@settings(max_examples=4, suppress_health_check=[HealthCheck.too_slow])
+@given(
+    skin=st.floats(1, 8),
+    gel=st.floats(3, 6),
+    poisson=st.tuples(st.floats(0, 0.499), st.floats(0, 0.499)),
+    friction=st.floats(0, 2.1),
+    density=st.floats(105, 10500),
+    name=st.sampled_from(list(STIMULI)),
+    depth=st.floats(0.2, 8),
+    slide=st.floats(0, 3),
+)
+def test_any_configuration_is_refused_or_good(skin, gel, poisson, friction, density, name, depth, slide):
+    try:
+        materials = Materials(
+            skin_young_pa=10**skin,
+            gel_young_pa=10**gel,
+            skin_poisson=poisson[0],
+            gel_poisson=poisson[1],
+            friction=friction,
+            density_kg_m3=density,
+        )
+        player = CarefulPlayer(Design("any", materials=materials), name, fidelity_named("draft"), Bounds())
+    except TactipError as error:
+        assert "it must be" in str(error)
+        return
+    contact, faults = press(player, depth, slide)
+    if len(faults) == player.tries:
+        assert all(faults)
+        return
+    assert np.isfinite(contact.tips).all() and np.isfinite(contact.directions).all()
+    assert contact.volume_ratio > 0
+    assert contact.penetration_m <= Bounds().penetration_m
+    assert contact.normal_force_n > -1e-6
+
+
+# What is known beforehand.
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: Materials(gel_poisson=0.5), ["Materials.gel_poisson is 0.5", "from 0 to 0.499"]),
+        (lambda: Materials(skin_poisson=-0.1), ["Materials.skin_poisson is -0.1", "from 0 to 0.499"]),
+        (lambda: Materials(gel_young_pa=float("nan")), ["Materials.gel_young_pa is nan", "finite", "1000"]),
+        (lambda: Materials(skin_young_pa=float("inf")), ["Materials.skin_young_pa is inf", "1e+08"]),
+        (lambda: Materials(friction=2.5), ["Materials.friction is 2.5", "from 0 to 2"]),
+        (lambda: Materials(density_kg_m3="heavy"), ["Materials.density_kg_m3 is heavy", "number"]),
+        (lambda: Shape(radius_m=-20e-3), ["Shape.radius_m is -0.02"]),
+        (lambda: Shape(cylinder_m=0.1), ["Shape.cylinder_m is 0.1", "0.02"]),
+        (
+            lambda: Materials(skin_young_pa=1e8, gel_young_pa=1e4),
+            ["skin_young_pa is 1", "500 times gel", "buckles"],
+        ),
+        (lambda: Pins(rings=2.5), ["Pins.rings is 2.5", "whole number"]),
+        (lambda: Optics(neutral_radius=(11.0, float("nan"), 0.0)), ["Optics.neutral_radius", "finite"]),
+        (lambda: TactileImage(size_px=0), ["TactileImage.size_px is 0"]),
+        (lambda: Optics(centre=(0.5,)), ["Optics.centre is (0.5,)", "2 numbers, each a finite number from 0 to 1"]),
+        (lambda: Optics(centre=0.5), ["Optics.centre is 0.5", "2 numbers"]),
+        (lambda: Optics(camera_offset_m=(0.001,)), ["Optics.camera_offset_m is (0.001,)", "2 numbers"]),
+        (lambda: Optics(drift=None), ["Optics.drift is None", "2 numbers"]),
+        (lambda: Materials(friction=(0.5,)), ["Materials.friction is (0.5,)", "a finite number from 0 to 2"]),
+        (lambda: Pins(rings=None), ["Pins.rings is None", "a whole number from 1 to 20"]),
+        (lambda: Pins(rings=[6]), ["Pins.rings is [6]", "a whole number from 1 to 20"]),
+        (
+            lambda: TactileImage(threshold=(61,)),
+            ["threshold is (61,)", "2 numbers, a whole number from 3 to 65535 and a finite number from -255 to 255"],
+        ),
+        (lambda: TactileImage(threshold=(61.5, -5.0)), ["threshold is (61.5, -5.0)", "a whole number from 3 to 65535"]),
+        (lambda: TactileImage(crop=(1.5, 2, 3)), ["TactileImage.crop is (1.5, 2, 3)", "4 numbers, each a whole number"]),
+        (lambda: TactileImage(crop=(1.5, 2, 3, 4)), ["TactileImage.crop is (1.5, 2, 3, 4)", "a whole number from 0"]),
+        (lambda: Resolution(surface_m=0.0), ["Resolution.surface_m is 0.0"]),
+        (lambda: Motion(step_s=0.03), ["Motion.step_s is 0.03", "0.02"]),
+        (lambda: Motion(press_step_m=5e-3), ["Motion.press_step_m is 0.005", "0.5 m/s"]),
+        (lambda: Motion(settle_limit=2), ["Motion.settle_limit is 2", "settle_steps"]),
+        (lambda: Solver(iterations=0), ["Solver.iterations is 0"]),
+        (lambda: ContactModel(resting=(3e7, -1.0)), ["ContactModel.resting", "from 100 to"]),
+        (lambda: Design("x", pins=Pins(length_m=4.9e-3), shape=Shape(radius_m=15e-3)), ["Pins.length_m", "quarter"]),
+        (lambda: Design("x", pins=Pins(rings=7)), ["Pins.pitch_m is 0.003", "7 rings"]),
+        (lambda: Design("x", materials=Materials(skin_thickness_m=3e-3), shape=Shape(radius_m=15e-3)), ["skin_thickness_m"]),
+    ],
+)
+def test_what_cannot_do_is_refused_by_name_and_bound(make, words):
+    with pytest.raises(TactipError) as refused:
+        make()
+    for word in words:
+        assert word in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_numbers_of_numpy_and_none_where_it_is_allowed_are_taken():
+    image = TactileImage(crop=tuple(np.arange(4)), threshold=None, size_px=np.int32(64))
+    assert image.crop is not None and TactileImage(crop=None).crop is None
+    assert Materials(friction=np.float32(0.5), gel_young_pa=20000).friction == 0.5
+    assert Optics(centre=(np.float64(0.5), 1)).centre == (0.5, 1)
+
+
+@pytest.mark.parametrize(
+    ("pose", "shear", "words"),
+    [
+        ([0, 0, -8.5, 0, 0, 0], [0] * 6, ["8.5 mm", "at most 8 mm"]),
+        ([0, 0, -7, 0, 0, 0], [0, 0, 2, 0, 0, 0], ["before the shear", "9 mm"]),
+        ([0, 0, -3, 35, 0, 0], [0] * 6, ["tilt", "35 degrees", "at most 30"]),
+        ([0, 0, -3, 0, 0, 0], [21, 0, 0, 0, 0, 0], ["shear", "21 mm", "at most 20 mm"]),
+        ([0, 0, np.nan, 0, 0, 0], [0] * 6, ["finite"]),
+    ],
+)
+def test_poses_out_of_reach_are_refused(on_surface, pose, shear, words):
+    with pytest.raises(TactipError) as refused:
+        on_surface(pose, shear)
+    for word in words:
+        assert word in str(refused.value)
+
+
+def test_a_needle_is_not_pressed_deeper_than_it_holds(design, standard):
+    with pytest.raises(TactipError, match="6 mm: it must be at most 5 mm"):
+        press(ContactPlayer(design, "needle", standard), 6)
+
+
+def test_ranges_out_of_reach_are_refused():
+    for task in TASKS:
+        check_ranges(POSE_RANGES[task], SHEAR_RANGES)
+    with pytest.raises(TactipError, match="9 mm: it must be at most 8 mm"):
+        check_ranges(Ranges(depth_mm=(-9, -1)), SHEAR_RANGES)
+    with pytest.raises(TactipError, match="at most 20 mm"):
+        check_ranges(POSE_RANGES["edge"], Ranges(x_mm=(-15, 15), y_mm=(-15, 15)))
+    with pytest.raises(TactipError, match="at most 30 degrees"):
+        check_ranges(Ranges(depth_mm=(-3, -1), roll_deg=(-31, 25)), SHEAR_RANGES)
+
+
+def test_refinement_stays_within_bounds():
+    """From any allowed fidelity: the finer one is allowed, too."""
+    extreme = Fidelity("x", motion=Motion(step_s=SHORTEST_STEP_S, press_step_m=2e-5, shear_step_m=7e-6))
+    extreme = replace(extreme, contact=ContactModel(resting=(1e9, 1e7)), solver=Solver(tolerance=1e-14))
+    for _ in range(TRIES):
+        extreme = finer(extreme)
+    assert extreme.motion.step_s == SHORTEST_STEP_S
+
+
+# The map.
+
+
+def test_a_cell_that_is_not_confirmed_is_wrong(monkeypatch):
+    """Half the step with another result: the map must say so."""
+    monkeypatch.setattr(stability, "PINS_MM", 1e-6)
+    result = stability.judge(stability.Cell("", "", "", depth_mm=1.0), fidelity_named("draft"))
+    assert result["verdict"] == "wrong"
+    assert "half the step" in result["reasons"][0]
+
+
+def test_a_map_is_made_resumed_and_written(tmp_path, monkeypatch):
+    """Two cells here (workers choose their own from the whole map), a third known from an earlier run."""
+    monkeypatch.setattr(stability, "_chosen", lambda quick: stability.cells()[:1] + stability.cells()[-3:])
+    chosen = stability._chosen(True)
+    folder = tmp_path / ".stability-quick"
+    folder.mkdir()
+    for i, cell in enumerate(chosen):
+        record = stability.asdict(cell) | stability.judge(cell, fidelity_named("draft"))
+        (folder / f"{i:04d}.json").write_text(json.dumps(record))
+    result = stability.run(StabilityOptions(tmp_path, quick=True, workers="1"), say=lambda line: None)
+    assert result["counts"]["refused beforehand"] == 3
+    assert "Shape.radius_m is 0.041" in (tmp_path / "stability.md").read_text()
+    assert (tmp_path / "stability.png").stat().st_size > 10_000
+    assert json.loads((tmp_path / "stability.json").read_text())["map"][0]["panel"].startswith("skin modulus")
+    assert not folder.exists()
+
+
+def test_cells_have_a_place_of_their_own():
+    places = [(c.panel, c.row, c.column) for c in stability.cells()]
+    assert len(set(places)) == len(places)
+    assert len(places) > 300
+
+
+@pytest.mark.slow
+def test_no_cell_of_the_quick_map_is_wrong(tmp_path):
+    assert tactip.main(["bench", "stability", "--quick", "--out", str(tmp_path)]) == 0
+
+
+def test_a_needle_beside_the_axis_is_met_where_it_is(design, standard):
+    """The pins nearest to the needle move most."""
+    player = CarefulPlayer(design, "needle", standard, Bounds())
+    contact, faults = player.play(from_mm_deg([3, 0, -2, 0, 0, 0]), np.zeros(6))
+    assert len(faults) < player.tries
+    neutral, _ = neutral_pins(design)
+    moved = np.linalg.norm(contact.tips - neutral, axis=1)
+    needle = inverse(sensor_in_contact(contact.pose))[:3, 3]
+    assert np.linalg.norm(neutral[moved.argmax(), :2] - needle[:2]) < 2.5e-3
+
+
+@pytest.mark.parametrize("away", [1e200, float("nan"), 10.0])
+def test_a_state_that_is_lost_overlaps_without_end(design, standard, away):
+    """It is not sampled: its facets are larger than any number of samples."""
+    scene = Scene(design, "edge", standard)
+    scene.reset()
+    scene.data.qpos[7 + 30] = away
+    assert scene.overlap(sensor_in_contact(np.zeros(6))) == np.inf

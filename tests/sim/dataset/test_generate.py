@@ -1,0 +1,195 @@
+"""What a set holds: the same bytes from any number of workers, labels as drawn, images of its pins; what it refuses."""
+
+import json
+import subprocess
+
+import cv2
+import numpy as np
+import pytest
+
+from helpers.set_commands import TACTIP, configuration, contents, make, records, run, table, wait_for
+from tactip_twin.commands import main as tactip
+from tactip_twin.sim.dataset import generate as generation
+from tactip_twin.sim.dataset.format import read_dataset
+from tactip_twin.sim.dataset.generate import Job
+from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES, generator
+from tactip_twin.sim.dataset.verify import verify
+from tactip_twin.sim.pose import from_mm_deg
+from tactip_twin.tactip_model.errors import TactipError
+from tactip_twin.tactip_model.pyrender_renderer import PinCamera
+from tactip_twin.tactip_model.tactile_image import tactile_image
+
+
+def test_files_of_a_set(whole):
+    assert {p.name for p in whole.iterdir()} == {"images", "targets.csv", "pins.npz", "meta.json", "run.json"}
+    dataset = read_dataset(whole)
+    assert len(dataset.images) == 6
+    assert dataset.image(5).shape == (128, 128)
+    assert set(np.unique(dataset.image(5))) == {0, 255}
+    assert list(table(whole)[0])[:13] == [
+        "sensor_image", "pose_x", "pose_y", "pose_z", "pose_Rx", "pose_Ry", "pose_Rz",
+        "shear_x", "shear_y", "shear_z", "shear_Rx", "shear_Ry", "shear_Rz",
+    ]  # fmt: skip
+    meta = json.loads((whole / "meta.json").read_text())
+    assert meta["configuration"]["seed"] == 0
+    assert meta["versions"]["mujoco"]
+    assert json.loads((whole / meta["timings"]).read_text())["workers"] == 1
+
+
+def test_labels_are_the_draws(whole):
+    dataset = read_dataset(whole)
+    draw = generator(0, "edge", "train", 3)
+    assert np.allclose(from_mm_deg(dataset.poses[3]), POSE_RANGES["edge"].draw(draw), atol=1e-7)
+    assert np.allclose(from_mm_deg(dataset.shears[3]), SHEAR_RANGES.draw(draw), atol=1e-7)
+
+
+def test_images_are_a_function_of_the_pins(whole, design):
+    """Physics once, optics many: the record draws the image again, to the bit."""
+    from tactip_twin.tactip_model.raster_renderer import Raster
+
+    dataset, raster = read_dataset(whole), Raster(design)
+    with np.load(whole / "pins.npz", allow_pickle=False) as pins:
+        again = [
+            tactile_image(raster.render(t, d), design.image) for t, d in zip(pins["tips"], pins["directions"], strict=True)
+        ]
+    same = [(a == dataset.image(i)).mean() for i, a in enumerate(again)]
+    assert min(same) > 0.9999  # the record is in single precision
+
+
+def test_records_measure_what_they_should(whole):
+    for row in table(whole):
+        assert float(row["penetration_mm"]) <= 0.05
+        assert 0.1 < float(row["volume_ratio"]) <= 1.01
+        assert float(row["speed_mm_s"]) < 20
+        assert row["seed"] == f"0:edge:train:{row['index']}"
+
+
+def test_two_workers_make_the_same_bytes(whole, tmp_path):
+    assert run(make(tmp_path / "two", workers=2)).returncode == 0
+    assert contents(tmp_path / "two") == contents(whole)
+
+
+def test_samples_by_symmetry(tmp_path):
+    """Three contacts make six samples, a mirror each, and the last is cut short; killed, it is resumed to the same bytes."""
+    whole, killed = tmp_path / "whole", tmp_path / "killed"
+    result = run(make(whole, "--symmetric", samples=5, workers=1))
+    assert result.returncode == 0, result.stderr
+    assert "5 of 5 samples, 5 tried now" in result.stdout
+    assert verify(whole) == []
+    dataset, rows = read_dataset(whole), table(whole)
+    assert [row["seed"] for row in rows] == [f"0:edge:train:{k}" for k in (0, 0, 1, 1, 2)]
+    assert np.allclose(dataset.poses[1], dataset.poses[0] * [1, -1, 1, -1, 1, -1])
+    assert np.allclose(dataset.shears[3], dataset.shears[2] * [1, -1, 1, -1, 1, -1])
+    plain = tmp_path / "plain"
+    assert run(make(plain, samples=3)).returncode == 0
+    assert np.array_equal(read_dataset(plain).image(2), dataset.image(4))
+    process = subprocess.Popen(
+        make(killed, "--symmetric", samples=5, workers=1), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
+    wait_for(lambda: len(records(killed)) >= 1)
+    process.kill()
+    process.wait()
+    for samples in (4, 6):
+        refused = run(make(killed, "--symmetric", samples=samples))
+        assert refused.returncode == 1 and len(refused.stderr.strip().splitlines()) == 1
+        assert f"{samples} samples are asked for" in refused.stderr
+        assert "holds an unfinished set of 5 samples: ask for 5 to finish it" in refused.stderr
+    again = run(make(killed, "--symmetric", samples=5))
+    assert again.returncode == 0
+    assert contents(killed) == contents(whole)
+    fewer = run(make(killed, "--symmetric", samples=4))
+    assert fewer.returncode == 1 and "holds a set of 5 samples: ask for more of them" in fewer.stderr
+    assert contents(killed) == contents(whole)
+    grown = tmp_path / "grown"
+    for samples in (3, 5):
+        assert run(make(grown, "--symmetric", samples=samples)).returncode == 0
+    assert contents(grown) == contents(whole)
+
+
+def test_uneven_ranges_have_no_symmetry(tmp_path):
+    result = run(make(tmp_path / "set", "--symmetric", "--pose.roll-deg", "-5", "10"))
+    assert result.returncode == 1
+    assert "the ranges of the pose are not as wide to one side as to the other" in result.stderr
+
+
+def test_pyrender_sets_are_made_and_show(tmp_path, design):
+    folder = tmp_path / "drawn"
+    assert run(make(folder, samples=2, renderer="pyrender")).returncode == 0
+    assert tactip.main(["dataset", "verify", str(folder)]) == 0
+    sheet = tmp_path / "sheet.png"
+    assert tactip.main(["dataset", "show", str(folder), "--out", str(sheet)]) == 0
+    image = cv2.imread(str(sheet), cv2.IMREAD_GRAYSCALE)
+    assert image.shape[0] > 128
+    assert 0 < (image == 0).mean() < 1
+    with np.load(folder / "pins.npz", allow_pickle=False) as pins:
+        drawn = tactile_image(PinCamera(design).render(pins["tips"][0], pins["directions"][0]), design.image)
+    assert (drawn == read_dataset(folder).image(0)).mean() > 0.9999
+
+
+def test_all_sets_of_a_job_by_one_crew(tmp_path):
+    folder = tmp_path / "all"
+    assert run(make(folder, "--split", "all", task="all", samples=1)).returncode == 0
+    for task in ("surface", "edge"):
+        for split in ("train", "val", "test"):
+            assert tactip.main(["dataset", "verify", str(folder / task / split)]) == 0
+
+
+BAD = {
+    "negative count": (["--samples", "-3"], "at least 1"),
+    "unknown task": (["--task", "corner"], "surface, edge"),
+    "unknown split": (["--split", "dev"], "train, val, test"),
+    "unknown design": (["--design", "digit"], "tactip-127, tactip-331"),
+    "unknown fidelity": (["--fidelity", "best"], "draft, standard, reference"),
+    "unknown renderer": (["--renderer", "blender"], "pyrender, raster"),
+    "range upside down": (["--pose.depth-mm", "-1", "-5"], "low must not be above its high"),
+    "depth out of the object": (["--pose.depth-mm", "1", "3"], "depth is negative into the object"),
+    "no workers": (["--workers", "0"], "at least 1"),
+    "words for workers": (["--workers", "many"], "auto"),
+    "negative seed": (["--seed", "-1"], "0 or more"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_options_give_one_sentence(tmp_path, capsys, case):
+    options, words = BAD[case]
+    assert tactip.main(["dataset", "make", "--out", str(tmp_path / "never"), *options]) == 1
+    told = capsys.readouterr().err.strip()
+    assert words in told
+    assert len(told.splitlines()) == 1
+    assert not (tmp_path / "never").exists()
+
+
+def test_a_folder_of_another_configuration_is_refused_and_left_alone(copy, capsys):
+    before = contents(copy)
+    options = ["--task", "edge", "--samples", "6", "--fidelity", "draft", "--renderer", "raster"]
+    assert tactip.main(["dataset", "make", "--out", str(copy), *options, "--design", "nominal-127", "--seed", "1"]) == 1
+    told = capsys.readouterr().err
+    assert "another configuration" in told
+    assert "seed is 0 there and 1 here" in told
+    assert contents(copy) == before
+
+
+def test_a_folder_of_something_else_is_refused_and_left_alone(tmp_path, capsys):
+    (tmp_path / "thesis.tex").write_text("years of work")
+    assert tactip.main(["dataset", "make", "--out", str(tmp_path)]) == 1
+    assert "not empty" in capsys.readouterr().err
+    assert [p.name for p in tmp_path.iterdir()] == ["thesis.tex"]
+
+
+def test_an_unwritable_folder_gives_one_sentence(tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    assert tactip.main(["dataset", "make", "--out", str(tmp_path / "file" / "set")]) == 1
+    told = capsys.readouterr().err.strip()
+    assert "cannot write to the folder" in told
+    assert len(told.splitlines()) == 1
+
+
+def test_missing_options_are_refused_by_the_command_line():
+    result = run([*TACTIP, "make"])
+    assert result.returncode == 2
+    assert "--out" in result.stderr
+
+
+def test_unknown_configuration_in_python(design, tmp_path):
+    with pytest.raises(TactipError, match="surface, edge"):
+        generation.make([Job(configuration(design, task="corner"), tmp_path / "x")], 1)

@@ -1,0 +1,238 @@
+"""Sets of shards: the samples of a set in one folder, whatever happens on the way, and one set to all who read them."""
+
+import json
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import torch
+
+from helpers.set_commands import contents, run, samples_found, wait_for
+from tactip_twin.commands import main as tactip
+from tactip_twin.learning.augmentation import DrawnImages
+from tactip_twin.learning.data import read_samples
+from tactip_twin.sim.dataset.format import PARTIAL, labels_sha256, read_configuration, read_dataset, read_meta, read_pins
+from tactip_twin.sim.dataset.partial_record import reopen
+from tactip_twin.sim.dataset.shards import Closing
+
+SAMPLES, SHARD = 10, 4
+
+
+def options(folder, *more, samples=SAMPLES, shard=SHARD):
+    given = ["--fidelity", "draft", "--renderer", "raster", "--samples", str(samples), "--shard-samples", str(shard)]
+    return ["dataset", "make", *given, "--out", str(folder), *more]
+
+
+@pytest.fixture(scope="module")
+def flat(tmp_path_factory):
+    """The set in one folder."""
+    folder = tmp_path_factory.mktemp("flat") / "set"
+    assert tactip.main(options(folder, "--workers", "1", shard=10_000)) == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """The set of shards."""
+    folder = tmp_path_factory.mktemp("whole") / "set"
+    assert tactip.main(options(folder, "--workers", "1")) == 0
+    return folder
+
+
+@pytest.fixture
+def copy(whole, tmp_path):
+    shutil.copytree(whole, tmp_path / "set")
+    return tmp_path / "set"
+
+
+def test_its_samples_are_those_of_one_folder(flat, whole):
+    assert sorted(path.name for path in whole.iterdir()) == ["meta.json", "run.json", *(f"shard-0000{k}" for k in range(3))]
+    one, many = read_dataset(flat), read_dataset(whole)
+    assert one.images == many.images
+    assert np.array_equal(one.poses, many.poses) and np.array_equal(one.shears, many.shears)
+    assert all(np.array_equal(one.image(i), many.image(i)) for i in range(SAMPLES))
+    for ours, theirs in zip(read_pins(flat, one.meta), read_pins(whole, many.meta), strict=True):
+        assert np.array_equal(ours, theirs)
+    tables = [(part / "targets.csv").read_text().splitlines()[1:] for part in sorted(whole.glob("shard-*"))]
+    assert [len(rows) for rows in tables] == [4, 4, 2]
+    assert [row for rows in tables for row in rows] == (flat / "targets.csv").read_text().splitlines()[1:]
+    assert many.meta["samples"] == {"asked": SAMPLES, "kept": SAMPLES, "failed": 0}
+
+
+def test_all_who_read_sets_take_it_as_one(flat, whole, tmp_path):
+    samples = read_samples(whole)
+    assert len(samples) == SAMPLES and samples.chosen() is None
+    drawn, plain = DrawnImages(samples).plain(torch.arange(SAMPLES)).numpy() > 0, samples.images > 0
+    assert (drawn == plain).mean() > 0.98
+    assert labels_sha256(read_meta(whole)) != labels_sha256(read_meta(flat))
+    for folder in (flat, whole):
+        name = f"{folder.parent.name}.png"
+        assert tactip.main(["dataset", "show", str(folder), "--out", str(tmp_path / name)]) == 0
+        recording = ["dataset", "record", str(folder), "--sample", "9", "--out", str(tmp_path / folder.parent.name)]
+        assert tactip.main(recording) == 0
+    one, other = sorted(tmp_path.glob("*.png"))
+    assert one.read_bytes() == other.read_bytes()
+
+
+def test_two_workers_make_the_same_bytes(whole, tmp_path):
+    assert tactip.main(options(tmp_path / "set", "--workers", "2")) == 0
+    assert contents(tmp_path / "set") == contents(whole)
+
+
+def test_a_contact_that_makes_eight_samples_stays_in_one_shard(tmp_path, capsys):
+    assert tactip.main(options(tmp_path / "odd", "--symmetric")) == 1
+    assert "shards of 4 samples cannot be made: it must be 8, of a contact, or more" in capsys.readouterr().err
+    assert tactip.main(options(tmp_path / "set", "--symmetric", samples=20, shard=16)) == 0
+    assert tactip.main(options(tmp_path / "flat", "--symmetric", samples=20, shard=32)) == 0
+    one, other = read_dataset(tmp_path / "set"), read_dataset(tmp_path / "flat")
+    assert np.array_equal(one.poses, other.poses)
+    assert tactip.main(["dataset", "verify", str(tmp_path / "set")]) == 0
+
+
+def test_a_shard_that_contacts_do_not_fill_evenly_grows_too(tmp_path):
+    """Of 20 samples, two contacts' 16 go into a shard: a set of 20 is of shards already, and grows by shards."""
+    for samples in (20, 40):
+        assert tactip.main(options(tmp_path / "set", "--symmetric", samples=samples, shard=20)) == 0
+        assert tactip.main(["dataset", "verify", str(tmp_path / "set")]) == 0
+    assert [len(read_dataset(part).images) for part in sorted((tmp_path / "set").glob("shard-*"))] == [16, 16, 8]
+
+
+def test_a_worker_closes_a_shard_and_does_no_harm_where_it_is_closed(copy, whole):
+    """As after a worker that was lost with the task, before its end or after it."""
+    shard = copy / "shard-00001"
+    configuration = read_configuration(read_meta(copy), copy)
+    (shard / PARTIAL).mkdir()
+    reopen(shard)
+    assert not (shard / "meta.json").exists()
+    closing = Closing("shard-00001", (whole / "shard-00001" / "run.json").read_bytes())
+    for _ in range(2):
+        closing(configuration, copy)
+        assert not (shard / PARTIAL).exists()
+        assert contents(copy) == contents(whole)
+        assert (shard / "run.json").read_bytes() == closing.run_json
+        (shard / PARTIAL).mkdir()
+    assert repr(closing) == "the end of shard-00001"
+
+
+def test_a_shard_that_was_left_without_its_end_gets_it(copy, whole, capsys):
+    for name in ("meta.json", "run.json"):
+        (copy / name).unlink()
+    for place in (copy, copy / "shard-00002"):
+        (place / PARTIAL).mkdir()
+    reopen(copy / "shard-00002")
+    assert tactip.main(options(copy)) == 0
+    assert "complete already" in capsys.readouterr().out
+    assert contents(copy) == contents(whole)
+
+
+@pytest.mark.parametrize("before", [3, 4, 6])
+def test_it_grows_from_one_folder_or_from_fewer_shards(whole, tmp_path, before):
+    assert tactip.main(options(tmp_path / "set", samples=before)) == 0
+    assert (tmp_path / "set" / "targets.csv").exists() == (before <= SHARD)
+    assert tactip.main(options(tmp_path / "set")) == 0
+    assert contents(tmp_path / "set") == contents(whole)
+
+
+@pytest.mark.parametrize("moved", [1, 2, 4])
+def test_growth_that_is_killed_while_it_moves_goes_on(whole, tmp_path, monkeypatch, capsys, moved):
+    folder = tmp_path / "set"
+    assert tactip.main(options(folder, samples=3)) == 0
+
+    rename, left = type(folder).rename, iter(range(moved))
+
+    def killed(path, target):
+        if next(left, None) is None:
+            raise KeyboardInterrupt
+        return rename(path, target)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(type(folder), "rename", killed)
+        assert tactip.main(options(folder)) != 0
+    assert tactip.main(["dataset", "verify", str(folder)]) == 1
+    assert "unfinished" in capsys.readouterr().err
+    assert tactip.main(options(folder, samples=3)) == 1
+    assert "3 samples are asked for" in (told := capsys.readouterr().err) and "an unfinished set of 10 samples" in told
+    assert tactip.main(options(folder)) == 0
+    assert contents(folder) == contents(whole)
+
+
+def test_a_kill_loses_no_shard(whole, tmp_path):
+    folder = tmp_path / "set"
+    command = [sys.executable, "-m", "tactip_twin.commands.main", *options(folder, "--workers", "2")]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    wait_for((folder / "shard-00000" / "meta.json").exists)
+    process.kill()
+    process.wait()
+    closed = {path: path.stat().st_mtime_ns for path in folder.glob("shard-00000/**/*") if path.is_file()}
+    resumed = run(command)
+    assert resumed.returncode == 0, resumed.stderr
+    # How many there are is chance: the workers that are left finish what they had in their hands.
+    assert samples_found(resumed.stderr + resumed.stdout) >= SHARD
+    assert all(path.stat().st_mtime_ns == written for path, written in closed.items())
+    assert contents(folder) == contents(whole)
+
+
+def test_fewer_samples_than_there_are_are_refused(copy, capsys):
+    for fewer in (3, 8):
+        assert tactip.main(options(copy, samples=fewer)) == 1
+        told = capsys.readouterr().err
+        assert f"{fewer} samples are asked for" in told and "holds a set of 10 samples: ask for more of them" in told
+
+
+def test_a_set_of_one_folder_that_is_too_large_for_a_shard_is_left_as_it_is(tmp_path, capsys):
+    """As they were made before there were shards."""
+    folder = tmp_path / "set"
+    assert tactip.main(options(folder, samples=3)) == 0
+    meta = json.loads((folder / "meta.json").read_text())
+    meta["configuration"]["samples"] = 6
+    (folder / "meta.json").write_text(json.dumps(meta))
+    before = {path.name for path in folder.iterdir()}
+    assert tactip.main(options(folder)) == 1
+    assert "it has 6 samples in one folder, more than the 4 of a shard" in capsys.readouterr().err
+    assert before <= {path.name for path in folder.iterdir()}
+    assert len(read_dataset(folder).images) == 3
+
+
+def _alter_manifest(folder):
+    meta = json.loads((folder / "meta.json").read_text())
+    meta["samples"]["kept"] = 11
+    (folder / "meta.json").write_text(json.dumps(meta))
+
+
+def _swap_shards(folder):
+    (folder / "shard-00000").rename(folder / "x")
+    (folder / "shard-00001").rename(folder / "shard-00000")
+    (folder / "x").rename(folder / "shard-00001")
+
+
+@pytest.mark.parametrize(
+    ("damage", "words"),
+    [
+        (
+            lambda f: (f / "shard-00001" / "images" / "image_00005.png").unlink(),
+            "shard-00001/images/image_00005.png: missing",
+        ),
+        (lambda f: shutil.rmtree(f / "shard-00002"), "shard-00002/meta.json: missing"),
+        (lambda f: (f / "shard-00007").mkdir(), "shard-00007: it is no shard of this set"),
+        (lambda f: (f / "shard-00000" / "meta.json").write_text("{}"), "shard-00000/meta.json: altered"),
+        (_alter_manifest, "meta.json: it promises samples"),
+        (_swap_shards, "shard-00000: it is of another configuration"),
+    ],
+)
+def test_damage_is_told_by_shard(copy, capsys, damage, words):
+    damage(copy)
+    assert tactip.main(["dataset", "verify", str(copy)]) == 1
+    assert words in capsys.readouterr().err
+
+
+def test_results_are_json_for_scripts(copy, tmp_path, capsys):
+    assert tactip.main(options(copy, "--json")) == 0
+    (made,) = json.loads(capsys.readouterr().out)
+    assert (made["kept"], made["failed"], made["made"]) == (SAMPLES, 0, 0)
+    assert tactip.main(["dataset", "verify", str(copy), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["problems"] == []
+    shutil.rmtree(copy / "shard-00001")
+    assert tactip.main(["dataset", "verify", str(copy), "--json"]) == 1
+    assert "shard-00001/meta.json: missing" in json.loads(capsys.readouterr().out)["problems"]

@@ -1,0 +1,184 @@
+"""Contacts that go on: where a walk leads, what it is labelled by, and the sets that are made of its looks."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from helpers.set_commands import configuration, contents, table
+from tactip_twin.sim.contact.curved_surface import bent_surface
+from tactip_twin.sim.contact.record import Bounds
+from tactip_twin.sim.contact.signed_distance import Solid
+from tactip_twin.sim.contact.simulator import ContactPlayer
+from tactip_twin.sim.dataset.generate import Job, make
+from tactip_twin.sim.dataset.sampling import POSE_RANGES, Ranges
+from tactip_twin.sim.dataset.sliding import Walk
+from tactip_twin.sim.dataset.verify import verify
+from tactip_twin.sim.pose import from_mm_deg, label_of, sensor_in_contact, to_mm_deg
+from tactip_twin.tactip_model.errors import TactipError
+
+RADIUS_M = 30e-3
+
+
+def strides(task, solid=None, count=300, seed=0):
+    """Poses in the stimulus' frame and labels, (n, 6) each, of a walk."""
+    draw = np.random.default_rng(seed)
+    walk = Walk(task, solid, POSE_RANGES[task], from_mm_deg([0, 0, -3, 5, -5, 0]), draw)
+    both = [(walk.stride(), walk.label()) for _ in range(count)]
+    return tuple(np.array(each) for each in zip(*both, strict=True))
+
+
+@pytest.mark.parametrize("task", POSE_RANGES)
+def test_a_walk_keeps_to_the_ranges_and_to_the_neighbourhood(task):
+    poses, labels = strides(task)
+    low, high = POSE_RANGES[task].bounds().T
+    assert (to_mm_deg(labels) >= low - 1e-9).all() and (to_mm_deg(labels) <= high + 1e-9).all()
+    gone = np.linalg.norm(np.diff(poses[:, :2] - (0 if task == "surface" else labels[:, :2]), axis=0), axis=1)
+    assert gone.min() > 0.19e-3 and gone.max() < 2.5e-3  # the apex, too, sways where it leans
+    assert 12e-3 < np.abs(poses[:, :2]).max() < 20e-3
+    # It goes about in the ranges, and not only where it began.
+    assert (to_mm_deg(np.ptp(labels, axis=0)) >= 0.6 * (high - low))[high > low].all()
+
+
+@pytest.mark.parametrize("task", POSE_RANGES)
+def test_where_on_the_object_a_contact_began_is_no_matter_of_the_strides(task):
+    """What a pose has of it is gone through once, and not at every stride again."""
+    ranges = replace(POSE_RANGES[task], x_mm=(-5, 5), y_mm=(-5, 5), yaw_deg=(-20, 20))
+    walk = Walk(task, None, ranges, from_mm_deg([4, 4, -3, 0, 0, 15]), np.random.default_rng(0))
+    poses = np.array([walk.stride() for _ in range(100)])
+    gone = np.linalg.norm(np.diff(poses[:, :2] if task == "surface" else poses[:, 1:2], axis=0), axis=1)
+    assert gone.max() < 2.5e-3
+    if task == "surface":
+        assert np.abs(np.diff(poses[:, 5])).max() < np.radians(8)
+
+
+@pytest.mark.parametrize("task", POSE_RANGES)
+def test_on_the_flat_and_the_edge_labels_are_the_poses_but_for_where(task):
+    """A plane is the same all over, and turned; an edge along itself."""
+    poses, labels = strides(task, count=50)
+    turned = np.array([sensor_in_contact(p)[:3, :3] for p in poses])
+    ours = np.array([sensor_in_contact(label)[:3, :3] for label in labels])
+    assert np.allclose(poses[:, 2], labels[:, 2])
+    assert np.allclose(turned[:, 2, 2], ours[:, 2, 2])  # the tilt to the normal
+    if task == "edge":
+        assert np.allclose(np.delete(poses, 1, axis=1), np.delete(labels, 1, axis=1)) and np.ptp(poses[:, 1]) > 5e-3
+
+
+def test_on_a_ball_labels_are_those_of_its_radius_and_middle():
+    """Closed form: depth and tilt by the ball's middle; the surface is of triangles 1 mm wide, 4 µm off."""
+    poses, labels = strides("surface", bent_surface(1 / RADIUS_M, 1 / RADIUS_M, 0.0), count=80)
+    apexes = np.array([sensor_in_contact(p)[:3, 3] for p in poses])
+    axes = np.array([sensor_in_contact(p)[:3, 2] for p in poses])
+    # The surface is a paraboloid: a ball where it is level, which it is to 0.1 mm within 6 mm.
+    near = np.linalg.norm(apexes[:, :2], axis=1) < 5e-3
+    assert near.sum() > 5
+    away = apexes[near] + [0, 0, RADIUS_M]
+    distance = np.linalg.norm(away, axis=1)
+    assert np.allclose(labels[near, 2], distance - RADIUS_M, atol=0.05e-3)
+    tilts = np.arccos(np.clip(-(away / distance[:, None] * axes[near]).sum(1), -1, 1))
+    felt = np.arccos(np.clip([-sensor_in_contact(label)[2, 2] for label in labels[near]], -1, 1))
+    assert np.allclose(felt, tilts, atol=np.radians(0.6))
+
+
+def test_sliding_on_is_what_one_long_shear_is(design, standard):
+    """A contact that is sheared half the way and then slides the rest ends where one shear ends, to what rest makes of
+    it."""
+    player = ContactPlayer(design, "surface", standard)
+    pose, shear = from_mm_deg([0, 0, -3, 5, 0, 0]), from_mm_deg([4, 0, 0, 0, 0, 0])
+    whole = player.play(pose, shear)
+    half = pose - shear / 2
+    player.play(half, shear / 2)
+    tips = player.slide(pose, pose).tips
+    still = player.play(pose, 0 * shear).tips
+    apart, moved = (np.sqrt(np.mean(((whole.tips - other) ** 2).sum(1))) for other in (tips, still))
+    assert apart < 0.06e-3 and moved > 10 * apart
+
+
+def test_the_shear_of_a_look_is_the_way_since_the_first_touch(on_surface):
+    player = on_surface.player
+    pose = from_mm_deg([0, 0, -2, 0, 0, 0])
+    player.play(pose, from_mm_deg([1, 0, 0, 0, 0, 0]))
+    there = player.slide(from_mm_deg([2, 1, -2, 0, 0, 0]), pose)
+    assert np.allclose(to_mm_deg(there.shear), [3, 1, 0, 0, 0, 0])
+    assert np.allclose(there.pose, pose)
+
+
+def made(folder, design, workers=1, **changes):
+    given = configuration(design, **{"samples": 12, "looks": 4, **changes})
+    return given, make([Job(given, folder)], workers, say=lambda line: None)[0]
+
+
+def test_a_set_of_looks_is_the_same_however_it_is_made(design, tmp_path):
+    """One worker, two, and grown from a smaller one that ends within a contact."""
+    made(tmp_path / "a", design)
+    made(tmp_path / "b", design, workers=2)
+    made(tmp_path / "c", design, samples=6)
+    made(tmp_path / "c", design)
+    assert contents(tmp_path / "a") == contents(tmp_path / "b") == contents(tmp_path / "c")
+    assert verify(tmp_path / "a") == []
+    rows = table(tmp_path / "a")
+    assert [row["index"] for row in rows] == [str(k) for k in range(12)]
+    assert len({row["seed"] for row in rows}) == 3
+
+
+def test_the_first_look_is_the_contact_without_a_walk(design, tmp_path):
+    made(tmp_path / "walked", design)
+    made(tmp_path / "plain", design, samples=3, looks=1)
+    walked, plain = table(tmp_path / "walked")[::4], table(tmp_path / "plain")
+    ours = [{k: v for k, v in row.items() if k not in ("index", "sensor_image")} for row in walked]
+    assert ours == [{k: v for k, v in row.items() if k not in ("index", "sensor_image")} for row in plain]
+    assert "looks" not in json.loads((tmp_path / "plain/meta.json").read_text())["configuration"]
+
+
+def test_looks_turn_and_mirror_as_contacts_do(design, tmp_path):
+    given, result = made(
+        tmp_path / "set", design, task="edge", symmetric=True, samples=12, looks=3, pose=POSE_RANGES["edge"]
+    )
+    assert given.each == 6 and result["kept"] + result["failed"] == 12 and verify(tmp_path / "set") == []
+    rows = table(tmp_path / "set")
+    assert len(rows) >= 8 and len(rows) % 2 == 0
+    for one, other in zip(rows[::2], rows[1::2], strict=True):
+        assert int(other["index"]) == int(one["index"]) + 1
+        assert one["pose_x"] == other["pose_x"] and float(one["pose_Rz"]) == -float(other["pose_Rz"])
+
+
+def test_a_look_that_cannot_be_trusted_is_left_out_and_named(design, tmp_path):
+    """And the set is whole, can be read, and grows."""
+    strict = Bounds(volume_ratio=0.8)
+    _, result = made(tmp_path / "set", design, samples=24, looks=12, seed=3, bounds=strict)
+    meta = json.loads((tmp_path / "set/meta.json").read_text())
+    missed = [failure["index"] for failure in meta["failures"]]
+    assert 0 < result["failed"] == len(missed) < 24 and result["kept"] == 24 - len(missed)
+    assert all("of its volume" in failure["tries"][0][0] for failure in meta["failures"])
+    assert {int(row["index"]) for row in table(tmp_path / "set")} == set(range(24)) - set(missed)
+    assert verify(tmp_path / "set") == []
+    made(tmp_path / "set", design, samples=36, looks=12, seed=3, bounds=strict)
+    made(tmp_path / "other", design, samples=36, looks=12, seed=3, bounds=strict)
+    assert contents(tmp_path / "set") == contents(tmp_path / "other")
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"looks": 0}, "0 looks at a contact cannot be had: it must be 1 to 1000"),
+        (
+            {"looks": 200, "shard_samples": 100},
+            "shards of 100 samples cannot be made: it must be 200, of a contact, or more",
+        ),
+        ({"pose": Ranges(depth_mm=(-5, -1), yaw_deg=(5, 9))}, "the range pose.yaw_deg is (5, 9): with more than one look"),
+    ],
+)
+def test_what_cannot_be_had_is_said(design, tmp_path, changes, sentence):
+    with pytest.raises(TactipError, match=sentence.replace("(", r"\(").replace(")", r"\)")):
+        made(tmp_path / "set", design, **changes)
+    assert not (tmp_path / "set").exists()
+
+
+def test_a_walk_on_a_solid_asks_no_more_than_its_surface():
+    """Also of one that is nowhere level."""
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]]) * 60e-3 - 15e-3
+    solid = Solid(corners, np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]))
+    poses, labels = strides("surface", solid, count=20)
+    assert np.isfinite(poses).all() and np.isfinite(labels).all()
+    assert np.allclose(label_of(sensor_in_contact(poses[0])), poses[0])

@@ -1,0 +1,77 @@
+"""A contact turned or mirrored is a contact: what is read of its skin is what playing it gives."""
+
+import numpy as np
+import pytest
+
+from tactip_twin.sim.contact.simulator import ContactPlayer
+from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES, Ranges
+from tactip_twin.sim.dataset.symmetry import SYMMETRIES, SymmetricReader, keeps
+from tactip_twin.sim.pose import before_shear, from_mm_deg
+from tactip_twin.tactip_model.pins import neutral_pins
+from tactip_twin.tactip_model.presets import design_named
+
+POSE = from_mm_deg([1, 0, -3, 8, -5, 20])
+SHEAR = from_mm_deg([2, -1, 0, 2, 1, -3])
+
+
+def contacts_of(player, task, pose=POSE, shear=SHEAR):
+    contact = player.play(pose, shear)
+    skin = player.scene.vertices()[: player.scene.mesh.surface_count]
+    return SymmetricReader(player.scene.design, player.scene.mesh, SYMMETRIES[task]).read(contact, skin)
+
+
+@pytest.mark.parametrize("task", SYMMETRIES)
+def test_they_are_a_group_of_turns_and_mirrors(task):
+    matrices = [s.matrix for s in SYMMETRIES[task]]
+    assert len({tuple((np.round(m) + 0.0).ravel()) for m in matrices}) == len(matrices)
+    assert len(matrices) == {"surface": 8, "edge": 2}[task]
+    assert np.array_equal(matrices[0], np.eye(3))
+    for a in matrices:
+        assert np.allclose(a @ a.T, np.eye(3))
+        for b in matrices:
+            assert any(np.allclose(a @ b, c) for c in matrices)
+
+
+@pytest.mark.parametrize("task", SYMMETRIES)
+def test_labels_go_as_motions_do(task):
+    """Before the shear or after it: turned and mirrored motions are motions of the turned and mirrored."""
+    for s in SYMMETRIES[task]:
+        assert np.allclose(s.label(before_shear(POSE, SHEAR)), before_shear(s.label(POSE), s.label(SHEAR)))
+
+
+@pytest.mark.parametrize("task", SYMMETRIES)
+def test_the_papers_ranges_are_kept(task):
+    assert keeps(SYMMETRIES[task], POSE_RANGES[task])
+    assert keeps(SYMMETRIES[task], SHEAR_RANGES)
+    assert not keeps(SYMMETRIES[task], Ranges(depth_mm=(-5, -1), roll_deg=(-5, 15)))
+
+
+def test_a_mirrored_contact_is_what_the_mirrored_play_gives(design, standard):
+    """On the edge; to what two meshes differ by, for the mesh is not its own mirror image."""
+    player = ContactPlayer(design, "edge", standard)
+    same, mirrored = contacts_of(player, "edge")
+    assert np.allclose(same.tips, player.play(POSE, SHEAR).tips, atol=1e-12)
+    played = player.play(mirrored.pose, mirrored.shear)
+    apart = np.linalg.norm(played.tips - mirrored.tips, axis=1)
+    moved = np.linalg.norm(mirrored.tips - same.tips, axis=1)
+    assert np.sqrt(np.mean(apart**2)) < 0.12e-3
+    assert np.sqrt(np.mean(moved**2)) > 5 * np.sqrt(np.mean(apart**2))
+
+
+@pytest.mark.parametrize("index", [1, 4, 6])
+def test_a_turned_contact_is_what_the_turned_play_gives(on_surface, index):
+    pose, shear = from_mm_deg([0, 0, -3, 8, -5, 0]), from_mm_deg([1, -0.5, 0, 2, 1, -3])
+    contacts = contacts_of(on_surface.player, "surface", pose, shear)
+    played = on_surface.player.play(contacts[index].pose, contacts[index].shear)
+    apart = np.linalg.norm(played.tips - contacts[index].tips, axis=1)
+    assert np.sqrt(np.mean(apart**2)) < 0.12e-3
+
+
+def test_directions_are_units_and_pins_as_built_stay_where_they_are(standard):
+    """A fitted tip has no symmetry of its own: at the lightest touch its pins are all but where they were built."""
+    design = design_named("tactip-127")
+    player = ContactPlayer(design, "surface", standard)
+    neutral, _ = neutral_pins(design)
+    for contact in contacts_of(player, "surface", from_mm_deg([0, 0, -0.02, 0, 0, 0]), np.zeros(6)):
+        assert np.abs(contact.tips - neutral).max() < 0.1e-3
+        assert np.allclose(np.linalg.norm(contact.directions, axis=1), 1)

@@ -1,0 +1,158 @@
+"""Contacts that cannot be trusted are played again, then named; motions that are too steep are not played."""
+
+import json
+import threading
+from concurrent.futures import ThreadPoolExecutor
+
+import mujoco
+import numpy as np
+import pytest
+
+from helpers.set_commands import configuration
+from tactip_twin.commands import main as tactip
+from tactip_twin.sim.contact.fidelity import fidelity_named, finer
+from tactip_twin.sim.contact.limits import too_steep
+from tactip_twin.sim.contact.mujoco_warnings import counted_warnings
+from tactip_twin.sim.contact.record import Bounds
+from tactip_twin.sim.contact.simulator import TRIES, CarefulPlayer
+from tactip_twin.sim.dataset import generate as generation
+from tactip_twin.sim.dataset.generate import Job
+from tactip_twin.sim.dataset.sampling import SHEAR_RANGES, Ranges, generator
+from tactip_twin.sim.pose import from_mm_deg
+from tactip_twin.tactip_model.errors import TactipError
+
+
+def test_a_contact_that_cannot_be_trusted_is_tried_again_then_named(design, tmp_path):
+    """No contact keeps a penetration bound of a nanometre: all are tried again, left out, and named with the reason."""
+    job = Job(configuration(design, bounds=Bounds(penetration_m=1e-9)), tmp_path / "failed")
+    (result,) = generation.make([job], workers=1, say=lambda line: None)
+    assert result["kept"] == 0
+    meta = json.loads((job.folder / "meta.json").read_text())
+    assert [f["index"] for f in meta["failures"]] == [0, 1, 2]
+    assert all(len(f["tries"]) == TRIES and "inside the skin" in f["tries"][-1][0] for f in meta["failures"])
+    assert list((job.folder / "images").iterdir()) == []
+    assert tactip.main(["dataset", "verify", str(job.folder)]) == 0
+
+
+def test_the_second_try_takes_finer_steps(design):
+    """A bound between the penetrations of the two tries: the contact is good, and says that it took two."""
+    draft = fidelity_named("draft")
+    pose, shear = from_mm_deg([0, 0, -5, 10, 0, 0]), np.zeros(6)
+    coarse, fine = (CarefulPlayer(design, "surface", f, Bounds()).play(pose, shear)[0] for f in (draft, finer(draft)))
+    between = (coarse.penetration_m + fine.penetration_m) / 2
+    contact, faults = CarefulPlayer(design, "surface", draft, Bounds(penetration_m=between)).play(pose, shear)
+    assert len(faults) == 1
+    assert contact.penetration_m == fine.penetration_m
+
+
+def warn():
+    """Have MuJoCo warn in this thread."""
+    model = mujoco.MjModel.from_xml_string(
+        "<mujoco><worldbody><body><freejoint/><geom size='1'/></body></worldbody></mujoco>"
+    )
+    data = mujoco.MjData(model)
+    data.qpos[0] = np.nan
+    mujoco.mj_step(model, data)
+
+
+def test_warnings_are_those_of_the_thread_that_counts_them():
+    """Two threads count at a time, and the one that began first ends first: each hears its own, and what heard them before
+    hears them again."""
+    others, theirs, both, ours_over = [], [], threading.Barrier(2, timeout=60), threading.Event()
+
+    def count():
+        with counted_warnings() as messages:
+            both.wait()
+            warn()
+            both.wait()
+            assert ours_over.wait(60)
+            warn()
+            theirs.extend(messages)
+
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(others.append)
+    try:
+        thread = threading.Thread(target=count)
+        with counted_warnings() as ours:
+            thread.start()
+            both.wait()
+            warn()
+            warn()
+            both.wait()
+        ours_over.set()
+        thread.join()
+        assert (len(ours), len(theirs), len(others)) == (2, 2, 0)
+        warn()
+        assert len(others) == 1
+    finally:
+        mujoco.set_mju_user_warning(before)
+
+
+def test_warnings_of_a_thread_that_counts_none_are_everybodys():
+    begun, over = threading.Barrier(3, timeout=60), threading.Event()
+
+    def count():
+        with counted_warnings() as messages:
+            begun.wait()
+            assert over.wait(60)
+            return len(messages)
+
+    with ThreadPoolExecutor(2) as pool:
+        counts = [pool.submit(count) for _ in range(2)]
+        begun.wait()
+        warn()
+        over.set()
+        assert [c.result() for c in counts] == [1, 1]
+
+
+def test_a_diverged_state_is_a_fault(on_surface):
+    from dataclasses import replace
+
+    contact = on_surface([0, 0, -2, 0, 0, 0])
+    assert contact.faults(Bounds()) == []
+    broken = replace(contact, tips=np.where(contact.tips == contact.tips.max(), np.nan, contact.tips))
+    assert "not finite" in broken.faults(Bounds())[0]
+    assert "shrank" in replace(contact, volume_ratio=-0.2).faults(Bounds())[0]
+    assert "mm/s" in replace(contact, speed_m_s=1.0).faults(Bounds())[0]
+
+
+def test_a_state_that_blows_up_is_seen(design, monkeypatch):
+    """Not a number in one vertex in mid-press: the record must say so, not start again from the undeformed tip."""
+    player = CarefulPlayer(design, "surface", fidelity_named("draft"), Bounds())
+    scene = player._players[0].scene
+    place, steps = scene.place, []
+
+    def poisoned(*where):
+        place(*where)
+        steps.append(where)
+        if len(steps) == 4:
+            scene.data.qpos[100] = np.nan
+
+    monkeypatch.setattr(scene, "place", poisoned)
+    contact, faults = player.play(from_mm_deg([0, 0, -3, 0, 0, 0]), np.zeros(6))
+    assert faults == [["the state is not finite"]]
+    assert contact.faults(Bounds()) == []  # the second try is another scene, and good
+
+
+def test_what_is_too_steep_is_drawn_again(design):
+    """±20 degrees two ways and what the shear adds to them leave the cone of 30 degrees in the corners alone: what is
+    inside is as it was drawn, so that a set of gentler ranges is the same as ever."""
+    wide = Ranges(depth_mm=(-5, -1), roll_deg=(-20, 20), pitch_deg=(-20, 20))
+    c = configuration(design, pose=wide)
+    again = 0
+    for number in range(400):
+        draw, given = generator(0, "surface", "train", number), generation.drawn(c, number)
+        assert not too_steep(given.pose, given.shear)
+        pose, shear = wide.draw(draw), SHEAR_RANGES.draw(draw)
+        again += too_steep(pose, shear)
+        assert too_steep(pose, shear) or ((given.pose == pose).all() and (given.shear == shear).all())
+    assert 0 < again < 20
+    gentle = configuration(design)
+    assert not any(too_steep(d.pose, d.shear) for d in (generation.drawn(gentle, number) for number in range(50)))
+
+
+def test_ranges_that_are_too_steep_throughout_are_refused(design, tmp_path):
+    c = configuration(design, pose=Ranges(depth_mm=(-3, -1), roll_deg=(25, 28), pitch_deg=(25, 28)))
+    with pytest.raises(TactipError, match="all are steeper than 30 degrees"):
+        generation.make([Job(c, tmp_path / "steep")], workers=1, say=lambda line: None)
+    assert not (tmp_path / "steep").exists()

@@ -1,0 +1,104 @@
+"""Meshes from files: repaired where that is safe, refused with the reason where it is not."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from tactip_twin.sim.robot.objects import MOST_TRIANGLES, find_object
+from tactip_twin.tactip_model.errors import TactipError
+
+
+def written(path, mesh):
+    mesh.export(path)
+    return path
+
+
+@pytest.fixture
+def ball():
+    return trimesh.creation.icosphere(subdivisions=3, radius=40.0)
+
+
+@pytest.mark.parametrize("ending", ["stl", "ply", "obj", "glb"])
+def test_every_format_gives_the_same_solid(tmp_path, ball, ending):
+    thing = find_object(written(tmp_path / f"ball.{ending}", ball))
+    assert thing.notes == ()
+    assert thing.solid.distance(np.array([0.05, 0, 0])) == pytest.approx(0.01, abs=1e-4)
+    assert np.allclose(thing.T_base_object[:3, 3], [0.38, 0, 0.04], atol=1e-5)
+
+
+def test_unit_scale_and_place(tmp_path, ball):
+    path = written(tmp_path / "ball.stl", ball)
+    thing = find_object(path, unit="cm", scale=0.2, place_mm=(300, -50, 10), turn_deg=(0, 90, 0))
+    assert thing.solid.distance(np.zeros(3)) == pytest.approx(-0.08, abs=5e-4)
+    assert np.allclose(thing.T_base_object[:3, 3], [0.3, -0.05, 0.09], atol=1e-4)
+    assert np.allclose(thing.T_base_object[:3, :3] @ [0, 0, 1], [1, 0, 0], atol=1e-9)
+
+
+def test_what_is_safe_is_repaired_and_said(tmp_path, ball):
+    inverted = ball.copy()
+    inverted.invert()
+    mixed = ball.copy()
+    mixed.faces[::3] = mixed.faces[::3, ::-1]
+    cut = trimesh.creation.cylinder(40.0, 80.0)
+    cut.update_faces(cut.face_normals[:, 2] > -0.5)
+    doubled = trimesh.Trimesh(ball.vertices, np.concatenate([ball.faces, ball.faces[:5], [[0, 0, 1]]]), process=False)
+    for name, mesh, words in (
+        ("inverted", inverted, "faced inward"),
+        ("mixed", mixed, "wound the wrong way"),
+        ("cut", cut, "closed with a lid"),
+        ("doubled", doubled, "left out"),
+    ):
+        thing = find_object(written(tmp_path / f"{name}.ply", mesh))
+        assert any(words in note for note in thing.notes), name
+        assert thing.solid.distance(np.array([0, 0, 0.045])) == pytest.approx(0.005, abs=1e-4), name
+        assert thing.solid.distance(np.array([0, 0, 0.035])) == pytest.approx(-0.005, abs=1e-3), name
+
+
+def test_what_is_not_safe_is_refused_with_the_reason(tmp_path, ball):
+    torn = ball.copy()
+    torn.update_faces(np.random.default_rng(0).random(len(torn.faces)) > 0.02)
+    bowl = ball.copy()
+    x, _, z = bowl.triangles_center.T
+    bowl.update_faces(~((z > 5) & (x > -10)))  # a hole that goes over a corner
+    fin = trimesh.Trimesh(
+        np.concatenate([ball.vertices, [[0, 0, 90]]]),
+        np.concatenate([ball.faces, [[*ball.faces[0, :2], len(ball.vertices)]]]),
+    )
+    sheet = trimesh.Trimesh([[0, 0, 0], [90, 0, 0], [0, 90, 0]], [[0, 1, 2]])
+    for name, mesh, words in (
+        ("torn", torn, "is open"),
+        ("bowl", bowl, "is not flat"),
+        ("fin", fin, "more than two triangles"),
+        ("sheet", sheet, "has no inside"),
+    ):
+        with pytest.raises(TactipError, match=words):
+            find_object(written(tmp_path / f"{name}.ply", mesh))
+
+
+def test_wrong_input_is_one_sentence(tmp_path, ball):
+    path = written(tmp_path / "ball.stl", ball)
+    damaged, text = tmp_path / "damaged.ply", tmp_path / "text.stl"
+    damaged.write_bytes(b"ply\nformat binary_little_endian 1.0\nelement vertex 9999\nproperty float x\nend_header\n")
+    text.write_text("no mesh at all")
+    gaps = ball.copy()
+    gaps.vertices[0] = np.nan
+    for name, words, options in (
+        (path, "is the unit right", {"unit": "m"}),
+        (path, "unit", {"unit": "inch"}),
+        ("bust", "'bust' comes with its size, and --unit mm is of files", {"unit": "mm"}),
+        (path, "above 0", {"scale": 0.0}),
+        (tmp_path / "none.stl", "choose one of bust", {}),
+        (damaged, "damaged.ply", {}),
+        (text, "text.stl", {}),
+        (written(tmp_path / "ball.off", ball), "ends in one of stl", {}),
+        (written(tmp_path / "gaps.ply", gaps), "not finite", {}),
+    ):
+        with pytest.raises(TactipError, match=words):
+            find_object(name, **options)
+
+
+def test_too_fine_a_mesh_is_refused_before_anything_is_built(monkeypatch, ball, tmp_path):
+    monkeypatch.setattr("tactip_twin.sim.robot.objects.MOST_TRIANGLES", 100)
+    with pytest.raises(TactipError, match="simplify"):
+        find_object(written(tmp_path / "ball.stl", ball))
+    assert MOST_TRIANGLES > 1e6

@@ -1,0 +1,146 @@
+"""A recording is read back as it was made, whole or cut short; everything else is refused by a sentence."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from tactip_twin.sim.robot.recording import (
+    ARRAYS,
+    LOG,
+    PHASES,
+    RECORDING,
+    SCENERY,
+    STEPS,
+    Recorder,
+    Scenery,
+    read_recording,
+    read_scenery,
+)
+from tactip_twin.tactip_model.errors import TactipError
+
+SCENE = Scenery(np.eye(3), np.array([[0, 1, 2]]), np.eye(4), np.array([[0, 1, 2]]), 20e-3, True)
+
+
+def _row(k):
+    """A step that is told from others by its number."""
+    sizes = {"tips_m": (5, 3), "directions": (5, 3), "skin_m": (7, 3)}
+    row = {name: np.full(sizes.get(name, shape), float(k)) for name, shape in ARRAYS.items() if name != "images"}
+    image = np.zeros((20, 20), np.uint8)
+    image[k % 20, :k] = 255
+    return row | {"phase": PHASES[k % 3], "images": image}
+
+
+def _record(folder, steps, finish=True):
+    recorder = Recorder(folder, {"task": "surface"}, SCENE)
+    for k in range(steps):
+        recorder.add(_row(k))
+        if k == 1:
+            recorder.note({"step": 1, "kind": "force", "what": "too much"})
+    if finish:
+        recorder.finish({"stopped_because": "it was enough"})
+    return recorder
+
+
+def _check(arrays, steps):
+    assert len(arrays["phase"]) == steps
+    for k in range(steps):
+        wanted = _row(k)
+        assert np.array_equal(arrays["images"][k], wanted.pop("images"))
+        assert PHASES[arrays["phase"][k]] == wanted.pop("phase")
+        assert all(np.array_equal(arrays[name][k], value) for name, value in wanted.items())
+
+
+def test_it_is_read_back_as_it_was_made(tmp_path):
+    _record(tmp_path / "run", 5)
+    record, arrays = read_recording(tmp_path / "run")
+    _check(arrays, 5)
+    assert record["complete"] and record["steps"] == 5 and record["task"] == "surface"
+    assert record["stopped_because"] == "it was enough"
+    assert record["events"] == [{"step": 1, "kind": "force", "what": "too much"}]
+    assert {p.name for p in (tmp_path / "run").iterdir()} == {RECORDING, SCENERY, STEPS, ".lock"}
+    scenery = read_scenery(tmp_path / "run")
+    assert np.array_equal(scenery.object_vertices, SCENE.object_vertices) and scenery.with_arm is True
+    assert scenery.tip_radius_m == 20e-3
+
+
+def test_one_without_steps_is_read(tmp_path):
+    _record(tmp_path / "run", 0)
+    record, arrays = read_recording(tmp_path / "run")
+    assert record["steps"] == 0 and arrays["T_base_tcp"].shape == (0, 4, 4)
+
+
+def test_a_kill_leaves_all_whole_steps(tmp_path):
+    """By kill -9 of the process that records, between two steps."""
+    code = (
+        "import sys, os, signal; sys.path.insert(0, sys.argv[2]);"
+        "from test_recording import _record; _record(sys.argv[1], 4, finish=False); os.kill(os.getpid(), signal.SIGKILL)"
+    )
+    here = os.path.dirname(os.path.abspath(__file__))
+    folder = tmp_path / "run"
+    ended = subprocess.run([sys.executable, "-c", code, str(folder), here], timeout=120)
+    assert ended.returncode == -signal.SIGKILL
+    record, arrays = read_recording(folder)
+    assert not record["complete"] and record["steps"] == 4
+    assert [e["kind"] for e in record["events"]] == ["force"]
+    _check(arrays, 4)
+    # The same command begins anew in the same folder.
+    _record(folder, 2)
+    _check(read_recording(folder)[1], 2)
+
+
+@pytest.mark.parametrize("cut", [1, 50, 4000])
+def test_a_log_that_is_cut_short_is_read_to_its_last_whole_step(tmp_path, cut):
+    _record(tmp_path / "run", 6, finish=False)._held.close()
+    path = tmp_path / "run" / LOG
+    whole = path.read_bytes()
+    path.write_bytes(whole[:-cut])
+    record, arrays = read_recording(tmp_path / "run")
+    assert record["steps"] == 5 if cut < 4000 else record["steps"] < 6
+    _check(arrays, record["steps"])
+    path.write_bytes(whole[:-cut] + b"\xff" * cut)  # as a disk does that wrote the length and not the data
+    again, arrays = read_recording(tmp_path / "run")
+    assert again["steps"] == record["steps"]
+
+
+def test_two_commands_do_not_record_into_one_folder(tmp_path):
+    first = Recorder(tmp_path / "run", {}, SCENE)
+    with pytest.raises(TactipError, match="another command is recording"):
+        Recorder(tmp_path / "run", {}, SCENE)
+    first.finish({"task": "surface"})
+    with pytest.raises(TactipError, match="is not empty"):
+        Recorder(tmp_path / "run", {}, SCENE)
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "thesis.tex").write_text("work")
+    with pytest.raises(TactipError, match="is not empty"):
+        Recorder(tmp_path / "other", {}, SCENE)
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "words"),
+    [
+        (RECORDING, b"{", "cannot be read"),
+        (RECORDING, b"[1]", "cannot be read"),
+        (RECORDING, b'{"format": "else"}', "is no recording of this project"),
+        (RECORDING, json.dumps({"format": "tactip-twin recording", "version": 9}).encode(), "version 9, and version 2"),
+        (RECORDING, json.dumps({"format": "tactip-twin recording", "version": 2}).encode(), "is damaged"),
+        (STEPS, b"PK nothing", "cannot be read"),
+        (STEPS, b"", "cannot be read"),
+    ],
+)
+def test_what_is_none_is_refused(tmp_path, name, data, words):
+    _record(tmp_path / "run", 3)
+    (tmp_path / "run" / name).write_bytes(data)
+    with pytest.raises(TactipError, match=words):
+        read_recording(tmp_path / "run")
+
+
+def test_what_is_missing_is_said(tmp_path):
+    with pytest.raises(TactipError, match="there is no recording in"):
+        read_recording(tmp_path)
+    with pytest.raises(TactipError, match=r"scenery\.npz cannot be read"):
+        read_scenery(tmp_path)

@@ -1,0 +1,65 @@
+"""Frames: group axioms, conventions, and the path of a motion."""
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from tactip_twin.sim.pose import (
+    before_shear,
+    from_mm_deg,
+    inverse,
+    label_of,
+    path,
+    sensor_in_contact,
+    to_mm_deg,
+    turn_between,
+)
+
+component = st.floats(-1, 1)
+labels = st.lists(component, min_size=6, max_size=6).map(np.array)
+
+
+@given(labels)
+def test_label_and_matrix_are_inverse(label):
+    assert np.allclose(label_of(sensor_in_contact(label)), label, atol=1e-9)
+
+
+@given(labels)
+def test_inverse_is_inverse(label):
+    T = sensor_in_contact(label)
+    assert np.allclose(T @ inverse(T), np.eye(4), atol=1e-12)
+
+
+@given(labels)
+def test_units_round_trip(label):
+    assert np.allclose(from_mm_deg(to_mm_deg(label)), label)
+
+
+@given(labels, labels)
+def test_shear_leads_to_the_pose(pose, shear):
+    """The sensor's motion from the start to the pose is the shear, apex by apex and turn by turn."""
+    start = before_shear(pose, shear)
+    assert np.allclose(start[:3] + shear[:3], pose[:3])
+    turned = Rotation.from_rotvec(shear[3:]) * Rotation.from_rotvec(start[3:])
+    assert np.allclose(turned.as_matrix(), Rotation.from_rotvec(pose[3:]).as_matrix(), atol=1e-9)
+
+
+@given(labels, labels)
+def test_path_goes_from_start_to_end_at_a_steady_turn(start, end):
+    way = path(start, end, [0, 0.25, 0.5, 1])
+    assert np.allclose(way[0], start, atol=1e-9)
+    assert np.allclose(way[-1][:3], end[:3])
+    whole = turn_between(start, end)
+    assert np.isclose(turn_between(start, way[1]), 0.25 * whole, atol=1e-7)
+    assert np.isclose(turn_between(way[2], end), 0.5 * whole, atol=1e-7)
+
+
+def test_sensor_frame_at_zero():
+    """Facing the object: z into it, x to the right, y down where label axes have it up."""
+    T = sensor_in_contact(np.zeros(6))
+    assert np.allclose(T[:3, :3], np.diag([1, -1, -1]))
+
+
+def test_depth_is_negative_into_the_object():
+    assert sensor_in_contact(from_mm_deg([0, 0, -3, 0, 0, 0]))[2, 3] == -3e-3

@@ -1,0 +1,162 @@
+"""The pages in a real browser: headless Chromium draws them, and a mouse moves what is on them."""
+
+import re
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from helpers.recordings import RECORD, STEPS, arrays_of, scenery
+from tactip_twin.benchmarks.servo.headless_browser import PROGRAM, Chromium
+from tactip_twin.sim.contact.fidelity import fidelity_named
+from tactip_twin.sim.view.live_page import Live
+from tactip_twin.sim.view.replay_page import Viewer
+from tactip_twin.tactip_model.presets import design_named
+from tactip_twin.tactip_model.renderer import renderer_named
+
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(PROGRAM is None, reason="there is no Chromium here")]
+
+
+def _drag(browser, start, end, pieces=6):
+    """Drag from a place to another, (2,) px each."""
+    browser.mouse("mouseMoved", start)
+    browser.frames(1)
+    browser.mouse("mousePressed", start)
+    for share in np.linspace(0, 1, pieces):
+        browser.mouse("mouseMoved", [a + share * (b - a) for a, b in zip(start, end, strict=True)])
+    browser.mouse("mouseReleased", end)
+
+
+class Served:
+    """A page that is served in this process while a test goes on, by turns: nothing here is in a hurry."""
+
+    def __init__(self, page):
+        self.page, self.browser = page, Chromium(page.address)
+        # viser counts a browser as there when it has told its camera: what is clicked before is not heeded.
+        self.until(page._server.get_clients)
+
+    def until(self, holds, seconds=60.0):
+        def turn():
+            self.page.run(seconds=0.1)
+            return holds()
+
+        return self.browser.until(turn, seconds)
+
+    def text(self, pattern):
+        """Wait until a pattern is on the page; returns the match."""
+        return self.until(lambda: re.search(pattern, self.browser.text()))
+
+    def close(self):
+        self.browser.close()
+        self.page.close()
+
+
+@pytest.fixture(scope="module")
+def replay():
+    served = Served(Viewer(RECORD, arrays_of(), scenery(), port=8451))
+    yield served
+    served.close()
+
+
+def test_a_replay_is_drawn(replay):
+    replay.text("step 0")
+    replay.browser.click("close")
+
+    def drawn():
+        scene = replay.browser.picture()[:, :800].astype(int)
+        grey = np.ptp(scene, axis=2) < 30
+        # The skin is nearly black, the object nearly white, and what lies behind them is neither alone.
+        return (grey & (scene.max(2) < 80)).mean() > 0.004 and len(np.unique(scene.reshape(-1, 3), axis=0)) > 100
+
+    replay.until(drawn)
+
+
+def test_it_plays_and_pauses_by_a_click(replay):
+    replay.page.playback.go(0)
+    replay.browser.click("Play")
+    replay.until(lambda: replay.page.playback.step >= 3)
+    replay.text(r"step [1-9]\d* of|step [1-9]")
+    if replay.page.playback.playing:
+        replay.browser.click("Pause")
+        replay.until(lambda: not replay.page.playback.playing)
+    replay.text("Play")
+
+
+def test_it_is_scrubbed_by_the_slider(replay):
+    replay.page.playback.playing = False
+    replay.page.playback.go(0)
+    replay.page.show()
+    find = """(() => { const t = document.querySelector('[role=slider]'), r = t.parentElement.getBoundingClientRect();
+        const q = t.getBoundingClientRect(); return [q.x + q.width / 2, q.y + q.height / 2, r.x, r.x + r.width]; })()"""
+    x, y, low, high = replay.until(lambda: replay.browser.ask(find))
+    _drag(replay.browser, (x, y), (low + 0.75 * (high - low), y))
+    replay.until(lambda: replay.page.playback.step >= STEPS // 2)
+    replay.text(f"step {replay.page.playback.step}")
+
+
+def test_single_steps_and_events(replay):
+    replay.page.playback.go(2)
+    replay.page.show()
+    replay.browser.click(">")
+    replay.until(lambda: replay.page.playback.step == 3)
+    replay.browser.click("event >")
+    replay.until(lambda: replay.page.playback.step == 7)
+    replay.text("9.0 N on the tip")
+    replay.browser.click("<")
+    replay.until(lambda: replay.page.playback.step == 6)
+
+
+def test_a_key_steps(replay):
+    replay.page.playback.go(4)
+    replay.page.show()
+    replay.browser.mouse("mousePressed", (300, 400))
+    replay.browser.mouse("mouseReleased", (300, 400))
+    replay.browser.key("ArrowRight", "ArrowRight")
+    replay.until(lambda: replay.page.playback.step == 5)
+
+
+@pytest.fixture(scope="module")
+def live():
+    design = design_named("nominal-127")
+    served = Served(Live(design, "surface", fidelity_named("draft"), renderer_named("raster", design), port=8461))
+    yield served
+    served.close()
+
+
+def test_a_number_that_is_typed_moves_the_stimulus(live):
+    live.text("at rest")
+    live.browser.write(".mantine-NumberInput-input", "3")
+    live.until(lambda: abs(live.page._press.label[0] - 3e-3) < 1e-9)
+    live.text("at rest")
+    assert np.hypot(*live.page._press.touch().force[:2]) > 0.05
+
+
+def _on_screen(point, camera, browser):
+    """Where a point of the world, m, is on the page, px: a pinhole in the middle of the canvas, fov from top to bottom."""
+    forward = np.subtract(camera.look_at, camera.position)
+    forward /= np.linalg.norm(forward)
+    right = np.cross(forward, camera.up_direction)
+    right /= np.linalg.norm(right)
+    seen = np.array([right, np.cross(right, forward), forward]) @ np.subtract(point, camera.position)
+    box = "document.querySelector('canvas').getBoundingClientRect()"
+    x, y, w, h = browser.ask(f"(() => {{ const q = {box}; return [q.x, q.y, q.width, q.height]; }})()")
+    scale = h / 2 / np.tan(camera.fov / 2) / seen[2]
+    return x + w / 2 + scale * seen[0], y + h / 2 - scale * seen[1]
+
+
+def test_the_handle_is_dragged_and_the_stimulus_follows(live):
+    """Along the arrow of the handle's own x: the stimulus goes where the mouse goes, as far as it goes."""
+    live.browser.click("back to the start")
+    live.until(lambda: abs(live.page._press.label[0]) < 1e-9)
+    live.text("at rest")
+    live.browser.frames()
+    camera = next(iter(live.page._server.get_clients().values())).camera
+    handle = live.page._handle
+    origin, along = np.array(handle.position), Rotation.from_quat(handle.wxyz, scalar_first=True).as_matrix()[:, 0]
+    start, end = (_on_screen(origin + d * along, camera, live.browser) for d in (0.022, 0.026))
+    _drag(live.browser, start, end, pieces=12)
+    live.until(lambda: np.allclose(handle.position, origin + 0.004 * along, atol=1e-3))
+    live.until(lambda: abs(abs(live.page._press.label[0]) - 4e-3) < 1e-3)
+    assert np.allclose(live.page._press.label[3:], 0, atol=1e-3)
+    assert abs(live.page._sliders[0].value - 1e3 * live.page._press.label[0]) < 1e-6
+    live.text("at rest")

@@ -1,0 +1,142 @@
+"""What is shown of a run: props stand where arm and sensor are, pictures show what is in front, films hold every picture."""
+
+import av
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+
+from helpers.recordings import scenery, tip_mesh
+from tactip_twin.sim.robot.irb120 import READY_RAD, Arm
+from tactip_twin.sim.robot.objects import find_object
+from tactip_twin.sim.view.geometry import Prop, Stage, object_prop, tube
+from tactip_twin.sim.view.offscreen import BACKGROUND, Studio, looking, shade
+from tactip_twin.sim.view.video import write_video
+from tactip_twin.tactip_model.errors import TactipError
+
+
+def _ball(centre, radius, colour):
+    mesh = trimesh.creation.icosphere(3, radius)
+    return Prop(mesh.vertices + centre, mesh.faces, mesh.vertices / radius, colour)
+
+
+@pytest.fixture(scope="module")
+def stage():
+    return Stage(scenery())
+
+
+def _skin():
+    mesh = tip_mesh()
+    return mesh.vertices[: mesh.surface_count]
+
+
+def test_the_sensor_is_at_the_end_of_the_arm(stage):
+    """Its housing, which is put where the tip is, meets the flange of an arm that is put where its angles say."""
+    arm, skin = Arm(), _skin()
+    for turn in (0.0, 0.4, -0.7):
+        angles = READY_RAD + turn * np.array([1, 0.2, -0.3, 0.5, 0.4, 1])
+        T = arm.forward(angles)
+        props = stage.moving(angles, T, skin)
+        assert np.allclose(props[0].vertices, skin @ T[:3, :3].T + T[:3, 3])
+        flange = T[:3, 3] - 89.1e-3 * T[:3, 2]
+        mount = min(props[1:3], key=lambda p: np.linalg.norm(p.vertices - flange, axis=1).min())
+        assert np.isclose(((mount.vertices - flange) @ T[:3, 2]).min(), 0, atol=1e-9)
+        link = min(props[3:], key=lambda p: np.linalg.norm(p.vertices.mean(0) - flange))
+        assert np.isclose(((link.vertices - flange) @ T[:3, 2]).max(), 0, atol=1e-6)
+
+
+def test_without_an_arm_there_is_none(stage):
+    without = Stage(scenery(with_arm=False))
+    T, skin = Arm().forward(READY_RAD), _skin()
+    assert len(without.moving(np.full(6, np.nan), T, skin)) == 3 < len(stage.moving(READY_RAD, T, skin))
+    assert len(stage.moving(np.full(6, np.nan), T, skin)) == 3
+
+
+def test_props_are_carried_whole(stage):
+    T = Arm().forward(READY_RAD)
+    for prop in stage.still + stage.moving(READY_RAD, T, _skin()):
+        assert np.allclose(np.linalg.norm(prop.normals, axis=1), 1, atol=1e-6)
+        corners = prop.vertices[prop.triangles]
+        faces = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        facing = (faces[:, None] * prop.normals[prop.triangles]).sum(-1)
+        assert (facing > 0).mean() > 0.99
+
+
+def test_a_tube_is_round():
+    points = np.column_stack([np.linspace(0, 1, 20), np.zeros(20), np.zeros(20)])
+    one = tube(points, 0.05, (255.0, 0, 0))
+    assert np.allclose(np.hypot(*one.vertices[:, 1:].T), 0.05)
+    assert one.triangles.max() == len(one.vertices) - 1
+
+
+def test_a_picture_shows_what_is_in_front():
+    red, blue = _ball([0, 0, 0], 0.1, (255.0, 0, 0)), _ball([0.5, 0, 0], 0.1, (0.0, 0, 255))
+    studio = Studio(120, 90, [blue])
+    for eye, channel in (([-1, 0, 0], 0), ([1.5, 0, 0], 2)):
+        image = studio.picture([red], eye, [0.2, 0, 0])
+        assert image.shape == (90, 120, 3)
+        middle = image[45, 60].astype(int)
+        assert middle[channel] > 20 and middle[[c for c in range(3) if c != channel]].max() == 0
+        assert tuple(image[0, 0]) == BACKGROUND
+    # What moves is gone from the next picture.
+    assert studio.picture([], [-1, 0, 0], [0.2, 0, 0])[45, 60, 0] == 0
+
+
+def test_a_camera_is_upright_and_looks_at_its_target():
+    eye, target = np.array([1.0, 2, 3]), np.array([0.2, 0.1, 0.4])
+    T = looking(eye, target)
+    assert np.allclose(T[:3, :3].T @ T[:3, :3], np.eye(3))
+    assert np.allclose(np.cross(T[:3, 2], eye - target), 0)
+    assert T[2, 1] > 0 and np.isclose(T[2, 0], 0)
+
+
+def test_light_comes_from_above():
+    assert shade(np.array([[0.0, 0, 1]])) > shade(np.array([[0.0, 0, -1]]))
+
+
+def test_an_object_is_shown_where_it_is():
+    thing, prop = find_object("sphere"), object_prop(scenery())
+    solid, T = thing.solid, thing.T_base_object
+    assert np.allclose(prop.vertices[prop.triangles], solid.vertices[solid.triangles] @ T[:3, :3].T + T[:3, 3])
+
+
+def test_a_film_holds_every_picture(tmp_path):
+    levels = [20, 90, 160, 230]
+    path = tmp_path / "film.mp4"
+    assert write_video(path, (np.full((64, 96, 3), level, np.uint8) for level in levels)) == 4
+    with av.open(str(path)) as film:
+        frames = [f.to_ndarray(format="rgb24") for f in film.decode(video=0)]
+    assert [f.shape for f in frames] == [(64, 96, 3)] * 4
+    assert np.allclose([f.mean() for f in frames], levels, atol=6)
+    assert [p.name for p in tmp_path.iterdir()] == ["film.mp4"]
+
+
+def test_a_film_that_fails_leaves_nothing(tmp_path):
+    def broken():
+        yield np.zeros((64, 64, 3), np.uint8)
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_video(tmp_path / "film.mp4", broken())
+    assert not list(tmp_path.iterdir())
+    still = [np.zeros((64, 64, 3), np.uint8)]
+    for name in ("film.mp4", "film.gif"):
+        with pytest.raises(TactipError, match=r"cannot write .*there is no folder"):
+            write_video(tmp_path / "none" / name, still)
+    with pytest.raises(TactipError, match=r"its name ends in one of \.mp4, \.gif"):
+        write_video(tmp_path / "film.avi", still)
+    with pytest.raises(TactipError, match="no step was recorded"):
+        write_video(tmp_path / "film.mp4", [])
+
+
+def test_a_gif_holds_every_picture(tmp_path):
+    path = tmp_path / "film.gif"
+    pictures = [np.full((64, 96, 3), level, np.uint8) for level in (20, 90, 160)]
+    for k, picture in enumerate(pictures):
+        picture[:, : 10 * (k + 1)] = 255
+    assert write_video(path, pictures, rate=20) == 3
+    with Image.open(path) as gif:
+        assert (gif.n_frames, gif.info["duration"], gif.size) == (3, 50, (96, 64))
+        for k, picture in enumerate(pictures):
+            gif.seek(k)
+            assert np.abs(np.asarray(gif.convert("RGB")).astype(int) - picture).mean() < 2

@@ -1,0 +1,109 @@
+"""The page of a replay: what is shown is the step that is asked for; who may see it is this machine alone."""
+
+import asyncio
+import http.client
+
+import numpy as np
+import pytest
+import viser
+import websockets
+
+from helpers.recordings import RECORD, STEPS, arrays_of, scenery
+from tactip_twin.sim.view.geometry import way_lines
+from tactip_twin.sim.view.replay_page import Viewer
+from tactip_twin.tactip_model.errors import TactipError
+
+
+@pytest.fixture(scope="module")
+def viewer():
+    viewer = Viewer(RECORD, arrays_of(), scenery(), port=8431)
+    yield viewer
+    viewer.close()
+
+
+def test_a_step_is_shown_as_it_was_recorded(viewer):
+    arrays = arrays_of()
+    for step in (3, 7, STEPS - 1):
+        viewer.playback.go(step)
+        viewer.show()
+        assert np.allclose(viewer._tip.position, arrays["T_base_tcp"][step, :3, 3])
+        assert np.allclose(viewer._skin.vertices, arrays["skin_m"][step])
+        assert np.allclose(viewer._pins.points[:, 1], arrays["tips_m"][step])
+        poses = viewer._stage.poses(arrays["angles_rad"][step])
+        assert np.allclose(viewer._links["link_4"].position, poses["link_4"][:3, 3])
+        assert viewer._slider.value == step
+        assert f"**step {step}** of {STEPS - 1}" in viewer._told.content
+        assert ("9.0 N on the tip" in viewer._told.content) == (step == 7)
+    assert "ended: the loop is closed" in viewer._told.content
+
+
+def test_the_way_grows_with_the_steps():
+    arrays = arrays_of()
+    lines, counts = way_lines(arrays)
+    assert counts[2] <= 1 and counts[-1] == len(lines)
+    assert np.all(np.diff(counts) >= 0)
+    pieces = [line for line in lines if abs(line[1, 2] - line[0, 2]) < 1e-6]
+    assert len(pieces) == STEPS - 3  # between the steps that follow
+    normals = [line for line in lines if abs(line[1, 2] - line[0, 2]) > 1e-3]
+    assert len(normals) == 4  # every 2.5 mm of 9
+
+
+def test_it_plays_by_itself(viewer):
+    viewer.playback.go(0)
+    viewer.playback.speed = 4.0
+    viewer.playback.toggle()
+    viewer.run(seconds=0.6)
+    assert 4 < viewer.playback.step <= STEPS - 1
+    assert viewer._shown == viewer.playback.step
+    viewer.playback.playing = False
+
+
+def test_the_page_is_served_here_alone(viewer):
+    page = http.client.HTTPConnection("127.0.0.1", viewer._server.get_port(), timeout=20)
+    page.request("GET", "/")
+    assert page.getresponse().status == 200
+    page.close()
+    assert viewer.address == f"http://127.0.0.1:{viewer._server.get_port()}"
+    assert viewer._server.get_host() == "127.0.0.1"
+
+
+@pytest.mark.parametrize(
+    ("origin", "let_in"),
+    [
+        ("http://127.0.0.1:8431", True),
+        ("http://localhost:8431", True),
+        (None, True),
+        ("http://example.com", False),
+        ("http://127.0.0.1.example.com:8431", False),
+        ("null", False),
+    ],
+)
+def test_other_sites_are_not_let_in(viewer, origin, let_in):
+    """As browsers have it: a page of any site may open a socket to this machine, and says from where it is."""
+
+    async def knock():
+        address, kind = f"ws://127.0.0.1:{viewer._server.get_port()}", f"viser-v{viser.__version__}"
+        async with websockets.connect(address, origin=origin, subprotocols=[kind], max_size=None) as socket:
+            return await asyncio.wait_for(socket.recv(), 20)
+
+    if let_in:
+        assert len(asyncio.run(knock())) > 0
+    else:
+        with pytest.raises(websockets.exceptions.InvalidStatus, match="403"):
+            asyncio.run(knock())
+
+
+def test_nothing_to_show_is_said():
+    with pytest.raises(TactipError, match="no step was made"):
+        Viewer(RECORD | {"steps": 0}, arrays_of(), scenery())
+
+
+def test_an_address_that_is_not_ours_is_said():
+    with pytest.raises(TactipError, match=r"cannot serve at 192\.0\.2\.1"):
+        Viewer(RECORD, arrays_of(), scenery(), host="192.0.2.1", port=8432)
+
+
+@pytest.mark.parametrize("port", [-5, 0, 65536])
+def test_a_port_that_there_is_not_is_said(port):
+    with pytest.raises(TactipError, match=f"the port is {port}: it must be a number from 1 to 65535"):
+        Viewer(RECORD, arrays_of(), scenery(), port=port)

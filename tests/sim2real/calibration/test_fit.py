@@ -1,0 +1,195 @@
+"""A hidden twin is found from its frames and its rig's commands."""
+
+import csv
+import json
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from tactip_twin.commands import main as tactip
+from tactip_twin.sim.contact.fidelity import fidelity_named
+from tactip_twin.sim.contact.simulator import ContactPlayer
+from tactip_twin.sim.pose import from_mm_deg, to_mm_deg
+from tactip_twin.sim2real.calibration.fit import DONE, LOAD_CELL_N, Settings, best_share, calibrate, distances, robust
+from tactip_twin.sim2real.calibration.parameters import Twin, parameters
+from tactip_twin.sim2real.calibration.report import judge, write_report
+from tactip_twin.sim2real.calibration.rig import Rig, RigMotion
+from tactip_twin.tactip_model.design_file import read_design, read_in_use
+from tactip_twin.tactip_model.errors import TactipError
+from tactip_twin.tactip_model.pins import neutral_pins
+from tactip_twin.tactip_model.presets import design_named
+from tactip_twin.tactip_model.raster_renderer import Raster
+from tactip_twin.tactip_model.tactile_image import tactile_image
+
+TAP = from_mm_deg([0, 5, 0, 0, 0, 0])
+RIG = Rig(
+    press_axis=(0.0, 1.0, 0.0),
+    azimuth_deg=-75.0,
+    depth_zero_m=0.2e-3,
+    tcp_behind_apex_m=12e-3,
+    tilt_zero_deg=(0.8, -0.6),
+)
+
+
+def hidden_twin():
+    plain = design_named("nominal-127")
+    return Twin(
+        replace(
+            plain,
+            materials=replace(plain.materials, friction=0.65, kinetic_share=0.6, skin_young_pa=0.9e6, gel_young_pa=1.6e4),
+            pins=replace(plain.pins, length_m=2.2e-3, rotation_deg=31.0),
+            optics=replace(plain.optics, camera_height_m=9e-3, zoom=1.012, drift=(0.002, -0.001), frame_px=512),
+        ),
+        RIG,
+    )
+
+
+def picture(design, tips, directions):
+    settings = replace(design.image, threshold=(87, -5.0), size_px=256)
+    return tactile_image(Raster(design).render(tips, directions), settings)
+
+
+def write_set(folder, twin, count, seed=0):
+    """A real set as the hidden twin makes it, half of its frames taken before the move is over. Returns the shares done."""
+    draw = np.random.default_rng(seed)
+    player, motion = ContactPlayer(twin.design, "surface", fidelity_named("draft")), RigMotion(twin.rig)
+    (folder / "images").mkdir(parents=True)
+    at_rest = replace(twin.design, optics=replace(twin.design.optics, zoom=1.0, drift=(0.0, 0.0)))
+    cv2.imwrite(str(folder / "init_0.png"), picture(at_rest, *neutral_pins(at_rest)))
+    shares = np.where(draw.random(count) < 0.5, 1.0, draw.random(count))
+    columns = ["image_name", *(f"{k}_{i}" for k in ("pose", "move") for i in range(1, 7))]
+    with (folder / "targets.csv").open("w", newline="") as file:
+        rows = csv.writer(file)
+        rows.writerow(columns)
+        for i, share in enumerate(shares):
+            pose = from_mm_deg([0, draw.uniform(-3.5, -0.5), 0, 0, 0, draw.uniform(-15, 15)])
+            move = from_mm_deg([draw.uniform(-3, 3), 0, 0, 0, 0, draw.uniform(-4, 4)])
+            contact = player.play(*motion.contact(pose, move, TAP, share))
+            cv2.imwrite(str(folder / f"images/f_{i}.png"), picture(twin.design, contact.tips, contact.directions))
+            rows.writerow([f"f_{i}.png", *to_mm_deg(pose), *to_mm_deg(move)])
+    (folder / "meta.json").write_text(json.dumps({"tap_move": to_mm_deg(TAP).tolist()}))
+    return shares
+
+
+@pytest.fixture(scope="module")
+def real(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("real") / "set"
+    write_set(folder, hidden_twin(), 48)
+    return folder
+
+
+def start():
+    return replace(design_named("nominal-127"), name="mine")
+
+
+def test_a_parameter_reads_what_it_writes_and_keeps_its_bounds():
+    twin = Twin(start(), RIG)
+    twin = next(p for p in parameters(start()) if p.name == "kinetic_share").write(twin, 0.6)
+    for p in parameters(start()):
+        assert p.low <= p.read(twin) <= p.high
+        moved = p.moved(twin, 0.5)
+        assert p.read(moved) != p.read(twin)
+        assert sum(q.read(moved) != q.read(twin) for q in parameters(start())) == 1
+        assert p.read(p.write(twin, 1e9)) == p.high and p.read(p.write(twin, -1e9)) == p.low, p.name
+
+
+def test_the_share_done_is_where_the_stages_say():
+    stages = np.zeros((1, len(DONE), 5, 2))
+    stages[0, :, :, 0] = 10 * DONE[:, None] ** 2
+    seen = np.full((1, 5, 2), np.nan)
+    seen[0, :3] = [[4.4, 0.0]] * 3  # between 0.6 (3.6) and 0.8 (6.4)
+    share, pins, tangents = best_share(stages, seen)
+    assert share[0] == pytest.approx(0.66, abs=0.011)
+    assert np.allclose(tangents[0, :, 0], 6.4 - 3.6)
+    assert distances(pins, seen)[0] < 0.15
+
+
+def test_a_share_at_its_end_gives_no_way():
+    stages = np.zeros((1, len(DONE), 5, 2))
+    stages[0, :, :, 0] = 10 * DONE[:, None]
+    share, _, tangents = best_share(stages, np.full((1, 5, 2), 11.0))
+    assert share[0] == 1
+    assert not tangents.any()
+
+
+def test_the_cost_of_outliers_is_straight():
+    assert robust(np.array([0.5, 0.5])) == pytest.approx(0.25)
+    assert robust(np.array([3.0])) - robust(np.array([2.0])) == pytest.approx(
+        robust(np.array([4.0])) - robust(np.array([3.0]))
+    )
+
+
+def test_one_round_comes_nearer(real, tmp_path):
+    """Two frames of each kind suffice to see that the slopes point the right way."""
+    say = []
+    settings = Settings(frames=10, judged=10, rounds=("draft", "draft"), judging="draft")
+    result = calibrate(real, start(), settings, tmp_path / "state.json", say.append)
+    assert result.rounds[1]["rms_px"] < 0.7 * result.rounds[0]["rms_px"]
+    for figures in result.rounds:
+        assert figures["cost_after"] <= figures["cost_before"]
+        assert figures["search"]["cost_after"] <= figures["search"]["cost_before"] <= figures["cost_after"] * (1 + 1e-9)
+    assert abs((result.twin.rig.azimuth_deg - RIG.azimuth_deg + 180) % 360 - 180) < 4
+    # Stopped after the first round and begun again, it ends in the same place.
+    state = json.loads((tmp_path / "state.json").read_text())
+    again = []
+    same = calibrate(real, start(), settings, tmp_path / "state.json", again.append)
+    assert "going on after round 2 of 2" in again
+    assert same.twin == result.twin
+    assert json.loads((tmp_path / "state.json").read_text()) == state
+    with pytest.raises(TactipError, match="other settings"):
+        calibrate(real, start(), replace(settings, frames=12), tmp_path / "state.json")
+    (tmp_path / "state.json").write_text("{")
+    with pytest.raises(TactipError, match="remove it"):
+        calibrate(real, start(), settings, tmp_path / "state.json")
+
+
+@pytest.mark.slow
+def test_a_hidden_twin_is_found(real, tmp_path):
+    """What mechanics can be seen, from frames half of which were taken before they say."""
+    settings = Settings(frames=24, judged=24, rounds=("draft",) * 4, judging="draft")
+    result = calibrate(real, start(), settings, tmp_path / "state.json", print)
+    found, hidden = result.twin, hidden_twin()
+    figures = judge(result)
+    assert figures["frames_px"]["share_of_move_found"]["median"] < 0.35
+    assert figures["depth"]["rms_px"] < 0.2
+    close = {"azimuth": 1.5, "depth_zero": 0.12e-3, "tcp_behind_apex": 3e-3, "tilt_zero_x": 0.6, "tilt_zero_y": 0.6}
+    close |= {"friction": 0.12, "pin_length": 0.25e-3, "zoom": 0.003}
+    for p in parameters(start()):
+        if p.name in close:
+            difference = p.read(found) - p.read(hidden)
+            if p.name == "azimuth":
+                difference = (difference + 180) % 360 - 180
+            assert abs(difference) < close[p.name], (p.name, p.read(found), p.read(hidden))
+    ratio = [t.design.materials.skin_young_pa / t.design.materials.gel_young_pa for t in (found, hidden)]
+    assert 0.6 < ratio[0] / ratio[1] < 1.6
+    write_report(result, "hidden", settings, tmp_path / "d.json", tmp_path / "report")
+    assert read_in_use(tmp_path / "d.json") == found.design
+    assert read_design(tmp_path / "d.json").optics.zoom == 1
+    assert {f.name for f in (tmp_path / "report").iterdir()} == {
+        "calibration.json",
+        "calibration.md",
+        "pins.png",
+        "curves.png",
+    }
+
+
+def test_frames_of_another_tip_are_refused(real, tmp_path):
+    with pytest.raises(TactipError, match="has 331"):
+        calibrate(real, design_named("tactip-331"), Settings(), tmp_path / "state.json")
+
+
+def test_what_is_refused_leaves_nothing(real, tmp_path, capsys):
+    for command, words in (
+        ([str(tmp_path / "none")], "is no folder"),
+        ([str(real), "--design", "tactip-331"], "the design 'tactip-331' has 331"),
+    ):
+        assert tactip.main(["calibrate", *command, "--out", str(tmp_path / "mine.json")]) == 1
+        assert words in capsys.readouterr().err
+        assert not list(tmp_path.glob("mine*"))
+
+
+def test_constants_are_in_their_order():
+    assert list(LOAD_CELL_N) == sorted(LOAD_CELL_N)
+    assert DONE[0] == 0 and DONE[-1] == 1

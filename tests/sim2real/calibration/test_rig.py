@@ -1,0 +1,121 @@
+"""A rig's commands as contacts, and the folders that rigs write."""
+
+import csv
+import json
+
+import cv2
+import numpy as np
+import pytest
+
+from tactip_twin.sim.pose import before_shear, from_mm_deg, sensor_in_contact, shear_between
+from tactip_twin.sim2real.calibration.real_set import read_real_set
+from tactip_twin.sim2real.calibration.rig import Rig, RigMotion
+from tactip_twin.tactip_model.errors import TactipError
+
+TAP = from_mm_deg([0, 5, 0, 0, 0, 0])
+
+
+def test_a_perfect_rig_does_as_told():
+    """Pressing along y with x to the side: the work frame's x, z, -y are the contact frame's x, y, z."""
+    motion = RigMotion(Rig(press_axis=(0.0, 1.0, 0.0)))
+    pose, shear = motion.contact(from_mm_deg([0, -2, 0, 0, 0, 12]), from_mm_deg([3, 0, 0, 0, 0, 4]), TAP)
+    assert np.allclose(pose, from_mm_deg([0, 0, -3, 0, 12, 0]))
+    assert np.allclose(shear, from_mm_deg([3, 0, 0, 0, 4, 0]))
+
+
+def test_an_image_taken_early_shows_the_start():
+    motion = RigMotion(Rig(press_axis=(0.0, 1.0, 0.0), tcp_behind_apex_m=20e-3))
+    command, move = from_mm_deg([0, -1, 0, 0, 0, 10]), from_mm_deg([2, 0, 0, 0, 0, 3])
+    last, shear = motion.contact(command, move, TAP, 1.0)
+    first, none = motion.contact(command, move, TAP, 0.0)
+    assert np.allclose(none, 0)
+    assert np.allclose(first[3:], before_shear(last, shear)[3:])
+    assert np.allclose(first[2], last[2] - shear[2])
+
+
+def test_the_lever_lifts_and_moves_a_turned_tip():
+    lever, turn = 20e-3, np.radians(15)
+    motion = RigMotion(Rig(press_axis=(0.0, 0.0, -1.0), tcp_behind_apex_m=lever, depth_zero_m=0.1e-3))
+    tap = from_mm_deg([0, 0, -5, 0, 0, 0])
+    pose, shear = motion.contact([0, 0, 0, 0, turn, 0], [0, 0, 0, 0, turn, 0], tap)
+    assert pose[2] == pytest.approx(-5e-3 - 0.1e-3 + lever * (1 - np.cos(turn)))
+    assert np.allclose(shear, [-lever * np.sin(turn), 0, lever * (1 - np.cos(turn)), 0, turn, 0])
+
+
+def test_azimuth_turns_everything():
+    """The same commands with the camera turned are the same contact seen turned."""
+    command, move = from_mm_deg([0, 0, 1, 3, 8, 0]), from_mm_deg([2, 1, 0, 1, -2, 0])
+    tap = from_mm_deg([0, 0, -4, 0, 0, 0])
+    plain = RigMotion(Rig(tcp_behind_apex_m=5e-3, tilt_zero_deg=(1.0, -2.0))).contact(command, move, tap)
+    turned = RigMotion(Rig(tcp_behind_apex_m=5e-3, tilt_zero_deg=(1.0, -2.0), azimuth_deg=90.0)).contact(command, move, tap)
+    quarter = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    for a, b in zip(plain, turned, strict=True):
+        assert np.allclose(b[3:], quarter @ a[3:])
+    assert np.allclose(turned[1][:3], quarter @ plain[1][:3])
+    assert np.allclose(turned[0][2], plain[0][2])
+
+
+def test_shear_between_is_the_inverse_of_before_shear():
+    pose, shear = from_mm_deg([1, 2, -3, 5, -8, 20]), from_mm_deg([2, -1, 0.5, 3, 2, -4])
+    start = before_shear(pose, shear)
+    assert np.allclose(shear_between(start, pose), shear)
+    assert sensor_in_contact(start).shape == (4, 4)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A real set of two frames, as rigs write it."""
+    (tmp_path / "images").mkdir()
+    for name in ("init_0.png", "images/frame_0.png", "images/frame_1.png"):
+        cv2.imwrite(str(tmp_path / name), np.zeros((64, 64), np.uint8))
+    columns = ["image_name", *(f"{k}_{i}" for k in ("pose", "move") for i in range(1, 7))]
+    with (tmp_path / "targets.csv").open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(columns)
+        for i in range(2):
+            writer.writerow([f"frame_{i}.png", 0, -1 - i, 0, 0, 0, 7, 1, 0, 0, 0, 0, 2])
+    (tmp_path / "meta.json").write_text(json.dumps({"tap_move": [0, 5, 0, 0, 0, 0]}))
+    return tmp_path
+
+
+def test_a_real_set_is_read(folder):
+    real = read_real_set(folder)
+    assert len(real.files) == 2
+    assert np.allclose(real.poses[1], from_mm_deg([0, -2, 0, 0, 0, 7]))
+    assert np.allclose(real.moves[0], from_mm_deg([1, 0, 0, 0, 0, 2]))
+    assert np.allclose(real.tap, TAP)
+    assert real.frame(1).shape == real.neutral.shape == (64, 64)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (lambda f: (f / "init_0.png").unlink(), "no neutral image"),
+        (lambda f: (f / "targets.csv").unlink(), "does not exist"),
+        (lambda f: (f / "meta.json").unlink(), "tap_move"),
+        (lambda f: (f / "meta.json").write_text("{}"), "tap_move"),
+        (lambda f: (f / "meta.json").write_text('{"tap_move": [0, 0, 0, 1, 0, 0]}'), "a translation"),
+        (lambda f: (f / "images/frame_1.png").unlink(), "lacks the frame frame_1.png"),
+        (lambda f: _replace(f / "targets.csv", "pose_3", "pose_x"), "no pose_3"),
+        (lambda f: _replace(f / "targets.csv", "-2", "nan"), "not finite"),
+        (lambda f: _replace(f / "targets.csv", "-2", "deep"), "deep"),
+        (lambda f: _replace(f / "targets.csv", "-2,0,0,0,7,1,0,0,0,0,2", "-2,0"), "row 2 ends before pose_4"),
+        (lambda f: _replace(f / "targets.csv", "frame_1.png,0,-2,0,0,0,7,1,0,0,0,0,2", "frame_1.png"), "row 2 ends before"),
+        (lambda f: (f / "targets.csv").write_bytes(b"image_name\nfr\xe4me.png\n"), "targets.csv cannot be read"),
+        (lambda f: (f / "images/frame_1.png").write_bytes(b"no"), "cannot be read"),
+        (lambda f: cv2.imwrite(str(f / "images/frame_1.png"), np.zeros((32, 64), np.uint8)), "64 by 32 px"),
+    ],
+)
+def test_a_spoiled_real_set_is_refused(folder, spoil, words):
+    spoil(folder)
+    with pytest.raises(TactipError, match=words):
+        read_real_set(folder).frame(1)
+
+
+def test_no_folder_is_refused(tmp_path):
+    with pytest.raises(TactipError, match="is no folder"):
+        read_real_set(tmp_path / "none")
+
+
+def _replace(path, old, new):
+    path.write_text(path.read_text().replace(old, new))

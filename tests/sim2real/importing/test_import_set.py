@@ -1,0 +1,475 @@
+"""Sets of real sensors come in: frames as a rig might have written them, drawn here, and all that may be wrong with them."""
+
+import csv
+import json
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from tactip_twin.commands import main as tactip
+from tactip_twin.learning.data import read_samples
+from tactip_twin.sim.contact.fidelity import fidelity_named
+from tactip_twin.sim.contact.simulator import ContactPlayer
+from tactip_twin.sim.dataset.format import read_dataset
+from tactip_twin.sim.pose import from_mm_deg
+from tactip_twin.sim.view.video import write_video
+from tactip_twin.sim2real.importing import import_set as importing
+from tactip_twin.sim2real.importing.column_map import Layout
+from tactip_twin.sim2real.sensor.preprocess import FrameReader
+from tactip_twin.sim2real.transfer.neutral_calibration import twin_of
+from tactip_twin.tactip_model.errors import TactipError
+from tactip_twin.tactip_model.mask import pin_area
+from tactip_twin.tactip_model.neutral_image import neutral_px
+from tactip_twin.tactip_model.pin_detection import find_blobs
+from tactip_twin.tactip_model.pins import neutral_pins
+from tactip_twin.tactip_model.presets import design_named
+from tactip_twin.tactip_model.raster_renderer import Raster
+from tactip_twin.tactip_model.tactile_image import tactile_image
+
+SIZE = 256
+DESIGN = design_named("nominal-127")
+COLUMNS = ["pose_z=-pose_2-5", "pose_Ry=pose_6", "shear_x=move_1"]
+
+
+def frame(zoom=1.0, design=DESIGN):
+    """A binary frame of the tip, its pins spread by a zoom."""
+    tips, directions = neutral_pins(design)
+    settings = replace(design.image, size_px=SIZE)
+    return tactile_image(Raster(design).render(tips * [zoom, zoom, 1.0], directions), settings)
+
+
+def with_rim(image):
+    """The frame with light at the rim: a long patch, and a speck broken off it."""
+    lit = image.copy()
+    cv2.ellipse(lit, (SIZE // 2, SIZE // 2), (126, 126), 0, 20, 70, 255, 5)
+    cv2.circle(lit, (SIZE // 2 - 124, SIZE // 2 - 10), 3, 255, -1)
+    return lit
+
+
+def write_set(folder, count=12, name="frame_{}.png", **extra):
+    (folder / "images").mkdir(parents=True)
+    cv2.imwrite(str(folder / "init_0.png"), with_rim(frame()))
+    draw = np.random.default_rng(0)
+    rows = []
+    for k in range(count):
+        depth = draw.uniform(-4, 0)
+        cv2.imwrite(str(folder / "images" / name.format(k)), with_rim(frame(1 + 0.02 * (5 + depth))))
+        row = {"image_name": name.format(k), "pose_1": 0, "pose_2": depth, "pose_6": draw.uniform(-20, 20)}
+        rows.append(row | {"move_1": draw.uniform(-5, 5)} | extra)
+    write_table(folder, rows)
+    return rows
+
+
+def write_table(folder, rows):
+    with (folder / "targets.csv").open("w", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def redraw(folder, change):
+    """Put what a function makes of each of a laboratory's images in its place."""
+    for path in [folder / "init_0.png", *(folder / "images").iterdir()]:
+        image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+        assert image is not None
+        cv2.imwrite(str(path), change(image))
+
+
+def bring(folder, out, *options):
+    return tactip.main(["import", str(folder), "--out", str(out), "--columns", *COLUMNS, *options])
+
+
+def test_a_set_comes_in_whole(tmp_path, capsys):
+    rows = write_set(tmp_path / "lab")
+    assert bring(tmp_path / "lab", tmp_path / "set", "--tcp-behind-apex-mm", "0") == 0
+    told = capsys.readouterr().out
+    assert "12 of 12 frames; 127 pins in most, 127 to 127" in told
+    assert "shear_x: " in told
+    assert tactip.main(["dataset", "verify", str(tmp_path / "set")]) == 0
+    dataset = read_dataset(tmp_path / "set")
+    assert np.allclose(dataset.poses[:, 2], [-row["pose_2"] - 5 for row in rows], atol=1e-6)
+    assert np.allclose(dataset.poses[:, 4], [row["pose_6"] for row in rows], atol=1e-6)
+    samples = read_samples(tmp_path / "set")  # as training and evaluation read it
+    assert samples.images.shape == (12, 128, 128)
+    assert samples.labels.components == ("z", "Rx", "Ry")
+    picture = cv2.imread(str(tmp_path / "set" / "import.png"))
+    assert picture is not None and picture.shape[1] > 1000
+    # The same command again finds it done; another one does not write over it.
+    assert bring(tmp_path / "lab", tmp_path / "set", "--tcp-behind-apex-mm", "0") == 0
+    assert "imported already" in capsys.readouterr().out
+    assert bring(tmp_path / "lab", tmp_path / "set", "--tcp-behind-apex-mm", "5") == 1
+    assert "is not empty" in capsys.readouterr().err
+
+
+def test_light_at_the_rim_is_masked_and_pins_are_not(tmp_path):
+    plain, lit = frame(1.08), with_rim(frame(1.08))
+    reader = FrameReader(Layout(), with_rim(frame()))
+    assert np.array_equal(reader.masked(lit), plain)
+    assert not np.array_equal(FrameReader(Layout(mask="none"), with_rim(frame())).masked(lit), plain)
+    # Without a neutral image, frames tell where the pins are.
+    told = FrameReader(Layout(), None, [with_rim(frame(z)) for z in (1.0, 1.04, 1.1)])
+    assert np.array_equal(told.masked(lit), plain)
+    with pytest.raises(TactipError, match="at most 0 pins are seen"):
+        pin_area([np.zeros((64, 64), np.uint8)])
+
+
+def lit_all_round(image, zoom=1.0, right_px=0.0):
+    """The frame with six arcs of light round it, as large and as far to the right as a camera that grew warm sees them."""
+    lit, fine = image.copy(), 1 << 4
+    centre, radius = round((SIZE / 2 + right_px) * fine), round(120 * zoom * fine)
+    for start in range(0, 360, 60):
+        cv2.ellipse(lit, (centre, SIZE // 2 * fine), (radius, radius), 0, start, start + 40, 255, 4, cv2.LINE_AA, 4)
+    return np.where(lit > 127, 255, 0).astype(np.uint8)
+
+
+def test_light_at_the_rim_tells_how_the_camera_has_changed(tmp_path, capsys, monkeypatch):
+    write_set(tmp_path / "lab")
+    cv2.imwrite(str(tmp_path / "lab" / "init_0.png"), lit_all_round(frame()))
+    for k in range(12):
+        cv2.imwrite(str(tmp_path / "lab" / "images" / f"frame_{k}.png"), lit_all_round(frame(1 + 0.005 * k), 1.02, 1.0))
+    assert bring(tmp_path / "lab", tmp_path / "set") == 0
+    assert "by the light at the rim the image is 1.0" in capsys.readouterr().out
+    camera = json.loads((tmp_path / "set" / "import.json").read_text())["camera"]
+    assert camera["zoom"] == pytest.approx(1.02, abs=0.003)
+    assert camera["drift"] == pytest.approx([1 / SIZE, 0.0], abs=0.001)
+    # One that an earlier version imported, which did not look, is imported anew.
+    meta = (tmp_path / "set" / "meta.json").read_bytes()
+    report = json.loads((tmp_path / "set" / "import.json").read_text())
+    del report["camera"]
+    (tmp_path / "set" / "import.json").write_text(json.dumps(report))
+    assert bring(tmp_path / "lab", tmp_path / "set") == 0
+    assert "which looked at less" in capsys.readouterr().out
+    assert (tmp_path / "set" / "meta.json").read_bytes() == meta
+    # And if that is stopped before its end, it is no set until the command is run again.
+    (tmp_path / "set" / "import.json").write_text(json.dumps(report))
+    with monkeypatch.context() as patch:
+        patch.setattr(importing, "encode_image", lambda image: (_ for _ in ()).throw(KeyboardInterrupt))
+        assert bring(tmp_path / "lab", tmp_path / "set") == 130
+    assert not (tmp_path / "set" / "meta.json").exists()
+    assert bring(tmp_path / "lab", tmp_path / "set") == 0
+    assert (tmp_path / "set" / "meta.json").read_bytes() == meta
+    # The twin has it, and the pins that the neutral image shows are where they were when that was taken.
+    design, figures = twin_of(tmp_path / "set", 128)
+    assert figures["camera"] == camera and design.optics.zoom == camera["zoom"]
+    then = replace(design, optics=replace(design.optics, zoom=1.0, drift=(0.0, 0.0)))
+    assert np.abs(neutral_px(then) - neutral_px(DESIGN)).max() < 0.6
+
+
+def test_a_camera_of_which_no_light_tells_is_not_known(tmp_path, capsys):
+    write_set(tmp_path / "lab")  # one arc of light
+    assert bring(tmp_path / "lab", tmp_path / "set") == 0
+    assert "too little light at the rim" in capsys.readouterr().out
+    assert json.loads((tmp_path / "set" / "import.json").read_text())["camera"] is None
+    assert twin_of(tmp_path / "set", 128)[0].optics.zoom == 1.0
+
+
+def test_frames_that_are_mirrored_turned_and_dark():
+    upright = frame()
+    assert len(find_blobs(upright).centres) == 127
+    for turn in (90, 180, -90):
+        given = np.ascontiguousarray(np.rot90(upright, -turn // 90)[:, ::-1])
+        reader = FrameReader(Layout(mirrored=True, dark=True, mask="none"))
+        assert not np.array_equal(reader.binary(255 - given), upright)
+        # What was turned and then mirrored is mirrored back, and then turned back.
+        reader = FrameReader(Layout(image_turn_deg=turn, mirrored=True, dark=True, mask="none"))
+        assert np.array_equal(reader.binary(255 - given), upright)
+    # An angle between: there and back is where it was, to a pixel's rounding.
+    turned = FrameReader(Layout(image_turn_deg=30.0, mask="none")).binary(upright)
+    back = FrameReader(Layout(image_turn_deg=-30.0, mask="none")).binary(turned)
+    assert (np.abs(back.astype(int) - upright) > 127).mean() < 0.01
+
+
+def test_grey_frames_are_thresholded_as_a_simulated_one():
+    grey = Raster(DESIGN).render(*neutral_pins(DESIGN))
+    reader = FrameReader(Layout(threshold=(61, -5.0), mask="none"))
+    assert np.array_equal(reader.read(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)), tactile_image(grey, DESIGN.image))
+
+
+def test_what_does_not_fit_is_left_out_and_named(tmp_path, capsys):
+    rows = write_set(tmp_path / "lab")
+    images = tmp_path / "lab" / "images"
+    (images / "frame_1.png").unlink()
+    (images / "frame_2.png").write_bytes(b"no image")
+    cv2.imwrite(str(images / "frame_3.png"), np.zeros((SIZE, SIZE), np.uint8))
+    cv2.imwrite(str(images / "frame_4.png"), np.zeros((SIZE, 300), np.uint8))
+    rows[5]["pose_2"] = ""
+    write_table(tmp_path / "lab", rows)
+    assert bring(tmp_path / "lab", tmp_path / "set") == 0
+    report = json.loads((tmp_path / "set" / "import.json").read_text())
+    assert report["kept"] == 7
+    why = {one["frame"]: one["why"] for one in report["left_out"]}
+    assert why["frame_1.png"] == "the frame is not there"
+    assert why["frame_2.png"] == "it cannot be read as an image"
+    assert why["frame_3.png"] == "0 pins are seen, 127 in most"
+    assert why["frame_4.png"] == "it is 300 by 256 px, the others are 256 by 256 px"
+    assert why["frame_5.png"] == "its row has a cell that is no finite number"
+    assert tactip.main(["dataset", "verify", str(tmp_path / "set")]) == 0
+
+
+@pytest.mark.parametrize(
+    ("spoil", "options", "words"),
+    [
+        (lambda lab: (lab / "targets.csv").unlink(), [], "targets.csv does not exist: name it by --targets"),
+        (
+            lambda lab: [(lab / "targets.csv").rename(lab / "a.csv"), (lab / "b.csv").touch()],
+            [],
+            "has no targets.csv: name its table by --targets",
+        ),
+        (lambda lab: (lab / "targets.csv").write_text("image_name,pose_2\n"), [], "has no rows"),
+        (lambda lab: None, ["--image-column", "photo"], "has no column photo"),
+        (lambda lab: [p.unlink() for p in (lab / "images").iterdir()], [], "no frame of the table is there"),
+        (
+            lambda lab: [cv2.imwrite(str(p), np.zeros((9, 9))) for p in (lab / "images").iterdir()],
+            [],
+            "12 of 12 frames do not",
+        ),
+        (lambda lab: None, ["--neutral", "none.png"], "the neutral image none.png does not exist"),
+        (lambda lab: None, ["--crop", "0", "0", "256", "128"], "is 256 by 128 px, and should be square"),
+        (lambda lab: None, ["--crop", "0", "0", "0", "0"], "is 0 by 0 px, and should be square"),
+        (lambda lab: None, ["--crop", "0", "0", "999", "999"], "does not fit a frame of 256 by 256 px"),
+        (lambda lab: None, ["--task", "corner"], "unknown task 'corner': choose one of"),
+    ],
+)
+def test_a_wrong_set_is_one_sentence(tmp_path, capsys, spoil, options, words):
+    write_set(tmp_path / "lab")
+    spoil(tmp_path / "lab")
+    assert bring(tmp_path / "lab", tmp_path / "set", *options) == 1
+    told = capsys.readouterr().err.strip().splitlines()[-1]
+    assert words in told
+    assert not (tmp_path / "set" / "meta.json").exists()
+
+
+def test_the_only_table_is_the_sets_whatever_its_name(tmp_path):
+    write_set(tmp_path / "lab")
+    (tmp_path / "lab" / "targets.csv").rename(tmp_path / "lab" / "targets_images.csv")
+    assert bring(tmp_path / "lab", tmp_path / "set") == 0
+    assert len(read_dataset(tmp_path / "set").images) == 12
+
+
+def test_an_imported_set_that_is_damaged_is_one_sentence(tmp_path, capsys):
+    write_set(tmp_path / "lab")
+    (tmp_path / "set").mkdir()
+    (tmp_path / "set" / "meta.json").write_text('{"format": ')
+    assert bring(tmp_path / "lab", tmp_path / "set") == 1
+    assert "meta.json cannot be read as JSON" in capsys.readouterr().err
+
+
+def test_names_may_not_leave_the_folder(tmp_path, capsys):
+    rows = write_set(tmp_path / "lab")
+    cv2.imwrite(str(tmp_path / "secret.png"), frame())
+    rows[0]["image_name"] = "../secret.png"
+    write_table(tmp_path / "lab", rows)
+    assert bring(tmp_path / "lab", tmp_path / "set") == 0
+    report = json.loads((tmp_path / "set" / "import.json").read_text())
+    assert report["left_out"][0]["why"] == "the frame is not there"
+
+
+def test_what_a_kill_leaves_is_begun_anew(tmp_path, monkeypatch):
+    write_set(tmp_path / "lab")
+    real = cv2.imread
+
+    def stop(path, *flags):
+        if path.endswith("frame_7.png"):
+            raise KeyboardInterrupt
+        return real(path, *flags)
+
+    monkeypatch.setattr(cv2, "imread", stop)
+    assert bring(tmp_path / "lab", tmp_path / "set") == 130
+    monkeypatch.setattr(cv2, "imread", real)
+    assert not (tmp_path / "set" / "meta.json").exists()
+    assert bring(tmp_path / "lab", tmp_path / "set") == 0
+    assert bring(tmp_path / "lab", tmp_path / "other") == 0
+    for name in ("meta.json", "targets.csv", "import.json"):
+        assert (tmp_path / "set" / name).read_bytes() == (tmp_path / "other" / name).read_bytes()
+
+
+def test_a_kill_before_the_last_file_leaves_a_folder_that_is_ours(tmp_path, monkeypatch):
+    write_set(tmp_path / "lab")
+    real = importing.write_file
+
+    def killed(path, data):
+        if path.name == "meta.json":
+            raise KeyboardInterrupt
+        real(path, data)
+
+    monkeypatch.setattr(importing, "write_file", killed)
+    assert bring(tmp_path / "lab", tmp_path / "set") == 130
+    assert (tmp_path / "set" / "targets.csv").exists()
+    monkeypatch.setattr(importing, "write_file", real)
+    assert bring(tmp_path / "lab", tmp_path / "set") == 0
+    assert tactip.main(["dataset", "verify", str(tmp_path / "set")]) == 0
+
+
+def test_another_neutral_image_is_another_set_and_a_broken_one_is_named(tmp_path, capsys):
+    write_set(tmp_path / "lab")
+    assert bring(tmp_path / "lab", tmp_path / "set") == 0
+    other, broken = tmp_path / "other.png", tmp_path / "broken.png"
+    cv2.imwrite(str(other), frame(1.01))
+    broken.write_bytes(b"no image")
+    capsys.readouterr()
+    assert bring(tmp_path / "lab", tmp_path / "set", "--neutral", str(other)) == 1
+    assert "is not empty" in capsys.readouterr().err
+    assert bring(tmp_path / "lab", tmp_path / "third", "--neutral", str(broken)) == 1
+    assert "broken.png: it cannot be read as an image" in capsys.readouterr().err
+
+
+def test_without_a_neutral_image_a_frame_that_does_not_fit_spoils_nothing(tmp_path):
+    write_set(tmp_path / "lab")
+    (tmp_path / "lab" / "init_0.png").unlink()
+    images = tmp_path / "lab" / "images"
+    (images / "frame_1.png").write_bytes(b"no image")
+    cv2.imwrite(str(images / "frame_3.png"), np.zeros((SIZE, 300), np.uint8))
+    assert bring(tmp_path / "lab", tmp_path / "set") == 0
+    report = json.loads((tmp_path / "set" / "import.json").read_text())
+    assert [one["frame"] for one in report["left_out"]] == ["frame_1.png", "frame_3.png"]
+
+
+def test_without_a_neutral_image_the_shallowest_frames_stand_for_it(tmp_path, capsys):
+    """Each presses the pins of another part outward by two of their widths: in most frames they are where they were."""
+    write_set(tmp_path / "lab", 1)
+    (tmp_path / "lab" / "init_0.png").unlink()
+    tips, directions = neutral_pins(DESIGN)
+    rows = []
+    for k in range(90):
+        depth = 0.05 if k < 5 else 4.0
+        away = tips[:, :2] - 0.008 * np.array([np.cos(1.2 * k), np.sin(1.2 * k)])
+        pressed = np.linalg.norm(away, axis=1) < 2e-3 * (1 + depth)
+        moved = tips + np.where(pressed[:, None], np.pad(away * 0.4, ((0, 0), (0, 1))), 0.0)
+        image = tactile_image(Raster(DESIGN).render(moved, directions), replace(DESIGN.image, size_px=SIZE))
+        cv2.imwrite(str(tmp_path / "lab" / "images" / f"frame_{k}.png"), with_rim(image))
+        rows.append({"image_name": f"frame_{k}.png", "pose_2": depth - 5})
+    write_table(tmp_path / "lab", rows)
+    command = ["import", str(tmp_path / "lab"), "--out", str(tmp_path / "set"), "--columns", "pose_z=-pose_2-5"]
+    assert tactip.main(command) == 0
+    told = "the middle of 5 of the shallowest frames, -0.05 to -0.05 mm, stands for it"
+    assert told in capsys.readouterr().out
+    design, figures = twin_of(tmp_path / "set", 128)
+    assert figures["pins"] == 127 and figures["camera"] is None
+    assert np.abs(neutral_px(design) - neutral_px(DESIGN)).max() < 0.6
+    # One that an earlier version imported, which kept no such image, is imported anew.
+    report = json.loads((tmp_path / "set" / "import.json").read_text())
+    del report["stand_in"]
+    (tmp_path / "set" / "import.json").write_text(json.dumps(report))
+    assert tactip.main(command) == 0
+    assert "which looked at less" in capsys.readouterr().out
+    # And one whose report is damaged is named.
+    (tmp_path / "set" / "import.json").write_text("{")
+    assert tactip.main(command) == 1
+    assert "import.json cannot be read as JSON" in capsys.readouterr().err
+
+
+def test_the_press_of_frames_that_stand_for_a_neutral_image_is_taken_off(tmp_path):
+    """Six frames of a stiffer tip at rest 1 to 2 mm deep: the twin's pins are where that tip's are when nothing touches."""
+    write_set(tmp_path / "lab", 1)
+    (tmp_path / "lab" / "init_0.png").unlink()
+    stiffer = replace(DESIGN, materials=replace(DESIGN.materials, skin_young_pa=1.3 * DESIGN.materials.skin_young_pa))
+    player = ContactPlayer(stiffer, "surface", fidelity_named("draft"))
+    rows = []
+    for k, depth in enumerate(np.linspace(1, 2, 6)):
+        contact = player.play(from_mm_deg([0, 0, -depth, 0, 0, 0]), np.zeros(6))
+        drawn = Raster(DESIGN).render(contact.tips, contact.directions)
+        image = tactile_image(drawn, replace(DESIGN.image, size_px=SIZE))
+        cv2.imwrite(str(tmp_path / "lab" / "images" / f"frame_{k}.png"), image)
+        rows.append({"image_name": f"frame_{k}.png", "pose_2": depth - 5})
+    write_table(tmp_path / "lab", rows)
+    command = ["import", str(tmp_path / "lab"), "--out", str(tmp_path / "set"), "--columns", "pose_z=-pose_2-5"]
+    assert tactip.main(command) == 0
+
+    def off_px():
+        design, figures = twin_of(tmp_path / "set", 128)
+        return np.sqrt(((neutral_px(design) - neutral_px(DESIGN)) ** 2).sum(1).mean()), figures["pressed_mm"], design
+
+    off, pressed_mm, design = off_px()
+    assert pressed_mm == pytest.approx(0.75 * 1.4) and off < 0.5
+    assert design.pins.diameter_m == pytest.approx(DESIGN.pins.diameter_m, rel=0.15)
+    # As it is where the frames' depth is not known to be one.
+    report = json.loads((tmp_path / "set" / "import.json").read_text())
+    report["stand_in"]["pose_z"] = [0.5, 0.5]
+    (tmp_path / "set" / "import.json").write_text(json.dumps(report))
+    assert off_px()[:2] == (pytest.approx(1.15, abs=0.2), 0.0)
+
+
+def test_films_stand_where_frames_do(tmp_path, capsys):
+    """Each row's film is at rest but in its middle frame, which is the row's own; films are squeezed as cameras' are."""
+    rows = write_set(tmp_path / "lab")
+    assert bring(tmp_path / "lab", tmp_path / "frames") == 0
+    (tmp_path / "lab" / "images").rename(tmp_path / "lab" / "stills")
+    (tmp_path / "lab" / "videos").mkdir()
+    for k, row in enumerate(rows):
+        still = cv2.imread(str(tmp_path / "lab" / "stills" / row.pop("image_name")))
+        rest = cv2.cvtColor(with_rim(frame()), cv2.COLOR_GRAY2RGB)
+        write_video(tmp_path / "lab" / "videos" / f"video_{k}.mp4", [rest, still, rest], 10)
+        row["sensor_video"] = f"video_{k}.mp4"
+    write_table(tmp_path / "lab", rows)
+    assert bring(tmp_path / "lab", tmp_path / "films", "--film-frame", "1") == 0
+    films, frames = (read_dataset(tmp_path / name) for name in ("films", "frames"))
+    assert np.array_equal(films.poses, frames.poses)
+    for i in range(len(rows)):
+        assert (films.image(i) != frames.image(i)).mean() < 0.01
+    # The last frame, if none is told; here each shows the tip at rest.
+    assert bring(tmp_path / "lab", tmp_path / "last") == 0
+    last = read_dataset(tmp_path / "last")
+    apart = [(each.image(0) != each.image(1)).mean() for each in (last, films)]
+    assert apart[0] < 0.001 and apart[1] > 0.01
+    capsys.readouterr()
+    assert bring(tmp_path / "lab", tmp_path / "none", "--film-frame", "3") == 1
+    assert "the film has no frame 3 (0 is the first, -1 the last)" in capsys.readouterr().err
+
+
+def test_frames_that_are_grey_are_told_of_and_how(tmp_path, capsys):
+    write_set(tmp_path / "lab")
+    redraw(tmp_path / "lab", lambda image: (60 + 0.5 * image).astype(np.uint8))
+    assert bring(tmp_path / "lab", tmp_path / "set") == 1
+    told = capsys.readouterr().err
+    assert "are neither black nor white" in told and "give --threshold 43 -5" in told
+    assert not (tmp_path / "set").exists()
+    assert bring(tmp_path / "lab", tmp_path / "set", "--threshold", "43", "-5") == 0
+    assert "127 pins in most" in capsys.readouterr().out
+
+
+def test_a_wide_frame_is_refused_with_the_crop_that_does(tmp_path, capsys):
+    write_set(tmp_path / "lab")
+    redraw(tmp_path / "lab", lambda image: np.pad(image, ((20, 30), (150, 40))))
+    assert bring(tmp_path / "lab", tmp_path / "set") == 1
+    told = capsys.readouterr().err
+    assert "should be square: give --crop " in told
+    crop = told.split("--crop ")[1].split(",")[0].split()
+    # The pins in the middle, as they were before the frames were made wide.
+    assert np.allclose(np.array(crop, int), [150, 20, 150 + SIZE, 20 + SIZE], atol=6)
+    assert bring(tmp_path / "lab", tmp_path / "set", "--crop", *crop) == 0
+    assert "127 pins in most, 127 to 127" in capsys.readouterr().out
+
+
+def test_depths_of_the_other_sign_are_told(tmp_path, capsys):
+    write_set(tmp_path / "lab")
+    wrong = ["pose_z=pose_2+5", *COLUMNS[1:]]
+    assert tactip.main(["import", str(tmp_path / "lab"), "--out", str(tmp_path / "set"), "--columns", *wrong]) == 0
+    assert "pose_z is mostly positive, and is negative into the object" in capsys.readouterr().out
+    assert bring(tmp_path / "lab", tmp_path / "other") == 0
+    assert "mostly positive" not in capsys.readouterr().out
+
+
+def test_layouts_of_other_families(tmp_path):
+    """128 px frames of a tip with 331 pins, named without an ending; depth positive, three components, no neutral image."""
+    design = design_named("nominal-331")
+    small = replace(design, image=replace(design.image, size_px=128))
+    tips, directions = neutral_pins(design)
+    folder = tmp_path / "lab"
+    (folder / "frames").mkdir(parents=True)
+    rows = []
+    for k in range(6):
+        image = tactile_image(Raster(small).render(tips * [1 + 0.01 * k, 1 + 0.01 * k, 1], directions), small.image)
+        cv2.imwrite(str(folder / "frames" / f"image_{k}.png"), image)
+        rows.append({"sensor_image": f"image_{k}", "depth": 1 + 0.5 * k, "roll": k, "pitch": -k})
+    write_table(folder, rows)
+    layout = tmp_path / "layout.json"
+    layout.write_text(json.dumps({"columns": ["pose_z=-depth", "pose_Rx=roll", "pose_Ry=pitch"]}))
+    out = tmp_path / "set"
+    assert tactip.main(["import", str(folder), "--out", str(out), "--layout", str(layout)]) == 0
+    dataset = read_dataset(out)
+    assert np.allclose(dataset.poses[:, 2], [-1 - 0.5 * k for k in range(6)], atol=1e-5)
+    assert not dataset.shears.any()
+    report = json.loads((out / "import.json").read_text())
+    assert not report["neutral_image"] and report["stand_in"] == {"frames": 5, "pose_z": [-1.0, -3.0]}

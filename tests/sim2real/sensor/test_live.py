@@ -1,0 +1,197 @@
+"""The live sensor: films and folders in the place of a camera, and all that goes wrong with one."""
+
+import json
+import signal
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from tactip_twin.commands import main as tactip
+from tactip_twin.sim.contact.fidelity import fidelity_named
+from tactip_twin.sim.contact.simulator import ContactPlayer
+from tactip_twin.sim.pose import from_mm_deg
+from tactip_twin.sim2real.importing.column_map import Layout
+from tactip_twin.sim2real.sensor import frame_sources as frames
+from tactip_twin.sim2real.sensor.frame_sources import CameraFrames
+from tactip_twin.sim2real.sensor.live import Camera
+from tactip_twin.tactip_model.errors import TactipError
+from tactip_twin.tactip_model.pins import neutral_pins
+from tactip_twin.tactip_model.presets import find_design
+from tactip_twin.tactip_model.raster_renderer import Raster
+from tactip_twin.tactip_model.tactile_image import tactile_image
+
+ROOT = Path(__file__).parents[3]
+WIDTH, HEIGHT, LEFT, TOP = 640, 480, 132, 60
+CROP = (LEFT, TOP, LEFT + 360, TOP + 360)
+
+
+@pytest.fixture(scope="module")
+def presses():
+    """Frames of a camera, the tip untouched and then pressed, and the depths: grey, 640 by 480 px."""
+    design, depths = find_design("tactip-127"), [2.0, 3.0, 4.0]
+    player = ContactPlayer(design, "surface", fidelity_named("standard"))
+    contacts = [player.play(from_mm_deg([0, 0, -d, 0, 0, 0]), np.zeros(6)) for d in depths]
+    raster, shots = Raster(design), []
+    for tips, directions in [neutral_pins(design), *((c.tips, c.directions) for c in contacts)]:
+        shot = np.full((HEIGHT, WIDTH), 20, np.uint8)
+        shot[TOP : TOP + 360, LEFT : LEFT + 360] = raster.render(tips, directions)
+        shots.append(cv2.cvtColor(shot, cv2.COLOR_GRAY2BGR))
+    return shots, depths
+
+
+@pytest.fixture
+def film(presses, tmp_path):
+    path = tmp_path / "film.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 30, (WIDTH, HEIGHT))
+    for shot in presses[0]:
+        for _ in range(3):
+            writer.write(shot)
+    writer.release()
+    return path
+
+
+def rows(capsys):
+    return [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+
+
+def test_a_film_is_felt(film, presses, capsys):
+    crop = [str(x) for x in CROP]
+    assert tactip.main(["camera", "--video", str(film), "--crop", *crop]) == 0
+    told = rows(capsys)
+    assert [row["frame"] for row in told] == list(range(12))
+    assert all(row["pins"] == 127 and "fault" not in row for row in told)
+    felt = np.array([row["pose_z"] for row in told]).reshape(4, 3)[1:].mean(1)
+    assert np.allclose(felt, [-d for d in presses[1]], atol=0.15)
+    assert np.allclose([[row["pose_Rx"], row["pose_Ry"]] for row in told[3:]], 0, atol=1.0)
+
+
+def test_images_are_read_in_their_order_and_as_few_as_asked_for(presses, tmp_path, capsys):
+    for name, shot in zip(("shot_2", "shot_10", "shot_9"), presses[0], strict=False):
+        cv2.imwrite(str(tmp_path / f"{name}.png"), shot)
+    crop = [str(x) for x in CROP]
+    command = ["camera", "--images", str(tmp_path), "--model", "none", "--crop", *crop]
+    assert tactip.main(command) == 0
+    assert len(rows(capsys)) == 3
+    names = [p.stem for p in frames.ImageFrames(tmp_path)._paths]
+    assert names == ["shot_2", "shot_9", "shot_10"]
+    assert tactip.main([*command, "--frames", "2"]) == 0
+    assert len(rows(capsys)) == 2
+
+
+def test_the_image_is_the_one_that_a_set_would_have(presses):
+    layout = Layout(threshold=(61, -5.0), crop=CROP, mask="none")
+    design = find_design("tactip-127")
+    reading = next(iter(Camera(presses[0][1:2], layout)))
+    plain = tactile_image(presses[0][1], replace(design.image, crop=CROP))
+    assert np.array_equal(reading.image, plain)
+
+
+def test_a_frame_that_does_not_fit_is_a_fault_and_the_next_goes_on(presses):
+    shots = [presses[0][0], np.zeros_like(presses[0][0]), presses[0][1][:100], presses[0][2]]
+    readings = list(Camera(shots, Layout(threshold=(61, -5.0), crop=CROP)))
+    assert [bool(s.fault) for s in readings] == [False, True, True, False]
+    assert "pins are seen, 127 were in the undeformed tip" in readings[1].fault
+    assert "it is 640 by 100 px, the others are 640 by 480 px" in readings[2].fault
+    assert not readings[1].felt and "fault" in readings[1].as_json()
+
+
+def test_a_first_frame_without_a_tip(presses):
+    with pytest.raises(TactipError, match="the first frame shows no tip: at most 0 pins are seen"):
+        list(Camera([np.zeros((HEIGHT, WIDTH, 3), np.uint8)], Layout(threshold=(61, -5.0))))
+    with pytest.raises(TactipError, match=r"the frames do not fit: .* should be square: give --crop 132 65 488 421"):
+        list(Camera(presses[0], Layout(threshold=(61, -5.0))))
+
+
+class Unplugged:
+    """A capture that gives some frames and then none."""
+
+    def __init__(self, opened, shots):
+        self._opened, self._shots = opened, list(shots)
+
+    def isOpened(self):
+        return self._opened
+
+    def set(self, *_):
+        return True
+
+    def read(self):
+        return (True, self._shots.pop(0)) if self._shots else (False, None)
+
+    def release(self):
+        self._opened = False
+
+
+def test_a_camera_that_is_unplugged_ends_in_a_sentence(presses, monkeypatch, capsys):
+    monkeypatch.setattr(cv2, "VideoCapture", lambda device: Unplugged(True, presses[0]))
+    monkeypatch.setattr(CameraFrames.__init__, "__defaults__", (0.05,))
+    crop = [str(x) for x in CROP]
+    assert tactip.main(["camera", "--device", "0", "--model", "none", "--crop", *crop]) == 1
+    captured = capsys.readouterr()
+    assert len(captured.out.splitlines()) == 4  # what was seen before was told
+    assert "the camera 0 has given no frame for 0.05 s: is it unplugged?" in captured.err
+    monkeypatch.setattr(cv2, "VideoCapture", lambda device: Unplugged(False, []))
+    assert tactip.main(["camera", "--device", "0"]) == 1
+    assert "the camera 0 cannot be opened" in capsys.readouterr().err
+
+
+def test_a_page_stays_after_the_last_frame_until_it_is_ended(film):
+    command = [
+        sys.executable,
+        "-m",
+        "tactip_twin.commands.main",
+        "camera",
+        "--video",
+        str(film),
+        "--model",
+        "none",
+        "--page",
+        "--port",
+        "18931",
+    ]
+    with subprocess.Popen(
+        [*command, "--crop", *(str(x) for x in CROP)],
+        cwd=ROOT,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),  # noqa: PLW1509
+    ) as process:
+        assert process.stderr is not None
+        told = ""
+        while "Ctrl-C ends it" not in told:
+            line = process.stderr.readline()
+            assert line, told
+            told += line
+        assert process.poll() is None
+        process.send_signal(signal.SIGINT)
+        assert process.wait(30) == 0
+        assert "12 frames, 0 of them faulty" in process.stderr.read()
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--device", "-1"], "tactip: --device is -1: it must be a"),
+        (["--images", "b", "--frames", "-2"], "tactip: --frames is -2"),
+        ([], "0 sources of frames are given: give one of --device, --video and --images"),
+        (["--video", "a.avi", "--images", "b"], "2 sources of frames"),
+        (["--video", "nothing.avi"], "the film nothing.avi does not exist"),
+        (["--video", __file__], "cannot be read as a film"),
+        (["--images", "nowhere"], "nowhere is no folder of images"),
+        (["--images", "."], "there is no image in ."),
+    ],
+)
+def test_wrong_sources_are_one_sentence(options, words, capsys, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    assert tactip.main(["camera", *options]) == 1
+    assert words in capsys.readouterr().err
+
+
+def test_a_network_of_another_size(film, capsys):
+    assert tactip.main(["camera", "--video", str(film), "--size-px", "64"]) == 1
+    assert "the images are 64 px wide, the network takes 128 px" in capsys.readouterr().err

@@ -1,0 +1,326 @@
+"""Transfer, on a sensor that is real to the network alone: a second simulated tip with other rubber, lens and light."""
+
+import csv
+import json
+import shutil
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from tactip_twin.benchmarks.learning import transfer as transferred
+from tactip_twin.benchmarks.options import TransferredOptions
+from tactip_twin.commands import main as tactip
+from tactip_twin.learning import recipes as networks
+from tactip_twin.learning.data import read_samples
+from tactip_twin.learning.model import load_model
+from tactip_twin.learning.posenet import PoseNetConfig
+from tactip_twin.learning.recipes import Recipe
+from tactip_twin.learning.train import TrainSettings, train
+from tactip_twin.sim.contact.fidelity import fidelity_named
+from tactip_twin.sim.contact.simulator import ContactPlayer
+from tactip_twin.sim.pose import from_mm_deg
+from tactip_twin.sim2real.transfer.experiments import ABLATIONS, Experiment, score, split_of
+from tactip_twin.sim2real.transfer.fine_tune import FineTuning, fine_tune
+from tactip_twin.sim2real.transfer.neutral_calibration import twin_of
+from tactip_twin.sim2real.transfer.pseudo_real import hidden_design
+from tactip_twin.sim2real.transfer.settings import TransferSettings
+from tactip_twin.sim2real.transfer.sim_gap import gap
+from tactip_twin.tactip_model.errors import TactipError
+from tactip_twin.tactip_model.neutral_image import neutral_px
+from tactip_twin.tactip_model.pins import neutral_pins
+from tactip_twin.tactip_model.presets import design_named
+from tactip_twin.tactip_model.raster_renderer import Raster
+from tactip_twin.tactip_model.tactile_image import tactile_image
+
+SIZE = 256
+TINY = Recipe(
+    PoseNetConfig(conv_layers=2, filters=8, units=32, batch_size=16, reduce=2),
+    TrainSettings(epochs=3, rate=3e-3, drawn=0.5),
+)
+
+
+def hidden(design):
+    """A sensor that nobody has described: its camera sits elsewhere, its pins are thicker, its rubber is other."""
+    return replace(
+        design,
+        materials=replace(design.materials, friction=0.4, gel_young_pa=1.5e4),
+        pins=replace(design.pins, rotation_deg=24.0, diameter_m=1.0e-3, rim_diameter_m=0.9e-3),
+        optics=replace(design.optics, centre=(0.49, 0.51), neutral_radius=(11.6, 0.04, 0.0026)),
+    )
+
+
+def photo(design, tips, directions):
+    """A frame: pins, and light at the rim."""
+    image = tactile_image(Raster(design).render(tips, directions), replace(design.image, size_px=SIZE))
+    cv2.ellipse(image, (SIZE // 2, SIZE // 2), (126, 126), 0, 100, 150, 255, 4)
+    return image
+
+
+@pytest.fixture(scope="session")
+def lab(tmp_path_factory):
+    """A folder as a laboratory publishes it: depth before a tap, one tilt, shears that no network is told of."""
+    folder = tmp_path_factory.mktemp("lab") / "other_tip"
+    (folder / "images").mkdir(parents=True)
+    design = hidden(design_named("nominal-127"))
+    cv2.imwrite(str(folder / "init_0.png"), photo(design, *neutral_pins(design)))
+    player, draw, rows = ContactPlayer(design, "surface", fidelity_named("draft")), np.random.default_rng(0), []
+    for k in range(60):
+        depth, tilt, slid = draw.uniform(-4, 0), draw.uniform(-15, 15), draw.uniform(-3, 3)
+        contact = player.play(from_mm_deg([0, 0, -depth - 5, 0, tilt, 0]), from_mm_deg([slid, 0, 0, 0, 0, 0]))
+        cv2.imwrite(str(folder / "images" / f"frame_{k}.png"), photo(design, contact.tips, contact.directions))
+        rows.append({"image_name": f"frame_{k}.png", "pose_2": depth, "pose_6": tilt, "move_1": slid})
+    with (folder / "targets.csv").open("w", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+    out = folder.with_name("set")
+    columns = ["pose_z=-pose_2-5", "pose_Ry=pose_6", "shear_x=move_1"]
+    assert tactip.main(["import", str(folder), "--out", str(out), "--columns", *columns]) == 0
+    return out
+
+
+@pytest.fixture
+def tiny(monkeypatch):
+    monkeypatch.setitem(networks.RECIPES, "tiny", {"surface": TINY, "edge": TINY})
+
+
+def test_the_twin_has_the_hidden_sensors_pins_where_they_are(lab):
+    design, figures = twin_of(lab, 128)
+    true = hidden(design_named("nominal-127"))
+    assert figures["pins"] == 127 and figures["layout"] == "nominal-127"
+    assert design.pins.rotation_deg == pytest.approx(24.0, abs=0.5)
+    assert np.abs(neutral_px(design) - neutral_px(true)).max() < 0.6  # a tenth of a spacing, by blobs of whole pixels
+    # Its images are as white as the sensor's own, though another pipeline made these.
+    seen = cv2.imread(str(lab / "neutral_tactile.png"), 0) > 127
+    drawn = tactile_image(Raster(design).render(*neutral_pins(design)), design.image) > 127
+    assert drawn.sum() == pytest.approx(seen.sum(), rel=0.03)
+    assert design.pins.diameter_m == pytest.approx(1.0e-3, rel=0.2)
+
+
+FEW = ["--contacts", "10", "--held", "10", "--real-frames", "30", "--recipe", "tiny", "--fidelity", "draft"]
+FEW += ["--tuning-steps", "4", "--workers", "1"]
+
+
+def test_zero_and_few_shot_from_the_command_line(lab, tiny, tmp_path, capsys):
+    command = ["--real", str(lab), "--out", str(tmp_path / "out"), *FEW, "--shots", "10", "30"]
+    assert tactip.main(["transfer", "zero-shot", *command, "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert set(told) == {"simulation", "real"}
+    assert told["simulation"]["samples"] == 30
+    assert told["simulation"]["varies"] == {"pose_z": True, "pose_Rx": False, "pose_Ry": True}
+    assert all(np.isfinite(v) for part in told.values() for v in part["mae"].values())
+    assert tactip.main(["transfer", "few-shot", *command]) == 0
+    record = json.loads((tmp_path / "out" / "results.json").read_text())
+    assert list(record["few-shot"]) == ["0", "10", "30"]
+    assert "alone" not in record["few-shot"]["10"] and set(record["few-shot"]["30"]) == {"fine_tuned", "alone"}
+    assert record["few-shot"]["0"]["fine_tuned"] == record["zero-shot"]["simulation"]
+    assert record["few-shot"]["30"]["alone"] == record["zero-shot"]["real"]
+    page = (tmp_path / "out" / "results.md").read_text()
+    assert "| trained on simulation |" in page and "pose_Rx" not in page
+    # Nothing that is there is made again.
+    made = {p: p.stat().st_mtime_ns for p in (tmp_path / "out").rglob("*") if p.name in ("model.pt", "pins.npz")}
+    assert tactip.main(["transfer", "few-shot", *command]) == 0
+    assert made == {p: p.stat().st_mtime_ns for p in made}
+
+
+def test_optics_are_as_narrow_as_the_light_at_the_rim_allows(lab, tmp_path):
+    report = json.loads((lab / "import.json").read_text())
+    assert report["camera"] is None  # one arc of light is too little
+    known = tmp_path / "known"
+    shutil.copytree(lab, known)
+    report["camera"] = {"zoom": 1.01, "drift": [0.001, 0.0], "of_one_frame": {"zoom": 1e-3, "drift": [1e-3, 1e-3]}}
+    (known / "import.json").write_text(json.dumps(report))
+    settings = TransferSettings(real_frames=30)
+    variants = [ABLATIONS[what] for what in ("all of it", "without calibration", "without image noise")]
+
+    def names(folder, **changed):
+        experiment = Experiment(folder, tmp_path / "out", replace(settings, **changed))
+        return [experiment.optics(variant) for variant in variants]
+
+    assert names(lab) == ["real", "real", "real-clean"]
+    assert names(known) == ["steady", "real", "steady-clean"]
+    assert names(known, optics="rim") == ["rim", "rim", "rim-clean"]
+    (known / "import.json").unlink()  # as of a simulated set, in the place of a real one
+    assert names(known, design="tactip-127") == ["real", "real", "real-clean"]
+    (known / "import.json").write_text(json.dumps(report))
+    told = Experiment(known, tmp_path / "out", replace(settings, design="tactip-127")).design()
+    assert told.optics.zoom == 1.01 and told.pins == design_named("tactip-127").pins
+
+
+@pytest.mark.slow
+def test_each_part_is_left_out_by_itself(lab, tiny, tmp_path):
+    command = ["--real", str(lab), "--out", str(tmp_path / "out"), *FEW]
+    assert tactip.main(["transfer", "zero-shot", *command]) == 0
+    assert tactip.main(["transfer", "ablate", *command]) == 0
+    record = json.loads((tmp_path / "out" / "results.json").read_text())
+    assert list(record["ablate"]) == list(ABLATIONS)
+    assert record["ablate"]["all of it"] == record["zero-shot"]["simulation"]
+    others = [tuple(part["mae"].values()) for part in record["ablate"].values()]
+    assert len(set(others)) == len(ABLATIONS)  # each is a network of its own
+    flat = read_samples(tmp_path / "out" / "unsheared" / "train")
+    assert not flat.shears.any() and read_samples(tmp_path / "out" / "sim" / "train").shears.any()
+
+
+def test_what_is_tested_on_is_never_learned_from(lab):
+    settings = TransferSettings(real_frames=30)
+    experiment = Experiment(lab, "unused", settings, workers=1)
+    known, test = set(experiment.split.known.rows), set(experiment.split.test.rows)
+    assert not known & test and len(known | test) == 60
+    again = Experiment(lab, "unused", settings, workers=1)
+    assert np.array_equal(again.split.known.rows, experiment.split.known.rows)
+    ranges = experiment._poses()
+    assert ranges.roll_deg == ranges.pitch_deg  # no tilt is narrower than the widest
+    assert ranges.depth_mm[1] <= 0
+
+
+class Constant:
+    """A model that is off by the same everywhere, and by a little more at random in the depth."""
+
+    def __init__(self, samples):
+        draw = np.random.default_rng(0)
+        self.off = np.array([0.4, 0.0, 3.0])
+        self.noise = np.stack([draw.normal(0, 0.1, len(samples)), np.zeros(len(samples)), np.zeros(len(samples))], 1)
+        self.targets = samples.targets
+
+    def predict(self, images):
+        return self.targets + self.off + self.noise
+
+
+def test_the_zero_is_taken_out_of_the_depth_alone(lab):
+    samples = read_samples(lab)
+    figures = score(Constant(samples), samples)
+    assert figures["mae"]["pose_z"] == pytest.approx(0.4, abs=0.05)
+    assert figures["mae_zeroed"]["pose_z"] == pytest.approx(0.1 * np.sqrt(2 / np.pi), rel=0.3)
+    assert figures["mae_zeroed"]["pose_Ry"] == figures["mae"]["pose_Ry"] == pytest.approx(3.0)
+
+
+def test_fine_tuning_learns_the_real_frames_and_leaves_the_base_alone(lab, tiny, tmp_path):
+    few = TransferSettings(real_frames=30, contacts=12, held=10, fidelity="draft")
+    experiment = Experiment(lab, tmp_path, few, workers=1)
+    trained, val = experiment.simulated()
+    train(trained, val, TINY.network, TINY.settings, tmp_path / "base", "cpu", print, quiet=True)
+    base, known = load_model(tmp_path / "base"), experiment.split.known
+    before = {k: v.clone() for k, v in base.net.state_dict().items()}
+    settings = FineTuning(steps=150, rate=5e-3)
+    fine_tune(base, trained, known, settings, tmp_path / "tuned", "cpu")
+    assert all(torch.equal(v, before[k]) for k, v in base.net.state_dict().items())
+    tuned = load_model(tmp_path / "tuned")
+    errors = [np.abs((m.predict(known.images) - known.targets) / m.labels.scale).mean() for m in (base, tuned)]
+    assert errors[1] < 0.8 * errors[0]
+    fine_tune(base, trained, known, settings, tmp_path / "again", "cpu")
+    assert (tmp_path / "again" / "model.pt").read_bytes() == (tmp_path / "tuned" / "model.pt").read_bytes()
+    with pytest.raises(TactipError, match="holds another network"):
+        fine_tune(base, trained, known, replace(settings, seed=1), tmp_path / "tuned", "cpu")
+    with pytest.raises(TactipError, match="no real frames to fine-tune with"):
+        fine_tune(base, trained, known.take(slice(0, 0)), settings, tmp_path / "none", "cpu")
+
+
+def test_the_gap_is_seen_and_closes_with_the_right_design(lab, tmp_path, capsys):
+    """The hidden sensor's own design explains its frames; what is fitted to the neutral image alone, nearly."""
+    command = ["transfer", "gap", "--real", str(lab), "--out", str(tmp_path / "out"), "--real-frames", "20"]
+    assert tactip.main([*command, "--gap-frames", "20", "--fidelity", "draft", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    left_out = [told[f"frames_whose_pins_were_{how}"] for how in ("not_told_apart", "taken_for_others")]
+    assert told["frames"] + sum(left_out) == 20 and told["frames"] > 15
+    assert told["at_the_best_share_of_the_move"]["median"] < 0.4 * told["pins_move"]
+    assert (tmp_path / "out" / "gap.png").stat().st_size > 10_000
+    assert {"pose_z", "pose_Ry", "shear_mm"} <= set(told["against"])
+    # The same with a design that is told, into a folder that is not there yet.
+    told = [*command[:-3], str(tmp_path / "other"), *command[-2:], "--design", "nominal-127", "--gap-frames", "8"]
+    assert tactip.main([*told, "--fidelity", "draft"]) == 0
+    assert (tmp_path / "other" / "gap.png").exists()
+    right, _ = gap(read_samples(lab), hidden(design_named("nominal-127")), "draft", 20)
+    assert right["at_the_best_share_of_the_move"]["median"] < 0.5  # a blob's middle in an image of 128 px
+    assert right["images"]["white_within_a_pixel"] > 0.9
+    with pytest.raises(TactipError, match="in none of 8 frames"):
+        gap(read_samples(lab), design_named("nominal-331"), "draft", 8)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--real-frames", "50"], "with 50 to learn from, 20 or more must be left to test on"),
+        (["--optics", "rainbow"], "unknown optics 'rainbow': choose one of auto, lens, real, rim, steady"),
+        (["--mechanics", "stone"], "unknown mechanics 'stone'"),
+        (["--recipe", "cake"], "unknown recipe 'cake'"),
+        (["--design", "cube"], "unknown design 'cube'"),
+        (["--start", "nobody"], "no shipped model of that name"),
+    ],
+)
+def test_wrong_words_are_one_sentence(lab, tmp_path, capsys, options, words):
+    command = ["transfer", "zero-shot", "--real", str(lab), "--out", str(tmp_path / "out"), "--real-frames", "30"]
+    assert tactip.main([*command, *options]) == 1
+    assert words in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_how_many_labels_may_be_used_goes_by_the_set_if_it_is_not_told(lab):
+    samples = read_samples(lab)
+    halves = split_of(samples, TransferSettings())
+    assert (len(halves.known), len(halves.test)) == (36, 24)
+    many = samples.take(np.arange(3000) % 60)
+    assert len(split_of(many, TransferSettings()).known) == 1500
+    with pytest.raises(TactipError, match="has 30 frames: at least 33 are needed"):
+        split_of(samples.take(slice(0, 30)), TransferSettings())
+
+
+def test_a_set_whose_depths_have_the_other_sign_is_refused_before_anything_is_made(lab, tmp_path, capsys):
+    folder, wrong = lab.with_name("other_tip"), ["pose_z=pose_2+5", "pose_Ry=pose_6"]
+    assert tactip.main(["import", str(folder), "--out", str(tmp_path / "set"), "--columns", *wrong]) == 0
+    assert tactip.main(["transfer", "zero-shot", "--real", str(tmp_path / "set"), "--out", str(tmp_path / "out")]) == 1
+    assert "and must be negative into the object" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+def test_pseudo_real_runs_without_any_real_data(tiny, tmp_path, capsys):
+    command = ["transfer", "pseudo-real", "--out", str(tmp_path / "out"), "--frames", "50", "--gap-frames", "8", *FEW]
+    assert tactip.main([*command, "--shots", "10", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert set(told) == {"zero-shot", "gap", "few-shot"}
+    assert told["gap"]["at_the_best_share_of_the_move"]["median"] < told["gap"]["pins_move"]
+
+
+def test_what_is_hidden_is_another_sensor_and_the_same_from_its_seed(tmp_path, capsys):
+    assert hidden_design("nominal-127", 0) == hidden_design("nominal-127", 0) != hidden_design("nominal-127", 1)
+    assert hidden_design("nominal-127", 0).optics != design_named("nominal-127").optics
+    assert tactip.main(["transfer", "pseudo-real", "--out", str(tmp_path / "out"), "--real", "x"]) == 1
+    assert "pseudo-real makes its own set" in capsys.readouterr().err
+    assert tactip.main(["transfer", "gap", "--out", str(tmp_path / "none")]) == 1
+    assert "gap needs the folder of an imported set: give --real" in capsys.readouterr().err
+
+
+def test_an_unknown_experiment_and_a_set_without_a_neutral_image(lab, tmp_path, capsys):
+    assert tactip.main(["transfer", "many-shot", "--real", str(lab), "--out", str(tmp_path / "out")]) == 1
+    assert "choose one of zero-shot, ablate, few-shot, gap, pseudo-real" in capsys.readouterr().err
+    (tmp_path / "set").mkdir()
+    with pytest.raises(TactipError, match=r"has no neutral\.png, it was imported by an earlier version"):
+        twin_of(tmp_path / "set", 128)
+
+
+def test_the_page_of_all_sets_says_what_was_asked(lab, tmp_path, monkeypatch):
+    """Errors are held to what is asked and to those of real training; what was made before stays on the page."""
+
+    def figures(depth, tilt):
+        values = {"pose_z": depth, "pose_Rx": 0.0, "pose_Ry": tilt}
+        return {"mae": values, "mae_zeroed": values, "varies": {"pose_z": True, "pose_Rx": False, "pose_Ry": True}}
+
+    zero = {"simulation": figures(0.3, 1.5), "real": figures(0.1, 1.0)}
+    few = {"0": {"fine_tuned": figures(0.3, 1.5)}, "50": {"fine_tuned": figures(0.11, 1.2)}}
+    monkeypatch.setattr(transferred, "EXPERIMENTS", {"zero-shot": lambda e: zero, "few-shot": lambda e: few})
+    folders = {"runs": tmp_path / "runs", "out": tmp_path / "out", "settings": TransferSettings(real_frames=30)}
+    options = TransferredOptions((lab,), ("zero-shot",), **folders)
+    transferred.run(options, say=lambda line: None)
+    assert "| set | pose_z | 0.300 mm | 0.3 mm | 3.00 | 2 |  | 1.3 |" in (tmp_path / "out" / "transfer.md").read_text()
+    transferred.run(replace(options, experiments=("few-shot",)), say=lambda line: None)
+    page = (tmp_path / "out" / "transfer.md").read_text()
+    assert "| set | pose_z | 0.300 mm | 0.3 mm | 3.00 | 2 | 1.10 | 1.3 |" in page
+    assert "| set | pose_Ry | 1.500 ° | 2 ° | 1.50 | 2 | 1.20 | 1.3 |" in page and "| set | pose_Rx" not in page
+    assert page.index("## From simulation to set") < page.index("### Some real frames")
+    with pytest.raises(TactipError, match="unknown experiment 'many': choose one of zero-shot, few-shot"):
+        transferred.run(replace(options, experiments=("many",)))
+    with pytest.raises(TactipError, match="no imported set is named"):
+        transferred.run(replace(options, real=()))

@@ -1,0 +1,59 @@
+"""Which blob is which pin."""
+
+import numpy as np
+import pytest
+
+from tactip_twin.tactip_model.neutral_image import neutral_px
+from tactip_twin.tactip_model.pin_detection import PinMatcher, find_blobs
+from tactip_twin.tactip_model.presets import design_named
+
+
+def discs(centres, radius, size=256):
+    """A binary image of discs at centres (n, 2) px."""
+    y, x = np.mgrid[:size, :size]
+    image = np.zeros((size, size), np.uint8)
+    for cx, cy in centres:
+        image[np.hypot(x - cx, y - cy) <= radius] = 255
+    return image
+
+
+def pressed(neutral, shift, swell, turn):
+    """Pins (p, 2) of a tip that is pressed: a bulge outward, a turn and a shift."""
+    middle = neutral.mean(0)
+    away = neutral - middle
+    r = np.linalg.norm(away, axis=1, keepdims=True) / 100
+    c, s = np.cos(turn), np.sin(turn)
+    return middle + (away * (1 + swell * r * np.exp(-6 * r**2))) @ np.array([[c, s], [-s, c]]) + shift
+
+
+def test_a_blob_is_found_where_it_is():
+    image = discs([(40, 50), (80.0, 51), (120, 160)], 3.0)
+    image[200:203, 20:120] = 255  # a crescent at the rim
+    blobs = find_blobs(image)
+    assert len(blobs.centres) == 3
+    assert np.allclose(np.sort(blobs.centres[:, 0]), [40, 80, 120], atol=0.01)
+    assert find_blobs(np.zeros((64, 64), np.uint8)).centres.shape == (0, 2)
+
+
+@pytest.mark.parametrize("name", ["tactip-127", "tactip-331"])
+@pytest.mark.parametrize("shift", [(0.0, 0.0), (9.0, -6.0), (-13.0, 4.0)])
+def test_pins_are_told_apart_when_they_move_by_more_than_their_spacing(name, shift):
+    neutral = neutral_px(design_named(name))
+    moved = pressed(neutral, np.array(shift), 1.6, 0.05)
+    spacing = np.sort(np.linalg.norm(neutral[:, None] - neutral[None], axis=2), 1)[:, 1].min()
+    assert np.linalg.norm(moved - neutral, axis=1).max() > 0.7 * spacing
+    order = np.random.default_rng(0).permutation(len(moved))
+    blobs = find_blobs(discs([], 1))
+    blobs = type(blobs)(moved[order] + np.random.default_rng(1).normal(0, 0.2, moved.shape))
+    found = PinMatcher(neutral).match(blobs)
+    assert np.linalg.norm(found - moved, axis=1).max() < 1.5
+
+
+def test_a_hidden_pin_is_not_made_up():
+    neutral = neutral_px(design_named("tactip-127"))
+    hidden = [5, 60, 100]
+    blobs = find_blobs(discs([], 1))
+    seen = np.delete(neutral + [3.0, 2.0], hidden, axis=0)
+    found = PinMatcher(neutral).match(type(blobs)(seen))
+    assert np.flatnonzero(np.isnan(found[:, 0])).tolist() == hidden
+    assert np.isnan(PinMatcher(neutral).match(type(blobs)(seen[:2]))).all()

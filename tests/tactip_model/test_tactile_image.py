@@ -1,0 +1,218 @@
+"""Lens, light, the two renderers, and the tactile image."""
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from helpers.numbers import rms
+from tactip_twin.tactip_model.design import TactileImage
+from tactip_twin.tactip_model.errors import TactipError
+from tactip_twin.tactip_model.neutral_image import neutral_px
+from tactip_twin.tactip_model.optics import REFERENCE_PX, LedRing, Lens
+from tactip_twin.tactip_model.pins import neutral_pins, plan_positions
+from tactip_twin.tactip_model.presets import DESIGNS, FITTED, NOMINAL, design_named
+from tactip_twin.tactip_model.pyrender_renderer import PinCamera
+from tactip_twin.tactip_model.raster_renderer import Raster
+from tactip_twin.tactip_model.tactile_image import tactile_image
+
+# Mean blob diameter (px of a 256 px image) by shell N = i² + ij + j² of the real 127-pin tip's neutral image.
+REAL_BLOBS = {1: 4.39, 3: 4.32, 4: 4.34, 7: 4.32, 9: 4.37, 12: 4.46, 13: 4.59, 16: 4.61, 19: 4.90, 21: 4.99, 25: 5.04}
+REAL_BLOBS |= {27: 5.18, 28: 5.35, 31: 5.45, 36: 5.50}
+
+
+@pytest.fixture(scope="module")
+def camera(design):
+    return PinCamera(design)
+
+
+@pytest.fixture(scope="module")
+def raster(design):
+    return Raster(design)
+
+
+def blobs(frame, settings):
+    """Centres (n, 2) and diameters (n,), px of a 256 px image, of the white blobs of a thresholded frame."""
+    block, constant = settings.threshold
+    binary = cv2.adaptiveThreshold(frame, 255, cv2.ADAPTIVE_THRESH_MEAN_C, cv2.THRESH_BINARY, block, constant)
+    _, _, stats, centres = cv2.connectedComponentsWithStats(binary)
+    scale = 256 / frame.shape[0]
+    return (centres[1:] + 0.5) * scale - 0.5, 2 * np.sqrt(stats[1:, cv2.CC_STAT_AREA] / np.pi) * scale
+
+
+@pytest.mark.parametrize("renderer", ["camera", "raster"])
+def test_neutral_image_of_the_127_pin_tip_is_the_real_ones(request, design, renderer):
+    """The real map: r = 11.31 ρ + 0.0516 ρ³ + 0.00235 ρ⁵ about (126.2, 129.8), first ring turned by 29 degrees."""
+    tips, directions = neutral_pins(design)
+    frame = request.getfixturevalue(renderer).render(tips, directions)
+    centres, diameters = blobs(frame, design.image)
+    assert len(centres) == 127
+    lattice = np.array([(i, j) for i in range(-6, 7) for j in range(-6, 7) if abs(i + j) <= 6])
+    flat = np.stack([lattice[:, 0] + lattice[:, 1] / 2, np.sqrt(3) / 2 * lattice[:, 1]], 1)
+    shell = (lattice**2).sum(1) + lattice.prod(1)
+    rho = np.sqrt(shell)
+    radius = 11.31 * rho + 0.0516 * rho**3 + 0.00235 * rho**5
+    azimuth = np.arctan2(flat[:, 1], flat[:, 0]) + np.radians(29)
+    real = np.array([126.2, 129.8]) + radius[:, None] * np.stack([np.cos(azimuth), np.sin(azimuth)], 1)
+    distance = np.linalg.norm(real[:, None] - centres[None], axis=2)
+    assert len(set(distance.argmin(1))) == 127
+    assert rms(distance.min(1)) < 1.0
+    for n, size in REAL_BLOBS.items():
+        mean = diameters[distance.argmin(1)[shell == n]].mean()
+        assert mean == pytest.approx(size, rel=0.1), f"shell {n}"
+
+
+def test_neutral_image_of_the_331_pin_tip_has_its_rings():
+    tip = design_named("nominal-331")
+    frame = Raster(tip).render(*neutral_pins(tip))
+    centres, _ = blobs(frame, tip.image)
+    radius = np.linalg.norm(centres - np.array(tip.optics.centre) * 256 + 0.5, axis=1)
+    rings = np.array([7.946 * k + 0.0200 * k**3 - 3.18e-5 * k**5 for k in range(11)])
+    nearest = np.abs(radius[:, None] - rings).argmin(1)
+    assert np.bincount(nearest).tolist() == [1, *(6 * k for k in range(1, 11))]
+    assert np.abs(radius - rings[nearest]).max() < 1.0
+
+
+@pytest.mark.parametrize("name", DESIGNS)
+def test_lens_is_monotonic_and_inverted(name):
+    design = design_named(name)
+    lens = Lens(design)
+    angle = np.linspace(0, 1.4, 500)
+    radius = lens.radius(angle)
+    assert (np.diff(radius) > 0).all()
+    assert np.abs(lens.angle(radius) - angle).max() < 1e-4
+    # A lens about the camera's axis cannot meet a map about it exactly where the dome is not: as-built pins take that up.
+    lattice = replace(design, pins=replace(design.pins, as_built_m=()))
+    tips, _ = neutral_pins(lattice)
+    off_axis = np.linalg.norm(plan_positions(lattice.pins) - design.optics.camera_offset_m, axis=1) / design.pins.pitch_m
+    wanted = np.stack([off_axis, off_axis**3, off_axis**5], -1) @ design.optics.neutral_radius
+    missed = lens.radius(lens.angle_to(tips)) * REFERENCE_PX / lens.width - wanted
+    assert np.sqrt((missed**2).mean()) < (0.5 if name in NOMINAL else 1.0)
+
+
+@pytest.mark.parametrize("name", FITTED)
+def test_pins_of_a_fitted_tip_stay_near_their_lattice_and_come_out_in_its_image(name):
+    """As they were built: a tenth of a millimetre off the lattice, all seen, where the lens puts them."""
+    tip = design_named(name)
+    offsets = np.array(tip.pins.as_built_m)
+    assert rms(offsets) > 0.02e-3 and np.abs(offsets).max() < 0.3 * tip.pins.pitch_m
+    assert tip.optics.zoom == 1 and tip.optics.drift == (0, 0)
+    centres, _ = blobs(Raster(tip).render(*neutral_pins(tip)), tip.image)
+    distance = np.linalg.norm(neutral_px(tip)[:, None] - centres[None], axis=2)
+    assert len(centres) == len(offsets) and len(set(distance.argmin(1))) == len(offsets)
+    assert rms(distance.min(1)) < 0.5
+
+
+def test_led_ring_falls_off_with_the_square_of_the_distance(design):
+    leds = LedRing(design)
+    facing = np.array([0, 0, -1.0])
+    far, further = (leds._irradiance(np.array([0, 0, z]), facing) for z in (10.0, 20.0))
+    assert far / further == pytest.approx(4, rel=0.02)
+    assert leds._irradiance(np.zeros(3), -facing) == 0
+
+
+def deformed(on_edge):
+    for pose, shear in (
+        ([0, 0, -5, 0, 0, 0], [0] * 6),
+        ([3, 0, -4, 12, -10, 40], [4, -4, 0, 3, 3, -5]),
+        ([-4, 0, -2, -15, 15, -45], [-5, 5, 0, -5, 5, 5]),
+    ):
+        yield on_edge(pose, shear)
+
+
+def test_raster_agrees_with_pyrender(camera, raster, on_edge, design):
+    """Deformed pins: grey within 1 level in the mean and 12 rms on the pins; 1.5 % of the tactile image's pixels."""
+    for contact in deformed(on_edge):
+        a = camera.render(contact.tips, contact.directions).astype(float)
+        b = raster.render(contact.tips, contact.directions).astype(float)
+        assert np.abs(a - b).mean() < 0.5
+        assert rms((a - b)[np.maximum(a, b) > 40]) < 12
+        binary = [tactile_image(x.astype(np.uint8), design.image) for x in (a, b)]
+        assert (binary[0] != binary[1]).mean() < 0.015
+
+
+def test_renderers_show_every_pin(camera, raster, on_edge, design):
+    for contact in deformed(on_edge):
+        for eye in (camera, raster):
+            centres, _ = blobs(eye.render(contact.tips, contact.directions), design.image)
+            assert len(centres) == 127
+
+
+def test_raster_draws_a_batch_as_it_draws_one(raster, on_edge):
+    contacts = list(deformed(on_edge))
+    tips = np.stack([c.tips for c in contacts])
+    directions = np.stack([c.directions for c in contacts])
+    batch = raster.render(tips, directions)
+    assert batch.shape == (3, 360, 360)
+    assert (batch[1] == raster.render(tips[1], directions[1])).all()
+
+
+def test_two_designs_can_be_drawn_in_one_process(camera, design):
+    other = design_named("tactip-331")
+    before = camera.render(*neutral_pins(design))
+    PinCamera(other).render(*neutral_pins(other))
+    assert (camera.render(*neutral_pins(design)) == before).all()
+
+
+def resident_mib():
+    """Memory (MiB) that this process holds now."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
+
+
+def test_drawing_does_not_eat_memory(camera, design):
+    """300 images after the first ones: less than 10 MB more, 35 KB an image; one frame's colours alone are 390 KB."""
+    pins = neutral_pins(design)
+    for _ in range(30):
+        camera.render(*pins)
+    before = resident_mib()
+    for _ in range(300):
+        camera.render(*pins)
+    assert resident_mib() - before < 10
+
+
+def test_tactile_image_is_binary_and_128(raster, design):
+    image = tactile_image(raster.render(*neutral_pins(design)), design.image)
+    assert image.shape == (128, 128)
+    assert image.dtype == np.uint8
+    assert set(np.unique(image)) == {0, 255}
+
+
+def test_tactile_image_of_a_real_frames_size(raster, design):
+    """A 640×480 colour frame with the pins somewhere in it, cropped as the real rigs do: the same image."""
+    grey = raster.render(*neutral_pins(design))
+    frame = np.full((480, 640), grey[0, 0], np.uint8)
+    frame[60:420, 140:500] = grey
+    cropped = replace(design.image, crop=(140, 60, 500, 420))
+    colour = tactile_image(cv2.cvtColor(frame, cv2.COLOR_GRAY2BGR), cropped)
+    assert (colour != tactile_image(grey, design.image)).mean() < 0.002
+
+
+def test_tactile_image_of_a_binary_frame_keeps_it(design):
+    rng = np.random.default_rng(0)
+    small = np.where(rng.random((128, 128)) < 0.1, 255, 0).astype(np.uint8)
+    doubled = np.kron(small, np.ones((2, 2), np.uint8))
+    assert (tactile_image(doubled, replace(design.image, threshold=None)) == small).all()
+
+
+def test_threshold_does_not_depend_on_brightness(raster, design):
+    grey = raster.render(*neutral_pins(design))
+    brighter = np.clip(grey.astype(int) + 60, 0, 255).astype(np.uint8)
+    assert (tactile_image(grey, design.image) != tactile_image(brighter, design.image)).mean() < 0.001
+
+
+@pytest.mark.parametrize(
+    ("frame", "settings", "words"),
+    [
+        (np.zeros((10, 10)), TactileImage(), "uint8"),
+        (np.zeros((10, 10, 4), np.uint8), TactileImage(), "uint8"),
+        (np.zeros((100, 100), np.uint8), TactileImage(crop=(0, 0, 101, 50)), "crop"),
+        (np.zeros((100, 100), np.uint8), TactileImage(threshold=(60, 5.0)), "odd"),
+    ],
+)
+def test_unfit_frames_are_refused(frame, settings, words):
+    with pytest.raises(TactipError, match=words):
+        tactile_image(frame, settings)
