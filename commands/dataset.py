@@ -108,14 +108,14 @@ class Make:
         from tactip_twin.sim.contact.fidelity import fidelity_named
         from tactip_twin.sim.dataset.format import Configuration
         from tactip_twin.sim.dataset.generate import Job
-        from tactip_twin.sim.dataset.mechanics_randomization import VARIATIONS
+        from tactip_twin.sim.dataset.mechanics_randomization import MECHANICS_RANDOMIZATIONS
         from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES, SPLITS
         from tactip_twin.sim.labels import TASKS
-        from tactip_twin.tactip_model.errors import choose
+        from tactip_twin.tactip_model.errors import lookup
         from tactip_twin.tactip_model.presets import find_design
 
-        choose("task", self.task, dict.fromkeys([*TASKS, "all"]))
-        choose("split", self.split, dict.fromkeys([*SPLITS, "all"]))
+        lookup("task", self.task, dict.fromkeys([*TASKS, "all"]))
+        lookup("split", self.split, dict.fromkeys([*SPLITS, "all"]))
         tasks = TASKS if self.task == "all" else (self.task,)
         splits = SPLITS if self.split == "all" else (self.split,)
         several = "all" in (self.task, self.split)
@@ -137,7 +137,7 @@ class Make:
                     uneven=self.uneven,
                     shard_samples=self.shard_samples,
                     looks=self.looks,
-                    mechanics=choose("mechanics", self.mechanics, VARIATIONS),
+                    mechanics=lookup("mechanics", self.mechanics, MECHANICS_RANDOMIZATIONS),
                 )
                 jobs.append(Job(configuration, self.out / task / split if several else self.out))
         return jobs

@@ -7,7 +7,7 @@ import sys
 import threading
 from importlib.metadata import version
 
-from tactip_twin.tactip_model.errors import Stopped, TactipError
+from tactip_twin.tactip_model.errors import Interrupted, TactipError
 
 
 def main(arguments=None):
@@ -25,7 +25,7 @@ def main(arguments=None):
         except OSError as error:
             print(f"tactip: {error.filename or 'a file'}: {error.strerror or error}", file=sys.stderr)
             return 1
-        except (Stopped, KeyboardInterrupt) as stopped:
+        except (Interrupted, KeyboardInterrupt) as stopped:
             return _stopped(str(stopped), signals)
         except ImportError as error:
             # A library of compiled code that is stopped while it is loaded says that it cannot be.

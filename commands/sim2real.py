@@ -88,9 +88,9 @@ class Transfer:
         with Waiting("loading the libraries"):
             from tactip_twin.sim2real.transfer.experiments import EXPERIMENTS, Experiment
             from tactip_twin.sim2real.transfer.page import PAGE, write_page
-            from tactip_twin.tactip_model.errors import choose
+            from tactip_twin.tactip_model.errors import lookup
 
-        choose("experiment", self.experiment, dict.fromkeys([*EXPERIMENTS, "pseudo-real"]))
+        lookup("experiment", self.experiment, dict.fromkeys([*EXPERIMENTS, "pseudo-real"]))
         say = to_stderr if self.json else print
         pseudo = self.experiment == "pseudo-real"
         names = ("zero-shot", "gap", "few-shot") if pseudo else (self.experiment,)
@@ -106,12 +106,12 @@ class Transfer:
     def _set(self, say):
         from tactip_twin.sim.parallel.worker_pool import worker_count
         from tactip_twin.sim2real.transfer.pseudo_real import make_pseudo_real
-        from tactip_twin.tactip_model.errors import TactipError, choose
+        from tactip_twin.tactip_model.errors import TactipError, lookup
 
         if self.experiment == "pseudo-real":
             if self.real is not None:
                 raise TactipError(f"pseudo-real makes its own set, and --real {self.real} is given: leave it out")
-            choose("kind", self.kind, dict.fromkeys(("nominal-127", "nominal-331")))
+            lookup("kind", self.kind, dict.fromkeys(("nominal-127", "nominal-331")))
             seed, workers = self.settings.seed, worker_count(self.workers)
             return make_pseudo_real(self.out / "hidden", self.task, self.kind, self.frames, seed, workers, say)
         if self.real is None:
@@ -154,7 +154,7 @@ class Camera:
         from threading import Event
 
         from tactip_twin.learning.model import find_model
-        from tactip_twin.sim2real.sensor.live import Camera as Reader
+        from tactip_twin.sim2real.sensor.live import LiveSensor
         from tactip_twin.sim2real.sensor.preprocess import load_neutral
 
         source = self._source()
@@ -166,7 +166,7 @@ class Camera:
             count, faults, last = 0, 0, 0.0
             # A camera never ends by itself: Ctrl-C is how it does.
             with suppress(KeyboardInterrupt):
-                for sight in Reader(source, self.layout, model, neutral):
+                for sight in LiveSensor(source, self.layout, model, neutral):
                     print(dumps(sight.as_json()), flush=True)
                     count, faults, last = count + 1, faults + bool(sight.fault), sight.time_s
                     if page:

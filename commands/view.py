@@ -36,8 +36,8 @@ class Replay:
     def run(self):
         from tqdm import tqdm
 
-        from tactip_twin.sim.robot.recording import read_recording, read_scenery
-        from tactip_twin.sim.view.replay_video import pictures
+        from tactip_twin.sim.robot.recording import read_recorded_scene, read_recording
+        from tactip_twin.sim.view.replay_video import render_frames
         from tactip_twin.sim.view.video import write_video
 
         if self.every < 1 or self.rate < 1:
@@ -47,12 +47,12 @@ class Replay:
             if path.suffix.lower() != ending:
                 raise TactipError(f"the name {path} does not end in {ending}")
             path.parent.mkdir(parents=True, exist_ok=True)
-        (record, arrays), scenery = read_recording(self.run_), read_scenery(self.run_)
+        (record, arrays), scenery = read_recording(self.run_), read_recorded_scene(self.run_)
         if not record["complete"]:
             print(f"{self.run_} was not completed: it has {record['steps']} steps", file=sys.stderr)
         count = -(-record["steps"] // self.every)
         for path, _ in asked:
-            drawn = pictures(scenery, record, arrays, self.every)
+            drawn = render_frames(scenery, record, arrays, self.every)
             write_video(path, tqdm(drawn, total=count, unit="picture", file=sys.stderr, disable=not count), self.rate)
             print(f"{path} written")
         if asked:
@@ -67,9 +67,9 @@ class Replay:
         return 0
 
     def _serve(self, record, arrays, scenery):
-        from tactip_twin.sim.view.replay_page import Viewer
+        from tactip_twin.sim.view.replay_page import ReplayPage
 
-        viewer = Viewer(record, arrays, scenery, self.host, self.port)
+        viewer = ReplayPage(record, arrays, scenery, self.host, self.port)
         print(f"{viewer.address} shows {self.run_}; Ctrl-C ends it", flush=True)
         return _until_stopped(viewer)
 
@@ -96,13 +96,13 @@ class View:
 
     def run(self):
         from tactip_twin.sim.contact.fidelity import fidelity_named
-        from tactip_twin.sim.view.live_page import Live
+        from tactip_twin.sim.view.live_page import LivePage
         from tactip_twin.tactip_model.presets import find_design
         from tactip_twin.tactip_model.renderer import renderer_named
 
         design = find_design(self.design)
         render, read = renderer_named(self.renderer, design), reader_of(self.model, self.task, design)
-        live = Live(design, self.task, fidelity_named(self.fidelity), render, read, self.host, self.port)
+        live = LivePage(design, self.task, fidelity_named(self.fidelity), render, read, self.host, self.port)
         print(f"{live.address} shows the tip {design.name} on the stimulus {self.task}; Ctrl-C ends it", flush=True)
         return _until_stopped(live)
 

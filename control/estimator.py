@@ -15,7 +15,7 @@ from tactip_twin.tactip_model.tactile_image import tactile_image
 
 
 @dataclass(frozen=True)
-class Sight:
+class Estimate:
     """What is told of one touch."""
 
     label: np.ndarray
@@ -31,14 +31,14 @@ class Sight:
 
 
 class Estimator(ABC):
-    """Tells a Sight of a touch."""
+    """Tells a Estimate of a touch."""
 
     @abstractmethod
-    def look(self, touch, T_base_tcp) -> Sight:
-        """touch: sim.touch.Touch. T_base_tcp: (4, 4), where the sensor truly is: for the oracle alone."""
+    def look(self, touch, T_base_tcp) -> Estimate:
+        """touch: sim.touch.TipState. T_base_tcp: (4, 4), where the sensor truly is: for the oracle alone."""
 
 
-class Seen(Estimator):
+class NetworkEstimator(Estimator):
     """A network that sees the tactile image, and nothing else."""
 
     def __init__(self, model, design, renderer="pyrender", noise_grey=0.0, seed=0):
@@ -72,19 +72,19 @@ class Seen(Estimator):
         white = image > 127
         union = int((white | self._neutral).sum())
         apart = 1 - int((white & self._neutral).sum()) / union if union else 0.0
-        return Sight(from_mm_deg(told), apart, image, seen - start, end - seen)
+        return Estimate(from_mm_deg(told), apart, image, seen - start, end - seen)
 
 
 class Oracle(Estimator):
     """The truth: for tests, and to tell errors of control from those of perception."""
 
     def __init__(self, truth, T_base_object):
-        """truth: SurfaceTruth or EdgeTruth. T_base_object: (4, 4)."""
+        """truth: SurfaceGroundTruth or EdgeGroundTruth. T_base_object: (4, 4)."""
         self._truth, self._to_object = truth, np.linalg.inv(T_base_object)
 
     def look(self, touch, T_base_tcp):
         """See Estimator."""
-        return Sight(self._truth.label(self._to_object @ T_base_tcp), float(np.linalg.norm(touch.force) > _LEAST_N), None)
+        return Estimate(self._truth.label(self._to_object @ T_base_tcp), float(np.linalg.norm(touch.force) > _LEAST_N), None)
 
 
 _LEAST_N = 0.02

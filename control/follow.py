@@ -43,9 +43,9 @@ class Step:
     angles: np.ndarray
     """(6,) rad."""
     touch: object
-    """tactip_twin.sim.contact.tip_state.Touch."""
+    """tactip_twin.sim.contact.tip_state.TipState."""
     sight: object
-    """estimator.Sight."""
+    """estimator.Estimate."""
     seconds: dict
     """Time for simulation, image, network and control, s."""
 
@@ -60,11 +60,11 @@ _GOOD = 3
 """Good steps after which troubles are forgotten."""
 
 
-class Explorer:
+class ContourFollower:
     """Follows one route."""
 
     def __init__(self, finger, estimator, servo, labels, settings, record, clock, note=lambda event: None):
-        """finger: Fingertip. estimator: Estimator. servo: Servo. labels: learning.labels.Labels, with the ranges that were
+        """finger: MountedTip. estimator: Estimator. servo: Servo. labels: learning.labels.Labels, with the ranges that were
         learned. settings: Settings. record: called with each Step. clock: function that tells s. note: called with each
         Event."""
         self._finger, self._estimator, self._servo = finger, estimator, servo
@@ -159,7 +159,8 @@ class Explorer:
         return None
 
     def _react(self, kind):
-        """What is done about a fault: look for contact where it is lost, else back off and look again. Returns a Sight."""
+        """What is done about a fault: look for contact where it is lost, else back off and look again. Returns a
+        Estimate."""
         self._phase = "search"
         self._servo.forget()
         if kind != "contact lost":
@@ -167,7 +168,7 @@ class Explorer:
         return self._search(self._settings.search_mm / 2)
 
     def _search(self, most_mm):
-        """Go along the sensor's axis until something is felt. Returns its Sight. Raises _GivesUp where nothing is, or
+        """Go along the sensor's axis until something is felt. Returns its Estimate. Raises _GivesUp where nothing is, or
         where the force or the housing says that it should have been."""
         s, self._phase = self._settings, "search"
         sight = self._look(0.0)

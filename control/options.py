@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from tactip_twin.tactip_model.bounds import check, within
-from tactip_twin.tactip_model.errors import choose
+from tactip_twin.tactip_model.errors import lookup
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class RouteOptions:
 
     def __post_init__(self):
         check(self)
-        choose("route", self.kind, dict.fromkeys(("serpentine", "straight", "geodesic")))
+        lookup("route", self.kind, dict.fromkeys(("serpentine", "straight", "geodesic")))
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,7 @@ class Route(ABC):
         """
 
 
-class Plan(Route):
+class PlanarPath(Route):
     """Along a line that is drawn on a plane, and goes over the object below it."""
 
     def __init__(self, points, up):
@@ -90,7 +90,7 @@ class Geodesic(Route):
         return T_base_tcp[:3, :3] @ self._way
 
 
-class AlongEdge(Route):
+class EdgePath(Route):
     """Along an edge as it is felt, until it comes back to its start or is too long."""
 
     def __init__(self, backward=False, most_m=1.0, step_m=1e-3):

@@ -4,7 +4,7 @@
     s(t) = Kp e(t) + Ki Σ e(t')
 
 An error is a product of poses and not a difference of numbers. [P] is Lepora & Lloyd, "Optimal Deep Learning for Robot
-Touch" (2020); [L] the authors' later tactile_servo_control.
+TipState" (2020); [L] the authors' later tactile_servo_control.
 """
 
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from tactip_twin.sim.pose import from_mm_deg, inverse, matrix, sensor_in_contact
 from tactip_twin.tactip_model.bounds import check, within
-from tactip_twin.tactip_model.errors import choose
+from tactip_twin.tactip_model.errors import lookup
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ def reference_mm_deg(depth_mm):
 
 def gains_named(name, task):
     """The Gains of a name and a task. Raises TactipError that lists the names."""
-    return choose("task", task, choose("gains", name, GAINS))
+    return lookup("task", task, lookup("gains", name, GAINS))
 
 
 class Servo:

@@ -8,24 +8,24 @@ from importlib.metadata import version
 import numpy as np
 
 from tactip_twin.assets import MESHES, MODELS
-from tactip_twin.control.estimator import Oracle, Seen
-from tactip_twin.control.follow import Explorer
-from tactip_twin.control.routes import AlongEdge, Geodesic, Plan, serpentine
+from tactip_twin.control.estimator import NetworkEstimator, Oracle
+from tactip_twin.control.follow import ContourFollower
+from tactip_twin.control.routes import EdgePath, Geodesic, PlanarPath, serpentine
 from tactip_twin.control.score import score, surface_targets
 from tactip_twin.control.servo import DEPTHS_MM, Servo, gains_named, reference_mm_deg
 from tactip_twin.control.trajectory_figure import write_figure
 from tactip_twin.learning.model import find_model
 from tactip_twin.sim.contact.fidelity import fidelity_named
-from tactip_twin.sim.ground_truth import EdgeTruth, SurfaceTruth
+from tactip_twin.sim.ground_truth import EdgeGroundTruth, SurfaceGroundTruth
 from tactip_twin.sim.pose import from_mm_deg, inverse, sensor_in_contact
-from tactip_twin.sim.robot.arm_models import carrier_named
-from tactip_twin.sim.robot.mounted_tip import Fingertip
-from tactip_twin.sim.robot.objects import find_object
-from tactip_twin.sim.robot.recording import Recorder, Scenery
-from tactip_twin.sim.view.replay_video import pictures
+from tactip_twin.sim.robot.arm_models import arm_model_named
+from tactip_twin.sim.robot.mounted_tip import MountedTip
+from tactip_twin.sim.robot.objects import load_object
+from tactip_twin.sim.robot.recording import RecordedScene, Recorder
+from tactip_twin.sim.view.replay_video import render_frames
 from tactip_twin.sim.view.video import write_video
 from tactip_twin.tactip_model.bounds import require
-from tactip_twin.tactip_model.errors import Stopped, TactipError, choose
+from tactip_twin.tactip_model.errors import Interrupted, TactipError, lookup
 from tactip_twin.tactip_model.files import write_file
 from tactip_twin.tactip_model.presets import find_design
 
@@ -39,17 +39,18 @@ def run(options, progress=lambda step: None, say=print, estimator=None):
     """Run a servo. options: Options. progress: called with each explore.Step. say: called with lines for the user.
     estimator: an Estimator in the place of the network, whose ranges of labels are kept to all the same.
 
-    Writes recording, score and picture. Returns the score (dict). Raises TactipError on what cannot be done, and Stopped at
+    Writes recording, score and picture. Returns the score (dict). Raises TactipError on what cannot be done, and
+    Interrupted at
     Ctrl-C; what was recorded by then is kept, scored and drawn.
     """
-    choose("task", options.task, dict.fromkeys(("surface", "edge")))
+    lookup("task", options.task, dict.fromkeys(("surface", "edge")))
     if options.film and options.renderer != "pyrender":
         raise TactipError(f"a film is drawn by pyrender: --film does not go with --renderer {options.renderer}")
-    thing = find_object(options.object, options.unit, options.scale, options.place_mm, options.turn_deg)
+    thing = load_object(options.object, options.unit, options.scale, options.place_mm, options.turn_deg)
     for repair in thing.notes:
         say(f"{options.object}: {repair}")
     design = _as_asked(find_design(options.design), options)
-    fidelity, carrier = fidelity_named(options.fidelity), carrier_named(options.arm)
+    fidelity, carrier = fidelity_named(options.fidelity), arm_model_named(options.arm)
     gains = gains_named(options.gains, options.task)
     truth = _truth(options, thing)
     model = find_model(_network(options))
@@ -60,9 +61,9 @@ def run(options, progress=lambda step: None, say=print, estimator=None):
     if estimator is None and options.model == "oracle":
         estimator = Oracle(truth, thing.T_base_object)
     elif estimator is None:
-        estimator = Seen(model, design, options.renderer, options.noise_grey)
+        estimator = NetworkEstimator(model, design, options.renderer, options.noise_grey)
     rest_steps = _rest_steps(options, fidelity.motion)
-    finger = Fingertip(design, thing.solid, fidelity, carrier, thing.T_base_object, rest_steps, options.pace)
+    finger = MountedTip(design, thing.solid, fidelity, carrier, thing.T_base_object, rest_steps, options.pace)
     depth_mm = _depth_mm(options, model.labels)
     servo = Servo(gains, depth_mm)
     T_start, route, targets = _plan(options, thing, truth)
@@ -71,10 +72,10 @@ def run(options, progress=lambda step: None, say=print, estimator=None):
         "object": thing.name,
         "options": json.loads(json.dumps(dataclasses.asdict(options), default=str)),
         "estimator": type(estimator).__name__,
-        "network": model.provenance if isinstance(estimator, Seen) else None,
+        "network": model.provenance if isinstance(estimator, NetworkEstimator) else None,
         "versions": {p: version(p) for p in ("mujoco", "numpy", "torch", "mink", "libigl")},
     }
-    scenery = Scenery(
+    scenery = RecordedScene(
         thing.solid.vertices,
         thing.solid.triangles,
         thing.T_base_object,
@@ -92,7 +93,7 @@ def run(options, progress=lambda step: None, say=print, estimator=None):
     def note(event):
         recorder.note(dataclasses.asdict(event))
 
-    explorer = Explorer(finger, estimator, servo, model.labels, options.settings, record, time.perf_counter, note)
+    explorer = ContourFollower(finger, estimator, servo, model.labels, options.settings, record, time.perf_counter, note)
     stopped = False
     try:
         explorer.run(T_start, route)
@@ -109,9 +110,9 @@ def run(options, progress=lambda step: None, say=print, estimator=None):
     if options.renderer == "pyrender":
         write_figure(options.out / FIGURE, scenery, arrays, options.task)
     if options.film and not stopped and done["steps"]:
-        write_video(options.out / FILM, pictures(scenery, done, arrays))
+        write_video(options.out / FILM, render_frames(scenery, done, arrays))
     if stopped:
-        raise Stopped(f"what was recorded is in {options.out}")
+        raise Interrupted(f"what was recorded is in {options.out}")
     return figures
 
 
@@ -156,11 +157,11 @@ def _depth_mm(options, labels):
 
 def _truth(options, thing):
     if options.task == "surface":
-        return SurfaceTruth(thing.solid)
+        return SurfaceGroundTruth(thing.solid)
     if thing.edge is None:
         names = [path.name.removesuffix(".edge.csv") for path in sorted(MESHES.glob("*.edge.csv"))]
         raise TactipError(f"{thing.name} has no edge that is known: the edge task takes one of {', '.join(names)}")
-    return EdgeTruth(thing.edge)
+    return EdgeGroundTruth(thing.edge)
 
 
 def _plan(options, thing, truth):
@@ -171,7 +172,7 @@ def _plan(options, thing, truth):
         edge = thing.edge
         k = round(r.start_share * (len(edge.points) - 1))
         place = edge.points[k]
-        route = AlongEdge(r.backward, r.most_mm / 1e3, step)
+        route = EdgePath(r.backward, r.most_mm / 1e3, step)
         targets = edge.points @ T[:3, :3].T + T[:3, 3]
     else:
         middle = np.array([*(thing.middle_m[:2] if r.middle_mm is None else np.array(r.middle_mm) / 1e3), 0.0])
@@ -188,7 +189,7 @@ def _plan(options, thing, truth):
             "above the object",
         )
         place = (inverse(T) @ [*corners[0, :2], 2.0 - hit, 1])[:3]
-        route = Plan(corners, UP)
+        route = PlanarPath(corners, UP)
     T_there = np.eye(4)
     T_there[:3, :3] = np.linalg.inv(T)[:3, :3] @ np.diag([-1.0, 1, -1])
     T_there[:3, 3] = place

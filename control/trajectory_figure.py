@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 
 from tactip_twin.sim.dataset.format import encode_image
-from tactip_twin.sim.view.geometry import object_prop, way
-from tactip_twin.sim.view.offscreen import Studio
+from tactip_twin.sim.view.geometry import object_mesh, way
+from tactip_twin.sim.view.offscreen import SceneRenderer
 from tactip_twin.tactip_model.files import write_file
 
 _WIDTH, _HEIGHT = 1200, 900
@@ -18,11 +18,11 @@ def write_figure(path, scenery, arrays, task, towards=(0.55, -0.6, 0.75)):
 
     towards: (3,), from the object to the eye, base frame. Raises TactipError where OpenGL cannot be used.
     """
-    placed = object_prop(scenery)
+    placed = object_mesh(scenery)
     low, high = placed.vertices.min(0), placed.vertices.max(0)
     middle, radius = (low + high) / 2, np.linalg.norm(placed.vertices - (low + high) / 2, axis=1).max()
     eye = np.asarray(towards, float) / np.linalg.norm(towards)
-    studio = Studio(_WIDTH, _HEIGHT, [placed])
+    studio = SceneRenderer(_WIDTH, _HEIGHT, [placed])
     away = 0.95 * radius / np.sin(np.radians(_FIELD_DEG / 2))
     picture = studio.picture(way(arrays, task), middle + away * eye, middle, _FIELD_DEG)
     small = cv2.resize(picture, (_WIDTH * 3 // 4, _HEIGHT * 3 // 4), interpolation=cv2.INTER_AREA)

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import tyro
 
-from tactip_twin.control.estimator import Estimator, Sight
+from tactip_twin.control.estimator import Estimate, Estimator
 from tactip_twin.control.options import Options, RouteOptions
 from tactip_twin.control.servo_run import run
 from tactip_twin.sim.dataset.format import read_dataset, read_pins
@@ -27,12 +27,12 @@ class Linear(Estimator):
         self._still = tips[np.argmax(dataset.poses[:, 2])][..., :2]
 
     def look(self, touch, T_base_tcp):
-        """Tell a Sight of a touch; where the sensor truly is (T_base_tcp) is not for an estimator to know."""
+        """Tell a Estimate of a touch; where the sensor truly is (T_base_tcp) is not for an estimator to know."""
         told = np.zeros(6)
         told[2:5] = (touch.tips[:, :2].ravel() - self._mean) @ self._map + self._label
         # The network tells by the image whether there is contact; here the simulated force does.
         touching = float(np.linalg.norm(touch.force) > 0.02)
-        return Sight(from_mm_deg(told), touching, np.zeros((128, 128), np.uint8))
+        return Estimate(from_mm_deg(told), touching, np.zeros((128, 128), np.uint8))
 
 
 def main(data: Path, out: Path = Path("runs/own-estimator"), object: str = "sphere", length_mm: float = 20.0):

@@ -7,7 +7,7 @@ import numpy as np
 import tyro
 
 from tactip_twin.sim.contact.fidelity import fidelity_named
-from tactip_twin.sim.contact.simulator import ContactPlayer
+from tactip_twin.sim.contact.simulator import ContactSimulator
 from tactip_twin.sim.contact.stimuli import HALF_SIZE_M, Stimulus
 from tactip_twin.sim.pose import from_mm_deg
 from tactip_twin.tactip_model.presets import find_design
@@ -36,7 +36,7 @@ def main(radii_mm: tuple[float, ...] = (10.0, 15.0, 30.0), depth_mm: float = 3.0
     """radii_mm: of the pipes. depth_mm: of the press. fidelity: draft, standard or reference."""
     design = find_design("tactip-127")
     for radius_mm in radii_mm:
-        player = ContactPlayer(design, Pipe(radius_mm / 1e3), fidelity_named(fidelity))
+        player = ContactSimulator(design, Pipe(radius_mm / 1e3), fidelity_named(fidelity))
         contact = player.play(from_mm_deg([0, 0, -depth_mm, 0, 0, 0]), np.zeros(6))
         inside_um = 1e6 * contact.overlap_m
         print(f"radius {radius_mm:g} mm: {contact.normal_force_n:.3f} N; the skin is {inside_um:.0f} µm inside the pipe")

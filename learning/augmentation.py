@@ -32,7 +32,7 @@ _ARC = 24
 """Discs that make an arc of light."""
 
 
-class DrawnImages:
+class OpticsAugmentation:
     """The images of a set's samples, drawn anew whenever they are asked for."""
 
     def __init__(self, samples, share=1.0, ranges=OPTICS["lens"], device="cpu"):

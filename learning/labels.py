@@ -6,7 +6,7 @@ import numpy as np
 
 from tactip_twin.sim.dataset.sampling import Ranges
 from tactip_twin.sim.labels import COMPONENTS, LEARNED
-from tactip_twin.tactip_model.errors import TactipError, choose
+from tactip_twin.tactip_model.errors import TactipError, lookup
 
 _RANGES = tuple(field.name for field in fields(Ranges))
 """Names of a component's range in a configuration, in the order of COMPONENTS."""
@@ -54,7 +54,7 @@ def labels_of(configuration):
     Raises TactipError on a task that is not known, a range that is missing, or one that leaves nothing to learn.
     """
     task = configuration.get("task")
-    components = choose("task", task, LEARNED)
+    components = lookup("task", task, LEARNED)
     ranges = configuration.get("pose") or {}
     low, high = [], []
     for component in components:

@@ -17,7 +17,7 @@ from tactip_twin.learning.device import one_thread
 from tactip_twin.learning.labels import Labels
 from tactip_twin.learning.posenet import PoseNet, PoseNetConfig
 from tactip_twin.sim.labels import LEARNED
-from tactip_twin.tactip_model.errors import TactipError, choose
+from tactip_twin.tactip_model.errors import TactipError, lookup
 from tactip_twin.tactip_model.files import write_file
 
 FORMAT = "tactip-twin PoseNet"
@@ -152,7 +152,7 @@ def load_model(folder, device="cpu"):
             raise TactipError(f"{path} does not describe a model of this version of the project")
         config = PoseNetConfig(**description["network"])
         given = description["labels"]
-        choose("task", given["task"], LEARNED)
+        lookup("task", given["task"], LEARNED)
         labels = Labels(given["task"], tuple(given["low"]), tuple(given["high"]))
         data = (folder / description["weights"]["file"]).read_bytes()
         size, expected = int(description["size_px"]), description["weights"]["sha256"]

@@ -15,7 +15,7 @@ import torch
 from torch import nn
 
 from tactip_twin.tactip_model.bounds import check, require, within
-from tactip_twin.tactip_model.errors import choose
+from tactip_twin.tactip_model.errors import lookup
 
 ACTIVATIONS = {"relu": nn.ReLU, "elu": nn.ELU}
 """Activations by name [P]."""
@@ -68,9 +68,9 @@ class PoseNetConfig:
 
     def __post_init__(self):
         check(self)
-        choose("activation", self.activation, ACTIVATIONS)
+        lookup("activation", self.activation, ACTIVATIONS)
         require(not (self.batch_norm and self.group_norm), "PoseNetConfig.group_norm", self.group_norm, "0 with batch norm")
-        choose("halving", self.halving, dict.fromkeys(("pool", "stride")))
+        lookup("halving", self.halving, dict.fromkeys(("pool", "stride")))
         require(not (self.fold and self.reduce == 1), "PoseNetConfig.reduce", self.reduce, "above 1 with fold")
 
     def shape(self):

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from tactip_twin.learning.posenet import PoseNetConfig
 from tactip_twin.learning.train import TrainSettings
-from tactip_twin.tactip_model.errors import TactipError, choose
+from tactip_twin.tactip_model.errors import TactipError, lookup
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ the surface. `tactip bench learning` holds the two side by side."""
 
 def recipe_named(name, task):
     """The Recipe of a name and a task. Raises TactipError that lists the names."""
-    return choose("task", task, choose("recipe", name, RECIPES))
+    return lookup("task", task, lookup("recipe", name, RECIPES))
 
 
 def read_recipe(path):

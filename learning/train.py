@@ -18,7 +18,7 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
-from tactip_twin.learning.augmentation import DrawnImages
+from tactip_twin.learning.augmentation import OpticsAugmentation
 from tactip_twin.learning.device import device_named, is_half
 from tactip_twin.learning.model import net_sha256, save_model, tensors_of, to_input, weights_bytes
 from tactip_twin.learning.muon import Muon, inner_weights
@@ -27,7 +27,7 @@ from tactip_twin.learning.posenet import PoseNet, PoseNetConfig, parameter_count
 from tactip_twin.sim.dataset.format import labels_sha256
 from tactip_twin.sim.parallel.file_lock import locked
 from tactip_twin.tactip_model.bounds import check, within
-from tactip_twin.tactip_model.errors import Stopped, TactipError, choose
+from tactip_twin.tactip_model.errors import Interrupted, TactipError, lookup
 from tactip_twin.tactip_model.files import write_file
 
 CHECKPOINT, METRICS, LOCK = "checkpoint.pt", "metrics.jsonl", ".lock"
@@ -82,8 +82,8 @@ class TrainSettings:
 
     def __post_init__(self):
         check(self)
-        choose("schedule", self.schedule, SCHEDULES)
-        choose("varied", self.varied, OPTICS)
+        lookup("schedule", self.schedule, SCHEDULES)
+        lookup("varied", self.varied, OPTICS)
         is_half(self.precision, "cpu")
 
 
@@ -116,7 +116,9 @@ class Training:
         self._optimizers = _optimizers(self.net, settings, self._half)
         # The whole set lives on the device, as bytes.
         self._images, self._targets = self._resident(train)
-        self._drawn = DrawnImages(train, settings.optics, OPTICS[settings.varied], self.device) if settings.drawn else None
+        self._drawn = (
+            OpticsAugmentation(train, settings.optics, OPTICS[settings.varied], self.device) if settings.drawn else None
+        )
         self._val_images, self._val_targets = self._resident(val)
         self.epoch = 0
         self.history = []
@@ -312,7 +314,7 @@ def train(
 
     Writes model.pt and model.json (the best network so far), metrics.jsonl and, while unfinished, checkpoint.pt. Returns the
     history (list of dict). Raises TactipError where the folder holds another training, where memory is short and where the
-    loss diverges, Pruned where it is hopeless, and Stopped at Ctrl-C; nothing that was done is lost by any.
+    loss diverges, Pruned where it is hopeless, and Interrupted at Ctrl-C; nothing that was done is lost by any.
     """
     folder = Path(folder)
     record = provenance(train_samples, val_samples, config, settings, start)
@@ -343,7 +345,7 @@ def _train(train_samples, val_samples, config, settings, folder, device, say, ho
         )
         _epochs(training, folder, record, hopeless, quiet)
     except KeyboardInterrupt:
-        raise Stopped("the epochs that are over are kept: the same command goes on from there") from None
+        raise Interrupted("the epochs that are over are kept: the same command goes on from there") from None
     except (torch.OutOfMemoryError, MemoryError) as error:
         raise TactipError(f"memory is short for {config}: fewer filters or a smaller batch may help") from error
     except RuntimeError as error:
@@ -421,20 +423,20 @@ def _known(folder, record):
     return None
 
 
-def as_of_now(found, defaults):
+def with_new_defaults(found, defaults):
     """What was written of a configuration (a JSON value), with fields that came to it since as their defaults have it.
 
     defaults: dict, of the configuration as it is now.
     """
     if not isinstance(found, dict) or not isinstance(defaults, dict):
         return found
-    return defaults | {name: as_of_now(value, defaults.get(name)) for name, value in found.items()}
+    return defaults | {name: with_new_defaults(value, defaults.get(name)) for name, value in found.items()}
 
 
 def _refuse_other(folder, there, record):
     before = {"network": dataclasses.asdict(PoseNetConfig()), "settings": dataclasses.asdict(TrainSettings())}
     for part, asked in ({"begun_from": None} | record).items():
-        found = as_of_now(there.get(part), before.get(part))
+        found = with_new_defaults(there.get(part), before.get(part))
         if found != asked:
             what = {"begun_from": "another network to begin with", "settings": "other settings"}.get(part, f"another {part}")
             raise TactipError(f"the folder {folder} holds a training with {what}: name another folder, or remove this one")

@@ -27,11 +27,11 @@ from tqdm import tqdm
 
 from tactip_twin.learning.data import read_splits
 from tactip_twin.learning.search_space import SearchSpace
-from tactip_twin.learning.train import METRICS, Pruned, TrainSettings, as_of_now, read_metrics, train
+from tactip_twin.learning.train import METRICS, Pruned, TrainSettings, read_metrics, train, with_new_defaults
 from tactip_twin.sim.parallel.file_lock import locked
 from tactip_twin.sim.view.plot import pyplot
 from tactip_twin.tactip_model.bounds import check, within
-from tactip_twin.tactip_model.errors import Stopped, TactipError
+from tactip_twin.tactip_model.errors import Interrupted, TactipError
 from tactip_twin.tactip_model.files import write_file
 
 TRIAL, RESULTS, BEST, LOCK = "trial.json", "results.jsonl", "best.json", ".lock"
@@ -98,7 +98,8 @@ def tune(data, folder, settings, jobs=1, device="auto", say=print):
     data: path of a task's sets. folder: path. settings: TuneSettings. jobs: int, trainings at a time. device: str. say:
     called with lines for the user.
 
-    Returns the results (list of dict). Raises TactipError where data, folder or settings do not do, and Stopped at Ctrl-C.
+    Returns the results (list of dict). Raises TactipError where data, folder or settings do not do, and Interrupted at
+    Ctrl-C.
     """
     folder = Path(folder)
     claim(folder, data, settings)
@@ -129,7 +130,7 @@ def _tune(data, folder, settings, jobs, device, say):
                     bar.update()
                     bar.set_postfix(best=_best_loss(results))
         except KeyboardInterrupt:
-            raise Stopped(f"{len(results)} of {settings.trials} trials are over: the same command goes on") from None
+            raise Interrupted(f"{len(results)} of {settings.trials} trials are over: the same command goes on") from None
         finally:
             for process in running.values():
                 process.terminate()
@@ -154,7 +155,7 @@ def claim(folder, data, settings):
         before = {"settings": json.loads(json.dumps(dataclasses.asdict(TuneSettings())))}
         del before["settings"]["trials"]
         for part, asked in identity.items():
-            if as_of_now(there.get(part), before.get(part)) != asked:
+            if with_new_defaults(there.get(part), before.get(part)) != asked:
                 raise TactipError(f"the folder {folder} holds a search with other {part}: name another one, or remove it")
         return
     if folder.exists() and any(folder.iterdir()):

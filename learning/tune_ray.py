@@ -25,7 +25,7 @@ from tactip_twin.learning.tune import (
 )
 from tactip_twin.sim.parallel.file_lock import locked
 from tactip_twin.sim.parallel.ray_pool import joined, ray_here
-from tactip_twin.tactip_model.errors import Stopped, TactipError
+from tactip_twin.tactip_model.errors import Interrupted, TactipError
 
 _CORES = 1
 """Cores of a trial."""
@@ -36,7 +36,7 @@ def tune_on_cluster(data, folder, settings, jobs, address, device="auto"):
 
     data, folder: paths that all machines share. settings: tune.TuneSettings. jobs: int, trials at a time. device: str.
     Returns the results (list of dict). Raises TactipError where Ray is missing, cannot be reached, or data and folder do not
-    do, and Stopped at Ctrl-C.
+    do, and Interrupted at Ctrl-C.
     """
     data, folder = Path(data).resolve(), Path(folder).resolve()
     ray_here()
@@ -95,9 +95,9 @@ def _tune(ray, data, folder, settings, jobs, device, results):
         try:
             tuner.fit()
         except KeyboardInterrupt:
-            raise Stopped(_over(results, settings)) from None
+            raise Interrupted(_over(results, settings)) from None
     if len(results) < settings.trials:  # Ray answers Ctrl-C itself, and then returns
-        raise Stopped(_over(results, settings))
+        raise Interrupted(_over(results, settings))
     draw(results, folder / "tune.png", settings.startup)
     return results
 

@@ -25,7 +25,7 @@ def help_of(words):
     return re.sub(r"\x1b\[[0-9;]*m", "", said.buffer.getvalue().decode())
 
 
-def parts_of(text):
+def shard_dirs(text):
     """What a help text says: description (str), subcommands (list of str), and groups (dict of title to entries): lists of
     name and words (str)."""
     description, subcommands, groups, group = [], [], {}, None
@@ -59,7 +59,7 @@ def _cell(text):
 
 def lines_of(words):
     """Lines (list of str) of the page, on a command (list of str) and those under it."""
-    about, subcommands, groups = parts_of(help_of(words))
+    about, subcommands, groups = shard_dirs(help_of(words))
     lines = ["", f"{'#' * min(len(words) + 1, 4)} tactip {' '.join(words)}", "", about] if words else []
     rows = []
     for entries in groups.values():

@@ -14,7 +14,7 @@ _FACING = np.diag([1.0, -1.0, -1.0])
 """Label axes in the sensor's frame at pose zero (sim/pose.py)."""
 
 
-class SurfaceTruth:
+class SurfaceGroundTruth:
     """Labels on the surface of a solid."""
 
     def __init__(self, solid):
@@ -39,7 +39,7 @@ class SurfaceTruth:
         return label
 
 
-class EdgeTruth:
+class EdgeGroundTruth:
     """Labels on an edge."""
 
     def __init__(self, edge):

@@ -17,7 +17,7 @@ thickness of 0.2 to 2 mm converges; at 1000 the skin buckles like a shell on a s
 
 
 @dataclass(frozen=True)
-class Shape:
+class TipGeometry:
     """Dimensions of the soft tip. A hemisphere, its rim bonded to the housing."""
 
     radius_m: float = within(10e-3, 40e-3, default=20e-3)
@@ -164,7 +164,7 @@ class Design:
 
     name: str
     """What it is called: a preset's name, or what its file says."""
-    shape: Shape = field(default_factory=Shape)
+    shape: TipGeometry = field(default_factory=TipGeometry)
     """Dimensions of the soft tip."""
     materials: Materials = field(default_factory=Materials)
     """What the tip is made of."""

@@ -27,9 +27,9 @@ def write_fitted(path, design, provenance):
     How the camera had changed when the frames were (Optics.zoom, drift) belongs to the recording and not to the sensor: it
     goes into the provenance, where `read_in_use` finds it.
     """
-    in_use = {"zoom": design.optics.zoom, "drift": design.optics.drift}
+    with_camera_drift = {"zoom": design.optics.zoom, "drift": design.optics.drift}
     neutral = replace(design, optics=replace(design.optics, zoom=1.0, drift=(0.0, 0.0)))
-    write_design(path, neutral, provenance | {"camera_in_use": in_use})
+    write_design(path, neutral, provenance | {"camera_in_use": with_camera_drift})
 
 
 def read_in_use(path):

@@ -5,11 +5,11 @@ class TactipError(Exception):
     """An error with a message for the user: what was wrong, the value, what is allowed. Shown without a traceback."""
 
 
-class Stopped(Exception):
+class Interrupted(Exception):
     """The user stopped a long work. The message says what is kept and how to go on."""
 
 
-def choose(kind, name, table):
+def lookup(kind, name, table):
     """Return `table[name]`; raise TactipError that lists the valid names where there is none."""
     try:
         return table[name]

@@ -107,7 +107,7 @@ def tip_radii(design):
     return 0.5 * (design.pins.diameter_m + share * (design.pins.rim_diameter_m - design.pins.diameter_m))
 
 
-def across(directions):
+def perpendicular_axes(directions):
     """Two unit vectors (2, p, 3) that span the discs square to directions (p, 3)."""
     x, y, z = directions.T
     # Square to the direction and to an axis that is not near it: y, where it is near x. Written out: it is asked a lot.

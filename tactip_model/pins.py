@@ -4,7 +4,7 @@ import numpy as np
 from scipy.sparse import coo_matrix
 
 from tactip_twin.tactip_model.bounds import require
-from tactip_twin.tactip_model.errors import choose
+from tactip_twin.tactip_model.errors import lookup
 from tactip_twin.tactip_model.mesh import CONTACT_RADIUS_M
 
 
@@ -32,7 +32,7 @@ def plan_positions(pins):
 
     Raises TactipError on an unknown layout, and where `as_built_m` has not one offset a pin.
     """
-    points = pins.pitch_m * choose("pin layout", pins.layout, LAYOUTS)(pins.rings)
+    points = pins.pitch_m * lookup("pin layout", pins.layout, LAYOUTS)(pins.rings)
     c, s = np.cos(np.radians(pins.rotation_deg)), np.sin(np.radians(pins.rotation_deg))
     points = points @ np.array([[c, s], [-s, c]])
     count = len(pins.as_built_m)

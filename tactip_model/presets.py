@@ -8,7 +8,7 @@ from pathlib import Path
 
 from tactip_twin.tactip_model.design import Design, Optics, Pins
 from tactip_twin.tactip_model.design_file import read_design
-from tactip_twin.tactip_model.errors import TactipError, choose
+from tactip_twin.tactip_model.errors import TactipError, lookup
 
 NOMINAL = {
     # The first ring is turned by 29.5 degrees; the centre is at (126.2, 129.8), counted from the middle of the first pixel
@@ -30,7 +30,7 @@ DESIGNS = (*FITTED, *NOMINAL)
 
 def design_named(name):
     """Return the preset Design called `name`; raise TactipError that lists the presets where there is none."""
-    chosen = choose("design", name, FITTED | NOMINAL)
+    chosen = lookup("design", name, FITTED | NOMINAL)
     return read_design(chosen) if isinstance(chosen, Path) else chosen
 
 

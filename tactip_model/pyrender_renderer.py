@@ -16,8 +16,8 @@ import numpy as np
 
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.opengl import install_hint
-from tactip_twin.tactip_model.optics import LedRing, Lens, across, inner_skin, tip_radii
-from tactip_twin.tactip_model.raster_renderer import finish
+from tactip_twin.tactip_model.optics import LedRing, Lens, inner_skin, perpendicular_axes, tip_radii
+from tactip_twin.tactip_model.raster_renderer import blur_and_quantize
 
 _SIDES = 24
 """Sides of the polygon that stands for a pin's round tip: 1 % of its area is missing, made up in its radius."""
@@ -48,7 +48,7 @@ def renderer() -> tuple[Any, Any]:
 
 def check_opengl():
     """Draw off screen. Raises TactipError where OpenGL cannot be used."""
-    canvas = Canvas(16, 16)
+    canvas = OffscreenRenderer(16, 16)
     corners = np.array([[-1, -1, 1.0], [40, -1, 1.0], [-1, 40, 1.0]])
     drawn, _ = canvas.draw(canvas.mesh(corners, np.array([[0, 1, 2]]), np.full(3, 255.0)))
     if drawn.min() < 255:
@@ -58,7 +58,7 @@ def check_opengl():
         )
 
 
-class Canvas:
+class OffscreenRenderer:
     """An off-screen OpenGL drawing in pixel coordinates."""
 
     def __init__(self, width, height):
@@ -134,19 +134,19 @@ class PinCamera:
         self._radii = tip_radii(design)
         fan = np.stack([np.zeros(_SIDES, int), 1 + np.arange(_SIDES), 1 + (np.arange(_SIDES) + 1) % _SIDES], 1)
         self._fans = (fan + (_SIDES + 1) * np.arange(len(self._radii))[:, None, None]).reshape(-1, 3)
-        self._canvas = Canvas(self._lens.width, self._lens.width)
+        self._canvas = OffscreenRenderer(self._lens.width, self._lens.width)
         # Nothing moves it: it is drawn once, which is more than half of what an image would cost.
         self._backdrop, _ = self._canvas.draw(self._skin())
 
     def render(self, tips, directions):
         """Grey frame (h, w) uint8 of pins with tips (p, 3) m and directions (p, 3), sensor frame."""
         tips, directions = np.asarray(tips, float), np.asarray(directions, float)
-        plane = np.einsum("sk,kpj->psj", self._rim, across(directions))
+        plane = np.einsum("sk,kpj->psj", self._rim, perpendicular_axes(directions))
         discs = np.concatenate([tips[:, None], tips[:, None] + self._radii[:, None, None] * plane], 1)
         grey = self._leds.grey(tips, directions, self._design.optics.pin_albedo)
         mesh = self._canvas.mesh(self._seen(discs.reshape(-1, 3)), self._fans, np.repeat(grey, _SIDES + 1))
         drawn, covered = self._canvas.draw(mesh)
-        return finish(drawn + (1 - covered) * self._backdrop, self._design.optics)
+        return blur_and_quantize(drawn + (1 - covered) * self._backdrop, self._design.optics)
 
     def _seen(self, points):
         """Pixels and depth (n, 3) of points (n, 3)."""

@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 
-from tactip_twin.tactip_model.optics import LedRing, Lens, across, backdrop, tip_radii
+from tactip_twin.tactip_model.optics import LedRing, Lens, backdrop, perpendicular_axes, tip_radii
 
 
 class Raster:
@@ -54,7 +54,7 @@ class Raster:
         # Most of the frame is backdrop. Where two pins meet, a pixel stands here twice, with the same grey.
         frame, paint = self._blank.copy(), paint[index]
         frame[index] = (1 - paint) * self._backdrop[index] + paint * shade[index]
-        return finish(frame.reshape(width, width), self._design.optics)
+        return blur_and_quantize(frame.reshape(width, width), self._design.optics)
 
     def ellipses(self, tips, directions):
         """Middles (..., p, 2) and half-axes (..., p, 2, 2), columns, of the pins' discs, px of the frame.
@@ -64,13 +64,13 @@ class Raster:
         shape = tips.shape[:-1]
         r = np.broadcast_to(self._radii, shape).reshape(-1, 1)
         tips, directions = tips.reshape(-1, 3), directions.reshape(-1, 3)
-        u, v = r * across(directions)
+        u, v = r * perpendicular_axes(directions)
         edge = self._lens.project(tips + np.stack([u, -u, v, -v]))
         axes = np.stack([(edge[0] - edge[1]) / 2, (edge[2] - edge[3]) / 2], -1)
         return edge.mean(0).reshape(*shape, 2), axes.reshape(*shape, 2, 2)
 
 
-def finish(frame, optics):
+def blur_and_quantize(frame, optics):
     """The lens's blur and the camera's 8 bits: frame (h, w) float, 0 to 255, to uint8."""
     if optics.blur_px > 0:
         frame = cv2.GaussianBlur(frame.astype(np.float32, copy=False), (0, 0), optics.blur_px)

@@ -1,6 +1,6 @@
 """What draws the camera's frame, by name."""
 
-from tactip_twin.tactip_model.errors import choose
+from tactip_twin.tactip_model.errors import lookup
 
 
 def renderer_named(name, design):
@@ -8,7 +8,7 @@ def renderer_named(name, design):
 
     name: pyrender, or raster: the same without OpenGL. Raises TactipError that lists them.
     """
-    return choose("renderer", name, RENDERERS)(design)
+    return lookup("renderer", name, RENDERERS)(design)
 
 
 def _pyrender(design):

@@ -76,7 +76,7 @@ class ContactModel:
         check(self)
 
 
-def add_body(spec, parent, design, mesh, resolution, contact):
+def add_soft_tip(spec, parent, design, mesh, resolution, contact):
     """Add the soft tip to a model.
 
     spec: mujoco.MjSpec. parent: MjsBody whose frame is the sensor frame; bonded vertices move with it. design: Design.

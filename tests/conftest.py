@@ -9,7 +9,7 @@ import pytest
 
 from helpers.set_commands import make, run
 from tactip_twin.sim.contact.fidelity import fidelity_named
-from tactip_twin.sim.contact.simulator import ContactPlayer
+from tactip_twin.sim.contact.simulator import ContactSimulator
 from tactip_twin.sim.pose import from_mm_deg
 from tactip_twin.tactip_model.presets import design_named
 
@@ -36,17 +36,17 @@ def standard():
 
 @pytest.fixture(scope="session")
 def on_surface(design, standard):
-    return Press(ContactPlayer(design, "surface", standard))
+    return Press(ContactSimulator(design, "surface", standard))
 
 
 @pytest.fixture(scope="session")
 def on_edge(design, standard):
-    return Press(ContactPlayer(design, "edge", standard))
+    return Press(ContactSimulator(design, "edge", standard))
 
 
 @pytest.fixture(scope="session")
 def on_ice(frictionless, standard):
-    return Press(ContactPlayer(frictionless, "surface", standard))
+    return Press(ContactSimulator(frictionless, "surface", standard))
 
 
 class Press:

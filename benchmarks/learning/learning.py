@@ -25,7 +25,7 @@ from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES, Ranges
 from tactip_twin.sim.dataset.symmetry import SYMMETRIES
 from tactip_twin.sim.parallel.worker_pool import worker_count
 from tactip_twin.sim.view.plot import pyplot
-from tactip_twin.tactip_model.errors import TactipError, choose
+from tactip_twin.tactip_model.errors import TactipError, lookup
 from tactip_twin.tactip_model.files import write_file
 from tactip_twin.tactip_model.presets import find_design
 
@@ -219,15 +219,15 @@ class Sets:
 def run(options, say=print):
     """Measure a task; returns its record (dict). say: called with lines for the user.
 
-    Raises TactipError, and Stopped at Ctrl-C.
+    Raises TactipError, and Interrupted at Ctrl-C.
     """
-    choose("task", options.task, dict.fromkeys(PAPER))
+    lookup("task", options.task, dict.fromkeys(PAPER))
     if not 1 <= options.contacts <= options.most:
         raise TactipError(f"--contacts is {options.contacts}: it must be 1 to --most, {options.most}")
     chosen = {row.name: row for row in rows(options.task, options.paper)}
     order = list(chosen)
     if options.only:
-        chosen = {name: choose("row", name, chosen) for name in options.only}
+        chosen = {name: lookup("row", name, chosen) for name in options.only}
     make(jobs(options, {row.kind for row in chosen.values()}), worker_count(options.workers), say)
     sets = Sets(options)
     tests = sets.tests()

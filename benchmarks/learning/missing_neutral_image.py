@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from tactip_twin.sim.dataset.format import read_meta
 from tactip_twin.sim2real.importing.column_map import Layout
 from tactip_twin.sim2real.importing.import_set import import_set, read_report, read_source
-from tactip_twin.sim2real.transfer.neutral_calibration import nominal_of, twin_of
+from tactip_twin.sim2real.transfer.neutral_calibration import fit_design_to_neutral_image, nearest_nominal_design
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.neutral_image import neutral_px
 
@@ -47,9 +47,9 @@ def distance(options):
     with tempfile.TemporaryDirectory() as folder:
         out = options.keep or Path(folder) / "set"
         import_set(replace(read_source(options.lab, layout), neutral=None), layout, out)
-        blind, _ = twin_of(out, size)
-    seeing = cKDTree(neutral_px(twin_of(options.real, size)[0]))
-    designs = {"of frames alone": blind, "fitted to nothing": nominal_of(pins, size)}
+        blind, _ = fit_design_to_neutral_image(out, size)
+    seeing = cKDTree(neutral_px(fit_design_to_neutral_image(options.real, size)[0]))
+    designs = {"of frames alone": blind, "fitted to nothing": nearest_nominal_design(pins, size)}
     return {name: float(np.sqrt((seeing.query(neutral_px(d))[0] ** 2).mean())) for name, d in designs.items()}
 
 

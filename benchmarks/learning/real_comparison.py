@@ -14,7 +14,7 @@ import numpy as np
 import tyro
 
 from tactip_twin.sim.contact.fidelity import fidelity_named
-from tactip_twin.sim.contact.simulator import ContactPlayer
+from tactip_twin.sim.contact.simulator import ContactSimulator
 from tactip_twin.sim.pose import from_mm_deg
 from tactip_twin.sim.view.plot import pyplot
 from tactip_twin.tactip_model.design_file import read_in_use
@@ -139,7 +139,7 @@ def main(options: Options):
     """Measure, print, draw."""
     plt = pyplot()
     design = read_in_use(FITTED["tactip-127"])
-    player = ContactPlayer(design, "surface", fidelity_named(options.fidelity))
+    player = ContactSimulator(design, "surface", fidelity_named(options.fidelity))
     zero, left, without = best_zero(player)
     simulated, contacts = simulated_outward_px(player, np.array(DEPTHS_MM) + zero)
     for depth, row, contact in zip(DEPTHS_MM, left, contacts, strict=True):

@@ -13,11 +13,11 @@ from tactip_twin.benchmarks.hardware import machine, machine_text
 from tactip_twin.benchmarks.learning import learning as learned
 from tactip_twin.benchmarks.options import LearningOptions
 from tactip_twin.learning.search_space import SearchSpace
-from tactip_twin.learning.train import TrainSettings, as_of_now
+from tactip_twin.learning.train import TrainSettings, with_new_defaults
 from tactip_twin.learning.tune import PARAMETERS, TuneSettings, draw, tune
 from tactip_twin.sim.dataset.generate import Job, make
 from tactip_twin.sim.parallel.worker_pool import worker_count
-from tactip_twin.tactip_model.errors import choose
+from tactip_twin.tactip_model.errors import lookup
 from tactip_twin.tactip_model.files import write_file
 
 LAPTOP = TuneSettings(
@@ -43,9 +43,9 @@ def jobs(options):
 def run(options, say=print):
     """Search; returns the task's record (dict). say: called with lines for the user.
 
-    Raises TactipError, and Stopped at Ctrl-C.
+    Raises TactipError, and Interrupted at Ctrl-C.
     """
-    choose("task", options.task, dict.fromkeys(learned.PAPER))
+    lookup("task", options.task, dict.fromkeys(learned.PAPER))
     settings = TuneSettings() if options.paper else replace(LAPTOP, trials=options.trials)
     make(jobs(options), worker_count(options.workers), say)
     results = tune(options.data / "plain" / options.task, options.runs / options.task, settings, options.jobs, say=say)
@@ -114,4 +114,4 @@ def cuts(settings):
                 yield f"{name}{key} {ours[key]:g} instead of {value:g}"
 
     papers = dataclasses.asdict(TuneSettings())
-    return list(differing(as_of_now(settings, papers), papers, ""))
+    return list(differing(with_new_defaults(settings, papers), papers, ""))

@@ -12,7 +12,7 @@ from tactip_twin.benchmarks.hardware import machine, machine_text
 from tactip_twin.sim2real.transfer.experiments import EXPERIMENTS, Experiment
 from tactip_twin.sim2real.transfer.page import page_lines, write_page
 from tactip_twin.sim2real.transfer.settings import GAP
-from tactip_twin.tactip_model.errors import TactipError, choose
+from tactip_twin.tactip_model.errors import TactipError, lookup
 from tactip_twin.tactip_model.files import write_file
 
 MOST_MM, MOST_DEG = 0.3, 2.0
@@ -27,11 +27,11 @@ def run(options, say=print):
     """Make the experiments, and write the page. options: TransferredOptions. Returns its record (dict). say: called with
     lines for the user.
 
-    Raises TactipError, and Stopped at Ctrl-C.
+    Raises TactipError, and Interrupted at Ctrl-C.
     """
     if not options.real:
         raise TactipError("no imported set is named: give one or more folders by --real")
-    names = [choose("experiment", name, dict(zip(EXPERIMENTS, EXPERIMENTS, strict=True))) for name in options.experiments]
+    names = [lookup("experiment", name, dict(zip(EXPERIMENTS, EXPERIMENTS, strict=True))) for name in options.experiments]
     path = options.out / "transfer.json"
     whole = json.loads(path.read_text()) if path.exists() else {}
     options.out.mkdir(parents=True, exist_ok=True)

@@ -17,8 +17,8 @@ import mujoco
 import numpy as np
 
 from tactip_twin.sim.contact.fidelity import FIDELITIES, Fidelity
-from tactip_twin.sim.contact.record import Bounds
-from tactip_twin.sim.contact.simulator import ContactPlayer
+from tactip_twin.sim.contact.record import QualityLimits
+from tactip_twin.sim.contact.simulator import ContactSimulator
 from tactip_twin.tactip_model.files import write_file
 from tactip_twin.tactip_model.presets import design_named
 
@@ -55,7 +55,7 @@ class Played:
     imbalance: float
     """Force left over, of the contact force, -."""
     faults: int
-    """Bounds that the record does not keep."""
+    """QualityLimits that the record does not keep."""
     steps: int
     """Time steps."""
     freedom: int
@@ -68,11 +68,11 @@ class Played:
     """The same of the contact at `standard` just before it, s."""
 
 
-class UnloweredPlayer(ContactPlayer):
+class UncorrectedSimulator(ContactSimulator):
     """Plays contacts without De Saxcé's correction (Scene.step): what slides is lifted."""
 
     def __init__(self, design, stimulus, fidelity):
-        """As ContactPlayer."""
+        """As ContactSimulator."""
         super().__init__(design, stimulus, fidelity)
         self.scene._lift = np.zeros_like
 
@@ -125,7 +125,7 @@ class Plays:
         """A player of a stimulus at a Variant. Of each stimulus, `standard` and the last other one are kept."""
         slot = stimulus, variant == STANDARD
         if slot not in self._players or self._players[slot][0] != variant:
-            kind = ContactPlayer if variant.lowered else UnloweredPlayer
+            kind = ContactSimulator if variant.lowered else UncorrectedSimulator
             self._players[slot] = variant, kind(design_named(DESIGN), stimulus, variant.fidelity)
         return self._players[slot][1]
 
@@ -142,7 +142,7 @@ class Plays:
             penetration_m=contact.penetration_m,
             speed_m_s=contact.speed_m_s,
             imbalance=contact.imbalance,
-            faults=len(contact.faults(Bounds())),
+            faults=len(contact.faults(QualityLimits())),
             steps=contact.steps,
             freedom=int(model.nv) - 6,  # the stimulus has six
             model_bytes=int(mujoco.mj_sizeModel(model) + data.nbuffer + data.maxuse_arena),

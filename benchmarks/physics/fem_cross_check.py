@@ -20,7 +20,7 @@ import tyro
 from tactip_twin.benchmarks.physics.fem_tetrahedra import Solid, lame
 from tactip_twin.benchmarks.physics.materials import Specimen, gel
 from tactip_twin.sim.contact.fidelity import FIDELITIES
-from tactip_twin.sim.contact.simulator import ContactPlayer
+from tactip_twin.sim.contact.simulator import ContactSimulator
 from tactip_twin.sim.pose import from_mm_deg
 from tactip_twin.tactip_model.files import write_file
 from tactip_twin.tactip_model.presets import design_named
@@ -83,7 +83,7 @@ def pressed_gel(depth_mm, fidelity="standard"):
     design = design_named("nominal-127")
     materials = replace(design.materials, friction=0.0, skin_young_pa=1.0)  # a skin of 1 Pa is none
     fidelity = FIDELITIES[fidelity]
-    player = ContactPlayer(replace(design, materials=materials), "surface", fidelity)
+    player = ContactSimulator(replace(design, materials=materials), "surface", fidelity)
     force = player.play(from_mm_deg([0, 0, -depth_mm, 0, 0, 0]), np.zeros(6)).normal_force_n
     scene = player.scene
     held = np.repeat(scene.mesh.bonded[:, None], 3, 1)

@@ -21,7 +21,7 @@ from tactip_twin.benchmarks.physics.contact_cache import DESIGN, STANDARD, Plays
 from tactip_twin.benchmarks.physics.contact_cases import CASES, CONVERGING, training
 from tactip_twin.benchmarks.physics.fidelity_page import draw, page
 from tactip_twin.benchmarks.physics.parameter_sweeps import refined_meshes, refined_steps, small_steps, sweeps
-from tactip_twin.benchmarks.physics.pose_sensitivity import ImagePins, LabelWorth, moved_about
+from tactip_twin.benchmarks.physics.pose_sensitivity import ImagePins, PoseSensitivity, moved_about
 from tactip_twin.sim.contact.fidelity import FIDELITIES, finer
 from tactip_twin.sim.labels import TASKS
 from tactip_twin.tactip_model.errors import TactipError
@@ -112,7 +112,7 @@ class Measurement:
 
     def _worth(self, case):
         if case not in self._worths:
-            self._worths[case] = LabelWorth.about(case, self._plays, self._pins)
+            self._worths[case] = PoseSensitivity.about(case, self._plays, self._pins)
         return self._worths[case]
 
     def _label(self, cases, played, best):
@@ -166,7 +166,7 @@ class Measurement:
         return {"spacings_mm": list(meshes), "shares_of_steps": list(steps), "rows": rows}
 
     def _standard(self, task):
-        """Cases of a task with their Played at `standard` and their LabelWorth."""
+        """Cases of a task with their Played at `standard` and their PoseSensitivity."""
         return [(case, self._plays(case, STANDARD), self._worth(case)) for case in training(task, self._options.contacts)]
 
 
@@ -199,7 +199,8 @@ def sequence(played, ratio):
 
 
 def drawing(contacts, pins):
-    """Raster against pyrender on the same pins: a dict. contacts: list of (Case, Played, LabelWorth). pins: ImagePins."""
+    """Raster against pyrender on the same pins: a dict. contacts: list of (Case, Played, PoseSensitivity). pins:
+    ImagePins."""
     design = design_named(DESIGN)
     painters = {"raster": Raster(design), "pyrender": PinCamera(design)}
     times, grey, binary, shifts, worths = {name: [] for name in painters}, [], [], [], []

@@ -14,7 +14,7 @@ import numpy as np
 import tyro
 
 from tactip_twin.sim.contact.fidelity import FIDELITIES
-from tactip_twin.sim.contact.simulator import ContactPlayer, shares
+from tactip_twin.sim.contact.simulator import ContactSimulator, motion_fractions
 from tactip_twin.sim.pose import from_mm_deg, path
 from tactip_twin.tactip_model.files import write_file
 from tactip_twin.tactip_model.presets import design_named
@@ -33,7 +33,7 @@ class Options:
     """Folder for friction.md, friction.json and friction.png."""
 
 
-class Walker(ContactPlayer):
+class Walker(ContactSimulator):
     """Plays a contact along way points, and keeps the force at every step."""
 
     def __init__(self, friction, fidelity=FIDELITIES["standard"]):
@@ -59,7 +59,7 @@ class Walker(ContactPlayer):
         goal, motion = from_mm_deg([*place_mm, 0, 0, 0]), self.scene.fidelity.motion
         way = goal - self._at
         step = motion.press_step_m if np.hypot(*way[:2]) < abs(way[2]) else motion.shear_step_m
-        self.move(path(self._at, goal, shares(np.linalg.norm(way) / step, motion)))
+        self.move(path(self._at, goal, motion_fractions(np.linalg.norm(way) / step, motion)))
         self._at = goal
 
     def rest(self):

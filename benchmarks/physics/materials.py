@@ -18,7 +18,7 @@ from scipy.spatial import Delaunay
 
 from tactip_twin.benchmarks.physics.fem_tetrahedra import lame
 from tactip_twin.sim.contact.fidelity import FIDELITIES
-from tactip_twin.tactip_model.design import Materials, Shape
+from tactip_twin.tactip_model.design import Materials, TipGeometry
 from tactip_twin.tactip_model.files import write_file
 from tactip_twin.tactip_model.mesh import GOLDEN_ANGLE, Resolution, build_mesh
 from tactip_twin.tactip_model.soft_body import STABLE_NEO_HOOKEAN, gel_attributes, skin_attributes
@@ -322,7 +322,7 @@ def dome_ratio(materials, resolution):
     Reissner 1946, a shallow spherical shell: F R sqrt(3 (1 - nu^2)) / (4 E t^2). Half the difference of pull and push.
     Also returns how far, m, its vertices move without a load: the bending of a curved skin is not quite at rest.
     """
-    mesh = build_mesh(Shape(), resolution)
+    mesh = build_mesh(TipGeometry(), resolution)
     vertices = mesh.vertices[: mesh.surface_count]
     held = np.repeat(mesh.bonded[: mesh.surface_count, None], 3, 1)
     apex = np.hypot(*vertices[:, :2].T).argmin()

@@ -16,7 +16,7 @@ import tyro
 
 from tactip_twin.benchmarks.physics.fem_axisymmetric import Dome, Layer
 from tactip_twin.sim.contact.fidelity import FIDELITIES
-from tactip_twin.sim.contact.simulator import ContactPlayer
+from tactip_twin.sim.contact.simulator import ContactSimulator
 from tactip_twin.sim.pose import from_mm_deg
 from tactip_twin.tactip_model.files import write_file
 from tactip_twin.tactip_model.mesh import CONTACT_RADIUS_M, tetrahedron_volumes
@@ -117,7 +117,7 @@ def against_depth(expected):
     cases = {"draft": FIDELITIES["draft"], "standard": standard, "standard mesh, 0.49 as it is": as_it_is(standard)}
     for what in expected:
         for name, fidelity in cases.items():
-            player = ContactPlayer(frictionless(what), "surface", fidelity)
+            player = ContactSimulator(frictionless(what), "surface", fidelity)
             ratios = [press(player, d).normal_force_n / expected[what].force(d) for d in DEPTHS_MM]
             lost = 1 - tetrahedron_volumes(player.scene.vertices(), player.scene.mesh.tetrahedra).sum() / (
                 player.scene.mesh.volumes.sum()
@@ -138,7 +138,7 @@ def locking(known):
                 if poisson > fidelity.mesh.poisson_limit:
                     cures["cured"] = fidelity
                 for cure, played in cures.items():
-                    player = ContactPlayer(frictionless(what, poisson), "surface", played)
+                    player = ContactSimulator(frictionless(what, poisson), "surface", played)
                     row = {"tip": what, "poisson": poisson, "mesh": name, "elements": cure, "force_ratio": []}
                     for depth in LOCKING_DEPTHS_MM:
                         row["force_ratio"].append(press(player, depth).normal_force_n / expected.force(depth))
@@ -153,7 +153,7 @@ def bending(expected):
     """Force and shape of the sensor at `standard` with the skin's bending scaled: a list of dict. expected: Expected."""
     rows = []
     for factor in (0.0, 1.0, 2.0):
-        player = ContactPlayer(frictionless("sensor"), "surface", FIDELITIES["standard"])
+        player = ContactSimulator(frictionless("sensor"), "surface", FIDELITIES["standard"])
         player.scene.model.flex_bending[:] *= factor
         row = {"bending": factor, "force_ratio": []}
         for depth in DEPTHS_MM:
@@ -167,7 +167,7 @@ def bending(expected):
 
 def ripple():
     """Greatest distance (relative) of the forces every 0.1 mm from a smooth curve, `standard`, with friction."""
-    player = ContactPlayer(design_named("nominal-127"), "surface", FIDELITIES["standard"])
+    player = ContactSimulator(design_named("nominal-127"), "surface", FIDELITIES["standard"])
     depth = np.arange(0.5, 5.01, 0.1)
     force = np.array([press(player, d).normal_force_n for d in depth])
     smooth = np.exp(np.polyval(np.polyfit(np.log(depth), np.log(force), 3), np.log(depth)))

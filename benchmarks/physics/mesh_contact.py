@@ -17,9 +17,9 @@ import trimesh
 from tactip_twin.assets.meshes.rims import block
 from tactip_twin.benchmarks.hardware import machine, machine_text
 from tactip_twin.sim.contact.fidelity import fidelity_named
-from tactip_twin.sim.contact.signed_distance import Solid
-from tactip_twin.sim.contact.simulator import ContactPlayer
-from tactip_twin.sim.contact.solid_stimulus import Shape
+from tactip_twin.sim.contact.signed_distance import SignedDistanceMesh
+from tactip_twin.sim.contact.simulator import ContactSimulator
+from tactip_twin.sim.contact.solid_stimulus import SolidStimulus
 from tactip_twin.sim.contact.stimuli import EDGE_RADIUS_M, SPHERE_RADIUS_M, Stimulus, stimulus_named
 from tactip_twin.sim.pose import from_mm_deg
 from tactip_twin.tactip_model.errors import TactipError
@@ -100,8 +100,8 @@ def ways(name, mesh):
         fine = cut(name, mesh, size)
         tell = f"{len(fine.faces)} triangles"
         sharpest = EDGE_RADIUS_M if name != "sphere" else SPHERE_RADIUS_M
-        out[f"follows the skin, {tell}"] = lambda fine=fine, r=sharpest: Shape(
-            Solid(fine.vertices, fine.faces), sharpest_m=r
+        out[f"follows the skin, {tell}"] = lambda fine=fine, r=sharpest: SolidStimulus(
+            SignedDistanceMesh(fine.vertices, fine.faces), sharpest_m=r
         )
         if size != SIZES_MM[-1]:
             out[f"rigid flex, {tell}"] = lambda fine=fine: Native(true, fine, "flex", both)
@@ -128,7 +128,7 @@ def measure(say=print):
         rows, true = [], None
         for way, stimulus in {"the stimulus itself": lambda name=name: name, **ways(name, mesh)}.items():
             try:
-                player = ContactPlayer(design, stimulus(), fidelity)
+                player = ContactSimulator(design, stimulus(), fidelity)
             except TactipError as error:
                 rows.append({"way": way, "refused": str(error).splitlines()[0]})
                 say(f"{name}: {way}: refused")

@@ -37,7 +37,7 @@ class ImagePins:
         return (self._lens.project(np.asarray(tips, float)) + 0.5) * self._size / self._lens.width - 0.5
 
 
-class LabelWorth:
+class PoseSensitivity:
     """The linear estimator about one contact."""
 
     def __init__(self, components, jacobian):

@@ -18,9 +18,9 @@ from tqdm import tqdm
 
 import tactip_twin.sim.contact.scene
 from tactip_twin.benchmarks.hardware import machine, machine_text
-from tactip_twin.benchmarks.physics.contact_cache import DESIGN, STANDARD, UnloweredPlayer
+from tactip_twin.benchmarks.physics.contact_cache import DESIGN, STANDARD, UncorrectedSimulator
 from tactip_twin.benchmarks.physics.contact_cases import Case, training
-from tactip_twin.sim.contact.simulator import ContactPlayer
+from tactip_twin.sim.contact.simulator import ContactSimulator
 from tactip_twin.sim.dataset.format import encode_image
 from tactip_twin.sim.labels import TASKS
 from tactip_twin.tactip_model import soft_body as body
@@ -52,7 +52,7 @@ def _with_skin(**changes):
 def _player(task, **materials):
     design = design_named(DESIGN)
     design = replace(design, materials=replace(design.materials, **materials))
-    return ContactPlayer(design, task, STANDARD.fidelity)
+    return ContactSimulator(design, task, STANDARD.fidelity)
 
 
 def _with_facets_deaf(task):
@@ -78,7 +78,7 @@ PARTS = {
     "the skin, stretching and bending": _with_skin(elastic2d=NOTHING),
     "friction": lambda task: _player(task, friction=0.0),
     "contact of the skin's facets": _with_facets_deaf,
-    "the correction for sliding skin": lambda task: UnloweredPlayer(design_named(DESIGN), task, STANDARD.fidelity),
+    "the correction for sliding skin": lambda task: UncorrectedSimulator(design_named(DESIGN), task, STANDARD.fidelity),
     "Scene.step (mujoco.mj_step in its place)": _with_plain_steps,
 }
 """What is left out, to a function of the task that makes a player without it. The gel cannot be left out."""
@@ -147,7 +147,7 @@ class _TimedCalls:
         return timed
 
 
-class _TimedPlayer(ContactPlayer):
+class _TimedPlayer(ContactSimulator):
     """A player that adds up the CPU time of its records."""
 
     recording = 0.0

@@ -15,10 +15,10 @@ import numpy as np
 
 from tactip_twin.benchmarks.hardware import machine, machine_text
 from tactip_twin.sim.contact.fidelity import FASTEST_M_S, FASTEST_SHEAR_M_S, Fidelity, fidelity_named, finer
-from tactip_twin.sim.contact.record import Bounds
-from tactip_twin.sim.contact.simulator import UNPROVEN, CarefulPlayer, ContactPlayer
+from tactip_twin.sim.contact.record import QualityLimits
+from tactip_twin.sim.contact.simulator import UNPROVEN, ContactSimulator, RetryingSimulator
 from tactip_twin.sim.contact.stimuli import STIMULI
-from tactip_twin.sim.parallel.worker_pool import Crew, worker_count
+from tactip_twin.sim.parallel.worker_pool import WorkerPool, worker_count
 from tactip_twin.sim.pose import from_mm_deg
 from tactip_twin.sim.view.plot import pyplot
 from tactip_twin.tactip_model.errors import TactipError
@@ -210,7 +210,7 @@ def judge(cell, fidelity):
     shear = from_mm_deg([cell.slide_mm, 0, 0, 0, 0, 0])
     try:
         design, fidelity = _changed(cell, fidelity)
-        player = CarefulPlayer(design, cell.stimulus, fidelity, Bounds())
+        player = RetryingSimulator(design, cell.stimulus, fidelity, QualityLimits())
         contact, faults = player.play(pose, shear, cell.approach)
     except TactipError as error:
         return result | {"reasons": [str(error)]}
@@ -221,9 +221,9 @@ def judge(cell, fidelity):
         return result | {"verdict": "refused", "reasons": faults[-1]}
     for _ in faults:
         fidelity = finer(fidelity)
-    half = ContactPlayer(design, cell.stimulus, finer(fidelity)).play(pose, shear, cell.approach)
+    half = ContactSimulator(design, cell.stimulus, finer(fidelity)).play(pose, shear, cell.approach)
     result |= {"half_step_" + key: value for key, value in _difference(contact, half).items()}
-    differs = half.faults(Bounds()) + _disagreement(contact, half)
+    differs = half.faults(QualityLimits()) + _disagreement(contact, half)
     if differs:
         return result | {"verdict": "wrong", "reasons": ["with half the step: " + text for text in differs]}
     refined = any(found != [UNPROVEN] for found in faults)
@@ -326,7 +326,7 @@ def run(options, say=print):
     """Measure the map and write stability.json, .md and .png. options: StabilityOptions. say: called with lines for the
     user.
 
-    Returns the result (dict). Raises Stopped at Ctrl-C (what is done is kept) and OSError.
+    Returns the result (dict). Raises Interrupted at Ctrl-C (what is done is kept) and OSError.
     """
     fidelity: Fidelity = fidelity_named("standard")
     out, quick, workers = options.out, options.quick, worker_count(options.workers)
@@ -343,7 +343,7 @@ def run(options, say=print):
             _write_json(out, records, len(chosen), fidelity)
 
     if todo:
-        Crew(_Judge, (str(folder), fidelity, quick), todo, "cell", say).work(min(workers, len(todo)), report)
+        WorkerPool(_Judge, (str(folder), fidelity, quick), todo, "cell", say).work(min(workers, len(todo)), report)
     records = [_done(folder, i, cell) for i, cell in enumerate(chosen)]
     result = _write_json(out, records, len(chosen), fidelity)
     write_file(out / "stability.md", page(result).encode())

@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 from tactip_twin.sim.contact.fidelity import fidelity_named
-from tactip_twin.sim.contact.simulator import ContactPlayer
+from tactip_twin.sim.contact.simulator import ContactSimulator
 from tactip_twin.tactip_model.presets import find_design
 
 TIGHTEST = 1e-6
@@ -83,7 +83,7 @@ def _off(places, truth):
 
 
 def _model(tolerance):
-    model = ContactPlayer(find_design("tactip-127"), "surface", fidelity_named("standard")).scene.model
+    model = ContactSimulator(find_design("tactip-127"), "surface", fidelity_named("standard")).scene.model
     # MuJoCo Warp refuses this flag; nothing diverges here.
     model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     model.opt.tolerance = tolerance

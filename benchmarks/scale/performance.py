@@ -24,12 +24,12 @@ from mujoco import batch
 from tactip_twin.benchmarks.hardware import machine, machine_text
 from tactip_twin.benchmarks.scale import mujoco_warp as gpu_engine
 from tactip_twin.sim.contact.fidelity import fidelity_named
-from tactip_twin.sim.contact.simulator import ContactPlayer
+from tactip_twin.sim.contact.simulator import ContactSimulator
 from tactip_twin.sim.dataset.format import Configuration
 from tactip_twin.sim.dataset.generate import Job, make
 from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES
 from tactip_twin.sim.dataset.symmetry import SYMMETRIES
-from tactip_twin.tactip_model.errors import TactipError, choose
+from tactip_twin.tactip_model.errors import TactipError, lookup
 from tactip_twin.tactip_model.files import write_file
 from tactip_twin.tactip_model.presets import find_design
 
@@ -63,7 +63,7 @@ def run(options, say=print):
 
     Raises TactipError.
     """
-    names = [choose("group", name, dict(zip(GROUPS, GROUPS, strict=True))) for name in options.groups or GROUPS]
+    names = [lookup("group", name, dict(zip(GROUPS, GROUPS, strict=True))) for name in options.groups or GROUPS]
     for name, given, least in (("contacts", options.contacts, 1), ("steps", options.steps, _LEAST_STEPS)):
         if given < least:
             raise TactipError(f"--{name} is {given}: it must be at least {least}")
@@ -201,7 +201,7 @@ def _images(options):
     """Images a second of each renderer, alone, and of the drawing in training, in batches."""
     import torch
 
-    from tactip_twin.learning.augmentation import DrawnImages
+    from tactip_twin.learning.augmentation import OpticsAugmentation
     from tactip_twin.learning.data import read_samples
     from tactip_twin.learning.device import one_thread
     from tactip_twin.learning.optics_ranges import OPTICS
@@ -226,7 +226,7 @@ def _images(options):
             samples = read_samples(made_set(folder, _BATCH, 1, **case))
             chosen = torch.arange(len(samples))
             for varied in ("lens", "real"):
-                drawn = DrawnImages(samples, 1.0, OPTICS[varied])
+                drawn = OpticsAugmentation(samples, 1.0, OPTICS[varied])
                 with one_thread():
                     seconds = _median(lambda d=drawn, c=chosen: d.draw(c))
                 what = f"drawn in training, `{varied}`, {_BATCH} at a time"
@@ -297,18 +297,18 @@ def _faces(options):
     """Time of a step on an object by the number of its triangles: a ball, pressed 3 mm and slid along."""
     import trimesh
 
-    from tactip_twin.sim.contact.signed_distance import Solid
-    from tactip_twin.sim.robot.arm_models import carrier_named
-    from tactip_twin.sim.robot.mounted_tip import Fingertip
+    from tactip_twin.sim.contact.signed_distance import SignedDistanceMesh
+    from tactip_twin.sim.robot.arm_models import arm_model_named
+    from tactip_twin.sim.robot.mounted_tip import MountedTip
 
     rows = []
     for subdivisions in (3, 5, 7):
         ball = trimesh.creation.icosphere(subdivisions=subdivisions, radius=0.04)
         start = time.perf_counter()
-        solid = Solid(np.asarray(ball.vertices), np.asarray(ball.faces))
+        solid = SignedDistanceMesh(np.asarray(ball.vertices), np.asarray(ball.faces))
         built = time.perf_counter() - start
-        finger = Fingertip(
-            find_design("tactip-127"), solid, fidelity_named("standard"), carrier_named("none"), np.eye(4)
+        finger = MountedTip(
+            find_design("tactip-127"), solid, fidelity_named("standard"), arm_model_named("none"), np.eye(4)
         )  # fmt: skip
         facing = np.diag([1.0, -1, -1, 1])
         pose = facing.copy()
@@ -340,7 +340,7 @@ _SHEARED_M = (2e-3, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 def _played_contacts(count):
     """Time (s) of `count` contacts by a player of its own, the first left out."""
-    player = ContactPlayer(find_design("tactip-127"), "surface", fidelity_named("standard"))
+    player = ContactSimulator(find_design("tactip-127"), "surface", fidelity_named("standard"))
     player.play(_PRESSED_M, _SHEARED_M)
     start = time.perf_counter()
     for _ in range(count):
@@ -360,7 +360,7 @@ def _threads(options):
     with ThreadPoolExecutor(cores) as pool:
         seconds = max(pool.map(_played_contacts, [count] * cores))
     rows.append({"what": "contacts, threads of one process", "workers": cores, "contacts/s": cores * count / seconds})
-    player = ContactPlayer(find_design("tactip-127"), "surface", fidelity_named("standard"))
+    player = ContactSimulator(find_design("tactip-127"), "surface", fidelity_named("standard"))
     player.play(_PRESSED_M, _SHEARED_M)
     model, data, steps = player.scene.model, player.scene.data, 25 * count
     size = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_INTEGRATION)

@@ -14,11 +14,11 @@ from tactip_twin.benchmarks.scale.performance import made_set, set_seconds
 from tactip_twin.learning.data import read_samples
 from tactip_twin.sim.dataset.format import PARTIAL, Configuration, checksum, read_configuration, read_meta
 from tactip_twin.sim.dataset.generate import Job, make
-from tactip_twin.sim.dataset.partial_record import reopen
+from tactip_twin.sim.dataset.partial_record import unpack_finished_set
 from tactip_twin.sim.dataset.symmetry import SYMMETRIES
 from tactip_twin.sim.dataset.verify import verify
-from tactip_twin.sim.parallel.ray_pool import HELD_S, ClusterCrew, joined
-from tactip_twin.sim.parallel.worker_pool import Crew
+from tactip_twin.sim.parallel.ray_pool import HELD_S, RayPool, joined
+from tactip_twin.sim.parallel.worker_pool import WorkerPool
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.files import write_file
 
@@ -89,7 +89,7 @@ def _closing(folder, configuration):
     times = []
     for _ in range(3):
         (folder / PARTIAL).mkdir()
-        reopen(folder)  # as a kill leaves it after the last contact
+        unpack_finished_set(folder)  # as a kill leaves it after the last contact
         times.append(_seconds(lambda: make([Job(configuration, folder)], 1, lambda line: None)))
     return sorted(times)[1]
 
@@ -112,15 +112,15 @@ def _begin():
 def _dispatch(options):
     """Tasks a second that a driver gets done which take no time: what it can give out at most."""
     given = _begin, (), list(range(options.messages)), "task", lambda line: None
-    rates = {"processes of this machine": _rate(lambda: Crew(*given), options)}
+    rates = {"processes of this machine": _rate(lambda: WorkerPool(*given), options)}
     if find_spec("ray"):
         with joined("local") as ray:
-            rates["Ray"] = _rate(lambda: ClusterCrew(ray, *given), options)
+            rates["Ray"] = _rate(lambda: RayPool(ray, *given), options)
             rates["Ray, one task a message"] = _rate(lambda: _Single(ray, *given), options)
     return rates
 
 
-class _Single(ClusterCrew):
+class _Single(RayPool):
     """Gives its workers one task at a time."""
 
     most_held = 1

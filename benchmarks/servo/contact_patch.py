@@ -13,7 +13,7 @@ _ACROSS = 15
 """Places across a disc."""
 
 
-def felt_patch(folder, thing):
+def contact_patch_normal(folder, thing):
     """Angles between the normals that a recording felt and those of the surface, averaged over discs about where it is
     nearest. folder: path of the recording. thing: objects.Thing that was followed.
 

@@ -16,16 +16,16 @@ from pathlib import Path
 import numpy as np
 
 from tactip_twin.benchmarks.hardware import machine, machine_text
-from tactip_twin.benchmarks.servo.contact_patch import RADII_MM, felt_patch
+from tactip_twin.benchmarks.servo.contact_patch import RADII_MM, contact_patch_normal
 from tactip_twin.control.options import Options as ServoOptions
 from tactip_twin.control.options import RouteOptions, Settings
 from tactip_twin.control.servo_run import SCORE
 from tactip_twin.control.servo_run import run as follow
 from tactip_twin.learning.model import find_model, weights_sha256
-from tactip_twin.sim.parallel.worker_pool import Crew, worker_count
-from tactip_twin.sim.robot.objects import find_object
+from tactip_twin.sim.parallel.worker_pool import WorkerPool, worker_count
+from tactip_twin.sim.robot.objects import load_object
 from tactip_twin.sim.view.plot import pyplot
-from tactip_twin.tactip_model.errors import TactipError, choose
+from tactip_twin.tactip_model.errors import TactipError, lookup
 from tactip_twin.tactip_model.files import write_file
 
 ERROR = "error.txt"
@@ -113,7 +113,7 @@ def cases(options):
             changes |= {"a network of another seed": {"model": others[name]}}
         out += [Case("robust", f"{name}, {what}", replace(run, **change)) for what, change in changes.items()]
     for name, run in _LONG.items():
-        middle = find_object(name).middle_m
+        middle = load_object(name).middle_m
         for seed in range(STARTS):
             out.append(Case("starts", f"{name}, {seed}", _from_anywhere(run, seed, middle)))
     return out
@@ -143,7 +143,7 @@ class _Follower:
         import torch
 
         torch.set_num_threads(1)
-        folder = folder_of(self._runs, *key)
+        folder = open_builder(self._runs, *key)
         shutil.rmtree(folder, ignore_errors=True)
         folder.parent.mkdir(parents=True, exist_ok=True)
         case = self._cases[key]
@@ -155,7 +155,7 @@ class _Follower:
         write_file(folder / "case.json", identity(case).encode())
 
 
-def folder_of(runs, group, name):
+def open_builder(runs, group, name):
     """Folder (Path) of a run."""
     return Path(runs) / group / name.replace(", ", "_").replace(" ", "-")
 
@@ -171,14 +171,16 @@ def run(options, say=print):
     """Make the runs that are not there yet, and write the page. Returns its record (dict). say: called with lines for the
     user.
 
-    Raises TactipError, and Stopped at Ctrl-C.
+    Raises TactipError, and Interrupted at Ctrl-C.
     """
-    groups = [choose("group", name, dict(zip(GROUPS, GROUPS, strict=True))) for name in options.groups or GROUPS]
+    groups = [lookup("group", name, dict(zip(GROUPS, GROUPS, strict=True))) for name in options.groups or GROUPS]
     chosen = [case for case in cases(options) if case.group in groups]
     todo = [(c.group, c.name) for c in chosen if not _is_there(options.runs, c)]
     workers = worker_count(options.workers)
     if todo:
-        crew = Crew(_Follower, (str(options.runs), options), todo, "run", say, lambda run: f"run {run[1]!r} of {run[0]}")
+        crew = WorkerPool(
+            _Follower, (str(options.runs), options), todo, "run", say, lambda run: f"run {run[1]!r} of {run[0]}"
+        )
         crew.work(workers, lambda *done: None)
     path = options.out / "servo.json"
     before = _before(path)
@@ -235,13 +237,13 @@ def _learned(name):
 
 
 def _patch(runs, case):
-    """What felt_patch (dict) tells of a Case that keeps a depth of its own."""
-    folder = folder_of(runs, case.group, case.name)
-    return {"depth_mm": case.options.depth_mm, **felt_patch(folder, find_object(case.options.object))}
+    """What contact_patch_normal (dict) tells of a Case that keeps a depth of its own."""
+    folder = open_builder(runs, case.group, case.name)
+    return {"depth_mm": case.options.depth_mm, **contact_patch_normal(folder, load_object(case.options.object))}
 
 
 def _is_there(runs, case):
-    path = folder_of(runs, case.group, case.name) / "case.json"
+    path = open_builder(runs, case.group, case.name) / "case.json"
     return path.exists() and path.read_text() == identity(case)
 
 
@@ -253,7 +255,7 @@ _KEPT = (
 
 def _row(runs, case):
     """What the page keeps (dict) of a run."""
-    folder = folder_of(runs, case.group, case.name)
+    folder = open_builder(runs, case.group, case.name)
     if (folder / ERROR).exists():
         return {"name": case.name, "version": version("tactip-twin"), "error": (folder / ERROR).read_text().strip()}
     score = json.loads((folder / SCORE).read_text())
@@ -325,7 +327,7 @@ def page(record):
 
 
 def _patches(rows):
-    """Lines on which normal is felt. rows: list of dict, of felt_patch."""
+    """Lines on which normal is felt. rows: list of dict, of contact_patch_normal."""
     lines = [
         "",
         "Which normal is felt, on the bust: mean angle, °, from the felt normal to the surface's, averaged over discs about "

@@ -16,8 +16,8 @@ from tactip_twin.benchmarks.servo.headless_browser import PROGRAM, Chromium
 from tactip_twin.control.options import Options as ServoOptions
 from tactip_twin.control.options import Settings
 from tactip_twin.control.servo_run import run as follow
-from tactip_twin.sim.robot.recording import STEPS, read_recording, read_scenery
-from tactip_twin.sim.view.replay_page import Viewer
+from tactip_twin.sim.robot.recording import STEPS, read_recorded_scene, read_recording
+from tactip_twin.sim.view.replay_page import ReplayPage
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.files import write_file
 
@@ -132,7 +132,7 @@ def _heeded(chromium):
 def _serve(folder, seconds, pipe):
     """A replay that plays when it is told to, and tells what that cost."""
     record, arrays = read_recording(folder)
-    viewer = Viewer(record, arrays, read_scenery(folder))
+    viewer = ReplayPage(record, arrays, read_recorded_scene(folder))
     try:
         pipe.send(viewer.address)
         _until(viewer, pipe, "play")

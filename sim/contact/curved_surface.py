@@ -4,15 +4,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tactip_twin.sim.contact.signed_distance import Solid
+from tactip_twin.sim.contact.signed_distance import SignedDistanceMesh
 
 HALF_WIDTH_M = 30e-3
 """Half the width of the piece of surface, m: more than the tip reaches."""
 
-MOST_BENT_PER_M = 100.0
+MAX_CURVATURE_PER_M = 100.0
 """Greatest curvature, 1/m: a radius of 10 mm."""
 
-MOST_HOLLOW_PER_M = 30.0
+MAX_HOLLOW_PER_M = 30.0
 """Greatest curvature of a hollow, 1/m: into one of 20 mm radius the tip fits without room."""
 
 _SPACING_M = 1e-3
@@ -27,8 +27,8 @@ STRETCHES_M = (4e-3, 40e-3)
 """Lengths over which an unevenly bent surface is as round, m: from what is just felt to twice the tip's radius [?]."""
 
 
-def drawn_surface(draw, low_per_m, high_per_m, uneven):
-    """A bent_surface (Solid) whose principal curvatures are drawn from low to high, 1/m, and turned at random.
+def sample_curved_surface(draw, low_per_m, high_per_m, uneven):
+    """A curved_surface (Solid) whose principal curvatures are drawn from low to high, 1/m, and turned at random.
 
     draw: numpy Generator. uneven: float, the chance that the curvature along each direction goes from one value to another
     at once, after a length of STRETCHES_M, as on solids made of round parts. So things are often as round as they may be:
@@ -36,9 +36,9 @@ def drawn_surface(draw, low_per_m, high_per_m, uneven):
     """
     # An even surface draws nothing for it: its set keeps the bytes that it had before there were others.
     if not (uneven and draw.uniform() < uneven):
-        return bent_surface(*draw.uniform(low_per_m, high_per_m, 2), draw.uniform(0, np.pi))
+        return curved_surface(*draw.uniform(low_per_m, high_per_m, 2), draw.uniform(0, np.pi))
     profiles = [_drawn_profile(draw, low_per_m, high_per_m) for _ in range(2)]
-    return bent_surface(0.0, 0.0, draw.uniform(0, np.pi), profiles)
+    return curved_surface(0.0, 0.0, draw.uniform(0, np.pi), profiles)
 
 
 def _drawn_profile(draw, low_per_m, high_per_m):
@@ -72,7 +72,7 @@ class Profile:
         return out
 
 
-def bent_surface(first_per_m, second_per_m, turn_rad, profiles=()):
+def curved_surface(first_per_m, second_per_m, turn_rad, profiles=()):
     """A Solid whose top is z = -(k1 u^2 + k2 v^2) / 2 and what the profiles add, level at the origin.
 
     first_per_m, second_per_m: float, its principal curvatures k1 and k2, 1/m, positive where it bulges out. turn_rad: float,
@@ -98,4 +98,4 @@ def bent_surface(first_per_m, second_per_m, turn_rad, profiles=()):
     sides = np.concatenate([
         np.stack([rim, rim + len(u), after], 1), np.stack([after, rim + len(u), after + len(u)], 1)
     ])  # fmt: skip
-    return Solid(vertices, np.concatenate([upper, under, sides]))
+    return SignedDistanceMesh(vertices, np.concatenate([upper, under, sides]))

@@ -7,7 +7,7 @@ they were taken on.
 from dataclasses import dataclass, field, replace
 
 from tactip_twin.tactip_model.bounds import check, require, within
-from tactip_twin.tactip_model.errors import choose
+from tactip_twin.tactip_model.errors import lookup
 from tactip_twin.tactip_model.mesh import Resolution
 from tactip_twin.tactip_model.soft_body import ContactModel
 
@@ -125,7 +125,7 @@ FIDELITIES = {
 
 def fidelity_named(name):
     """Return the preset Fidelity called `name`; raise TactipError that lists the presets where there is none."""
-    return choose("fidelity", name, FIDELITIES)
+    return lookup("fidelity", name, FIDELITIES)
 
 
 def finer(fidelity):

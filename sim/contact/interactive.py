@@ -2,17 +2,17 @@
 
 import numpy as np
 
-from tactip_twin.sim.contact.limits import DEEPEST_M, check_motion
+from tactip_twin.sim.contact.limits import MAX_DEPTH_M, check_motion
 from tactip_twin.sim.contact.mujoco_warnings import counted_warnings
-from tactip_twin.sim.contact.simulator import LEVER_M, ContactPlayer
-from tactip_twin.sim.contact.tip_state import read_touch
+from tactip_twin.sim.contact.simulator import LEVER_M, ContactSimulator
+from tactip_twin.sim.contact.tip_state import read_tip_state
 from tactip_twin.sim.pose import path, turn_between
 
 _ABOVE_M = 1e-3
 """Room between the tip and what it is about to be pressed on, m."""
 
 
-class Press:
+class InteractiveContact:
     """A tip and a stimulus. What is asked for is gone to by the fidelity's pace, some time steps at a time."""
 
     def __init__(self, design, stimulus, fidelity, label):
@@ -20,7 +20,7 @@ class Press:
 
         The tip begins clear above `label`. Raises TactipError on what cannot be built, and where `aim` does.
         """
-        self._player = ContactPlayer(design, stimulus, fidelity)
+        self._player = ContactSimulator(design, stimulus, fidelity)
         self.scene = self._player.scene
         """The Scene as it is now."""
         self._rested = 0
@@ -29,7 +29,7 @@ class Press:
 
     def aim(self, label):
         """Ask for a pose (6,), m and rad. Raises TactipError where it is out of the tip's reach: the last one stays."""
-        check_motion(np.asarray(label, float), np.zeros(6), min(DEEPEST_M, self.scene.stimulus.deepest_m))
+        check_motion(np.asarray(label, float), np.zeros(6), min(MAX_DEPTH_M, self.scene.stimulus.deepest_m))
         self._target, self._rested = np.array(label, float), 0
 
     def lift(self):
@@ -45,7 +45,7 @@ class Press:
         return self._rested >= self.scene.fidelity.motion.settle_limit
 
     def advance(self, steps):
-        """Go on by at most `steps` (int) time steps. Returns the touch.Touch of this moment.
+        """Go on by at most `steps` (int) time steps. Returns the touch.TipState of this moment.
 
         Raises contact.Diverged, after which `lift` is the way on.
         """
@@ -62,7 +62,7 @@ class Press:
                 self._here, steps = (self._target if gone == whole else labels[-1]), steps - gone
             for _ in range(steps if not self.at_rest else 0):
                 self._player.hold(self._here)
-                still = self.scene.greatest_speed() < motion.settle_speed_m_s and self._rested >= motion.settle_steps
+                still = self.scene.max_vertex_speed() < motion.settle_speed_m_s and self._rested >= motion.settle_steps
                 self._rested = motion.settle_limit if still else self._rested + 1
                 if self.at_rest:
                     break
@@ -74,5 +74,5 @@ class Press:
         return self._here.copy()
 
     def touch(self):
-        """The touch.Touch of this moment."""
-        return read_touch(self.scene, self._player.reader)
+        """The touch.TipState of this moment."""
+        return read_tip_state(self.scene, self._player.reader)

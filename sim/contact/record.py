@@ -6,7 +6,7 @@ import numpy as np
 
 
 @dataclass(frozen=True)
-class Bounds:
+class QualityLimits:
     """What a trustworthy record must keep."""
 
     penetration_m: float = 0.05e-3
@@ -30,8 +30,9 @@ class Bounds:
     disagreement_m: float = 0.05e-3
     """Greatest distance of the pins from those of twice the step, rms, where skin may catch by chance, m."""
 
-    def on_the_way(self):
-        """The Bounds of a tip that has just slid, and has not come to rest as a contact does: of forces nothing is asked,
+    def while_sliding(self):
+        """The QualityLimits of a tip that has just slid, and has not come to rest as a contact does: of forces nothing
+        is asked,
         and the penetration may be three times as much [M]."""
         return replace(self, imbalance=np.inf, creep_m_s=np.inf, penetration_m=3 * self.penetration_m)
 
@@ -78,7 +79,7 @@ class Contact:
     """Time steps taken."""
 
     def faults(self, bounds):
-        """What is wrong with the record: a list of sentences, empty if it can be trusted. bounds: Bounds."""
+        """What is wrong with the record: a list of sentences, empty if it can be trusted. bounds: QualityLimits."""
         measures = [getattr(self, f.name) for f in fields(self)]
         if not all(np.isfinite(m).all() for m in measures):
             return ["the state is not finite"]

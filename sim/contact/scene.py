@@ -10,12 +10,12 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tactip_twin.sim.contact.slip_weakening import SlipMemory
-from tactip_twin.sim.contact.solid_stimulus import Follower, Shape
+from tactip_twin.sim.contact.slip_weakening import SlipWeakening
+from tactip_twin.sim.contact.solid_stimulus import SolidStimulus, SurfaceContactProxies
 from tactip_twin.sim.contact.stimuli import Stimulus, add_stimulus, stimulus_named
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.mesh import CONTACT_RADIUS_M, build_mesh
-from tactip_twin.tactip_model.soft_body import STEP_OF_RESTING_S, STIFFENED, add_body
+from tactip_twin.tactip_model.soft_body import STEP_OF_RESTING_S, STIFFENED, add_soft_tip
 
 _STIMULUS_QPOS = 7
 _STIMULUS_QVEL = 6
@@ -51,7 +51,7 @@ class Scene:
         self._areas = np.linalg.norm(_area_normals(self.mesh.vertices, self.mesh.triangles), axis=1)
         self._stimulus_body = self.model.body("stimulus").id
         weakens = self._rubs() and design.materials.kinetic_share < 1
-        self._slip = SlipMemory(self.model, self._stimulus_body, design.materials) if weakens else None
+        self._slip = SlipWeakening(self.model, self._stimulus_body, design.materials) if weakens else None
 
     def _compile(self):
         motion, solver = self.fidelity.motion, self.fidelity.solver
@@ -76,10 +76,10 @@ class Scene:
         friction = self.design.materials.friction
         add_stimulus(spec, self.stimulus, friction, self.fidelity.contact)
         tip = spec.worldbody.add_body(name="tip")
-        add_body(spec, tip, self.design, self.mesh, self.fidelity.mesh, self.fidelity.contact)
+        add_soft_tip(spec, tip, self.design, self.mesh, self.fidelity.mesh, self.fidelity.contact)
         self._follower = None
-        if isinstance(self.stimulus, Shape):
-            self._follower = Follower(spec, self.stimulus, self.mesh, friction, self.fidelity.contact)
+        if isinstance(self.stimulus, SolidStimulus):
+            self._follower = SurfaceContactProxies(spec, self.stimulus, self.mesh, friction, self.fidelity.contact)
         model = spec.compile()
         if self._follower:
             self._follower.bind(model)
@@ -192,7 +192,7 @@ class Scene:
         turn = Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
         return (self.vertices()[: self.mesh.surface_count] - place) @ turn
 
-    def greatest_speed(self):
+    def max_vertex_speed(self):
         """Speed (m/s) of the fastest vertex."""
         return float(np.sqrt((self.data.qvel[_STIMULUS_QVEL:].reshape(-1, 3) ** 2).sum(1).max()))
 
@@ -225,7 +225,7 @@ class Scene:
         """Greatest depth (m) of a contact point inside the stimulus, at the last step; 0 without contact."""
         return max(0.0, -float(self.data.contact.dist.min())) if self.data.ncon else 0.0
 
-    def ran_out(self):
+    def hit_iteration_limit(self):
         """Whether the solver ran out of iterations at the last step."""
         return bool(self.data.solver_niter.max() >= self.model.opt.iterations)
 
@@ -255,7 +255,7 @@ class Scene:
         size = float(np.linalg.norm(contact))
         return float(np.linalg.norm(self.data.qfrc_smooth[_STIMULUS_QVEL:] + contact)) / size if size else 0.0
 
-    def stored_power(self):
+    def elastic_energy_rate(self):
         """Size of the rate (W) at which the elastic energy of gel and skin changes."""
         return abs(float(self.data.qfrc_spring[_STIMULUS_QVEL:] @ self.data.qvel[_STIMULUS_QVEL:]))
 

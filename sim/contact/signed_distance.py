@@ -38,7 +38,7 @@ class Nearest:
     """(n, 3), unit: the direction in which the distance grows."""
 
 
-class Solid:
+class SignedDistanceMesh:
     """A solid by its surface."""
 
     def __init__(self, vertices, triangles):

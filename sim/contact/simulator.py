@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from scipy.special import betainc
 
 from tactip_twin.sim.contact.fidelity import finer
-from tactip_twin.sim.contact.limits import DEEPEST_M, check_motion
+from tactip_twin.sim.contact.limits import MAX_DEPTH_M, check_motion
 from tactip_twin.sim.contact.mujoco_warnings import counted_warnings
 from tactip_twin.sim.contact.record import Contact
 from tactip_twin.sim.contact.scene import Scene
@@ -53,7 +53,7 @@ class Diverged(TactipError):
     """The state of the tip is no longer finite, or no longer a tip's."""
 
 
-class ContactPlayer:
+class ContactSimulator:
     """Plays contacts in one scene. Each is independent of those before it."""
 
     def __init__(self, design, stimulus, fidelity):
@@ -80,7 +80,7 @@ class ContactPlayer:
         which side of it the skin gives way would be chance.
         """
         pose, shear = np.asarray(pose, float), np.asarray(shear, float)
-        check_motion(pose, shear, min(DEEPEST_M, self.scene.stimulus.deepest_m))
+        check_motion(pose, shear, min(MAX_DEPTH_M, self.scene.stimulus.deepest_m))
         flat = np.isinf(self.scene.stimulus.sharpest_m)
         require(approach or flat, "approach", approach, "True with a stimulus that is not flat")
         self.scene.reset()
@@ -113,19 +113,19 @@ class ContactPlayer:
                 self.hold(self._here)
         return self._record(self._here, shear_between(self._start, self._here), len(messages), label)
 
-    def stages(self, pose, shear, shares):
+    def stages(self, pose, shear, motion_fractions):
         """One contact looked at on its way: at rest at each of `shares` (increasing, 0 to 1) of the shear.
 
         pose, shear: as for `play`. Yields a Contact for each share, with the shear that it has had so far; the scene is then
         in that state.
         """
         pose, shear = np.asarray(pose, float), np.asarray(shear, float)
-        check_motion(pose, shear, min(DEEPEST_M, self.scene.stimulus.deepest_m))
+        check_motion(pose, shear, min(MAX_DEPTH_M, self.scene.stimulus.deepest_m))
         self.scene.reset()
         self._steps = self._unsolved = warnings = 0
         start = before_shear(pose, shear)
         here, approach = start, True
-        for label in path(start, pose, shares):
+        for label in path(start, pose, motion_fractions):
             with counted_warnings() as messages, contextlib.suppress(Diverged):
                 for phase, labels in self._motions(label, shear_between(here, label), approach):
                     self._phase = phase
@@ -157,10 +157,10 @@ class ContactPlayer:
         lift = self.lift(start)
         if approach and lift > 0:
             above = start + np.array([0, 0, lift, 0, 0, 0])
-            yield "approach", path(above, start, shares(lift / self.press_step_m, motion))
+            yield "approach", path(above, start, motion_fractions(lift / self.press_step_m, motion))
         travel = np.linalg.norm(shear[:3]) + LEVER_M * turn_between(start, pose)
         if travel > 0:
-            yield "shear", path(start, pose, shares(travel / self.shear_step_m, motion))
+            yield "shear", path(start, pose, motion_fractions(travel / self.shear_step_m, motion))
 
     def move(self, labels):
         """Carry the stimulus along labels (n, 6), one a step. Raises Diverged."""
@@ -183,15 +183,15 @@ class ContactPlayer:
         motion, self._phase = self.scene.fidelity.motion, "settle"
         for step in range(1, motion.settle_limit + 1):
             self.hold(pose)
-            if step >= motion.settle_steps and self.scene.greatest_speed() < motion.settle_speed_m_s:
+            if step >= motion.settle_steps and self.scene.max_vertex_speed() < motion.settle_speed_m_s:
                 break
 
     def _step(self, label):
         """One time step, which leads to a label (6,). Raises Diverged where the state is no longer finite."""
         self.scene.step()
         self._steps += 1
-        self._unsolved += self.scene.ran_out()
-        if not np.isfinite(self.scene.greatest_speed()):
+        self._unsolved += self.scene.hit_iteration_limit()
+        if not np.isfinite(self.scene.max_vertex_speed()):
             raise Diverged("the simulated tip is lost: its state is not finite any more")
         if self.watch:
             self.watch(self._phase, label)
@@ -217,10 +217,10 @@ class ContactPlayer:
             tangential_force_n=float(np.hypot(force[0], force[1])),
             penetration_m=scene.penetration(),
             volume_ratio=float(ratio.min()),
-            speed_m_s=scene.greatest_speed(),
+            speed_m_s=scene.max_vertex_speed(),
             overlap_m=scene.overlap(sensor_in_contact(pose)),
             imbalance=scene.imbalance(),
-            creep_m_s=scene.stored_power() / max(float(np.linalg.norm(force)), _LEAST_FORCE_N),
+            creep_m_s=scene.elastic_energy_rate() / max(float(np.linalg.norm(force)), _LEAST_FORCE_N),
             area_ratio=area_ratio,
             fold_rad=fold,
             unsolved=self._unsolved / self._steps,
@@ -229,7 +229,7 @@ class ContactPlayer:
         )
 
 
-class CarefulPlayer:
+class RetryingSimulator:
     """Plays contacts, and plays one that went wrong again with finer steps.
 
     Where a skin may catch on the stimulus by chance (Stimulus.catches, or friction above STICKY_FRICTION), no record tells
@@ -237,20 +237,21 @@ class CarefulPlayer:
     """
 
     def __init__(self, design, stimulus, fidelity, bounds):
-        """design: Design. stimulus: a name in stimulus.STIMULI, or a Stimulus. fidelity: Fidelity. bounds: Bounds."""
-        self._players = [ContactPlayer(design, stimulus, fidelity)]
+        """design: Design. stimulus: a name in stimulus.STIMULI, or a Stimulus. fidelity: Fidelity. bounds: QualityLimits."""
+        self._players = [ContactSimulator(design, stimulus, fidelity)]
         self.stimulus = self._players[0].scene.stimulus
         """Stimulus of all tries."""
         self._last = self._slider = self._players[0]
         self._design, self._bounds = design, bounds
         self.watch = None
-        """Called as ContactPlayer.watch at the steps of every try."""
+        """Called as ContactSimulator.watch at the steps of every try."""
         self._catches = self.stimulus.catches or design.materials.friction > STICKY_FRICTION
         self.tries = TRIES + self._catches
         """Times that a contact is played before it is refused, int."""
 
     def play(self, pose, shear, approach=True):
-        """As ContactPlayer.play. Returns the last Contact tried and the faults (a list of str) of each try but a good one.
+        """As ContactSimulator.play. Returns the last Contact tried and the faults (a list of str) of each try but a good
+        one.
 
         Fewer fault lists than `tries` mean that the last Contact is good; `tries`, that it failed.
         """
@@ -270,13 +271,14 @@ class CarefulPlayer:
         return contact, faults
 
     def slide(self, pose, label):
-        """Go on from where the last contact ended, as ContactPlayer.slide: once, with the coarsest steps that served it."""
+        """Go on from where the last contact ended, as ContactSimulator.slide: once, with the coarsest steps that served
+        it."""
         self._last = self._slider
         return self._last.slide(pose, label)
 
     @property
     def last(self):
-        """The ContactPlayer of the last try."""
+        """The ContactSimulator of the last try."""
         return self._last
 
     def skin(self):
@@ -295,14 +297,14 @@ class CarefulPlayer:
         return [f"the pins are {1e3 * apart:.3f} mm (rms) from where twice the step has them (allowed: {1e3 * most} mm)"]
 
     def _player(self, attempt):
-        """The ContactPlayer of a try, built when first it is needed."""
+        """The ContactSimulator of a try, built when first it is needed."""
         if attempt == len(self._players):
             fidelity = finer(self._players[-1].scene.fidelity)
-            self._players.append(ContactPlayer(self._design, self.stimulus, fidelity))
+            self._players.append(ContactSimulator(self._design, self.stimulus, fidelity))
         return self._players[attempt]
 
 
-def shares(steps, motion):
+def motion_fractions(steps, motion):
     """Shares (n + 1,) of a motion's way at its steps: its pace (Motion.ease_in, ease_out) summed up."""
     n = max(motion.least_steps, int(np.ceil(steps)))
     return betainc(motion.ease_in + 1, motion.ease_out + 1, np.arange(n + 1) / n)

@@ -11,7 +11,7 @@ import numpy as np
 _SLIDES = int(mujoco.mjtConstraintState.mjCNSTRSTATE_CONE)
 
 
-class SlipMemory:
+class SlipWeakening:
     """How far each vertex and facet of the skin has slid in the contact that it is in."""
 
     def __init__(self, model, stimulus_body, materials):

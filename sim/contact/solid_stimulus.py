@@ -47,7 +47,7 @@ _AWAY = (0.0, 0.0, -1.0)
 """Where balls and probes are before they are needed, m."""
 
 
-class Shape(Stimulus):
+class SolidStimulus(Stimulus):
     """A solid as a stimulus; the contact frame is the solid's own."""
 
     def __init__(self, solid, sharpest_m=EDGE_RADIUS_M):
@@ -73,7 +73,7 @@ class Shape(Stimulus):
         return super().height_to_clear(centre, radius, float(self.solid.vertices[:, 2].max()))
 
 
-class Follower:
+class SurfaceContactProxies:
     """The surface of a solid as it follows the skin of one tip."""
 
     def __init__(self, spec, shape, mesh, friction, contact):

@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tactip_twin.tactip_model.errors import choose
+from tactip_twin.tactip_model.errors import lookup
 from tactip_twin.tactip_model.soft_body import TOUCHES_FACETS, TOUCHES_VERTICES, contact_attributes
 
 HALF_SIZE_M = 60e-3
@@ -134,7 +134,7 @@ class Flat(Stimulus):
 
 
 @dataclass(frozen=True)
-class Edge(Stimulus):
+class StraightEdge(Stimulus):
     """A block that fills x < 0, with one straight, rounded edge along y."""
 
     radius_m: float = EDGE_RADIUS_M
@@ -335,7 +335,7 @@ class Hole(Stimulus):
 
 STIMULI: dict[str, Stimulus] = {
     "surface": Flat(),
-    "edge": Edge(),
+    "edge": StraightEdge(),
     "sphere": Ball(SPHERE_RADIUS_M),
     "point": Rod(POINT_RADIUS_M),
     "needle": Rod(NEEDLE_RADIUS_M),
@@ -348,7 +348,7 @@ STIMULI: dict[str, Stimulus] = {
 
 def stimulus_named(name):
     """Return the Stimulus called `name`; raise TactipError that lists them where there is none."""
-    return choose("stimulus", name, STIMULI)
+    return lookup("stimulus", name, STIMULI)
 
 
 def add_stimulus(spec, stimulus, friction, contact):

@@ -6,7 +6,7 @@ import numpy as np
 
 
 @dataclass(frozen=True)
-class Touch:
+class TipState:
     """What there is to know of the tip at one moment, sensor frame. (p pins, s vertices of the skin)"""
 
     tips: np.ndarray
@@ -27,8 +27,8 @@ class Touch:
     """Distance from the sensor's housing, which is not soft, to the object, m; negative inside."""
 
 
-def read_touch(scene, reader, steps=0, clearance_m=np.inf):
-    """The Touch of a scene.Scene as it is now. reader: PinReader of its skin. steps, clearance_m: as of Touch."""
+def read_tip_state(scene, reader, steps=0, clearance_m=np.inf):
+    """The Touch of a scene.Scene as it is now. reader: PinReader of its skin. steps, clearance_m: as of TipState."""
     skin = scene.vertices()[: scene.mesh.surface_count]
-    force, speed = scene.contact_force(), scene.greatest_speed()
-    return Touch(*reader.read(skin), skin, force, scene.penetration(), speed, steps, clearance_m)
+    force, speed = scene.contact_force(), scene.max_vertex_speed()
+    return TipState(*reader.read(skin), skin, force, scene.penetration(), speed, steps, clearance_m)

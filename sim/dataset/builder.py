@@ -11,7 +11,7 @@ from datetime import datetime, timezone
 import numpy as np
 
 from tactip_twin.sim.dataset.format import PARTIAL, checksum, image_name, meta_json, read_meta, targets_csv, versions
-from tactip_twin.sim.dataset.partial_record import numbers_of, read_record, record_path, reopen, samples_of
+from tactip_twin.sim.dataset.partial_record import numbers_of, read_record, record_path, samples_of, unpack_finished_set
 from tactip_twin.sim.parallel.file_lock import locked
 from tactip_twin.sim.parallel.worker_pool import disk_error
 from tactip_twin.tactip_model.errors import TactipError
@@ -21,7 +21,7 @@ from tactip_twin.tactip_model.pins import neutral_pins
 _SAMPLES = "configuration.samples"
 
 
-class SetFolder:
+class DatasetBuilder:
     """A set's folder while it is made; held for a `with` block, in which no other command makes this set."""
 
     def __init__(self, configuration, path, alone=True):
@@ -95,7 +95,7 @@ class SetFolder:
         """Make what samples need. held: ExitStack, closed at the end. meta: dict of a finished set that grows, or None."""
         (self._path / "images").mkdir(exist_ok=True)
         if meta:
-            reopen(self._path)
+            unpack_finished_set(self._path)
 
     def _refuse_other(self, there, asked):
         difference = _first_difference(there, asked, "")

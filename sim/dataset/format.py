@@ -27,8 +27,8 @@ import cv2
 import numpy as np
 
 from tactip_twin.sim.contact.fidelity import Fidelity
-from tactip_twin.sim.contact.record import Bounds
-from tactip_twin.sim.dataset.mechanics_randomization import Variation
+from tactip_twin.sim.contact.record import QualityLimits
+from tactip_twin.sim.dataset.mechanics_randomization import MechanicsRandomization
 from tactip_twin.sim.dataset.sampling import Ranges
 from tactip_twin.sim.dataset.symmetry import SYMMETRIES
 from tactip_twin.sim.labels import LABELS, SHEARS
@@ -79,7 +79,7 @@ class Configuration:
     """Labelled poses."""
     shear: Ranges
     """Unlabelled perturbations."""
-    bounds: Bounds = field(default_factory=Bounds)
+    bounds: QualityLimits = field(default_factory=QualityLimits)
     """What a record must keep to be trusted."""
     symmetric: bool = False
     """Whether each contact is a sample for every symmetry of its task (sim/dataset/symmetry.py), or one alone."""
@@ -95,7 +95,7 @@ class Configuration:
     looks: int = 1
     """Times that a contact is looked at: at its pose, and then on a walk from there (sim/dataset/sliding.py), after each
     stride."""
-    mechanics: Variation = field(default_factory=Variation)
+    mechanics: MechanicsRandomization = field(default_factory=MechanicsRandomization)
     """How far the tip's mechanics differ from contact to contact (sim/dataset/mechanics_randomization.py); the optics do
     not."""
 
@@ -242,11 +242,11 @@ class Dataset:
     @property
     def simulated(self):
         """Whether it was simulated, so that where its pins are is known."""
-        return all((part / "pins.npz").exists() for part in parts_of(self.folder, self.meta))
+        return all((part / "pins.npz").exists() for part in shard_dirs(self.folder, self.meta))
 
     def image(self, i):
         """Image i, (size, size) uint8. Raises TactipError where it cannot be read."""
-        place = parts_of(self.folder, self.meta)[bisect.bisect_right(self.ends, i)]
+        place = shard_dirs(self.folder, self.meta)[bisect.bisect_right(self.ends, i)]
         path = place / "images" / self.images[i]
         image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) if path.exists() else None
         if image is None:
@@ -298,14 +298,14 @@ def read_targets(folder):
     return rows
 
 
-def parts_of(folder, meta):
+def shard_dirs(folder, meta):
     """Folders (list of Path) in which a set's images and tables are: its shards, or its own. meta: dict, its meta.json."""
     return [Path(folder) / name for name in meta["shards"]] if "shards" in meta else [Path(folder)]
 
 
 def read_rows(folder, meta):
     """Rows (list of dict of str) of a finished set, of all its shards. Raises TactipError as read_targets does."""
-    return [row for part in parts_of(folder, meta) for row in read_targets(part)]
+    return [row for part in shard_dirs(folder, meta) for row in read_targets(part)]
 
 
 def read_dataset(folder):
@@ -313,7 +313,7 @@ def read_dataset(folder):
     folder = Path(folder)
     meta = read_meta(folder)
     names, poses, shears, ends = [], [], [], []
-    for part in parts_of(folder, meta):
+    for part in shard_dirs(folder, meta):
         rows = read_targets(part)
         try:
             poses.append(np.array([[float(row[c]) for c in LABELS] for row in rows]).reshape(-1, 6))
@@ -331,7 +331,7 @@ def read_pins(folder, meta):
     meta: dict, its meta.json. Raises TactipError where it has none, or they cannot be read.
     """
     tips, directions = [], []
-    for part in parts_of(folder, meta):
+    for part in shard_dirs(folder, meta):
         path = part / "pins.npz"
         try:
             with path.open("rb") as file, np.load(file, allow_pickle=False) as pins:

@@ -13,22 +13,27 @@ from pathlib import Path
 
 import numpy as np
 
-from tactip_twin.sim.contact.curved_surface import MOST_BENT_PER_M, MOST_HOLLOW_PER_M, bent_surface, drawn_surface
-from tactip_twin.sim.contact.limits import STEEPEST_RAD, check_ranges, too_steep
-from tactip_twin.sim.contact.signed_distance import Solid
-from tactip_twin.sim.contact.simulator import CarefulPlayer
-from tactip_twin.sim.contact.solid_stimulus import Shape
+from tactip_twin.sim.contact.curved_surface import (
+    MAX_CURVATURE_PER_M,
+    MAX_HOLLOW_PER_M,
+    curved_surface,
+    sample_curved_surface,
+)
+from tactip_twin.sim.contact.limits import MAX_TILT_RAD, check_ranges, exceeds_max_tilt
+from tactip_twin.sim.contact.signed_distance import SignedDistanceMesh
+from tactip_twin.sim.contact.simulator import RetryingSimulator
+from tactip_twin.sim.contact.solid_stimulus import SolidStimulus
 from tactip_twin.sim.dataset.format import Configuration, checksum, encode_image, image_name, row_of
 from tactip_twin.sim.dataset.partial_record import pack_record, record_path, samples_of
 from tactip_twin.sim.dataset.sampling import generator, seed_text
-from tactip_twin.sim.dataset.shards import Closing, folder_of, home_of
-from tactip_twin.sim.dataset.sliding import MOST_LOOKS, Walk
-from tactip_twin.sim.dataset.symmetry import SymmetricReader, keeps
-from tactip_twin.sim.parallel.ray_pool import ClusterCrew, joined, ray_here
-from tactip_twin.sim.parallel.worker_pool import Crew
+from tactip_twin.sim.dataset.shards import ShardFinalizer, open_builder, shard_dir
+from tactip_twin.sim.dataset.sliding import MOST_LOOKS, SlidingPath
+from tactip_twin.sim.dataset.symmetry import SymmetricReader, ranges_are_symmetric
+from tactip_twin.sim.parallel.ray_pool import RayPool, joined, ray_here
+from tactip_twin.sim.parallel.worker_pool import WorkerPool
 from tactip_twin.sim.pose import to_mm_deg
 from tactip_twin.tactip_model.design import Design
-from tactip_twin.tactip_model.errors import TactipError, choose
+from tactip_twin.tactip_model.errors import TactipError, lookup
 from tactip_twin.tactip_model.files import write_file
 from tactip_twin.tactip_model.renderer import RENDERERS, renderer_named
 from tactip_twin.tactip_model.tactile_image import tactile_image
@@ -53,7 +58,7 @@ def check(configuration):
         raise TactipError(f"a set of {configuration.samples} samples cannot be made: ask for at least 1")
     if configuration.seed < 0:
         raise TactipError(f"the seed {configuration.seed} does not do: it must be 0 or more")
-    choose("renderer", configuration.renderer, dict.fromkeys(RENDERERS))
+    lookup("renderer", configuration.renderer, dict.fromkeys(RENDERERS))
     first = generator(configuration.seed, configuration.task, configuration.split, 0)
     configuration.pose.check("pose")
     configuration.shear.check("shear")
@@ -65,7 +70,7 @@ def check(configuration):
     _check_looks(configuration)
     _check_curvature(configuration)
     for name in ("pose", "shear"):
-        if not keeps(configuration.symmetries, getattr(configuration, name)):
+        if not ranges_are_symmetric(configuration.symmetries, getattr(configuration, name)):
             raise TactipError(
                 f"the ranges of the {name} are not as wide to one side as to the other, and samples by symmetry would leave "
                 "them: leave --symmetric out, or make the ranges even"
@@ -96,10 +101,10 @@ def _check_curvature(configuration):
         raise TactipError(f"the share of uneven surfaces is {configuration.uneven}: it must be from 0 to 1")
     if configuration.uneven and not configuration.bent:
         raise TactipError("an unevenly bent surface is asked for without a range of curvature: give --curvature-per-m, too")
-    if not -MOST_HOLLOW_PER_M <= low <= high <= MOST_BENT_PER_M:
+    if not -MAX_HOLLOW_PER_M <= low <= high <= MAX_CURVATURE_PER_M:
         raise TactipError(
-            f"the range of curvature is ({low}, {high}) 1/m: it must be rising, and from -{MOST_HOLLOW_PER_M:g} "
-            f"to {MOST_BENT_PER_M:g}"
+            f"the range of curvature is ({low}, {high}) 1/m: it must be rising, and from -{MAX_HOLLOW_PER_M:g} "
+            f"to {MAX_CURVATURE_PER_M:g}"
         )
 
 
@@ -110,7 +115,7 @@ def make(jobs, workers, say=print, cluster=""):
     cluster (sim/parallel/ray_pool.py) whose workers make them, in folders that all of its machines see; none if empty.
     Returns a list
     of dict, one a job: samples kept, failed, made now, and the seconds this took. Raises TactipError (wrong configuration,
-    unwritable folder, no OpenGL, no cluster, a set of another configuration in the folder) and Stopped (Ctrl-C). Nothing
+    unwritable folder, no OpenGL, no cluster, a set of another configuration in the folder) and Interrupted (Ctrl-C). Nothing
     that was done is lost by either.
     """
     if cluster:
@@ -118,7 +123,7 @@ def make(jobs, workers, say=print, cluster=""):
     for job in jobs:
         check(job.configuration)
     with contextlib.ExitStack() as stack:
-        folders = [stack.enter_context(folder_of(job.configuration, job.folder)) for job in jobs]
+        folders = [stack.enter_context(open_builder(job.configuration, job.folder)) for job in jobs]
         todo = [(k, number) for k, folder in enumerate(folders) for number in folder.missing()]
         total = sum(job.configuration.samples for job in jobs)
         left = sum(len(samples_of(jobs[k].configuration, number)) for k, number in todo)
@@ -128,7 +133,7 @@ def make(jobs, workers, say=print, cluster=""):
 
         def done(task, *cost):
             job, what = task
-            if isinstance(what, Closing):
+            if isinstance(what, ShardFinalizer):
                 folders[job].closed(what.name)
                 return None
             return [(job, closing) for closing in folders[job].done(what, cost, workers, time.perf_counter() - start)]
@@ -137,13 +142,13 @@ def make(jobs, workers, say=print, cluster=""):
 
         def named(task):
             job, what = task
-            own = what if isinstance(what, Closing) else f"{unit} {what}"
+            own = what if isinstance(what, ShardFinalizer) else f"{unit} {what}"
             return f"{own} of {jobs[job].folder}"
 
         if todo:
             arguments = [job.configuration for job in jobs], [str(job.folder.resolve()) for job in jobs]
             given = _Makers, arguments, todo, unit, say, named
-            crew = ClusterCrew(stack.enter_context(joined(cluster)), *given) if cluster else Crew(*given)
+            crew = RayPool(stack.enter_context(joined(cluster)), *given) if cluster else WorkerPool(*given)
             workers = min(workers or crew.places(), len(todo))
             crew.work(workers, done)
         return [folder.finish(workers, time.perf_counter() - start) for folder in folders]
@@ -157,9 +162,9 @@ class _Makers:
         self._configurations, self._folders, self._makers = configurations, folders, {}
 
     def __call__(self, task):
-        """Make the samples of a `task` (job number, contact number), or close a shard (job number, Closing)."""
+        """Make the samples of a `task` (job number, contact number), or close a shard (job number, ShardFinalizer)."""
         job, number = task
-        if isinstance(number, Closing):
+        if isinstance(number, ShardFinalizer):
             number(self._configurations[job], Path(self._folders[job]))
             return
         if job not in self._makers:
@@ -178,20 +183,20 @@ class _SampleMaker:
         alike = [m for m in others if m._configuration.design == c.design and m._configuration.renderer == c.renderer]
         self._render = alike[0]._render if alike else renderer_named(c.renderer, c.design)
         played = [m for m in alike if _physics(m._configuration) == _physics(c)]
-        self._player = played[0]._player if played else player_of(c, c.design)
+        self._player = played[0]._player if played else simulator_for(c, c.design)
         self._reader = SymmetricReader(c.design, self._player.skin()[1], c.symmetries) if c.symmetric else None
 
     def make(self, number):
         """Write the images and the record of contact `number`. Raises OSError."""
         c = self._configuration
-        given = drawn(c, number)
+        given = sample_contact(c, number)
         player, reader = self._player, self._reader
         if not c.mechanics.still:
-            player = player_of(c, given.design)
+            player = simulator_for(c, given.design)
             reader = SymmetricReader(given.design, player.skin()[1], c.symmetries) if c.symmetric else None
         if given.solid is not None:
             player.stimulus.solid = given.solid
-        indices, folder = samples_of(c, number), home_of(c, self._folder, number)
+        indices, folder = samples_of(c, number), shard_dir(c, self._folder, number)
         seed = seed_text(c.seed, c.task, c.split, number)
         contact, faults = player.play(given.pose, given.shear)
         tries, failed = len(faults) + 1, len(faults) == player.tries
@@ -221,11 +226,11 @@ class _SampleMaker:
         yield contact, []
         if c.looks == 1:
             return
-        walk = Walk(c.task, given.solid, c.pose, given.pose, given.draw)
+        walk = SlidingPath(c.task, given.solid, c.pose, given.pose, given.draw)
         low, high = c.pose.bounds().T
         for _ in range(c.looks - 1):
             contact = player.slide(walk.stride(), walk.label())
-            label, wrong = to_mm_deg(contact.pose), contact.faults(c.bounds.on_the_way())
+            label, wrong = to_mm_deg(contact.pose), contact.faults(c.bounds.while_sliding())
             if not ((label > low - _ROUND) & (label < high + _ROUND)).all():
                 wrong = [*wrong, "on the bent surface, its label is out of the ranges"]
             yield contact, wrong
@@ -236,14 +241,14 @@ def _physics(configuration):
 
 
 @dataclass(frozen=True)
-class Drawn:
+class ContactSample:
     """What is drawn for a contact."""
 
     pose: np.ndarray
     """(6,) m and rad."""
     shear: np.ndarray
     """(6,) m and rad."""
-    solid: Solid | None
+    solid: SignedDistanceMesh | None
     """What is pressed on, where it is bent anew for each contact."""
     design: Design
     """The tip, with the mechanics of this contact."""
@@ -262,26 +267,26 @@ def _motion(configuration, generator):
     """
     for _ in range(_MOST_DRAWS):
         pose, shear = configuration.pose.draw(generator), configuration.shear.draw(generator)
-        if not too_steep(pose, shear):
+        if not exceeds_max_tilt(pose, shear):
             return pose, shear
     raise TactipError(
-        f"of {_MOST_DRAWS} poses and shears drawn from the ranges all are steeper than {np.degrees(STEEPEST_RAD):g} "
+        f"of {_MOST_DRAWS} poses and shears drawn from the ranges all are steeper than {np.degrees(MAX_TILT_RAD):g} "
         "degrees: tilts nearer to 0 are needed"
     )
 
 
-def drawn(configuration, number):
+def sample_contact(configuration, number):
     """What is drawn (Drawn) for contact `number` of a Configuration. Poses and shears are the same whatever else is."""
     c = configuration
     draw = generator(c.seed, c.task, c.split, number)
     pose, shear = _motion(c, draw)
-    solid = drawn_surface(draw, *c.curvature_per_m, c.uneven) if c.bent else None
-    return Drawn(pose, shear, solid, c.design if c.mechanics.still else c.mechanics.draw(c.design, draw), draw)
+    solid = sample_curved_surface(draw, *c.curvature_per_m, c.uneven) if c.bent else None
+    return ContactSample(pose, shear, solid, c.design if c.mechanics.still else c.mechanics.draw(c.design, draw), draw)
 
 
-def player_of(configuration, design):
-    """The CarefulPlayer of the contacts of a Configuration, by a Design: its own, or one of other mechanics. On a bent
+def simulator_for(configuration, design):
+    """The RetryingSimulator of the contacts of a Configuration, by a Design: its own, or one of other mechanics. On a bent
     surface, its stimulus is to be given the solid of each contact."""
     c = configuration
-    bent = Shape(bent_surface(0.0, 0.0, 0.0), sharpest_m=1 / MOST_BENT_PER_M) if c.bent else None
-    return CarefulPlayer(design, bent or c.task, c.fidelity, c.bounds)
+    bent = SolidStimulus(curved_surface(0.0, 0.0, 0.0), sharpest_m=1 / MAX_CURVATURE_PER_M) if c.bent else None
+    return RetryingSimulator(design, bent or c.task, c.fidelity, c.bounds)

@@ -12,7 +12,7 @@ from tactip_twin.tactip_model.bounds import check, within
 
 
 @dataclass(frozen=True)
-class Variation:
+class MechanicsRandomization:
     """Greatest factor of each, either way; uniform in its logarithm. 1 leaves it as the design has it."""
 
     friction: float = within(1, 4, default=1.0)
@@ -51,9 +51,11 @@ class Variation:
         return replace(design, materials=materials, pins=replace(pins, length_m=pins.length_m * factors["pin_length"]))
 
 
-VARIATIONS = {
-    "none": Variation(),
-    "real": Variation(friction=1.6, kinetic_share=1.4, skin_young=1.5, gel_young=1.5, skin_thickness=1.15, pin_length=1.1),
+MECHANICS_RANDOMIZATIONS = {
+    "none": MechanicsRandomization(),
+    "real": MechanicsRandomization(
+        friction=1.6, kinetic_share=1.4, skin_young=1.5, gel_young=1.5, skin_thickness=1.15, pin_length=1.1
+    ),
 }
 """By name. `real`: friction from 0.45 to 1.1 about the 0.7 of the calibrated 127-pin tip; a load cell's 0.55 to 0.7 [R]
 lie within; the rest is estimated [?], and more than the deviations of a calibration (docs/calibration)."""

@@ -53,7 +53,7 @@ def read_record(path):
         return json.loads(str(data["record"]))
 
 
-def reopen(folder):
+def unpack_finished_set(folder):
     """Turn the finished set in a folder (Path) into records, so that it can grow; the caller holds the folder's lock.
 
     A contact whose samples are not all there is left out, to be made again. meta.json goes when every record is there, and

@@ -6,7 +6,7 @@ import numpy as np
 
 from tactip_twin.sim.labels import TASKS
 from tactip_twin.sim.pose import from_mm_deg
-from tactip_twin.tactip_model.errors import TactipError, choose
+from tactip_twin.tactip_model.errors import TactipError, lookup
 
 SPLITS = ("train", "val", "test")
 """The three independent sets of a task. Their order is part of what a seed means."""
@@ -63,8 +63,8 @@ def generator(seed, task, split, index):
     The same whichever worker makes the sample and whichever were made before; independent over tasks and splits.
     Raises TactipError on an unknown task or split.
     """
-    choose("task", task, dict.fromkeys(TASKS))
-    choose("split", split, dict.fromkeys(SPLITS))
+    lookup("task", task, dict.fromkeys(TASKS))
+    lookup("split", split, dict.fromkeys(SPLITS))
     key = (TASKS.index(task), SPLITS.index(split), index)
     return np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=key)))
 

@@ -11,7 +11,7 @@ Readers (sim/dataset/format.py) take shards as one set. A set that grows out of 
 import shutil
 from dataclasses import dataclass, replace
 
-from tactip_twin.sim.dataset.builder import SetFolder
+from tactip_twin.sim.dataset.builder import DatasetBuilder
 from tactip_twin.sim.dataset.format import PARTIAL, checksum, meta_json, read_meta
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.files import write_file
@@ -22,12 +22,12 @@ def is_sharded(configuration):
     return configuration.samples > _most(configuration)
 
 
-def folder_of(configuration, path):
-    """The folder (SetFolder) in which a set of a Configuration is made at a Path."""
-    return (ShardedFolder if is_sharded(configuration) else SetFolder)(configuration, path)
+def open_builder(configuration, path):
+    """The folder (DatasetBuilder) in which a set of a Configuration is made at a Path."""
+    return (ShardedFolder if is_sharded(configuration) else DatasetBuilder)(configuration, path)
 
 
-def home_of(configuration, folder, number):
+def shard_dir(configuration, folder, number):
     """Path of the set or shard to which contact `number` of the set of a Configuration in a folder (Path) belongs."""
     if not is_sharded(configuration):
         return folder
@@ -54,7 +54,7 @@ def _shard_name(k):
 
 
 @dataclass(frozen=True, repr=False)
-class Closing:
+class ShardFinalizer:
     """A shard that has all of its contacts: a task for a worker, so that who hands out contacts need not do it."""
 
     name: str
@@ -65,7 +65,7 @@ class Closing:
     def __call__(self, configuration, folder):
         """Turn its records into a finished set. configuration: Configuration of the whole set. folder: Path, the whole
         set's. Raises OSError."""
-        part = SetFolder(shards_of(configuration)[self.name], folder / self.name, alone=False)
+        part = DatasetBuilder(shards_of(configuration)[self.name], folder / self.name, alone=False)
         # Another worker may have done it, and been lost before it could say so.
         if (folder / self.name / "meta.json").exists():
             shutil.rmtree(folder / self.name / PARTIAL, ignore_errors=True)
@@ -76,17 +76,17 @@ class Closing:
         return f"the end of {self.name}"
 
 
-class ShardedFolder(SetFolder):
+class ShardedFolder(DatasetBuilder):
     """The folder of a set of shards while it is made."""
 
     def __init__(self, configuration, path):
         """configuration: Configuration. path: Path."""
         super().__init__(configuration, path)
         parts = shards_of(configuration).items()
-        self._shards = {name: SetFolder(part, path / name, alone=False) for name, part in parts}
+        self._shards = {name: DatasetBuilder(part, path / name, alone=False) for name, part in parts}
 
     def _there(self, identity):
-        """See SetFolder. Raises TactipError where it is larger than a shard, and in one folder."""
+        """See DatasetBuilder. Raises TactipError where it is larger than a shard, and in one folder."""
         meta = super()._there(identity)
         if meta and "shards" not in meta and (there := meta["configuration"]["samples"]) > _most(self._configuration):
             raise TactipError(
@@ -109,29 +109,29 @@ class ShardedFolder(SetFolder):
             held.enter_context(shard)
 
     def missing(self):
-        """See SetFolder."""
+        """See DatasetBuilder."""
         return [] if self.finished else [number for shard in self._shards.values() for number in shard.missing()]
 
     def done(self, number, cost, workers, seconds):
-        """See SetFolder."""
+        """See DatasetBuilder."""
         self.costs.append(cost)
-        name = home_of(self._configuration, self._path, number).name
+        name = shard_dir(self._configuration, self._path, number).name
         run_json = self._shards[name].last(number, cost, workers, seconds)
-        return [Closing(name, run_json)] if run_json else []
+        return [ShardFinalizer(name, run_json)] if run_json else []
 
     def closed(self, name):
         """Note that a worker has closed a shard."""
         self._shards[name].closed_elsewhere()
 
     def finish(self, workers, seconds):
-        """See SetFolder."""
+        """See DatasetBuilder."""
         # Those that a command before this one left without their end.
         for shard in () if self.finished else self._shards.values():
             shard.finish(workers, seconds)
         return super().finish(workers, seconds)
 
     def assemble(self, run_json):
-        """See SetFolder."""
+        """See DatasetBuilder."""
         counts = {name: read_meta(self._path / name)["samples"] for name in self._shards}
         samples = {key: sum(count[key] for count in counts.values()) for key in ("asked", "kept", "failed")}
         write_file(self._path / "run.json", run_json)

@@ -7,9 +7,9 @@ leads to them. And a stride costs a fraction of a contact of its own, which begi
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tactip_twin.sim.contact.limits import STEEPEST_RAD, tilt
+from tactip_twin.sim.contact.limits import MAX_TILT_RAD, tilt
 from tactip_twin.sim.contact.signed_distance import Nearest
-from tactip_twin.sim.ground_truth import SurfaceTruth
+from tactip_twin.sim.ground_truth import SurfaceGroundTruth
 from tactip_twin.sim.pose import label_of, matrix, sensor_in_contact
 
 MOST_LOOKS = 1000
@@ -67,7 +67,7 @@ class _StraightTruth:
         return label_of(np.linalg.inv(self.frame(T_edge_sensor)) @ T_edge_sensor)
 
 
-class Walk:
+class SlidingPath:
     """Where a contact goes on to, stride by stride."""
 
     def __init__(self, task, solid, ranges, pose, draw):
@@ -75,7 +75,7 @@ class Walk:
         sampling.Ranges of labelled poses, which are kept to. pose: (6,) m and rad, where the contact is now. draw: numpy
         Generator."""
         self._along = task == "edge"
-        self.truth = _StraightTruth() if self._along else SurfaceTruth(solid or _Flat())
+        self.truth = _StraightTruth() if self._along else SurfaceGroundTruth(solid or _Flat())
         """Tells the label of a sensor, as of sim/ground_truth.py."""
         self._ranges, self._draw, self._anywhere = ranges, draw, _ALONG[task]
         self._T, self._label = sensor_in_contact(pose), self._local(pose)
@@ -106,7 +106,7 @@ class Walk:
         there are."""
         while True:
             label = self._ranges.draw(self._draw)
-            if tilt(label) <= STEEPEST_RAD:
+            if tilt(label) <= MAX_TILT_RAD:
                 return self._local(label)
 
     def _local(self, pose):

@@ -51,7 +51,7 @@ SYMMETRIES = {
 they are. Of an edge: the mirror along it."""
 
 
-def keeps(symmetries, ranges):
+def ranges_are_symmetric(symmetries, ranges):
     """Whether sampling.Ranges are their own image under all symmetries."""
     low, high = ranges.bounds().T
     images = (np.sort([s.label(low), s.label(high)], axis=0) for s in symmetries)

@@ -10,7 +10,7 @@ import statistics
 from dataclasses import dataclass
 from typing import Any
 
-from tactip_twin.sim.parallel.worker_pool import THREADS, Crew, attempt
+from tactip_twin.sim.parallel.worker_pool import THREADS, WorkerPool, attempt
 from tactip_twin.tactip_model.errors import TactipError
 
 HELD_S = 1.0
@@ -70,14 +70,14 @@ class _Hand:
     """What a task of the last ones took."""
 
 
-class ClusterCrew(Crew):
-    """Does a list of tasks on a cluster: as a Crew does, to the same files."""
+class RayPool(WorkerPool):
+    """Does a list of tasks on a cluster: as a WorkerPool does, to the same files."""
 
     most_held = 256
     """Tasks that a worker holds at most, however short they are."""
 
     def __init__(self, ray, begin, arguments, tasks, unit, say, named=None):
-        """ray: the module, joined. The rest: as of Crew."""
+        """ray: the module, joined. The rest: as of WorkerPool."""
         super().__init__(begin, arguments, tasks, unit, say, named)
         self._ray = ray
         variables = {"env_vars": dict.fromkeys(THREADS, "1")}

@@ -19,12 +19,12 @@ from typing import Any
 
 from tqdm import tqdm
 
-from tactip_twin.tactip_model.errors import Stopped, TactipError
+from tactip_twin.tactip_model.errors import Interrupted, TactipError
 
 _TELLING, _TELLING_S = 8, 20.0
 """Tasks, or seconds of a worker's, after which it is told how long all will take."""
 
-GOES_ON = "what is done so far is kept, and the same command goes on from there"
+RESUME_HINT = "what is done so far is kept, and the same command goes on from there"
 
 
 def worker_count(asked):
@@ -47,7 +47,7 @@ class _Worker:
     done: int = 0
 
 
-class Crew:
+class WorkerPool:
     """Does a list of tasks on worker processes."""
 
     def __init__(self, begin, arguments, tasks, unit, say, named=None):
@@ -65,7 +65,7 @@ class Crew:
         after each, in the order they end. What it returns, if anything, is a list of further tasks, which are done next and
         not counted.
 
-        Raises TactipError where a task cannot be done, and Stopped at Ctrl-C.
+        Raises TactipError where a task cannot be done, and Interrupted at Ctrl-C.
         """
         # On a terminal the bar is redrawn at leisure; a log file gets a line now and then.
         interval = 0.5 if sys.stderr.isatty() else 15
@@ -91,7 +91,7 @@ class Crew:
                             text = f"{self._count} {self._unit}s on {workers} worker(s): about {about} in all"
                             bar.write(text, file=sys.stderr)
             except KeyboardInterrupt:
-                raise Stopped(f"{bar.n} of {self._count} {self._unit}s made: {GOES_ON}") from None
+                raise Interrupted(f"{bar.n} of {self._count} {self._unit}s made: {RESUME_HINT}") from None
             finally:
                 self._dismiss()
 
@@ -150,7 +150,9 @@ class Crew:
         for task in tasks:
             self._killed[task] = self._killed.get(task, 0) + 1
             if self._killed[task] > 1:
-                raise TactipError(f"{self._named(task)} has ended two workers (the last {how}): is memory short? {GOES_ON}")
+                raise TactipError(
+                    f"{self._named(task)} has ended two workers (the last {how}): is memory short? {RESUME_HINT}"
+                )
         more = f" and {len(tasks) - 1} more" if len(tasks) > 1 else ""
         self._say(f"a worker ended {how} at {self._named(tasks[0])}{more}: another takes over")
         self._queue += reversed(tasks)
@@ -169,7 +171,7 @@ class Crew:
 
 def disk_error(error):
     """An OSError in writing as a sentence for the user."""
-    return f"cannot write {error.filename or 'the set'}: {error.strerror or error}; {GOES_ON}"
+    return f"cannot write {error.filename or 'the set'}: {error.strerror or error}; {RESUME_HINT}"
 
 
 def _serve(pipe, begin, arguments):

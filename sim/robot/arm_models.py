@@ -14,13 +14,13 @@ from scipy.spatial.transform import Rotation
 
 from tactip_twin.sim.pose import matrix
 from tactip_twin.sim.robot.irb120 import JOINTS, SPEEDS_RAD_S, Arm, Unreachable, arm_spec
-from tactip_twin.tactip_model.errors import choose
+from tactip_twin.tactip_model.errors import lookup
 
 _LONGEST_SUBSTEP_S = 1e-3
 """Time step of the arm's model, s: a sixth of what its stiffest joint swings in."""
 
 
-class Carrier(ABC):
+class ArmModel(ABC):
     """Carries the sensor."""
 
     pose: np.ndarray
@@ -52,7 +52,7 @@ class Carrier(ABC):
         about its apex in the base frame. Returns T_base_tcp (4, 4)."""
 
 
-class Straight(Carrier):
+class IdealArm(ArmModel):
     """No arm: the sensor is where it should be, on a straight way."""
 
     def put(self, T_base_tcp, wrist_rad=0.0):
@@ -70,7 +70,7 @@ class Straight(Carrier):
         return self.pose
 
 
-class Kinematic(Carrier):
+class KinematicArm(ArmModel):
     """The arm as its kinematics: joints go straight from angle to angle."""
 
     def __init__(self):
@@ -112,7 +112,7 @@ _LONGEST_STEPS = 400
 """Time steps after which a small motion is no small one."""
 
 
-class Dynamic(Kinematic):
+class DynamicArm(KinematicArm):
     """The arm with its masses, motors and gravity."""
 
     def __init__(self):
@@ -157,13 +157,13 @@ class Dynamic(Kinematic):
         return self.pose
 
 
-CARRIERS = {"none": Straight, "kinematic": Kinematic, "dynamic": Dynamic}
+ARM_MODELS = {"none": IdealArm, "kinematic": KinematicArm, "dynamic": DynamicArm}
 """What can carry the sensor, by name."""
 
 
-def carrier_named(name):
+def arm_model_named(name):
     """A new Carrier. Raises TactipError that lists the names."""
-    return choose("arm", name, CARRIERS)()
+    return lookup("arm", name, ARM_MODELS)()
 
 
 def between(T_a, T_b, share):

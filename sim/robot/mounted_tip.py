@@ -9,9 +9,9 @@ from scipy.spatial.transform import Rotation
 
 from tactip_twin.sim.contact.mujoco_warnings import counted_warnings
 from tactip_twin.sim.contact.scene import Scene
-from tactip_twin.sim.contact.simulator import LEVER_M, Diverged, shares
-from tactip_twin.sim.contact.solid_stimulus import Shape
-from tactip_twin.sim.contact.tip_state import read_touch
+from tactip_twin.sim.contact.simulator import LEVER_M, Diverged, motion_fractions
+from tactip_twin.sim.contact.solid_stimulus import SolidStimulus
+from tactip_twin.sim.contact.tip_state import read_tip_state
 from tactip_twin.sim.pose import inverse
 from tactip_twin.sim.robot.irb120 import housing_points
 from tactip_twin.tactip_model.errors import TactipError
@@ -21,17 +21,17 @@ _CLEAR_M = 0.5e-3
 """Gap between tip and object that counts as clear, m."""
 
 
-class Fingertip:
+class MountedTip:
     """A tip, an object, and what carries the one over the other."""
 
     def __init__(self, design, solid, fidelity, carrier, T_base_object, settle_steps=None, pace=1.0):
-        """design: Design. solid: Solid. fidelity: Fidelity. carrier: Carrier. T_base_object: (4, 4), where the solid is.
+        """design: Design. solid: Solid. fidelity: Fidelity. carrier: ArmModel. T_base_object: (4, 4), where the solid is.
 
         settle_steps: int, time steps at rest before a touch is taken; the fidelity's Motion.pause_steps if None. pace:
         float, way a time step over the fidelity's.
         Raises TactipError on what cannot be built.
         """
-        self.scene = Scene(design, Shape(solid), fidelity)
+        self.scene = Scene(design, SolidStimulus(solid), fidelity)
         self.carrier, self.T_base_object = carrier, np.array(T_base_object, float)
         self._solid, self._radius = solid, design.shape.radius_m
         self._reader = PinReader(design, self.scene.mesh)
@@ -61,7 +61,7 @@ class Fingertip:
         return float(min(self._solid.distance(centre[None])[0], self._solid.distance(back).min()) - self._radius)
 
     def go(self, T_base_tcp):
-        """Go to a pose (4, 4) at the fidelity's pace, in contact or not, and come to rest there. Returns a Touch.
+        """Go to a pose (4, 4) at the fidelity's pace, in contact or not, and come to rest there. Returns a TipState.
 
         Raises Unreachable, without having moved, and Diverged.
         """
@@ -72,7 +72,7 @@ class Fingertip:
         count = self.carrier.aim(T_base_tcp, count, motion.step_s)
         with counted_warnings() as messages:
             self.scene.stiffen(resting=False)
-            for share in shares(count, motion)[1:]:
+            for share in motion_fractions(count, motion)[1:]:
                 self._step(share)
             self.scene.stiffen(resting=True)
             for _ in range(self._settle):
@@ -82,7 +82,7 @@ class Fingertip:
 
     def touch(self):
         """The Touch of this moment. Raises Diverged."""
-        touch = read_touch(self.scene, self._reader, self._since, self._clearance())
+        touch = read_tip_state(self.scene, self._reader, self._since, self._clearance())
         if not (np.isfinite(touch.skin).all() and np.abs(touch.skin).max() < 4 * self._radius):
             raise Diverged("the simulated tip is lost: its state is not that of a tip any more")
         self._since = 0
@@ -106,7 +106,7 @@ class Fingertip:
         self._place(before, after, h)
         self.scene.step()
         self._since += 1
-        if not np.isfinite(self.scene.greatest_speed()):
+        if not np.isfinite(self.scene.max_vertex_speed()):
             raise Diverged("the simulated tip is lost: its state is not finite any more")
 
     def _place(self, before, after=None, h=1.0):

@@ -9,9 +9,9 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from tactip_twin.assets import MESHES
-from tactip_twin.sim.contact.signed_distance import Solid
+from tactip_twin.sim.contact.signed_distance import SignedDistanceMesh
 from tactip_twin.sim.pose import matrix
-from tactip_twin.tactip_model.errors import TactipError, choose
+from tactip_twin.tactip_model.errors import TactipError, lookup
 
 FORMATS = ("stl", "obj", "ply", "glb")
 """Endings of the files that are read."""
@@ -50,12 +50,12 @@ class Edge:
 
 
 @dataclass(frozen=True)
-class Thing:
+class SceneObject:
     """An object where it stands."""
 
     name: str
     """The project's, or its file's without the ending."""
-    solid: Solid
+    solid: SignedDistanceMesh
     """Its shape, in its own frame."""
     T_base_object: np.ndarray
     """(4, 4)."""
@@ -80,7 +80,7 @@ def object_names():
     return sorted(path.stem for path in MESHES.glob("*.ply"))
 
 
-def find_object(name, unit=None, scale=1.0, place_mm=None, turn_deg=None):
+def load_object(name, unit=None, scale=1.0, place_mm=None, turn_deg=None):
     """The Thing of one of the project's names, or in a file.
 
     name: str or Path. unit: str of UNITS_M, what the file's numbers are in; mm if None. scale: float. place_mm: (3,), where
@@ -94,7 +94,7 @@ def find_object(name, unit=None, scale=1.0, place_mm=None, turn_deg=None):
         raise TactipError(f"there is no object {str(name)!r}: choose one of {', '.join(object_names())}, or name a file")
     if own and unit is not None:
         raise TactipError(f"the object {str(name)!r} comes with its size, and --unit {unit} is of files: leave it out")
-    size = (1.0 if own else choose("unit", unit or "mm", UNITS_M)) * scale
+    size = (1.0 if own else lookup("unit", unit or "mm", UNITS_M)) * scale
     if not np.isfinite(size) or size <= 0:
         raise TactipError(f"the scale is {scale}: it must be above 0")
     mesh = _read(path)
@@ -108,7 +108,9 @@ def find_object(name, unit=None, scale=1.0, place_mm=None, turn_deg=None):
     middle = (mesh.vertices.min(0) + mesh.vertices.max(0)) / 2
     if own and name in _MIDDLES_M:
         middle = scale * np.array(_MIDDLES_M[name])
-    return Thing(Path(name).stem, Solid(mesh.vertices, mesh.faces), T, edge, (T @ [*middle, 1])[:3], tuple(notes))
+    return SceneObject(
+        Path(name).stem, SignedDistanceMesh(mesh.vertices, mesh.faces), T, edge, (T @ [*middle, 1])[:3], tuple(notes)
+    )
 
 
 def checked(mesh, name):

@@ -1,7 +1,7 @@
 """A trajectory on disk: what a servo did, step by step, and all that is needed to look at it without playing it again.
 
 recording.json    what was asked for and with what; once it is complete, also events and why it stopped
-scenery.npz       what stands there: the object, the skin's triangles (see Scenery)
+scenery.npz       what stands there: the object, the skin's triangles (see RecordedScene)
 steps.npz         an array a quantity, a row a control step (see ARRAYS); images are packed, eight pixels a byte
 steps.log         the same while it is not complete, a frame a step: what a kill leaves can be read to its last whole frame
 """
@@ -61,7 +61,7 @@ PHASES = ("search", "centre", "follow", "approach", "shear", "settle")
 
 
 @dataclass(frozen=True)
-class Scenery:
+class RecordedScene:
     """What stands where a recording is made."""
 
     object_vertices: np.ndarray
@@ -82,7 +82,7 @@ class Recorder:
     """Writes a recording as it grows."""
 
     def __init__(self, folder, description, scenery):
-        """folder: path. description: dict, JSON: what was asked for. scenery: Scenery.
+        """folder: path. description: dict, JSON: what was asked for. scenery: RecordedScene.
 
         Raises TactipError where the folder holds something else than an unfinished recording, and where another command
         records into it.
@@ -171,15 +171,15 @@ def read_recording(folder):
     return record, _unpacked(arrays, record["size_px"])
 
 
-def read_scenery(folder):
-    """The Scenery of a recording. Raises TactipError where it cannot be read."""
+def read_recorded_scene(folder):
+    """The RecordedScene of a recording. Raises TactipError where it cannot be read."""
     path = Path(folder) / SCENERY
     try:
         with np.load(path, allow_pickle=False) as file:
-            kept = {name: file[name] for name in Scenery.__dataclass_fields__}
+            kept = {name: file[name] for name in RecordedScene.__dataclass_fields__}
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
         raise TactipError(f"{path} cannot be read: {error!r}") from error
-    return Scenery(**kept | {"tip_radius_m": float(kept["tip_radius_m"]), "with_arm": bool(kept["with_arm"])})
+    return RecordedScene(**kept | {"tip_radius_m": float(kept["tip_radius_m"]), "with_arm": bool(kept["with_arm"])})
 
 
 def _read_record(folder):

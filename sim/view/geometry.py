@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 import trimesh
 
-from tactip_twin.sim.contact.signed_distance import Solid
+from tactip_twin.sim.contact.signed_distance import SignedDistanceMesh
 from tactip_twin.sim.pose import sensor_in_contact
 from tactip_twin.sim.robot.irb120 import arm_spec
 from tactip_twin.sim.robot.recording import PHASES
@@ -33,7 +33,7 @@ _TABLE_M = (0.9, 0.7)
 
 
 @dataclass(frozen=True)
-class Prop:
+class ColoredMesh:
     """A surface of one colour."""
 
     vertices: np.ndarray
@@ -48,15 +48,15 @@ class Prop:
     def moved(self, T):
         """This prop carried by T (4, 4)."""
         turn = T[:3, :3].T
-        return Prop(self.vertices @ turn + T[:3, 3], self.triangles, self.normals @ turn, self.colour)
+        return ColoredMesh(self.vertices @ turn + T[:3, 3], self.triangles, self.normals @ turn, self.colour)
 
 
-class Stage:
+class SceneGeometry:
     """The props of a recording, each in the frame that carries it."""
 
     def __init__(self, scenery):
-        """scenery: recording.Scenery."""
-        thing = object_prop(scenery)
+        """scenery: recording.RecordedScene."""
+        thing = object_mesh(scenery)
         self.still = [thing, _table(thing)]
         """Props that stay as they are, base frame."""
         self.skin_triangles = scenery.skin_triangles
@@ -72,7 +72,7 @@ class Stage:
     def skin(self, skin):
         """The Prop of a recorded skin (s, 3) m, sensor frame."""
         normals = trimesh.Trimesh(skin, self.skin_triangles, process=False).vertex_normals
-        return Prop(np.asarray(skin, float), self.skin_triangles, np.asarray(normals), SKIN)
+        return ColoredMesh(np.asarray(skin, float), self.skin_triangles, np.asarray(normals), SKIN)
 
     def poses(self, angles):
         """T_base_body (4, 4) by body (dict) at joint angles (6,), rad."""
@@ -97,11 +97,11 @@ def _pose(turn, place):
     return T
 
 
-def object_prop(scenery):
-    """The Prop of the object of a recording.Scenery, in the base frame."""
-    solid = Solid(scenery.object_vertices, scenery.object_triangles)
+def object_mesh(scenery):
+    """The Prop of the object of a recording.RecordedScene, in the base frame."""
+    solid = SignedDistanceMesh(scenery.object_vertices, scenery.object_triangles)
     corners = solid.vertices[solid.triangles].reshape(-1, 3)
-    own = Prop(corners, np.arange(len(corners)).reshape(-1, 3), solid.corner_normals.reshape(-1, 3), PORCELAIN)
+    own = ColoredMesh(corners, np.arange(len(corners)).reshape(-1, 3), solid.corner_normals.reshape(-1, 3), PORCELAIN)
     return own.moved(scenery.T_base_object)
 
 
@@ -158,11 +158,11 @@ def tube(points, radius_m, colour, sides=8):
     k, j = np.meshgrid(np.arange(len(points) - 1), np.arange(sides), indexing="ij")
     a, b = (k * sides + j).ravel(), (k * sides + (j + 1) % sides).ravel()
     triangles = np.concatenate([np.stack([a, b, a + sides], 1), np.stack([b, b + sides, a + sides], 1)])
-    return Prop(rings.reshape(-1, 3), triangles, normals.reshape(-1, 3), colour)
+    return ColoredMesh(rings.reshape(-1, 3), triangles, normals.reshape(-1, 3), colour)
 
 
 def _table(thing):
-    """The table, and what an object stands on that is above it. thing: Prop, base frame."""
+    """The table, and what an object stands on that is above it. thing: ColoredMesh, base frame."""
     parts = [trimesh.creation.box([*_TABLE_M, 0.02])]
     parts[0].apply_translation([0.3, 0, -0.0101])
     low, high = thing.vertices.min(0), thing.vertices.max(0)
@@ -237,4 +237,4 @@ def _primitive(kind, size):
 
 def _prop(mesh, colour):
     smooth = trimesh.graph.smooth_shade(mesh, angle=_CREASE_RAD)
-    return Prop(np.asarray(smooth.vertices), np.asarray(smooth.faces), np.asarray(smooth.vertex_normals), colour)
+    return ColoredMesh(np.asarray(smooth.vertices), np.asarray(smooth.faces), np.asarray(smooth.vertex_normals), colour)

@@ -6,7 +6,7 @@ import time
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tactip_twin.sim.contact.interactive import Press
+from tactip_twin.sim.contact.interactive import InteractiveContact
 from tactip_twin.sim.contact.simulator import Diverged
 from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES
 from tactip_twin.sim.labels import COMPONENTS
@@ -41,7 +41,7 @@ def ranges_of(name):
     return both
 
 
-class Live:
+class LivePage:
     """A page that shows a tip and a stimulus, and lets one move it."""
 
     def __init__(self, design, name, fidelity, render, read=None, host=LOCAL, port=8080):
@@ -51,7 +51,7 @@ class Live:
 
         Raises TactipError on what cannot be built or served.
         """
-        self._press = Press(design, name, fidelity, from_mm_deg(_START_MM_DEG))
+        self._press = InteractiveContact(design, name, fidelity, from_mm_deg(_START_MM_DEG))
         self._design, self._name, self._render, self._read = design, name, render, read
         self._lock = threading.RLock()
         self._wanted, self._lift, self._moved, self._said = None, False, True, ""
@@ -100,7 +100,7 @@ class Live:
             self._moved = True
 
     def _show(self, touch, seconds):
-        """Show a touch.Touch; the simulation of its steps took so many seconds."""
+        """Show a touch.TipState; the simulation of its steps took so many seconds."""
         image = tactile_image(self._render(touch.tips, touch.directions), self._design.image)
         felt = self._read(image) if self._read else {}
         with self._server.atomic():

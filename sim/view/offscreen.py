@@ -14,7 +14,7 @@ _AMBIENT = 0.2
 _NEAR_M, _FAR_M = 0.02, 6.0
 
 
-class Studio:
+class SceneRenderer:
     """A camera among surfaces; cheap to use, dear to make."""
 
     def __init__(self, width, height, still):

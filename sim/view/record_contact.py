@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 
 from tactip_twin.sim.dataset.format import read_configuration, read_meta, read_rows, versions
-from tactip_twin.sim.dataset.generate import drawn, player_of
-from tactip_twin.sim.dataset.sliding import Walk
+from tactip_twin.sim.dataset.generate import sample_contact, simulator_for
+from tactip_twin.sim.dataset.sliding import SlidingPath
 from tactip_twin.sim.labels import COMPONENTS
 from tactip_twin.sim.pose import from_mm_deg, sensor_in_contact
-from tactip_twin.sim.robot.recording import Recorder, Scenery
+from tactip_twin.sim.robot.recording import RecordedScene, Recorder
 from tactip_twin.sim.view.geometry import body_mesh
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.renderer import renderer_named
@@ -43,8 +43,8 @@ def record_contact(folder, sample, out, read: Callable | None = None):
             else f"the set in {folder} has no sample"
         )
     number = sample // configuration.each
-    given = drawn(configuration, number)
-    solid, player = given.solid, player_of(configuration, given.design)
+    given = sample_contact(configuration, number)
+    solid, player = given.solid, simulator_for(configuration, given.design)
     if solid is not None:
         player.stimulus.solid = solid
     scene = player.last.scene
@@ -53,7 +53,7 @@ def record_contact(folder, sample, out, read: Callable | None = None):
     T_base_object[:3, 3] = [*_PLACE_M, -thing[0][:, 2].min()]
     player.watch = keeper = _Keeper(player, configuration, T_base_object, read)
     contact, faults = player.play(given.pose, given.shear)
-    walk = Walk(configuration.task, solid, configuration.pose, given.pose, given.draw)
+    walk = SlidingPath(configuration.task, solid, configuration.pose, given.pose, given.draw)
     keeper.truth = walk.truth
     for _ in range(sample % configuration.each // len(configuration.symmetries)):
         contact = player.slide(walk.stride(), walk.label())
@@ -66,14 +66,14 @@ def record_contact(folder, sample, out, read: Callable | None = None):
         "versions": versions(),
     }
     radius = configuration.design.shape.radius_m
-    recorder = Recorder(out, description, Scenery(*thing, T_base_object, scene.mesh.triangles, radius, False))
+    recorder = Recorder(out, description, RecordedScene(*thing, T_base_object, scene.mesh.triangles, radius, False))
     for row in keeper.rows:
         recorder.add(row)
     return recorder.finish({"stopped_because": "the tip is at rest", "closed": False})
 
 
 class _Keeper:
-    """Keeps the state after each time step of the last try of a CarefulPlayer."""
+    """Keeps the state after each time step of the last try of a RetryingSimulator."""
 
     def __init__(self, player, configuration, T_base_object, read):
         self._player, self._design, self._read = player, configuration.design, read

@@ -9,7 +9,7 @@ from viser import uplot
 from tactip_twin.sim.labels import COMPONENTS, LEARNED
 from tactip_twin.sim.pose import to_mm_deg
 from tactip_twin.sim.robot.recording import PHASES
-from tactip_twin.sim.view.geometry import COLOURS, PORCELAIN, SKIN, TABLE, Stage, way_lines
+from tactip_twin.sim.view.geometry import COLOURS, PORCELAIN, SKIN, TABLE, SceneGeometry, way_lines
 from tactip_twin.sim.view.playback import SPEEDS, Playback
 from tactip_twin.sim.view.viser_utils import LOCAL, grey, mesh, pin_lines, place, rgb, serve, stop
 from tactip_twin.tactip_model.errors import TactipError
@@ -24,7 +24,7 @@ _CURVES = (("x", 0, "mm"), ("depth", 2, "mm"), ("Rx", 3, "deg"), ("Ry", 4, "deg"
 """Components that can be felt: what they are called, place in a label, unit."""
 
 
-class Viewer:
+class ReplayPage:
     """A page that shows one recording."""
 
     def __init__(self, record, arrays, scenery, host=LOCAL, port=8080):
@@ -35,7 +35,7 @@ class Viewer:
         """
         if not record["steps"]:
             raise TactipError("there is nothing to be seen in the recording: no step was made")
-        self._record, self._arrays, self._stage = record, arrays, Stage(scenery)
+        self._record, self._arrays, self._stage = record, arrays, SceneGeometry(scenery)
         self._felt, self._true = to_mm_deg(arrays["felt"]), to_mm_deg(arrays["true"])
         self._lines, self._ends = way_lines(arrays)
         if not len(self._lines):

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 
 from tactip_twin.sim.pose import to_mm_deg
-from tactip_twin.sim.view.geometry import Stage, way
-from tactip_twin.sim.view.offscreen import BACKGROUND, Studio
+from tactip_twin.sim.view.geometry import SceneGeometry, way
+from tactip_twin.sim.view.offscreen import BACKGROUND, SceneRenderer
 from tactip_twin.sim.view.plot import pyplot
 
 WIDTH, HEIGHT = 1120, 630
@@ -32,7 +32,7 @@ _CURVES = {
 """What is drawn over the steps, by task: its name and its component."""
 
 
-def pictures(scenery, record, arrays, every=1):
+def render_frames(scenery, record, arrays, every=1):
     """The pictures (h, w, 3) uint8 of a recording, one after another.
 
     scenery, record, arrays: of tactip_twin.sim.robot.recording. every: int, steps a picture. Raises TactipError where
@@ -41,8 +41,8 @@ def pictures(scenery, record, arrays, every=1):
     if not record["steps"]:
         return
     task = record["task"]
-    stage = Stage(scenery)
-    studio = Studio(_VIEW, HEIGHT, stage.still)
+    stage = SceneGeometry(scenery)
+    studio = SceneRenderer(_VIEW, HEIGHT, stage.still)
     curves, left, right = _curves(arrays, task)
     poses = arrays["T_base_tcp"]
     middle = (poses[:, :3, 3].min(0) + poses[:, :3, 3].max(0)) / 2 + [0, 0, 0.03]

@@ -17,7 +17,7 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from tactip_twin.sim.robot.recording import PHASES
-from tactip_twin.sim.view.geometry import COLOURS, SKIN, Prop, Stage, way_lines
+from tactip_twin.sim.view.geometry import COLOURS, SKIN, ColoredMesh, SceneGeometry, way_lines
 from tactip_twin.sim.view.playback import Playback
 from tactip_twin.tactip_model.errors import TactipError
 
@@ -45,7 +45,7 @@ class Window:
             raise TactipError("there is nothing to be seen in the recording: no step was made")
         if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
             raise TactipError("there is no display here for MuJoCo's window: leave --window out for a page in a browser")
-        self._record, self._arrays, self._stage = record, arrays, Stage(scenery)
+        self._record, self._arrays, self._stage = record, arrays, SceneGeometry(scenery)
         self.playback = Playback(record["steps"], [event["step"] for event in record["events"]])
         """Where the replay is."""
         self.model = self._compile()
@@ -132,7 +132,7 @@ class Window:
             for n, prop in enumerate(stage.links.get(name, stage.sensor)):
                 _add(spec, body, f"{name}/{n}", prop)
         skin = np.asarray(self._arrays["skin_m"][0], float)
-        _add(spec, spec.body("tip"), "skin", Prop(skin, stage.skin_triangles, np.zeros_like(skin), SKIN))
+        _add(spec, spec.body("tip"), "skin", ColoredMesh(skin, stage.skin_triangles, np.zeros_like(skin), SKIN))
         model = spec.compile()
         self._bodies = {name: int(model.body(name).mocapid[0]) for name in names}
         mesh = model.mesh("skin")

@@ -22,12 +22,12 @@ import numpy as np
 from tqdm import tqdm
 
 from tactip_twin.sim.contact.fidelity import fidelity_named
-from tactip_twin.sim.contact.simulator import LEVER_M, ContactPlayer
-from tactip_twin.sim2real.calibration.parameters import UNKNOWN_CAMERA, Parameter, Twin, parameters
+from tactip_twin.sim.contact.simulator import LEVER_M, ContactSimulator
+from tactip_twin.sim2real.calibration.parameters import UNKNOWN_CAMERA, Parameter, SensorOnRig, parameters
 from tactip_twin.sim2real.calibration.real_set import read_real_set
 from tactip_twin.sim2real.calibration.rig import Rig, RigMotion
 from tactip_twin.tactip_model.design import Design
-from tactip_twin.tactip_model.errors import Stopped, TactipError
+from tactip_twin.tactip_model.errors import Interrupted, TactipError
 from tactip_twin.tactip_model.files import write_file
 from tactip_twin.tactip_model.mesh import build_mesh
 from tactip_twin.tactip_model.neutral_image import as_built, camera_change, fit_neutral, reference_pixels
@@ -121,7 +121,7 @@ def chosen_frames(real, matcher, odd, count, generator):
 
 @lru_cache(maxsize=4)
 def _player(design, fidelity):
-    return ContactPlayer(design, "surface", fidelity_named(fidelity))
+    return ContactSimulator(design, "surface", fidelity_named(fidelity))
 
 
 def _mechanical(design):
@@ -200,7 +200,7 @@ def robust(rms):
 
 
 class Calibrator:
-    """Fits a Twin to Frames."""
+    """Fits a SensorOnRig to Frames."""
 
     def __init__(self, frames, neutral_pins_px, executor):
         """frames: Frames. neutral_pins_px: (p, 2), px of 256, of the neutral image. executor: of worker processes."""
@@ -215,7 +215,8 @@ class Calibrator:
         return pixels(twin.design, fidelity, skins)
 
     def misfit(self, twin, fidelity, few=12):
-        """Median distance (px) of the `few` frames with most tilt and move from a Twin's, moved already or not yet."""
+        """Median distance (px) of the `few` frames with most tilt and move from a SensorOnRig's, moved already or not
+        yet."""
         commands = self._frames.commands
         told = [np.linalg.norm(pose[3:]) + np.linalg.norm(move[:3]) / LEVER_M for pose, move in commands]
         chosen = np.argsort(told)[-few:]
@@ -228,7 +229,7 @@ class Calibrator:
         return next(iter(self._executor.map(_forces, [(twin.design, fidelity)])))
 
     def cost(self, twin, chosen, fidelity):
-        """The cost (float), px², of a Twin, and its pins (n, DONE, p, 2) px at each share of each frame's move.
+        """The cost (float), px², of a SensorOnRig, and its pins (n, DONE, p, 2) px at each share of each frame's move.
 
         The frames' robust cost and, in its unit, what forces and the Parameters `chosen` are off what is believed.
         """
@@ -242,7 +243,8 @@ class Calibrator:
         return np.log(self.forces(twin, fidelity) / list(LOAD_CELL_N.values())) / _FORCE_SPREAD
 
     def round(self, twin, chosen, fidelity):
-        """One step of Gauss and Newton. chosen: Parameters. Returns the new Twin, deviations (k,) and a dict of figures.
+        """One step of Gauss and Newton. chosen: Parameters. Returns the new SensorOnRig, deviations (k,) and a dict of
+        figures.
 
         Parameters that are searched stay, with the deviations that they are believed to have.
 
@@ -300,7 +302,7 @@ class Calibrator:
         return new, deviations, figures
 
     def _lowest(self, twin, chosen, changes, fidelity, cost):
-        """The first Twin along `changes` (dict of Parameter to steps) below `cost`, its cost, and the share taken."""
+        """The first SensorOnRig along `changes` (dict of Parameter to steps) below `cost`, its cost, and the share taken."""
         for share in (1.0, 0.5, 0.25):
             new = twin
             for p, amount in changes.items():
@@ -314,7 +316,8 @@ class Calibrator:
     def search(self, twin, chosen, deviations, fidelity):
         """Try each searched Parameter of `chosen` a step up and down, and keep what lowers the cost.
 
-        Returns the new Twin, the deviations (k,), with those of the searched by a parabola through three costs, and a dict
+        Returns the new SensorOnRig, the deviations (k,), with those of the searched by a parabola through three costs,
+        and a dict
         of figures.
         """
         before, _ = self.cost(twin, chosen, fidelity)
@@ -334,7 +337,7 @@ class Calibrator:
         return twin, deviations, {"fidelity": fidelity, "searched": True, "cost_before": before, "cost_after": here}
 
     def _rebuilt(self, twin):
-        """The Twin with its pins where the neutral image has them, as it was when that was taken."""
+        """The SensorOnRig with its pins where the neutral image has them, as it was when that was taken."""
         return replace(twin, design=as_built(twin.design, self._neutral))
 
     def _progress(self, work, jobs, what):
@@ -371,7 +374,7 @@ def calibrate(real_dir, design, settings, state_path, say=print):
         camera = camera[0], np.maximum(camera[1], _CAMERA_SPREAD)
     chosen = parameters(design, camera)
     press = real.tap[:3] / np.linalg.norm(real.tap[:3])
-    twin = Twin(started, Rig(press_axis=tuple(float(x) for x in press)))
+    twin = SensorOnRig(started, Rig(press_axis=tuple(float(x) for x in press)))
     for p in chosen:
         # What the neutral image does not tell, and what a perfect sensor has at its bound.
         if p.believed and (p.part == "optics" or p.name.startswith("kinetic")):
@@ -403,7 +406,7 @@ def calibrate(real_dir, design, settings, state_path, say=print):
             forces = calibrator.forces(twin, settings.judging)
         except KeyboardInterrupt:
             executor.shutdown(wait=False, cancel_futures=True)
-            raise Stopped("the same command goes on after the last round") from None
+            raise Interrupted("the same command goes on after the last round") from None
     return Result(twin, chosen, deviations, neutral, rounds, judged, stages, forces)
 
 
@@ -419,7 +422,7 @@ def _round_text(figures):
 class Result:
     """What a calibration found, and what it says of frames that it was not fitted to."""
 
-    twin: Twin
+    twin: SensorOnRig
     """The sensor and its rig, as fitted."""
     chosen: tuple[Parameter, ...]
     """(k) what was fitted, in the order of `deviations`."""
@@ -438,7 +441,7 @@ class Result:
 
 
 def first_azimuth(calibrator, twin, fidelity):
-    """The Twin with the best of _TURNS azimuths: the fit itself only finds the nearest."""
+    """The SensorOnRig with the best of _TURNS azimuths: the fit itself only finds the nearest."""
     azimuth = next(p for p in parameters(twin.design) if p.name == "azimuth")
     candidates = [azimuth.write(twin, 360 * k / _TURNS - 180) for k in range(_TURNS)]
     return min(candidates, key=lambda candidate: calibrator.misfit(candidate, fidelity))

@@ -10,7 +10,7 @@ from tactip_twin.tactip_model.design import WIDEST_LAYOUT, Design
 
 
 @dataclass(frozen=True)
-class Twin:
+class SensorOnRig:
     """A sensor on a rig."""
 
     design: Design
@@ -49,12 +49,12 @@ class Parameter:
     """Whether it is found by trying: skin sticks or slips, and a frame's share then jumps, so that slopes lead astray."""
 
     def read(self, twin):
-        """Its value (float) in a Twin."""
+        """Its value (float) in a SensorOnRig."""
         value = getattr(self._of(twin), self.attribute)
         return float(value if self.item is None else value[self.item])
 
     def write(self, twin, value):
-        """The Twin with this value (float), held within the bounds."""
+        """The SensorOnRig with this value (float), held within the bounds."""
         value = float(np.clip(value, self.low, self.high))
         if self.item is not None:
             whole = list(getattr(self._of(twin), self.attribute))
@@ -66,7 +66,7 @@ class Parameter:
         return replace(twin, design=replace(twin.design, **{self.part: part}))
 
     def moved(self, twin, amount):
-        """The Twin with this parameter moved by `amount` of its steps."""
+        """The SensorOnRig with this parameter moved by `amount` of its steps."""
         value = self.read(twin)
         return self.write(twin, value * np.exp(amount * self.step) if self.logarithmic else value + amount * self.step)
 

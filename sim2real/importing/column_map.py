@@ -16,7 +16,7 @@ from pathlib import Path
 
 from tactip_twin.sim.labels import LABELS, SHEARS, TASKS
 from tactip_twin.tactip_model.bounds import check, require, within
-from tactip_twin.tactip_model.errors import TactipError, choose
+from tactip_twin.tactip_model.errors import TactipError, lookup
 
 _NUMBER = r"\d+\.?\d*(?:[eE][+-]?\d+)?"
 _TERM = re.compile(rf"(?P<sign>[+-]?)(?:(?P<factor>{_NUMBER})\*)?(?P<column>[A-Za-z_]\w*)(?P<offset>[+-]{_NUMBER})?")
@@ -61,8 +61,8 @@ class Layout:
 
     def __post_init__(self):
         check(self)
-        choose("task", self.task, dict.fromkeys(TASKS))
-        choose("mask", self.mask, dict.fromkeys(("pins", "none")))
+        lookup("task", self.task, dict.fromkeys(TASKS))
+        lookup("mask", self.mask, dict.fromkeys(("pins", "none")))
         good = self.angles == "vector" or sorted(self.angles.lower()) == ["x", "y", "z"]
         good = good and self.angles in ("vector", self.angles.lower(), self.angles.upper())
         require(good, "Layout.angles", repr(self.angles), "vector, or three letters as xyz or ZYX")

@@ -30,7 +30,7 @@ from tactip_twin.sim2real.importing.convert_labels import image_column, labels
 from tactip_twin.sim2real.importing.report import picture, report_of
 from tactip_twin.sim2real.sensor.preprocess import IMAGES, FrameReader, check_frame, load, load_neutral
 from tactip_twin.sim2real.sensor.video_frames import FILMS
-from tactip_twin.tactip_model.errors import Stopped, TactipError
+from tactip_twin.tactip_model.errors import Interrupted, TactipError
 from tactip_twin.tactip_model.files import write_file
 from tactip_twin.tactip_model.neutral_image import camera_change
 from tactip_twin.tactip_model.pin_detection import find_blobs
@@ -170,7 +170,7 @@ def import_set(source, layout, out, say=print, quiet=False):
 
     layout: Layout. say: called with lines for the user. quiet: bool, without a progress bar. What was imported before,
     alike, is left as it is. Raises TactipError where the folder holds something else and where most frames do not fit,
-    and Stopped at Ctrl-C.
+    and Interrupted at Ctrl-C.
     """
     out = Path(out)
     record = {"task": layout.task, "layout": json.loads(json.dumps(dataclasses.asdict(layout)))}
@@ -189,7 +189,7 @@ def import_set(source, layout, out, say=print, quiet=False):
     try:
         return _import(source, layout, out, record, quiet)
     except KeyboardInterrupt:
-        raise Stopped("nothing is kept of an import that was stopped: the same command begins anew") from None
+        raise Interrupted("nothing is kept of an import that was stopped: the same command begins anew") from None
 
 
 _WORK = ".importing"

@@ -38,7 +38,7 @@ class Reading:
         return row | ({"fault": self.fault} if self.fault else {})
 
 
-class Camera:
+class LiveSensor:
     """Turns frames into Readings."""
 
     def __init__(self, frames, layout, model=None, neutral=None):

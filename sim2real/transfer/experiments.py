@@ -20,14 +20,19 @@ from tactip_twin.learning.train import train
 from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.dataset.format import Configuration
 from tactip_twin.sim.dataset.generate import Job, make
-from tactip_twin.sim.dataset.mechanics_randomization import VARIATIONS
+from tactip_twin.sim.dataset.mechanics_randomization import MECHANICS_RANDOMIZATIONS
 from tactip_twin.sim.dataset.sampling import SHEAR_RANGES, Ranges
 from tactip_twin.sim.parallel.worker_pool import worker_count
 from tactip_twin.sim2real.importing.import_set import read_report
 from tactip_twin.sim2real.transfer.fine_tune import FineTuning, fine_tune
-from tactip_twin.sim2real.transfer.neutral_calibration import camera_of, in_use, nominal_of, twin_of
+from tactip_twin.sim2real.transfer.neutral_calibration import (
+    camera_of,
+    fit_design_to_neutral_image,
+    nearest_nominal_design,
+    with_camera_drift,
+)
 from tactip_twin.sim2real.transfer.settings import AUTO, GAP
-from tactip_twin.sim2real.transfer.sim_gap import draw, gap
+from tactip_twin.sim2real.transfer.sim_gap import draw, sim_to_real_gap
 from tactip_twin.tactip_model.design_file import write_design
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.files import write_file
@@ -157,11 +162,11 @@ class Experiment:
     def design(self):
         """The sensor's Design: as it was told, or fitted to the neutral image."""
         if self._told:
-            told = in_use(self._told, camera_of(self.real))
+            told = with_camera_drift(self._told, camera_of(self.real))
             return replace(told, image=replace(told.image, size_px=self.samples.size))
         if self._fitted is None:
             self._say("the tip and its camera are fitted to its image at rest")
-            self._fitted, figures = twin_of(self.real, self.samples.size)
+            self._fitted, figures = fit_design_to_neutral_image(self.real, self.samples.size)
             if figures["pressed_mm"]:
                 self._say(
                     f"there is no such image: a press of {figures['pressed_mm']:.2f} mm is taken off its shallowest frames"
@@ -172,7 +177,7 @@ class Experiment:
 
     def simulated(self, variant=Variant()):
         """Training and validation Samples of a Variant, made if they are not there."""
-        design = self.design() if variant.calibrated else nominal_of(self._pins(), self.samples.size)
+        design = self.design() if variant.calibrated else nearest_nominal_design(self._pins(), self.samples.size)
         jobs = [self._job(design, variant, split) for split in ("val", "train")]
         make(jobs, self._workers, self._say)
         val, trained = (read_samples(job.folder) for job in jobs)
@@ -199,7 +204,7 @@ class Experiment:
             pose=self._poses(),
             shear=SHEAR_RANGES if variant.sheared else Ranges(),
             symmetric=symmetric,
-            mechanics=VARIATIONS[variant.mechanics or s.mechanics],
+            mechanics=MECHANICS_RANDOMIZATIONS[variant.mechanics or s.mechanics],
         )
         return Job(configuration, self.out / variant.contacts / split)
 
@@ -309,14 +314,14 @@ def ablate(experiment):
     return {what: experiment.score(experiment.network(variant)) for what, variant in ABLATIONS.items()}
 
 
-def width_of_the_gap(experiment):
+def sim_to_real_gap_experiment(experiment):
     """Pins and images of real frames beside simulated ones at the same pose and shear. Returns results (dict)."""
     s = experiment.settings
-    figures, arrays = gap(experiment.split.test, experiment.design(), s.fidelity, s.gap_frames, s.seed)
+    figures, arrays = sim_to_real_gap(experiment.split.test, experiment.design(), s.fidelity, s.gap_frames, s.seed)
     experiment.out.mkdir(parents=True, exist_ok=True)  # a design that was told is not written there
     draw(arrays, f"simulated from real pins, {experiment.real.name}", experiment.out / GAP)
     return figures
 
 
-EXPERIMENTS = {"zero-shot": zero_shot, "ablate": ablate, "few-shot": few_shot, "gap": width_of_the_gap}
+EXPERIMENTS = {"zero-shot": zero_shot, "ablate": ablate, "few-shot": few_shot, "gap": sim_to_real_gap_experiment}
 """By name: a function of an Experiment to its results (dict)."""

@@ -12,13 +12,13 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
-from tactip_twin.learning.augmentation import DrawnImages
+from tactip_twin.learning.augmentation import OpticsAugmentation
 from tactip_twin.learning.device import device_named
 from tactip_twin.learning.model import DESCRIPTION, net_sha256, save_model, to_input
 from tactip_twin.learning.optics_ranges import OPTICS
 from tactip_twin.learning.train import cosine_rate
 from tactip_twin.tactip_model.bounds import check, within
-from tactip_twin.tactip_model.errors import Stopped, TactipError, choose
+from tactip_twin.tactip_model.errors import Interrupted, TactipError, lookup
 
 
 @dataclass(frozen=True)
@@ -40,14 +40,14 @@ class FineTuning:
 
     def __post_init__(self):
         check(self)
-        choose("optics", self.optics, OPTICS)
+        lookup("optics", self.optics, OPTICS)
 
 
 def fine_tune(model, simulated, real, settings, folder, device="auto", say=print):
     """Fine-tune a Model with Samples of a real set, among Samples of simulated contacts; written to a folder (path).
 
     settings: FineTuning. device: str. say: called with lines for the user. What is there already, alike, is left. Raises
-    TactipError where the folder holds something else, and Stopped at Ctrl-C, after which the command begins it anew.
+    TactipError where the folder holds something else, and Interrupted at Ctrl-C, after which the command begins it anew.
     """
     folder = Path(folder)
     chosen = hashlib.sha256(real.rows.astype("<i8").tobytes()).hexdigest()
@@ -72,7 +72,7 @@ def fine_tune(model, simulated, real, settings, folder, device="auto", say=print
         try:
             state = _steps(model, simulated, real, settings, device)
         except KeyboardInterrupt:
-            raise Stopped("the same command begins this fine-tuning anew") from None
+            raise Interrupted("the same command begins this fine-tuning anew") from None
     folder.mkdir(parents=True, exist_ok=True)
     save_model(folder, state, model.config, model.labels, model.size, model.provenance | record)
 
@@ -82,7 +82,7 @@ def _steps(model, simulated, real, settings, device):
     net = model.net.to(device)
     before = {name: tensor.clone() for name, tensor in net.state_dict().items()}
     scale = model.labels.scale
-    drawn = DrawnImages(simulated, 1.0, OPTICS[settings.optics], device)
+    drawn = OpticsAugmentation(simulated, 1.0, OPTICS[settings.optics], device)
     images = torch.from_numpy(real.images).to(device)
     targets, theirs = (
         torch.from_numpy((samples.targets / scale).astype(np.float32)).to(device) for samples in (real, simulated)

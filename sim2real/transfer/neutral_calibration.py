@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from tactip_twin.sim.contact.fidelity import fidelity_named
-from tactip_twin.sim.contact.simulator import ContactPlayer
+from tactip_twin.sim.contact.simulator import ContactSimulator
 from tactip_twin.sim.dataset.format import read_meta
 from tactip_twin.sim.pose import from_mm_deg
 from tactip_twin.sim2real.importing.import_set import NEUTRAL, NEUTRAL_TACTILE, read_report
@@ -39,7 +39,7 @@ _PRESSED_MM = 3.0
 table's depth has its zero elsewhere. An estimate [?]."""
 
 
-def twin_of(folder, size_px):
+def fit_design_to_neutral_image(folder, size_px):
     """The Design that fits the neutral image of an imported set, and the figures (dict) of the fit.
 
     folder: path. size_px: int, width of its tactile images. Raises TactipError where there is no neutral image, and
@@ -65,7 +65,7 @@ def twin_of(folder, size_px):
     design = replace(design, image=replace(design.image, size_px=size_px))
     design = with_pin_sizes(design, tactile > 127, pressed and (pressed.tips, pressed.directions))
     camera = camera_of(folder)
-    design = in_use(design, camera)
+    design = with_camera_drift(design, camera)
     found = {"layout": name, "pins": blobs, "before_px": fit.before_px, "lattice_px": fit.lattice_px}
     return design, found | {"pressed_mm": pressed_mm, "camera": camera}
 
@@ -85,7 +85,7 @@ def _contact(design, depth_mm):
     """The Contact of a Design pressed upright on a flat surface; None where it is not pressed."""
     if not depth_mm:
         return None
-    return ContactPlayer(design, "surface", fidelity_named("draft")).play(
+    return ContactSimulator(design, "surface", fidelity_named("draft")).play(
         from_mm_deg([0, 0, -depth_mm, 0, 0, 0]), np.zeros(6)
     )
 
@@ -103,15 +103,16 @@ def camera_of(folder):
     return report and report.get("camera")  # a simulated set has no report
 
 
-def in_use(design, camera):
+def with_camera_drift(design, camera):
     """A Design that was fitted to a neutral image, with its camera as it was after that. camera: of camera_of."""
     if not camera:
         return design
     return replace(design, optics=replace(design.optics, zoom=camera["zoom"], drift=tuple(camera["drift"])))
 
 
-def nominal_of(pins, size_px):
-    """The preset Design, fitted to nothing, whose number of pins is nearest to `pins` (float). size_px: as of twin_of."""
+def nearest_nominal_design(pins, size_px):
+    """The preset Design, fitted to nothing, whose number of pins is nearest to `pins` (float). size_px: as of
+    fit_design_to_neutral_image."""
     design = NOMINAL[_nearest(pins)]
     return replace(design, image=replace(design.image, size_px=size_px))
 

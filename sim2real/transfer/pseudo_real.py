@@ -18,7 +18,7 @@ import numpy as np
 from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.dataset.format import Configuration, encode_image, read_dataset, read_pins
 from tactip_twin.sim.dataset.generate import Job, make
-from tactip_twin.sim.dataset.mechanics_randomization import VARIATIONS
+from tactip_twin.sim.dataset.mechanics_randomization import MECHANICS_RANDOMIZATIONS
 from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES
 from tactip_twin.sim.labels import LABELS, SHEARS
 from tactip_twin.sim2real.importing.column_map import Layout
@@ -47,7 +47,7 @@ _COLUMNS = {
 def hidden_design(name, seed):
     """The Design of a hidden sensor of the kind of a preset (str)."""
     draw = np.random.default_rng((seed, 77))
-    plain = VARIATIONS["real"].draw(design_named(name), draw)
+    plain = MECHANICS_RANDOMIZATIONS["real"].draw(design_named(name), draw)
     o, p = plain.optics, plain.pins
     optics = replace(
         o,
@@ -71,7 +71,7 @@ def make_pseudo_real(folder, task, name, frames, seed, workers, say=print):
     """Make a hidden sensor's set in a folder (path): as published (`lab`) and imported (`set`). Returns the latter's path.
 
     task: surface or edge. name: nominal-127 or nominal-331. frames: int. seed: int. workers: int. say: called with lines.
-    Raises TactipError, and Stopped at Ctrl-C; it goes on where it was.
+    Raises TactipError, and Interrupted at Ctrl-C; it goes on where it was.
     """
     folder = Path(folder)
     design = hidden_design(name, seed)

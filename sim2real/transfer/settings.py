@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 
 from tactip_twin.learning.optics_ranges import OPTICS
-from tactip_twin.sim.dataset.mechanics_randomization import VARIATIONS
+from tactip_twin.sim.dataset.mechanics_randomization import MECHANICS_RANDOMIZATIONS
 from tactip_twin.tactip_model.bounds import check, within
-from tactip_twin.tactip_model.errors import choose
+from tactip_twin.tactip_model.errors import lookup
 
 AUTO = "auto"
 """Name of the optics that are chosen by the set."""
@@ -53,5 +53,5 @@ class TransferSettings:
 
     def __post_init__(self):
         check(self)
-        choose("mechanics", self.mechanics, VARIATIONS)
-        choose("optics", self.optics, dict.fromkeys((AUTO, *OPTICS)))
+        lookup("mechanics", self.mechanics, MECHANICS_RANDOMIZATIONS)
+        lookup("optics", self.optics, dict.fromkeys((AUTO, *OPTICS)))

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from tqdm import tqdm
 
 from tactip_twin.sim.contact.fidelity import fidelity_named
-from tactip_twin.sim.contact.simulator import ContactPlayer
+from tactip_twin.sim.contact.simulator import ContactSimulator
 from tactip_twin.sim.pose import from_mm_deg
 from tactip_twin.sim2real.calibration.fit import DONE, best_share, distances, pixels
 from tactip_twin.tactip_model.errors import TactipError
@@ -32,7 +32,7 @@ _SEEN = 0.6
 """Share of the pins that must be told apart in a frame, or it is left out and counted."""
 
 
-def gap(samples, design, fidelity, frames, seed=0):
+def sim_to_real_gap(samples, design, fidelity, frames, seed=0):
     """Distances of real pins from simulated ones: a dict (JSON), and arrays for a picture.
 
     samples: Samples of a real set. design: Design. fidelity: name. frames: int, drawn from the samples. seed: int. Raises
@@ -87,7 +87,7 @@ def gap(samples, design, fidelity, frames, seed=0):
 
 def _played(samples, design, fidelity):
     """Pins (n, DONE, p, 2), px of 256, and tactile images (n, size, size), at the end of the move, of simulated contacts."""
-    player, raster = ContactPlayer(design, samples.labels.task, fidelity_named(fidelity)), Raster(design)
+    player, raster = ContactSimulator(design, samples.labels.task, fidelity_named(fidelity)), Raster(design)
     poses, shears = samples.dataset.poses[samples.rows], samples.shears
     pins, images = [], []
     for pose, shear in zip(tqdm(poses, unit="contact", file=sys.stderr, mininterval=5), shears, strict=True):

@@ -7,19 +7,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tactip_twin.control.estimator import Estimator, Oracle, Sight
-from tactip_twin.control.follow import Explorer
+from tactip_twin.control.estimator import Estimate, Estimator, Oracle
+from tactip_twin.control.follow import ContourFollower
 from tactip_twin.control.options import Settings
-from tactip_twin.control.routes import AlongEdge, Plan
+from tactip_twin.control.routes import EdgePath, PlanarPath
 from tactip_twin.control.servo import Gains, Servo
 from tactip_twin.learning.labels import Labels
 from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.contact.simulator import Diverged
-from tactip_twin.sim.ground_truth import EdgeTruth, SurfaceTruth
+from tactip_twin.sim.ground_truth import EdgeGroundTruth, SurfaceGroundTruth
 from tactip_twin.sim.pose import from_mm_deg, inverse, sensor_in_contact, to_mm_deg
-from tactip_twin.sim.robot.arm_models import carrier_named
-from tactip_twin.sim.robot.mounted_tip import Fingertip
-from tactip_twin.sim.robot.objects import find_object
+from tactip_twin.sim.robot.arm_models import arm_model_named
+from tactip_twin.sim.robot.mounted_tip import MountedTip
+from tactip_twin.sim.robot.objects import load_object
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.presets import find_design
 
@@ -31,11 +31,11 @@ class World:
     """An object, a tip on an arm, and the truth of both."""
 
     def __init__(self, name, arm="none", task="surface"):
-        self.thing = find_object(name)
+        self.thing = load_object(name)
         self.labels = SURFACE if task == "surface" else EDGE
-        self.truth = SurfaceTruth(self.thing.solid) if task == "surface" else EdgeTruth(self.thing.edge)
-        design, self.carrier = find_design("tactip-127"), carrier_named(arm)
-        self.finger = Fingertip(design, self.thing.solid, fidelity_named("draft"), self.carrier, self.thing.T_base_object)
+        self.truth = SurfaceGroundTruth(self.thing.solid) if task == "surface" else EdgeGroundTruth(self.thing.edge)
+        design, self.carrier = find_design("tactip-127"), arm_model_named(arm)
+        self.finger = MountedTip(design, self.thing.solid, fidelity_named("draft"), self.carrier, self.thing.T_base_object)
         self.oracle = Oracle(self.truth, self.thing.T_base_object)
         self.steps = []
 
@@ -47,7 +47,7 @@ class World:
         return self.thing.T_base_object @ self.truth.frame(T) @ sensor_in_contact(from_mm_deg([0, 0, off_mm, 0, 0, 0]))
 
     def explore(self, T, route, estimator=None, **settings):
-        explorer = Explorer(
+        explorer = ContourFollower(
             self.finger,
             estimator or self.oracle,
             Servo(Gains(), 3.0),
@@ -68,7 +68,7 @@ class World:
 def over(world, length_m=0.012):
     """A Plan over the middle of an object."""
     middle = world.thing.T_base_object[:3, 3]
-    return Plan([middle, middle + [length_m, 0, 0]], [0, 0, 1])
+    return PlanarPath([middle, middle + [length_m, 0, 0]], [0, 0, 1])
 
 
 @pytest.mark.parametrize("arm", ["kinematic", "dynamic"])
@@ -90,7 +90,7 @@ def test_a_ball_is_followed(arm):
 def test_an_edge_is_followed_to_its_end():
     world = World("edge", task="edge")
     start = world.start([0.06, 0, 0])
-    explorer = world.explore(start, AlongEdge(most_m=0.01))
+    explorer = world.explore(start, EdgePath(most_m=0.01))
     assert "longer than 10 mm" in explorer.stopped_because
     labels = world.true_labels()
     assert np.abs(labels[:, 0]).max() < 0.1
@@ -105,7 +105,7 @@ def test_what_is_felt_is_what_counts():
     class Wrong(Oracle):
         def look(self, touch, T_base_tcp):
             sight = super().look(touch, T_base_tcp)
-            return Sight(sight.label + from_mm_deg([0, 0, 0.5, 2, 0, 0]), sight.touching, None)
+            return Estimate(sight.label + from_mm_deg([0, 0, 0.5, 2, 0, 0]), sight.touching, None)
 
     world = World("plate")
     world.explore(world.start([0, 0, 0]), over(world, 0.003), Wrong(world.truth, world.thing.T_base_object), centre_steps=30)
@@ -125,11 +125,11 @@ class Scripted(Estimator):
 
 
 def lost(sight):
-    return Sight(sight.label, 0.0, None)
+    return Estimate(sight.label, 0.0, None)
 
 
 def wild(sight):
-    return Sight(from_mm_deg([0, 0, -3, 40, 0, 0]), sight.touching, None)
+    return Estimate(from_mm_deg([0, 0, -3, 40, 0, 0]), sight.touching, None)
 
 
 @pytest.mark.parametrize(("fault", "kind"), [(lost, "contact lost"), (wild, "estimate out of range")])
@@ -196,7 +196,7 @@ def test_the_arm_s_reach_ends_a_route():
     world = World("plate", "kinematic")
     T = world.thing.T_base_object.copy()
     T[0, 3] += 0.16  # beyond what the arm reaches with the sensor pointing down, at its far end
-    finger = Fingertip(find_design("tactip-127"), world.thing.solid, fidelity_named("draft"), world.carrier, T)
+    finger = MountedTip(find_design("tactip-127"), world.thing.solid, fidelity_named("draft"), world.carrier, T)
     world.finger, world.thing = finger, replace(world.thing, T_base_object=T)
     world.oracle = Oracle(world.truth, T)
     explorer = world.explore(world.start([-0.06, 0, 0]), over(world, 0.2), centre_steps=3)
@@ -243,7 +243,7 @@ def test_it_slows_down_where_it_leans():
         world = World("sphere")
         top = np.array([0.0, 0, 60e-3])
         middle = (world.thing.T_base_object @ [*top, 1])[:3]
-        route = Plan(middle + np.array([[0.0, 0, 0], [8e-3, 0, 0]]), [0, 0, 1])
+        route = PlanarPath(middle + np.array([[0.0, 0, 0], [8e-3, 0, 0]]), [0, 0, 1])
         explorer = world.explore(world.start(top), route, slow_deg=slow)
         assert explorer.stopped_because == "the route is done"
         following = [s for s in world.steps if s.phase == "follow"]

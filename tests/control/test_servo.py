@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tactip_twin.control.routes import AlongEdge, Geodesic, Plan, serpentine
+from tactip_twin.control.routes import EdgePath, Geodesic, PlanarPath, serpentine
 from tactip_twin.control.servo import DEPTHS_MM, GAINS, Gains, Servo, gains_named, reference_mm_deg
-from tactip_twin.sim.ground_truth import EdgeTruth, SurfaceTruth
+from tactip_twin.sim.ground_truth import EdgeGroundTruth, SurfaceGroundTruth
 from tactip_twin.sim.pose import from_mm_deg, inverse, label_of, matrix, sensor_in_contact
-from tactip_twin.sim.robot.objects import find_object
+from tactip_twin.sim.robot.objects import load_object
 from tactip_twin.tactip_model.errors import TactipError
 
 DOWN, STILL = Rotation.from_rotvec([0, np.pi, 0]), Rotation.identity()
@@ -53,7 +53,7 @@ def test_a_steady_turn_is_followed_without_a_lasting_error():
     T = matrix([0, 0, radius - 3e-3], DOWN)
     for _ in range(150):
         apex = T[:3, 3]
-        truth = SurfaceTruth(_Ball(radius))
+        truth = SurfaceGroundTruth(_Ball(radius))
         label = truth.label(T)
         T = T @ servo.move(label, along=(step, 0, 0))
     assert abs(np.linalg.norm(apex) - (radius - 3e-3)) < 0.02e-3
@@ -79,8 +79,8 @@ class _Ball:
 
 def test_the_truth_of_a_plate_is_the_label():
     """At any pose over a flat top, and at any place and turn of the object."""
-    thing = find_object("plate")
-    truth, draw = SurfaceTruth(thing.solid), np.random.default_rng(1)
+    thing = load_object("plate")
+    truth, draw = SurfaceGroundTruth(thing.solid), np.random.default_rng(1)
     for _ in range(20):
         label = from_mm_deg(draw.uniform([0, 0, -5, -15, -15, 0], [0, 0, -1, 15, 15, 0]))
         spin = matrix(draw.uniform(-0.01, 0.01, 3) * [1, 1, 0], Rotation.from_euler("z", draw.uniform(0, 6)))
@@ -89,8 +89,8 @@ def test_the_truth_of_a_plate_is_the_label():
 
 @pytest.mark.parametrize("name", ["edge", "rim-round"])
 def test_the_truth_of_an_edge_is_the_label(name):
-    thing = find_object(name)
-    truth, draw = EdgeTruth(thing.edge), np.random.default_rng(2)
+    thing = load_object(name)
+    truth, draw = EdgeGroundTruth(thing.edge), np.random.default_rng(2)
     for k in range(5, 160, 31):
         at = thing.edge.points[k]
         frame = truth.frame(matrix(at, DOWN))
@@ -118,7 +118,7 @@ def walk(route, T, steps, turn=STILL):
 def test_a_plan_is_walked_to_its_end_and_told_by_its_parts():
     corners = serpentine([0.4, 0, 0.1], [1, 0, 0], [0, 1, 0], 0.03, 0.02, 0.01)
     assert len(corners) == 6
-    route = Plan(corners, [0, 0, 1])
+    route = PlanarPath(corners, [0, 0, 1])
     places = walk(route, matrix(corners[0] + [0, 0, 0.05], DOWN), 500)
     assert route.ended == "the route is done"
     assert route.part == 4
@@ -130,7 +130,7 @@ def test_a_plan_is_walked_to_its_end_and_told_by_its_parts():
 
 
 def test_a_plan_ends_where_the_surface_is_too_steep():
-    route = Plan([[0, 0, 0], [0.1, 0, 0]], [0, 0, 1])
+    route = PlanarPath([[0, 0, 0], [0.1, 0, 0]], [0, 0, 1])
     assert route.along(matrix([0, 0, 0], DOWN * Rotation.from_rotvec([1.4, 0, 0])), np.eye(4)) is None
     assert "too steep" in route.ended
 
@@ -143,11 +143,11 @@ def test_a_geodesic_keeps_its_heading_in_the_sensor_and_ends():
 
 
 def test_a_loop_is_closed_and_an_endless_edge_is_not():
-    route = AlongEdge(step_m=1e-3)
+    route = EdgePath(step_m=1e-3)
     places = walk(route, matrix([0.06, 0, 0], DOWN), 1000, Rotation.from_euler("z", 1e-3 / 0.06))
     assert route.closed
     assert len(places) == pytest.approx(2 * np.pi * 60, abs=3)
-    straight = AlongEdge(most_m=0.05, backward=True)
+    straight = EdgePath(most_m=0.05, backward=True)
     places = walk(straight, matrix([0, 0, 0], DOWN), 1000)
     assert not straight.closed
     assert "longer than 50 mm" in straight.ended

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tactip_twin.benchmarks.servo.contact_patch import felt_patch
+from tactip_twin.benchmarks.servo.contact_patch import contact_patch_normal
 from tactip_twin.commands import main as tactip
 from tactip_twin.control.options import Options
 from tactip_twin.control.score import coverage
 from tactip_twin.control.servo import DEPTHS_MM
 from tactip_twin.sim.pose import to_mm_deg
-from tactip_twin.sim.robot.objects import find_object
+from tactip_twin.sim.robot.objects import load_object
 from tactip_twin.sim.robot.recording import PHASES, read_recording
 from tactip_twin.tactip_model.errors import TactipError
 
@@ -63,7 +63,7 @@ def test_a_run_leaves_a_score_with_all_its_figures(ran):
 
 def test_on_a_plate_the_normal_that_is_felt_is_that_of_any_patch(ran):
     out, _, _, arrays = ran
-    patch = felt_patch(out, find_object("plate"))
+    patch = contact_patch_normal(out, load_object("plate"))
     assert np.allclose(patch["apart_deg"], 0, atol=1e-3)
     felt = np.abs(arrays["felt"] - arrays["true"])[arrays["phase"] == PHASES.index("follow"), 3:5]
     assert np.allclose(patch["felt_deg"], np.degrees(np.linalg.norm(felt, axis=1)).mean(), atol=0.05)
@@ -117,9 +117,9 @@ def test_an_edge_is_followed_by_sight(tmp_path):
 
 
 def test_ctrl_c_keeps_what_was_recorded(tmp_path, monkeypatch, capsys):
-    from tactip_twin.control.follow import Explorer
+    from tactip_twin.control.follow import ContourFollower
 
-    calls, go = [], Explorer._go
+    calls, go = [], ContourFollower._go
 
     def stopped(self, *rest):
         calls.append(1)
@@ -127,7 +127,7 @@ def test_ctrl_c_keeps_what_was_recorded(tmp_path, monkeypatch, capsys):
             raise KeyboardInterrupt
         return go(self, *rest)
 
-    monkeypatch.setattr(Explorer, "_go", stopped)
+    monkeypatch.setattr(ContourFollower, "_go", stopped)
     out = tmp_path / "run"
     assert tactip.main([*QUICK, *SHORT, "--out", str(out)]) == 130
     assert "what was recorded is in" in capsys.readouterr().err

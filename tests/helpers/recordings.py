@@ -5,8 +5,8 @@ import numpy as np
 from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.pose import from_mm_deg
 from tactip_twin.sim.robot.irb120 import READY_RAD, Arm
-from tactip_twin.sim.robot.objects import find_object
-from tactip_twin.sim.robot.recording import PHASES, Scenery
+from tactip_twin.sim.robot.objects import load_object
+from tactip_twin.sim.robot.recording import PHASES, RecordedScene
 from tactip_twin.tactip_model.mesh import build_mesh
 from tactip_twin.tactip_model.presets import find_design
 
@@ -16,9 +16,9 @@ def tip_mesh():
 
 
 def scenery(with_arm=True):
-    thing = find_object("sphere")
+    thing = load_object("sphere")
     triangles = tip_mesh().triangles
-    return Scenery(thing.solid.vertices, thing.solid.triangles, thing.T_base_object, triangles, 20e-3, with_arm)
+    return RecordedScene(thing.solid.vertices, thing.solid.triangles, thing.T_base_object, triangles, 20e-3, with_arm)
 
 
 STEPS = 12

@@ -8,12 +8,12 @@ import pytest
 import torch
 
 from helpers.learning_sets import write_fake_set
-from tactip_twin.learning.augmentation import DrawnImages
+from tactip_twin.learning.augmentation import OpticsAugmentation
 from tactip_twin.learning.data import read_samples
 from tactip_twin.learning.optics_ranges import OPTICS, OpticsRanges
 from tactip_twin.learning.posenet import PoseNetConfig
 from tactip_twin.learning.train import TrainSettings, read_metrics, train
-from tactip_twin.tactip_model.errors import Stopped, TactipError
+from tactip_twin.tactip_model.errors import Interrupted, TactipError
 from tactip_twin.tactip_model.pins import neutral_pins
 from tactip_twin.tactip_model.raster_renderer import Raster
 from tactip_twin.tactip_model.tactile_image import tactile_image
@@ -32,7 +32,7 @@ def samples(tmp_path_factory, on_surface, design):
 
 def test_images_of_the_designs_own_optics_are_nearly_the_plain_ones(samples):
     """As many white pixels, and most of them the same: a pin is four pixels, of which one is often a close call."""
-    drawn, plain = DrawnImages(samples).plain(torch.arange(4)).numpy() > 0, samples.images > 0
+    drawn, plain = OpticsAugmentation(samples).plain(torch.arange(4)).numpy() > 0, samples.images > 0
     assert drawn.sum() == pytest.approx(plain.sum(), rel=0.02)
     assert (drawn & plain).sum() > 0.8 * (drawn | plain).sum()
     blobs = [cv2.connectedComponents(image.astype(np.uint8), connectivity=4)[0] - 1 for image in drawn]
@@ -40,7 +40,7 @@ def test_images_of_the_designs_own_optics_are_nearly_the_plain_ones(samples):
 
 
 def test_no_variation_is_none(samples):
-    still = DrawnImages(samples, 0.0)
+    still = OpticsAugmentation(samples, 0.0)
     assert torch.equal(still.draw(torch.arange(4)), still.plain(torch.arange(4)))
 
 
@@ -49,7 +49,7 @@ NONE = {"zoom": 0.0, "turn_deg": 0.0, "drift": 0.0, "pin_size": 0.0}
 
 def varied(samples, **ranges):
     """Two hundred images of the first sample under optics of these ranges alone, (200, 128, 128) bool, and the plain one."""
-    drawn = DrawnImages(samples, 1.0, OpticsRanges(**NONE | ranges))
+    drawn = OpticsAugmentation(samples, 1.0, OpticsRanges(**NONE | ranges))
     torch.manual_seed(0)
     chosen = torch.zeros(200, dtype=torch.int64)
     return drawn.draw(chosen).numpy() > 0, drawn.plain(chosen[:1])[0].numpy() > 0
@@ -94,10 +94,10 @@ def test_pins_grow(samples):
 def test_a_set_without_pins_is_refused(tmp_path):
     samples = read_samples(write_fake_set(tmp_path / "set", samples=3))
     with pytest.raises(TactipError, match="only simulated sets, which have pins"):
-        DrawnImages(samples)
+        OpticsAugmentation(samples)
     np.savez(tmp_path / "set" / "pins.npz", tips=np.zeros((2, 127, 3)), directions=np.zeros((2, 127, 3)))
     with pytest.raises(TactipError, match="has 2 records for 3 images"):
-        DrawnImages(samples)
+        OpticsAugmentation(samples)
 
 
 def test_training_on_drawn_images(samples, tmp_path):
@@ -113,7 +113,7 @@ def test_training_on_drawn_images(samples, tmp_path):
     before = samples.images.copy()
     train(samples, samples, net, drawn, tmp_path / "whole", say=print, quiet=True)
     assert np.array_equal(samples.images, before)
-    with pytest.raises(Stopped):
+    with pytest.raises(Interrupted):
         train(samples, samples, net, drawn, tmp_path / "stopped", say=print, hopeless=stop, quiet=True)
     train(samples, samples, net, drawn, tmp_path / "stopped", say=print, quiet=True)
     train(samples, samples, net, plain, tmp_path / "plain", say=print, quiet=True)
@@ -123,14 +123,14 @@ def test_training_on_drawn_images(samples, tmp_path):
 
 
 def test_a_camera_that_does_not_move_sees_what_the_lens_sees(samples, design):
-    cameras = DrawnImages(samples, 1.0, OpticsRanges(**NONE, camera_height_m=1e-9))
+    cameras = OpticsAugmentation(samples, 1.0, OpticsRanges(**NONE, camera_height_m=1e-9))
     places = cameras._cameras.seen(cameras._tips)
     assert torch.allclose(places, cameras._centres, atol=0.03)
 
 
 def test_other_cameras_see_the_neutral_tip_alike_and_a_pressed_one_not(samples, design):
     """The lens of each is fitted to the same neutral image; what comes nearer grows more for a camera that is near."""
-    drawn = DrawnImages(samples, 1.0, OpticsRanges(**NONE, camera_height_m=3e-3, camera_offset_m=0.5e-3))
+    drawn = OpticsAugmentation(samples, 1.0, OpticsRanges(**NONE, camera_height_m=3e-3, camera_offset_m=0.5e-3))
     tips = torch.from_numpy(neutral_pins(design)[0].astype(np.float32))
     torch.manual_seed(0)
     neutral = drawn._cameras.seen(tips.expand(100, -1, -1))
@@ -159,7 +159,7 @@ def test_pins_go_missing_merge_and_specks_come(samples):
 
 @pytest.mark.parametrize("gap", [1.0, 2.0, 2.5])
 def test_two_discs_merge_where_their_gap_is_less_than_what_is_bridged(samples, gap):
-    drawn, radius = DrawnImages(samples), 3.0
+    drawn, radius = OpticsAugmentation(samples), 3.0
     places = torch.tensor([[[40.0, 64.0], [40.0 + 2 * radius + gap, 64.0]]])
     for soft, blobs in ((0.6 * gap, 2), (1.5 * gap, 1)):
         image = drawn._paint_soft(places, torch.full((1, 2), radius), torch.full((1, 1, 1), soft)).numpy()
@@ -179,7 +179,7 @@ def test_light_at_the_rim_is_at_the_rim(samples):
 
 @pytest.mark.parametrize("name", OPTICS)
 def test_images_of_every_declared_variation_keep_most_of_their_pins(samples, name):
-    drawn = DrawnImages(samples, 1.0, OPTICS[name])
+    drawn = OpticsAugmentation(samples, 1.0, OPTICS[name])
     torch.manual_seed(0)
     images = drawn.draw(torch.arange(4).repeat(20)).numpy()
     assert set(np.unique(images)) == {0, 255}

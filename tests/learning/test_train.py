@@ -24,7 +24,7 @@ from tactip_twin.learning.recipes import Recipe, read_recipe, recipe_json
 from tactip_twin.learning.train import Training, TrainingDiverged, TrainSettings, read_metrics, train
 from tactip_twin.sim.dataset.format import encode_image, read_dataset
 from tactip_twin.sim.dataset.sampling import POSE_RANGES
-from tactip_twin.tactip_model.errors import Stopped, TactipError
+from tactip_twin.tactip_model.errors import Interrupted, TactipError
 
 NET = PoseNetConfig(conv_layers=2, filters=6, units=24, dropout=0.1, l1=0, l2=1e-5, batch_size=8)
 QUICK = TrainSettings(epochs=4, rate=3e-3)
@@ -279,7 +279,7 @@ def test_a_network_to_begin_with_by_name(data, splits, tmp_path, capsys):
 
 @pytest.mark.parametrize("damage", [lambda b: b"rubbish", lambda b: b[: len(b) // 2], lambda b: b""])
 def test_a_damaged_checkpoint_is_a_sentence(splits, tmp_path, damage):
-    with pytest.raises(Stopped):
+    with pytest.raises(Interrupted):
         quiet(*splits, NET, QUICK, tmp_path / "run", hopeless=_stop)
     path = tmp_path / "run" / "checkpoint.pt"
     path.write_bytes(damage(path.read_bytes()))
@@ -288,7 +288,7 @@ def test_a_damaged_checkpoint_is_a_sentence(splits, tmp_path, damage):
 
 
 def test_ctrl_c_keeps_the_epochs_that_are_over(splits, tmp_path):
-    with pytest.raises(Stopped, match="the same command goes on"):
+    with pytest.raises(Interrupted, match="the same command goes on"):
         quiet(*splits, NET, QUICK, tmp_path / "stopped", hopeless=_stop)
     assert len(read_metrics(tmp_path / "stopped")) == 2
     quiet(*splits, NET, QUICK, tmp_path / "stopped")

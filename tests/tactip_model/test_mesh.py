@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tactip_twin.tactip_model.design import Shape
+from tactip_twin.tactip_model.design import TipGeometry
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.mesh import CONTACT_RADIUS_M, Resolution, build_mesh, in_order, tetrahedron_quality
 from tactip_twin.tactip_model.pins import PinReader, neutral_pins
@@ -14,11 +14,11 @@ FINE = Resolution(surface_m=1.5e-3, rim_m=3e-3)
 
 @pytest.fixture(params=[Resolution(), Resolution(surface_m=3.2e-3, rim_m=5e-3), FINE], ids=["standard", "draft", "fine"])
 def mesh(request):
-    return build_mesh(Shape(), request.param)
+    return build_mesh(TipGeometry(), request.param)
 
 
 def test_volume_is_the_domes(mesh):
-    radius = Shape().radius_m - CONTACT_RADIUS_M
+    radius = TipGeometry().radius_m - CONTACT_RADIUS_M
     assert (mesh.volumes > 0).all()
     assert mesh.volumes.sum() == pytest.approx(2 / 3 * np.pi * radius**3, rel=0.025)
 
@@ -48,7 +48,7 @@ def test_skin_is_a_closed_cap_facing_out(mesh):
     # Euler's number of a disc
     assert mesh.surface_count - len(unique) + len(mesh.triangles) == 1
     distance = np.linalg.norm(mesh.vertices[: mesh.surface_count] - mesh.centre, axis=1)
-    assert np.allclose(distance, Shape().radius_m - CONTACT_RADIUS_M)
+    assert np.allclose(distance, TipGeometry().radius_m - CONTACT_RADIUS_M)
 
 
 @pytest.mark.parametrize("corners", [3, 4])
@@ -82,9 +82,9 @@ def test_no_two_surface_points_near_the_apex_share_a_height(mesh):
 
 
 def test_a_column_behind_the_rim_is_bonded_all_round():
-    mesh = build_mesh(Shape(cylinder_m=5e-3), Resolution())
+    mesh = build_mesh(TipGeometry(cylinder_m=5e-3), Resolution())
     local = mesh.vertices - mesh.centre
-    wall = np.hypot(local[:, 0], local[:, 1]) > (Shape().radius_m - CONTACT_RADIUS_M) * (1 - 1e-6)
+    wall = np.hypot(local[:, 0], local[:, 1]) > (TipGeometry().radius_m - CONTACT_RADIUS_M) * (1 - 1e-6)
     behind = local[:, 2] < 1e-9
     assert mesh.bonded[wall & behind].all()
     assert mesh.bonded[local[:, 2] < -5e-3 + 1e-9].all()
@@ -94,12 +94,12 @@ def test_a_column_behind_the_rim_is_bonded_all_round():
 @pytest.mark.parametrize("spacing", [0.0, -1e-3, 15e-3, float("nan")])
 def test_unfit_spacings_are_refused(spacing):
     with pytest.raises(TactipError, match="surface_m"):
-        build_mesh(Shape(), Resolution(surface_m=spacing))
+        build_mesh(TipGeometry(), Resolution(surface_m=spacing))
 
 
 def test_a_spacing_too_wide_for_the_dome_is_refused():
     with pytest.raises(ValueError, match="rim_m"):
-        build_mesh(Shape(radius_m=10e-3), Resolution(rim_m=6e-3))
+        build_mesh(TipGeometry(radius_m=10e-3), Resolution(rim_m=6e-3))
 
 
 @pytest.fixture(params=["tactip-127", "tactip-331"])

@@ -17,8 +17,8 @@ from tactip_twin.learning.posenet import PoseNetConfig
 from tactip_twin.learning.recipes import Recipe
 from tactip_twin.learning.train import TrainSettings, train
 from tactip_twin.sim.contact.fidelity import fidelity_named
-from tactip_twin.sim.contact.record import Bounds
-from tactip_twin.sim.contact.simulator import CarefulPlayer
+from tactip_twin.sim.contact.record import QualityLimits
+from tactip_twin.sim.contact.simulator import RetryingSimulator
 from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES, generator
 from tactip_twin.sim.pose import to_mm_deg
 from tactip_twin.tactip_model.errors import TactipError
@@ -60,7 +60,7 @@ def test_it_reads_contacts_of_another_seed(name):
     """A dozen contacts, drawn and played now; their mean error is of the size that the card says."""
     model, design = find_model(name), find_design("tactip-127")
     task = model.labels.task
-    player = CarefulPlayer(design, task, fidelity_named("standard"), Bounds())
+    player = RetryingSimulator(design, task, fidelity_named("standard"), QualityLimits())
     raster = Raster(design)
     images, labels = [], []
     for number in range(CONTACTS):

@@ -18,7 +18,7 @@ from tactip_twin.benchmarks.physics.contact_cases import CASES, LABELS, Case, mo
 from tactip_twin.benchmarks.physics.fidelity import jobs, seen_at, sequence, spread
 from tactip_twin.benchmarks.physics.fidelity_page import page
 from tactip_twin.benchmarks.physics.parameter_sweeps import REFINED_MM, small_steps, sweeps
-from tactip_twin.benchmarks.physics.pose_sensitivity import ImagePins, LabelWorth
+from tactip_twin.benchmarks.physics.pose_sensitivity import ImagePins, PoseSensitivity
 from tactip_twin.benchmarks.physics.scene_cost import inventory
 from tactip_twin.sim.contact.fidelity import FIDELITIES, Motion, fidelity_named
 from tactip_twin.sim.contact.stimuli import add_stimulus
@@ -59,7 +59,7 @@ def test_standards_steps_cost_little_error(plays):
 
 def test_the_label_worth_of_a_small_move_is_the_move(plays, design):
     pins, case = ImagePins(design), CHEAP[1]
-    estimator = LabelWorth.about(case, plays, pins)
+    estimator = PoseSensitivity.about(case, plays, pins)
     assert estimator.tells
     here = pins(plays(case, STANDARD).tips)
     for component, amount in (("z", 0.15), ("Rx", -1.0), ("Ry", 1.0)):
@@ -72,11 +72,11 @@ def test_the_label_worth_of_a_small_move_is_the_move(plays, design):
 
 def test_the_label_worth_is_least_squares_without_the_pins_not_seen():
     jacobian = np.random.default_rng(0).normal(size=(20, 2, 3))
-    estimator = LabelWorth(LABELS["surface"], jacobian)
+    estimator = PoseSensitivity(LABELS["surface"], jacobian)
     error = jacobian @ np.array([0.1, -0.2, 0.3])
     error[4] = np.nan
     assert estimator(error) == pytest.approx({"z": 0.1, "Rx": -0.2, "Ry": 0.3})
-    assert not LabelWorth(LABELS["surface"], 1e-3 * jacobian).tells
+    assert not PoseSensitivity(LABELS["surface"], 1e-3 * jacobian).tells
 
 
 def test_richardson_finds_what_remains():

@@ -22,7 +22,7 @@ def options(tmp_path, monkeypatch):
     runs += [followed.Case("robust", "bust, 2 mm deep", replace(plate, depth_mm=2.0))]
     runs += [followed.Case("objects", "plate", plate), followed.Case("starts", "bust, 0", away)]
     monkeypatch.setattr(followed, "cases", lambda options: runs)
-    monkeypatch.setattr(followed, "Crew", _Here)
+    monkeypatch.setattr(followed, "WorkerPool", _Here)
     return FollowedOptions(runs=tmp_path / "runs", out=tmp_path / "out")
 
 

@@ -9,21 +9,21 @@ from scipy.integrate import cumulative_trapezoid
 
 from tactip_twin.commands import main as tactip
 from tactip_twin.sim.contact import curved_surface as bent
-from tactip_twin.sim.contact.curved_surface import MOST_BENT_PER_M, Profile, bent_surface
+from tactip_twin.sim.contact.curved_surface import MAX_CURVATURE_PER_M, Profile, curved_surface
 from tactip_twin.sim.contact.fidelity import fidelity_named
-from tactip_twin.sim.contact.record import Bounds
-from tactip_twin.sim.contact.simulator import ContactPlayer
-from tactip_twin.sim.contact.solid_stimulus import Shape
+from tactip_twin.sim.contact.record import QualityLimits
+from tactip_twin.sim.contact.simulator import ContactSimulator
+from tactip_twin.sim.contact.solid_stimulus import SolidStimulus
 from tactip_twin.sim.dataset.format import Configuration, read_dataset
 from tactip_twin.sim.dataset.sampling import Ranges
 from tactip_twin.sim.pose import from_mm_deg
 from tactip_twin.tactip_model.presets import find_design
 
 
-@pytest.mark.parametrize("bend", [(0.0, 0.0, 0.0), (50.0, -20.0, 0.4), (MOST_BENT_PER_M, MOST_BENT_PER_M, 1.0)])
+@pytest.mark.parametrize("bend", [(0.0, 0.0, 0.0), (50.0, -20.0, 0.4), (MAX_CURVATURE_PER_M, MAX_CURVATURE_PER_M, 1.0)])
 def test_its_top_is_the_paraboloid_and_it_is_closed(bend):
     first, second, turn = bend
-    solid = bent_surface(*bend)
+    solid = curved_surface(*bend)
     mesh = trimesh.Trimesh(solid.vertices, solid.triangles)
     assert mesh.is_watertight
     assert mesh.is_winding_consistent
@@ -41,18 +41,18 @@ def test_its_top_is_the_paraboloid_and_it_is_closed(bend):
 
 def test_the_more_it_bulges_the_less_it_presses():
     """Hertz: the force goes with the root of 1 / (1/R + k); a hollow that the tip nearly fills is beyond him."""
-    shape = Shape(bent_surface(0, 0, 0), sharpest_m=0.01)
-    player = ContactPlayer(find_design("tactip-127"), shape, fidelity_named("draft"))
+    shape = SolidStimulus(curved_surface(0, 0, 0), sharpest_m=0.01)
+    player = ContactSimulator(find_design("tactip-127"), shape, fidelity_named("draft"))
     forces = []
     for curvature in (-20.0, 0.0, 30.0, 60.0):
-        shape.solid = bent_surface(curvature, curvature, 0.0)
+        shape.solid = curved_surface(curvature, curvature, 0.0)
         contact = player.play(from_mm_deg([0, 0, -2.0, 0, 0, 0]), np.zeros(6))
-        assert not contact.faults(Bounds(penetration_m=0.1e-3))
+        assert not contact.faults(QualityLimits(penetration_m=0.1e-3))
         forces.append(contact.normal_force_n)
     hertz = [(1 / 0.02 + k) ** -0.5 for k in (-20.0, 0.0, 30.0, 60.0)]
     assert np.allclose(np.array(forces) / forces[1], np.array(hertz) / hertz[1], rtol=0.2)
-    shape.solid = bent_surface(0.0, 0.0, 0.0)
-    flat = ContactPlayer(find_design("tactip-127"), "surface", fidelity_named("draft"))
+    shape.solid = curved_surface(0.0, 0.0, 0.0)
+    flat = ContactSimulator(find_design("tactip-127"), "surface", fidelity_named("draft"))
     pose = from_mm_deg([0, 0, -3.0, 5, 0, 0]), from_mm_deg([2.0, 0, 0, 0, 0, 0])
     assert np.allclose(player.play(*pose).tips, flat.play(*pose).tips, atol=2e-6)
 
@@ -109,7 +109,7 @@ def test_an_unevenly_bent_surface_has_the_curvature_of_its_profiles():
                 profile.top(sign * fine), cumulative_trapezoid(slope, x=fine, initial=0), atol=2e-7
             )  # a cell at each change
     first, second, turn = 10.0, -10.0, 0.7
-    solid = bent_surface(first, second, turn, PROFILES)
+    solid = curved_surface(first, second, turn, PROFILES)
     mesh = trimesh.Trimesh(solid.vertices, solid.triangles)
     assert mesh.is_watertight and mesh.volume > 0
     u, v = np.random.default_rng(0).uniform(-0.008, 0.008, (2, 200))
@@ -124,9 +124,9 @@ def test_curvatures_of_a_drawn_surface_stay_in_their_range(monkeypatch):
     """Everywhere on the piece; they are often at an end of the range, and change as often as told."""
     low, high = -28.0, 80.0
     drawn = []
-    monkeypatch.setattr(bent, "bent_surface", lambda *given: drawn.append(given))
+    monkeypatch.setattr(bent, "curved_surface", lambda *given: drawn.append(given))
     for seed in range(200):
-        bent.drawn_surface(np.random.default_rng(seed), low, high, 1.0)
+        bent.sample_curved_surface(np.random.default_rng(seed), low, high, 1.0)
     lengths, values = [], []
     for first, second, _, profiles in drawn:
         assert first == second == 0
@@ -145,9 +145,9 @@ def test_curvatures_of_a_drawn_surface_stay_in_their_range(monkeypatch):
 
 def test_the_share_of_uneven_surfaces_is_kept_and_the_others_are_even(monkeypatch):
     drawn = []
-    monkeypatch.setattr(bent, "bent_surface", lambda *given: drawn.append(given))
+    monkeypatch.setattr(bent, "curved_surface", lambda *given: drawn.append(given))
     for seed in range(400):
-        bent.drawn_surface(np.random.default_rng(seed), -28.0, 80.0, 0.3)
+        bent.sample_curved_surface(np.random.default_rng(seed), -28.0, 80.0, 0.3)
     even = np.array([given[:2] for given in drawn if len(given) == 3])
     assert len(even) == pytest.approx(280, abs=30)
     assert even.mean() == pytest.approx(26.0, abs=4.0) and even.min() < -20 and even.max() > 70

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from tactip_twin.benchmarks.physics import friction
-from tactip_twin.sim.contact.record import Bounds
-from tactip_twin.sim.contact.simulator import ContactPlayer
+from tactip_twin.sim.contact.record import QualityLimits
+from tactip_twin.sim.contact.simulator import ContactSimulator
 from tactip_twin.sim.pose import from_mm_deg, inverse, sensor_in_contact
 
 MU = 0.3
@@ -94,10 +94,10 @@ def slippery(design, share):
 
 def held(design, stimulus, fidelity, depth_mm=2.0):
     """Tangential over normal force at each of WAYS, and the last Contact."""
-    player = ContactPlayer(design, stimulus, fidelity)
+    player = ContactSimulator(design, stimulus, fidelity)
     pose, shear = from_mm_deg([0, 0, -depth_mm, 0, 0, 0]), from_mm_deg([WAYS[-1], 0, 0, 0, 0, 0])
     contacts = list(player.stages(pose, shear, WAYS / WAYS[-1]))
-    assert all(c.faults(Bounds()) == [] for c in contacts)
+    assert all(c.faults(QualityLimits()) == [] for c in contacts)
     return np.array([c.tangential_force_n / c.normal_force_n for c in contacts]), contacts[-1]
 
 
@@ -127,7 +127,7 @@ def test_facets_slide_like_vertices(design, standard):
     # What enters the contact along the way is fresh, a few facets at a time, and the ball's flank pushes: less is lost than
     # on the flat, and not everywhere.
     assert (whole - ratio)[WAYS >= 1].mean() > 0.2
-    player = ContactPlayer(slippery(design, 0.4), "sphere", standard)
+    player = ContactSimulator(slippery(design, 0.4), "sphere", standard)
     player.play(from_mm_deg([0, 0, -2, 0, 0, 0]), from_mm_deg([4, 0, 0, 0, 0, 0]))
     contacts = player.scene.data.contact
     facets = (contacts.elem >= 0).any(1) & (contacts.dist < 0)
@@ -137,7 +137,7 @@ def test_facets_slide_like_vertices(design, standard):
 
 def test_what_is_noted_as_sliding_is_at_the_edge_of_its_cone(design, standard):
     """At every step, and nothing else is: who slides is told by forces here, and by the solver's states there."""
-    player = ContactPlayer(slippery(design, 0.6), "surface", standard)
+    player = ContactSimulator(slippery(design, 0.6), "surface", standard)
     scene, told, step = player.scene, [], player.scene.step
 
     def watched():
@@ -158,7 +158,7 @@ def test_what_is_noted_as_sliding_is_at_the_edge_of_its_cone(design, standard):
 
 def test_slides_are_forgotten_where_the_whole_tip_leaves(design, standard):
     """As they are part by part: skin that comes back sticks as fresh skin does."""
-    player = ContactPlayer(slippery(design, 0.5), "surface", standard)
+    player = ContactSimulator(slippery(design, 0.5), "surface", standard)
     scene = player.scene
     player.play(from_mm_deg([0, 0, -2, 0, 0, 0]), from_mm_deg([5, 0, 0, 0, 0, 0]))
     assert scene._slip._slid.max() > 1e-3
@@ -170,7 +170,7 @@ def test_slides_are_forgotten_where_the_whole_tip_leaves(design, standard):
 
 
 def test_slides_are_forgotten_between_contacts(design, standard):
-    player = ContactPlayer(slippery(design, 0.5), "surface", standard)
+    player = ContactSimulator(slippery(design, 0.5), "surface", standard)
     pose, shear = from_mm_deg([0, 0, -2, 0, 0, 0]), from_mm_deg([1, 0, 0, 0, 0, 0])
     first = player.play(pose, shear)
     player.play(pose, 5 * shear)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from tactip_twin.sim.contact.fidelity import fidelity_named
-from tactip_twin.sim.contact.interactive import Press
-from tactip_twin.sim.contact.simulator import ContactPlayer
+from tactip_twin.sim.contact.interactive import InteractiveContact
+from tactip_twin.sim.contact.simulator import ContactSimulator
 from tactip_twin.sim.pose import from_mm_deg
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.presets import design_named
@@ -15,7 +15,7 @@ DEEP = from_mm_deg([0, 0, -3, 0, 0, 0])
 
 @pytest.fixture(scope="module")
 def press():
-    return Press(design_named("nominal-127"), "surface", fidelity_named("draft"), DEEP)
+    return InteractiveContact(design_named("nominal-127"), "surface", fidelity_named("draft"), DEEP)
 
 
 def _settled(press, label=None):
@@ -37,7 +37,7 @@ def test_a_press_is_that_of_a_data_set(press):
     press.aim(DEEP)
     press.lift()
     touch = _settled(press)
-    contact = ContactPlayer(design_named("nominal-127"), "surface", fidelity_named("draft")).play(DEEP, np.zeros(6))
+    contact = ContactSimulator(design_named("nominal-127"), "surface", fidelity_named("draft")).play(DEEP, np.zeros(6))
     assert np.allclose(press.label, DEEP)
     assert -touch.force[2] == pytest.approx(contact.normal_force_n, rel=0.02)
     assert _apart_mm(touch, contact) < 0.05

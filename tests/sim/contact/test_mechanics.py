@@ -7,7 +7,7 @@ import pytest
 
 from tactip_twin.benchmarks.physics import mechanics
 from tactip_twin.benchmarks.physics.fem_axisymmetric import Dome, Layer
-from tactip_twin.sim.contact.simulator import ContactPlayer
+from tactip_twin.sim.contact.simulator import ContactSimulator
 from tactip_twin.sim.pose import from_mm_deg
 from tactip_twin.tactip_model.mesh import Resolution, tetrahedron_volumes
 
@@ -56,7 +56,7 @@ def test_force_against_hertz(frictionless, standard):
         motion=replace(standard.motion, settle_steps=40, settle_limit=80, settle_speed_m_s=1e-4),
         solver=replace(standard.solver, settle_tolerance=1e-11, iterations=3000),
     )
-    force = pressed(ContactPlayer(tip, "surface", fine), 0.5).normal_force_n
+    force = pressed(ContactSimulator(tip, "surface", fine), 0.5).normal_force_n
     assert force == pytest.approx(hertz(materials.gel_young_pa, 0.3, 20e-3, 0.5e-3), rel=0.1)
 
 
@@ -84,7 +84,7 @@ def test_force_of_the_sensor_against_an_independent_code(on_ice, references, dep
 @pytest.mark.parametrize("depth_mm", [1.0, 2.0, 3.0, 4.0])
 def test_force_of_the_gel_against_an_independent_code(frictionless, standard, references, depth_mm):
     tip = replace(frictionless, materials=replace(frictionless.materials, **GEL_ALONE))
-    force = pressed(ContactPlayer(tip, "surface", standard), depth_mm).normal_force_n
+    force = pressed(ContactSimulator(tip, "surface", standard), depth_mm).normal_force_n
     assert force == pytest.approx(references["gel"][1][depth_mm][0], rel=0.1)
 
 
@@ -172,7 +172,7 @@ def test_locking_is_cured(what, design, standard):
     """A gel of 0.49 meshed as it is would be more than a third too stiff, and half as much again off in shape."""
     expected, ratio, off = mechanics.Expected(design, what, 0.49), {}, {}
     for cure, fidelity in (("cured", standard), ("as it is", mechanics.as_it_is(standard))):
-        player = ContactPlayer(mechanics.frictionless(what), "surface", fidelity)
+        player = ContactSimulator(mechanics.frictionless(what), "surface", fidelity)
         ratio[cure] = pressed(player, 3.0).normal_force_n / expected.force(3.0)
         off[cure], _ = expected.shape_error(player.scene, 3.0)
     assert ratio["cured"] == pytest.approx(1, abs=0.1)

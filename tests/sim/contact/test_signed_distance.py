@@ -7,8 +7,8 @@ import trimesh
 from tactip_twin.assets.meshes.make import HOLLOW_MM, RIDGE_MM, SPHERE_MM
 from tactip_twin.assets.meshes.rims import RIMS
 from tactip_twin.assets.meshes.solids import bust, saddle
-from tactip_twin.sim.contact.signed_distance import Solid
-from tactip_twin.sim.robot.objects import find_object, object_names
+from tactip_twin.sim.contact.signed_distance import SignedDistanceMesh
+from tactip_twin.sim.robot.objects import load_object, object_names
 
 
 def box_distance(points, half):
@@ -19,7 +19,7 @@ def box_distance(points, half):
 @pytest.fixture(scope="module")
 def box():
     mesh = trimesh.creation.box((2.0, 3.0, 4.0))
-    return Solid(mesh.vertices, mesh.faces)
+    return SignedDistanceMesh(mesh.vertices, mesh.faces)
 
 
 def test_the_distance_of_a_box_is_its_closed_form(box):
@@ -50,30 +50,30 @@ def test_smooth_normals_of_a_sphere_are_radial():
     mesh = trimesh.creation.icosphere(subdivisions=4)
     points = np.random.default_rng(2).normal(size=(200, 3))
     points /= np.linalg.norm(points, axis=1, keepdims=True)
-    assert np.allclose(Solid(mesh.vertices, mesh.faces).smooth_normal(0.95 * points), points, atol=0.01)
+    assert np.allclose(SignedDistanceMesh(mesh.vertices, mesh.faces).smooth_normal(0.95 * points), points, atol=0.01)
 
 
 @pytest.mark.parametrize("name", object_names())
 def test_the_project_s_objects_are_sound(name):
-    thing = find_object(name)
+    thing = load_object(name)
     assert not thing.notes
     low = (thing.solid.vertices @ thing.T_base_object[:3, :3].T + thing.T_base_object[:3, 3]).min(0)
     assert low[2] == pytest.approx(0.07 if name == "bust" else 0, abs=1e-9)
 
 
 def test_meshes_lie_on_the_solids_they_are_cut_from():
-    mesh = find_object("saddle").solid
+    mesh = load_object("saddle").solid
     middles = mesh.vertices[mesh.triangles].mean(1)
     assert np.abs(saddle(1e3 * mesh.vertices)).max() < 0.02  # mm
     assert np.percentile(np.abs(saddle(1e3 * middles)), 90) < 0.03
-    radii = np.linalg.norm(find_object("sphere").solid.vertices, axis=1)
+    radii = np.linalg.norm(load_object("sphere").solid.vertices, axis=1)
     assert np.abs(1e3 * radii - SPHERE_MM).max() < 1e-3
 
 
 def test_the_bust_is_as_round_as_it_is_said_to_be():
     """A ball of 36 mm that touches it from outside, at any place, and one of 12.5 mm from inside, touch nothing else; and
     where the solid that it is made from is as round already, it is that solid."""
-    mesh = find_object("bust").solid
+    mesh = load_object("bust").solid
     normals = mesh.smooth_normal(mesh.vertices)
     face = mesh.vertices[:, 0] > 0.03
     for side, radius in ((1, HOLLOW_MM), (-1, RIDGE_MM)):
@@ -88,7 +88,7 @@ def test_the_bust_is_as_round_as_it_is_said_to_be():
 @pytest.mark.parametrize("name", RIMS)
 def test_a_rim_s_edge_is_that_of_a_block(name):
     """Along the edge the top falls away at its normal, the wall at a right angle, and between them is the rounding."""
-    thing, rim = find_object(name), RIMS[name]
+    thing, rim = load_object(name), RIMS[name]
     turn = np.linspace(0, 2 * np.pi, 50)
     edge, (tangent, normal, off) = rim.edge(turn), rim.frames(turn)
     assert np.allclose((normal * off).sum(1), 0, atol=1e-9)
@@ -105,7 +105,7 @@ def test_a_rim_s_edge_is_that_of_a_block(name):
 
 def test_no_ray_passes_between_triangles():
     """On the bust, three in a hundred did: what they met was its far side."""
-    solid = find_object("bust").solid
+    solid = load_object("bust").solid
     draw = np.random.default_rng(0)
     faces = solid.triangles[draw.integers(0, len(solid.triangles), 400)]
     # Straight at the middle of a side, and at a corner: where a ray that misses misses.

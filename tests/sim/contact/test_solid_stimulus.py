@@ -6,10 +6,10 @@ import trimesh
 
 from tactip_twin.assets.meshes.rims import block
 from tactip_twin.sim.contact.fidelity import fidelity_named
-from tactip_twin.sim.contact.record import Bounds
-from tactip_twin.sim.contact.signed_distance import Solid
-from tactip_twin.sim.contact.simulator import ContactPlayer
-from tactip_twin.sim.contact.solid_stimulus import Shape
+from tactip_twin.sim.contact.record import QualityLimits
+from tactip_twin.sim.contact.signed_distance import SignedDistanceMesh
+from tactip_twin.sim.contact.simulator import ContactSimulator
+from tactip_twin.sim.contact.solid_stimulus import SolidStimulus
 from tactip_twin.sim.contact.stimuli import SPHERE_RADIUS_M
 from tactip_twin.sim.pose import from_mm_deg
 from tactip_twin.tactip_model.presets import find_design
@@ -22,7 +22,7 @@ def solid(mesh, size=None):
     if size:
         mesh = trimesh.Trimesh(*trimesh.remesh.subdivide_to_size(mesh.vertices, mesh.faces, size, max_iter=20))
         mesh.merge_vertices()
-    return Solid(mesh.vertices / 1e3, mesh.faces)
+    return SignedDistanceMesh(mesh.vertices / 1e3, mesh.faces)
 
 
 def ball():
@@ -42,7 +42,7 @@ def flat():
 @pytest.fixture(scope="module")
 def play():
     design, fidelity = find_design("tactip-127"), fidelity_named("draft")
-    return lambda stimulus: ContactPlayer(design, stimulus, fidelity).play(POSE, SHEAR)
+    return lambda stimulus: ContactSimulator(design, stimulus, fidelity).play(POSE, SHEAR)
 
 
 def apart_mm(one, other):
@@ -51,7 +51,7 @@ def apart_mm(one, other):
 
 def test_a_flat_solid_is_the_flat_surface(play):
     """Each vertex meets the plane where it is nearest: the same contact, to what the solver leaves."""
-    true, made = play("surface"), play(Shape(solid(flat())))
+    true, made = play("surface"), play(SolidStimulus(solid(flat())))
     assert apart_mm(true, made) < 1e-3
     assert made.normal_force_n == pytest.approx(true.normal_force_n, rel=1e-3)
 
@@ -60,20 +60,20 @@ def test_a_flat_solid_is_the_flat_surface(play):
 def test_a_rounded_solid_is_what_it_is_a_mesh_of(play, name, mesh, most_mm):
     """An edge and a ball of 5 mm pass between the skin's vertices: without the probes the pins are 0.2 mm off, and a facet
     is 0.4 mm inside."""
-    true, made = play(name), play(Shape(solid(mesh()), sharpest_m=0.5e-3 if name == "edge" else SPHERE_RADIUS_M))
+    true, made = play(name), play(SolidStimulus(solid(mesh()), sharpest_m=0.5e-3 if name == "edge" else SPHERE_RADIUS_M))
     assert apart_mm(true, made) < most_mm
     assert made.normal_force_n == pytest.approx(true.normal_force_n, rel=0.03)
-    assert made.overlap_m < Bounds().overlap_m
-    assert made.penetration_m < max(Bounds().penetration_m, true.penetration_m)
+    assert made.overlap_m < QualityLimits().overlap_m
+    assert made.penetration_m < max(QualityLimits().penetration_m, true.penetration_m)
 
 
 def test_how_finely_a_solid_is_cut_does_not_matter(play):
-    coarse, fine = play(Shape(solid(edge()))), play(Shape(solid(edge(), 2.0)))
+    coarse, fine = play(SolidStimulus(solid(edge()))), play(SolidStimulus(solid(edge(), 2.0)))
     assert apart_mm(coarse, fine) < 0.02
 
 
 def test_a_contact_with_a_solid_leaves_nothing_behind():
-    player = ContactPlayer(find_design("tactip-127"), Shape(solid(edge())), fidelity_named("draft"))
+    player = ContactSimulator(find_design("tactip-127"), SolidStimulus(solid(edge())), fidelity_named("draft"))
     first = player.play(POSE, SHEAR)
     player.play(from_mm_deg([-2.0, 0, -4, 0, 0, 0]), np.zeros(6))
     assert np.array_equal(player.play(POSE, SHEAR).tips, first.tips)

@@ -15,14 +15,14 @@ from tactip_twin.commands import main as tactip
 from tactip_twin.sim.contact import stimuli
 from tactip_twin.sim.contact.fidelity import SHORTEST_STEP_S, Fidelity, Motion, Solver, fidelity_named, finer
 from tactip_twin.sim.contact.limits import check_ranges
-from tactip_twin.sim.contact.record import Bounds
+from tactip_twin.sim.contact.record import QualityLimits
 from tactip_twin.sim.contact.scene import Scene
-from tactip_twin.sim.contact.simulator import TRIES, UNPROVEN, CarefulPlayer, ContactPlayer
+from tactip_twin.sim.contact.simulator import TRIES, UNPROVEN, ContactSimulator, RetryingSimulator
 from tactip_twin.sim.contact.stimuli import STIMULI, stimulus_named
 from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES, Ranges
 from tactip_twin.sim.labels import TASKS
 from tactip_twin.sim.pose import from_mm_deg, inverse, sensor_in_contact
-from tactip_twin.tactip_model.design import Design, Materials, Optics, Pins, Shape, TactileImage
+from tactip_twin.tactip_model.design import Design, Materials, Optics, Pins, TactileImage, TipGeometry
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.mesh import CONTACT_RADIUS_M, Resolution
 from tactip_twin.tactip_model.pins import neutral_pins
@@ -38,7 +38,7 @@ def press(player, depth_mm, slide_mm=0.0, **options):
 @pytest.fixture(scope="module")
 def good(on_surface):
     contact = on_surface([0, 0, -3, 0, 0, 0], [1, 0, 0, 0, 0, 0])
-    assert contact.faults(Bounds()) == []
+    assert contact.faults(QualityLimits()) == []
     return contact
 
 
@@ -98,22 +98,22 @@ def test_height_to_clear_against_brute_force(name):
 
 def test_unknown_stimuli_are_refused_with_a_list(design, standard):
     with pytest.raises(TactipError, match=r"unknown stimulus 'banana': choose one of surface, edge, sphere"):
-        ContactPlayer(design, "banana", standard)
+        ContactSimulator(design, "banana", standard)
     assert set(TASKS) < set(STIMULI)
 
 
 @pytest.fixture(scope="module")
 def pressed(design, standard):
     """The 3 mm press of every stimulus: dict of name to Contact, its fault lists and the tries that were allowed."""
-    players = {name: CarefulPlayer(design, name, standard, Bounds()) for name in STIMULI}
+    players = {name: RetryingSimulator(design, name, standard, QualityLimits()) for name in STIMULI}
     return {name: (*press(player, 3), player.tries) for name, player in players.items()}
 
 
 def test_every_stimulus_gives_a_good_record(pressed):
     for name, (contact, faults, tries) in pressed.items():
         assert len(faults) < tries, name
-        assert contact.faults(Bounds()) == [], name
-        assert contact.penetration_m < Bounds().penetration_m, name
+        assert contact.faults(QualityLimits()) == [], name
+        assert contact.penetration_m < QualityLimits().penetration_m, name
 
 
 def test_blunter_things_press_harder(pressed):
@@ -136,10 +136,10 @@ def test_round_things_press_evenly(pressed, design, name, on_surface):
 def test_what_comes_through_between_the_vertices_is_seen(design, standard, monkeypatch):
     """Played as if it were not thin, the needle comes through a facet: no contact is left to tell, the shape does."""
     monkeypatch.setattr(stimuli.Rod, "width_m", np.inf)
-    contact = press(ContactPlayer(design, "needle", standard), 3)
+    contact = press(ContactSimulator(design, "needle", standard), 3)
     assert contact.penetration_m == 0.0
     assert contact.normal_force_n == 0.0
-    assert any("overlap" in fault for fault in contact.faults(Bounds()))
+    assert any("overlap" in fault for fault in contact.faults(QualityLimits()))
 
 
 # Records: each check can fail, and measures what it says.
@@ -162,7 +162,7 @@ def test_what_comes_through_between_the_vertices_is_seen(design, standard, monke
     ],
 )
 def test_a_spoiled_record_is_refused(good, change, word):
-    (fault,) = replace(good, **change).faults(Bounds())
+    (fault,) = replace(good, **change).faults(QualityLimits())
     assert word in fault
 
 
@@ -188,7 +188,7 @@ def test_folds_and_shrunk_facets_are_measured(on_surface):
     opposite = rest[facet[facet != apex]].mean(0)
     folded = rest.copy()
     folded[apex] = 2 * opposite - rest[apex]  # over the edge, onto the next facet
-    assert scene.skin_shape(folded)[1] > Bounds().fold_rad
+    assert scene.skin_shape(folded)[1] > QualityLimits().fold_rad
     squashed = rest.copy()
     squashed[around] = squashed[apex] + 0.1 * (squashed[around] - squashed[apex])
     assert scene.skin_shape(squashed)[0] < 0.05
@@ -197,18 +197,18 @@ def test_folds_and_shrunk_facets_are_measured(on_surface):
 def test_a_moving_tip_is_out_of_balance(design, standard, monkeypatch):
     """A press looked at in full motion: energy goes on being stored."""
     jerky = replace(standard, motion=replace(standard.motion, ease_in=0.0, ease_out=0.0))
-    player = ContactPlayer(design, "surface", jerky)
-    assert not press(player, 3).faults(Bounds())
-    monkeypatch.setattr(ContactPlayer, "_settle", lambda self, pose: None)
-    assert any("drifts" in fault for fault in press(player, 3).faults(Bounds()))
+    player = ContactSimulator(design, "surface", jerky)
+    assert not press(player, 3).faults(QualityLimits())
+    monkeypatch.setattr(ContactSimulator, "_settle", lambda self, pose: None)
+    assert any("drifts" in fault for fault in press(player, 3).faults(QualityLimits()))
 
 
 def test_a_starved_solver_is_seen(design, standard):
-    player = ContactPlayer(design, "surface", standard)
+    player = ContactSimulator(design, "surface", standard)
     player.scene.model.opt.iterations = 10
     contact = press(player, 3, 2)
     assert contact.unsolved > 0.5
-    assert any("iterations" in fault for fault in contact.faults(Bounds()))
+    assert any("iterations" in fault for fault in contact.faults(QualityLimits()))
 
 
 # Materials and steps: what is similar comes out similar.
@@ -219,8 +219,8 @@ def test_a_tip_stiffer_in_all_is_the_same_tip(design, standard, good, scale):
     """Moduli times a number: the same shape under that many times the force. Contact goes with the moduli."""
     m = design.materials
     other = replace(m, skin_young_pa=scale * m.skin_young_pa, gel_young_pa=scale * m.gel_young_pa)
-    contact = press(ContactPlayer(replace(design, materials=other), "surface", standard), 3, 1)
-    assert contact.faults(Bounds()) == []
+    contact = press(ContactSimulator(replace(design, materials=other), "surface", standard), 3, 1)
+    assert contact.faults(QualityLimits()) == []
     assert contact.normal_force_n == pytest.approx(scale * good.normal_force_n, rel=0.01)
     assert np.linalg.norm(contact.tips - good.tips, axis=1).max() < 0.05e-3
 
@@ -243,11 +243,11 @@ def test_corners_of_the_materials(materials):
 @pytest.mark.parametrize("name", ["needle", "edge", "hole", "sphere"])
 def test_a_start_inside_something_that_is_not_flat_is_refused(design, standard, name):
     with pytest.raises(TactipError, match="approach is False: it must be True"):
-        press(ContactPlayer(design, name, standard), 1, approach=False)
+        press(ContactSimulator(design, name, standard), 1, approach=False)
 
 
 def test_a_plane_that_starts_inside_pushes_the_skin_out(design, standard):
-    player = CarefulPlayer(design, "surface", standard, Bounds())
+    player = RetryingSimulator(design, "surface", standard, QualityLimits())
     contact, faults = press(player, 1, approach=False)
     assert len(faults) < player.tries
     approached, _ = press(player, 1)
@@ -256,14 +256,14 @@ def test_a_plane_that_starts_inside_pushes_the_skin_out(design, standard):
 
 def test_where_skin_catches_two_steps_must_agree(design, standard):
     """The first good record is not enough, nor are two that differ."""
-    player = CarefulPlayer(design, "knife", standard, Bounds())
+    player = RetryingSimulator(design, "knife", standard, QualityLimits())
     contact, faults = press(player, 1, 3)
     assert faults[-1] == [UNPROVEN]
     assert len(faults) < player.tries
-    again = ContactPlayer(design, "knife", finer(player._player(len(faults)).scene.fidelity))
+    again = ContactSimulator(design, "knife", finer(player._player(len(faults)).scene.fidelity))
     apart = np.linalg.norm(press(again, 1, 3).tips - contact.tips, axis=1)
-    assert np.sqrt(np.mean(apart**2)) < Bounds().disagreement_m
-    _, faults = press(CarefulPlayer(design, "knife", standard, Bounds(disagreement_m=1e-9)), 1, 3)
+    assert np.sqrt(np.mean(apart**2)) < QualityLimits().disagreement_m
+    _, faults = press(RetryingSimulator(design, "knife", standard, QualityLimits(disagreement_m=1e-9)), 1, 3)
     assert len(faults) == player.tries
     assert "from where twice the step has them" in faults[-1][0]
 
@@ -271,9 +271,9 @@ def test_where_skin_catches_two_steps_must_agree(design, standard):
 def test_two_good_records_about_a_bad_one_prove_nothing(design, monkeypatch, good):
     """They differ by a quarter of the step, and the one between them is no coarser record to go on from."""
     bad = replace(good, penetration_m=1e-3)
-    player = CarefulPlayer(design, "knife", fidelity_named("draft"), Bounds())
+    player = RetryingSimulator(design, "knife", fidelity_named("draft"), QualityLimits())
     script = iter([good, bad, good, good])
-    monkeypatch.setattr(ContactPlayer, "play", lambda *_: next(script))
+    monkeypatch.setattr(ContactSimulator, "play", lambda *_: next(script))
     contact, faults = player.play(good.pose, good.shear)
     assert contact is good
     assert [f == [UNPROVEN] for f in faults] == [True, False, True]
@@ -283,7 +283,7 @@ def test_two_good_records_about_a_bad_one_prove_nothing(design, monkeypatch, goo
 @pytest.mark.parametrize(("name", "friction", "tries"), [("surface", 1.0, 3), ("surface", 1.1, 4), ("corner", 0.3, 4)])
 def test_high_friction_and_sharp_things_must_be_proven(design, name, friction, tries):
     rough = replace(design, materials=replace(design.materials, friction=friction))
-    assert CarefulPlayer(rough, name, fidelity_named("draft"), Bounds()).tries == tries
+    assert RetryingSimulator(rough, name, fidelity_named("draft"), QualityLimits()).tries == tries
 
 
 @settings(max_examples=4, suppress_health_check=[HealthCheck.too_slow])
@@ -307,7 +307,7 @@ def test_any_configuration_is_refused_or_good(skin, gel, poisson, friction, dens
             friction=friction,
             density_kg_m3=density,
         )
-        player = CarefulPlayer(Design("any", materials=materials), name, fidelity_named("draft"), Bounds())
+        player = RetryingSimulator(Design("any", materials=materials), name, fidelity_named("draft"), QualityLimits())
     except TactipError as error:
         assert "it must be" in str(error)
         return
@@ -317,7 +317,7 @@ def test_any_configuration_is_refused_or_good(skin, gel, poisson, friction, dens
         return
     assert np.isfinite(contact.tips).all() and np.isfinite(contact.directions).all()
     assert contact.volume_ratio > 0
-    assert contact.penetration_m <= Bounds().penetration_m
+    assert contact.penetration_m <= QualityLimits().penetration_m
     assert contact.normal_force_n > -1e-6
 
 
@@ -333,8 +333,8 @@ def test_any_configuration_is_refused_or_good(skin, gel, poisson, friction, dens
         (lambda: Materials(skin_young_pa=float("inf")), ["Materials.skin_young_pa is inf", "1e+08"]),
         (lambda: Materials(friction=2.5), ["Materials.friction is 2.5", "from 0 to 2"]),
         (lambda: Materials(density_kg_m3="heavy"), ["Materials.density_kg_m3 is heavy", "number"]),
-        (lambda: Shape(radius_m=-20e-3), ["Shape.radius_m is -0.02"]),
-        (lambda: Shape(cylinder_m=0.1), ["Shape.cylinder_m is 0.1", "0.02"]),
+        (lambda: TipGeometry(radius_m=-20e-3), ["TipGeometry.radius_m is -0.02"]),
+        (lambda: TipGeometry(cylinder_m=0.1), ["TipGeometry.cylinder_m is 0.1", "0.02"]),
         (
             lambda: Materials(skin_young_pa=1e8, gel_young_pa=1e4),
             ["skin_young_pa is 1", "500 times gel", "buckles"],
@@ -362,9 +362,12 @@ def test_any_configuration_is_refused_or_good(skin, gel, poisson, friction, dens
         (lambda: Motion(settle_limit=2), ["Motion.settle_limit is 2", "settle_steps"]),
         (lambda: Solver(iterations=0), ["Solver.iterations is 0"]),
         (lambda: ContactModel(resting=(3e7, -1.0)), ["ContactModel.resting", "from 100 to"]),
-        (lambda: Design("x", pins=Pins(length_m=4.9e-3), shape=Shape(radius_m=15e-3)), ["Pins.length_m", "quarter"]),
+        (lambda: Design("x", pins=Pins(length_m=4.9e-3), shape=TipGeometry(radius_m=15e-3)), ["Pins.length_m", "quarter"]),
         (lambda: Design("x", pins=Pins(rings=7)), ["Pins.pitch_m is 0.003", "7 rings"]),
-        (lambda: Design("x", materials=Materials(skin_thickness_m=3e-3), shape=Shape(radius_m=15e-3)), ["skin_thickness_m"]),
+        (
+            lambda: Design("x", materials=Materials(skin_thickness_m=3e-3), shape=TipGeometry(radius_m=15e-3)),
+            ["skin_thickness_m"],
+        ),
     ],
 )
 def test_what_cannot_do_is_refused_by_name_and_bound(make, words):
@@ -401,7 +404,7 @@ def test_poses_out_of_reach_are_refused(on_surface, pose, shear, words):
 
 def test_a_needle_is_not_pressed_deeper_than_it_holds(design, standard):
     with pytest.raises(TactipError, match="6 mm: it must be at most 5 mm"):
-        press(ContactPlayer(design, "needle", standard), 6)
+        press(ContactSimulator(design, "needle", standard), 6)
 
 
 def test_ranges_out_of_reach_are_refused():
@@ -446,7 +449,7 @@ def test_a_map_is_made_resumed_and_written(tmp_path, monkeypatch):
         (folder / f"{i:04d}.json").write_text(json.dumps(record))
     result = stability.run(StabilityOptions(tmp_path, quick=True, workers="1"), say=lambda line: None)
     assert result["counts"]["refused beforehand"] == 3
-    assert "Shape.radius_m is 0.041" in (tmp_path / "stability.md").read_text()
+    assert "TipGeometry.radius_m is 0.041" in (tmp_path / "stability.md").read_text()
     assert (tmp_path / "stability.png").stat().st_size > 10_000
     assert json.loads((tmp_path / "stability.json").read_text())["map"][0]["panel"].startswith("skin modulus")
     assert not folder.exists()
@@ -465,7 +468,7 @@ def test_no_cell_of_the_quick_map_is_wrong(tmp_path):
 
 def test_a_needle_beside_the_axis_is_met_where_it_is(design, standard):
     """The pins nearest to the needle move most."""
-    player = CarefulPlayer(design, "needle", standard, Bounds())
+    player = RetryingSimulator(design, "needle", standard, QualityLimits())
     contact, faults = player.play(from_mm_deg([3, 0, -2, 0, 0, 0]), np.zeros(6))
     assert len(faults) < player.tries
     neutral, _ = neutral_pins(design)

@@ -7,10 +7,10 @@ import pytest
 
 from tactip_twin.commands import main as tactip
 from tactip_twin.sim.contact.fidelity import fidelity_named
-from tactip_twin.sim.contact.simulator import ContactPlayer
+from tactip_twin.sim.contact.simulator import ContactSimulator
 from tactip_twin.sim.dataset.format import Configuration, read_dataset
-from tactip_twin.sim.dataset.generate import drawn
-from tactip_twin.sim.dataset.mechanics_randomization import VARIATIONS, Variation
+from tactip_twin.sim.dataset.generate import sample_contact
+from tactip_twin.sim.dataset.mechanics_randomization import MECHANICS_RANDOMIZATIONS, MechanicsRandomization
 from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES
 from tactip_twin.sim.pose import from_mm_deg
 from tactip_twin.sim.view.record_contact import record_contact
@@ -18,7 +18,7 @@ from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.presets import design_named
 
-REAL = VARIATIONS["real"]
+REAL = MECHANICS_RANDOMIZATIONS["real"]
 
 
 def value(design, name):
@@ -29,7 +29,7 @@ def value(design, name):
 
 def test_draws_lie_within_the_factors_and_fill_them(design):
     draws = [REAL.draw(design, np.random.default_rng(seed)) for seed in range(400)]
-    for f in fields(Variation):
+    for f in fields(MechanicsRandomization):
         most = getattr(REAL, f.name)
         factors = np.array([value(d, f.name) for d in draws]) / value(design, f.name)
         assert factors.min() > 0.999 / most and factors.max() < 1.001 * most
@@ -40,11 +40,11 @@ def test_draws_lie_within_the_factors_and_fill_them(design):
 
 
 def test_a_still_one_changes_nothing_and_others_are_refused(design):
-    assert Variation().still and not REAL.still
-    same = Variation().draw(design, np.random.default_rng(0))
+    assert MechanicsRandomization().still and not REAL.still
+    same = MechanicsRandomization().draw(design, np.random.default_rng(0))
     assert same == design
-    with pytest.raises(TactipError, match=r"Variation.friction is 0.5"):
-        Variation(friction=0.5)
+    with pytest.raises(TactipError, match=r"MechanicsRandomization.friction is 0.5"):
+        MechanicsRandomization(friction=0.5)
 
 
 def configuration(**changes):
@@ -60,10 +60,10 @@ def test_poses_are_the_same_and_a_still_set_keeps_its_digest():
     assert "mechanics" not in still.as_json()
     assert still.digest() != moved.digest()
     for number in range(4):
-        a, b = drawn(still, number), drawn(moved, number)
+        a, b = sample_contact(still, number), sample_contact(moved, number)
         assert np.array_equal(a.pose, b.pose) and np.array_equal(a.shear, b.shear)
         assert a.design == still.design != b.design
-        assert b.design == drawn(moved, number).design
+        assert b.design == sample_contact(moved, number).design
 
 
 def test_a_tip_of_softer_gel_gives_way(design):
@@ -71,7 +71,7 @@ def test_a_tip_of_softer_gel_gives_way(design):
 
     def force(**changes):
         other: Design = replace(design, materials=replace(design.materials, **changes))
-        player = ContactPlayer(other, "surface", fidelity_named("draft"))
+        player = ContactSimulator(other, "surface", fidelity_named("draft"))
         return player.play(from_mm_deg([0, 0, -3, 0, 0, 0]), np.zeros(6)).normal_force_n
 
     m = design.materials

@@ -11,11 +11,11 @@ import torch
 
 from helpers.set_commands import contents, run, samples_found, wait_for
 from tactip_twin.commands import main as tactip
-from tactip_twin.learning.augmentation import DrawnImages
+from tactip_twin.learning.augmentation import OpticsAugmentation
 from tactip_twin.learning.data import read_samples
 from tactip_twin.sim.dataset.format import PARTIAL, labels_sha256, read_configuration, read_dataset, read_meta, read_pins
-from tactip_twin.sim.dataset.partial_record import reopen
-from tactip_twin.sim.dataset.shards import Closing
+from tactip_twin.sim.dataset.partial_record import unpack_finished_set
+from tactip_twin.sim.dataset.shards import ShardFinalizer
 
 SAMPLES, SHARD = 10, 4
 
@@ -64,7 +64,7 @@ def test_its_samples_are_those_of_one_folder(flat, whole):
 def test_all_who_read_sets_take_it_as_one(flat, whole, tmp_path):
     samples = read_samples(whole)
     assert len(samples) == SAMPLES and samples.chosen() is None
-    drawn, plain = DrawnImages(samples).plain(torch.arange(SAMPLES)).numpy() > 0, samples.images > 0
+    drawn, plain = OpticsAugmentation(samples).plain(torch.arange(SAMPLES)).numpy() > 0, samples.images > 0
     assert (drawn == plain).mean() > 0.98
     assert labels_sha256(read_meta(whole)) != labels_sha256(read_meta(flat))
     for folder in (flat, whole):
@@ -104,9 +104,9 @@ def test_a_worker_closes_a_shard_and_does_no_harm_where_it_is_closed(copy, whole
     shard = copy / "shard-00001"
     configuration = read_configuration(read_meta(copy), copy)
     (shard / PARTIAL).mkdir()
-    reopen(shard)
+    unpack_finished_set(shard)
     assert not (shard / "meta.json").exists()
-    closing = Closing("shard-00001", (whole / "shard-00001" / "run.json").read_bytes())
+    closing = ShardFinalizer("shard-00001", (whole / "shard-00001" / "run.json").read_bytes())
     for _ in range(2):
         closing(configuration, copy)
         assert not (shard / PARTIAL).exists()
@@ -121,7 +121,7 @@ def test_a_shard_that_was_left_without_its_end_gets_it(copy, whole, capsys):
         (copy / name).unlink()
     for place in (copy, copy / "shard-00002"):
         (place / PARTIAL).mkdir()
-    reopen(copy / "shard-00002")
+    unpack_finished_set(copy / "shard-00002")
     assert tactip.main(options(copy)) == 0
     assert "complete already" in capsys.readouterr().out
     assert contents(copy) == contents(whole)

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from helpers.set_commands import configuration, contents, table
-from tactip_twin.sim.contact.curved_surface import bent_surface
-from tactip_twin.sim.contact.record import Bounds
-from tactip_twin.sim.contact.signed_distance import Solid
-from tactip_twin.sim.contact.simulator import ContactPlayer
+from tactip_twin.sim.contact.curved_surface import curved_surface
+from tactip_twin.sim.contact.record import QualityLimits
+from tactip_twin.sim.contact.signed_distance import SignedDistanceMesh
+from tactip_twin.sim.contact.simulator import ContactSimulator
 from tactip_twin.sim.dataset.generate import Job, make
 from tactip_twin.sim.dataset.sampling import POSE_RANGES, Ranges
-from tactip_twin.sim.dataset.sliding import Walk
+from tactip_twin.sim.dataset.sliding import SlidingPath
 from tactip_twin.sim.dataset.verify import verify
 from tactip_twin.sim.pose import from_mm_deg, label_of, sensor_in_contact, to_mm_deg
 from tactip_twin.tactip_model.errors import TactipError
@@ -24,7 +24,7 @@ RADIUS_M = 30e-3
 def strides(task, solid=None, count=300, seed=0):
     """Poses in the stimulus' frame and labels, (n, 6) each, of a walk."""
     draw = np.random.default_rng(seed)
-    walk = Walk(task, solid, POSE_RANGES[task], from_mm_deg([0, 0, -3, 5, -5, 0]), draw)
+    walk = SlidingPath(task, solid, POSE_RANGES[task], from_mm_deg([0, 0, -3, 5, -5, 0]), draw)
     both = [(walk.stride(), walk.label()) for _ in range(count)]
     return tuple(np.array(each) for each in zip(*both, strict=True))
 
@@ -45,7 +45,7 @@ def test_a_walk_keeps_to_the_ranges_and_to_the_neighbourhood(task):
 def test_where_on_the_object_a_contact_began_is_no_matter_of_the_strides(task):
     """What a pose has of it is gone through once, and not at every stride again."""
     ranges = replace(POSE_RANGES[task], x_mm=(-5, 5), y_mm=(-5, 5), yaw_deg=(-20, 20))
-    walk = Walk(task, None, ranges, from_mm_deg([4, 4, -3, 0, 0, 15]), np.random.default_rng(0))
+    walk = SlidingPath(task, None, ranges, from_mm_deg([4, 4, -3, 0, 0, 15]), np.random.default_rng(0))
     poses = np.array([walk.stride() for _ in range(100)])
     gone = np.linalg.norm(np.diff(poses[:, :2] if task == "surface" else poses[:, 1:2], axis=0), axis=1)
     assert gone.max() < 2.5e-3
@@ -67,7 +67,7 @@ def test_on_the_flat_and_the_edge_labels_are_the_poses_but_for_where(task):
 
 def test_on_a_ball_labels_are_those_of_its_radius_and_middle():
     """Closed form: depth and tilt by the ball's middle; the surface is of triangles 1 mm wide, 4 µm off."""
-    poses, labels = strides("surface", bent_surface(1 / RADIUS_M, 1 / RADIUS_M, 0.0), count=80)
+    poses, labels = strides("surface", curved_surface(1 / RADIUS_M, 1 / RADIUS_M, 0.0), count=80)
     apexes = np.array([sensor_in_contact(p)[:3, 3] for p in poses])
     axes = np.array([sensor_in_contact(p)[:3, 2] for p in poses])
     # The surface is a paraboloid: a ball where it is level, which it is to 0.1 mm within 6 mm.
@@ -84,7 +84,7 @@ def test_on_a_ball_labels_are_those_of_its_radius_and_middle():
 def test_sliding_on_is_what_one_long_shear_is(design, standard):
     """A contact that is sheared half the way and then slides the rest ends where one shear ends, to what rest makes of
     it."""
-    player = ContactPlayer(design, "surface", standard)
+    player = ContactSimulator(design, "surface", standard)
     pose, shear = from_mm_deg([0, 0, -3, 5, 0, 0]), from_mm_deg([4, 0, 0, 0, 0, 0])
     whole = player.play(pose, shear)
     half = pose - shear / 2
@@ -145,7 +145,7 @@ def test_looks_turn_and_mirror_as_contacts_do(design, tmp_path):
 
 def test_a_look_that_cannot_be_trusted_is_left_out_and_named(design, tmp_path):
     """And the set is whole, can be read, and grows."""
-    strict = Bounds(volume_ratio=0.8)
+    strict = QualityLimits(volume_ratio=0.8)
     _, result = made(tmp_path / "set", design, samples=24, looks=12, seed=3, bounds=strict)
     meta = json.loads((tmp_path / "set/meta.json").read_text())
     missed = [failure["index"] for failure in meta["failures"]]
@@ -178,7 +178,7 @@ def test_what_cannot_be_had_is_said(design, tmp_path, changes, sentence):
 def test_a_walk_on_a_solid_asks_no_more_than_its_surface():
     """Also of one that is nowhere level."""
     corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]]) * 60e-3 - 15e-3
-    solid = Solid(corners, np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]))
+    solid = SignedDistanceMesh(corners, np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]))
     poses, labels = strides("surface", solid, count=20)
     assert np.isfinite(poses).all() and np.isfinite(labels).all()
     assert np.allclose(label_of(sensor_in_contact(poses[0])), poses[0])

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from tactip_twin.sim.contact.simulator import ContactPlayer
+from tactip_twin.sim.contact.simulator import ContactSimulator
 from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES, Ranges
-from tactip_twin.sim.dataset.symmetry import SYMMETRIES, SymmetricReader, keeps
+from tactip_twin.sim.dataset.symmetry import SYMMETRIES, SymmetricReader, ranges_are_symmetric
 from tactip_twin.sim.pose import before_shear, from_mm_deg
 from tactip_twin.tactip_model.pins import neutral_pins
 from tactip_twin.tactip_model.presets import design_named
@@ -41,14 +41,14 @@ def test_labels_go_as_motions_do(task):
 
 @pytest.mark.parametrize("task", SYMMETRIES)
 def test_the_papers_ranges_are_kept(task):
-    assert keeps(SYMMETRIES[task], POSE_RANGES[task])
-    assert keeps(SYMMETRIES[task], SHEAR_RANGES)
-    assert not keeps(SYMMETRIES[task], Ranges(depth_mm=(-5, -1), roll_deg=(-5, 15)))
+    assert ranges_are_symmetric(SYMMETRIES[task], POSE_RANGES[task])
+    assert ranges_are_symmetric(SYMMETRIES[task], SHEAR_RANGES)
+    assert not ranges_are_symmetric(SYMMETRIES[task], Ranges(depth_mm=(-5, -1), roll_deg=(-5, 15)))
 
 
 def test_a_mirrored_contact_is_what_the_mirrored_play_gives(design, standard):
     """On the edge; to what two meshes differ by, for the mesh is not its own mirror image."""
-    player = ContactPlayer(design, "edge", standard)
+    player = ContactSimulator(design, "edge", standard)
     same, mirrored = contacts_of(player, "edge")
     assert np.allclose(same.tips, player.play(POSE, SHEAR).tips, atol=1e-12)
     played = player.play(mirrored.pose, mirrored.shear)
@@ -70,7 +70,7 @@ def test_a_turned_contact_is_what_the_turned_play_gives(on_surface, index):
 def test_directions_are_units_and_pins_as_built_stay_where_they_are(standard):
     """A fitted tip has no symmetry of its own: at the lightest touch its pins are all but where they were built."""
     design = design_named("tactip-127")
-    player = ContactPlayer(design, "surface", standard)
+    player = ContactSimulator(design, "surface", standard)
     neutral, _ = neutral_pins(design)
     for contact in contacts_of(player, "surface", from_mm_deg([0, 0, -0.02, 0, 0, 0]), np.zeros(6)):
         assert np.abs(contact.tips - neutral).max() < 0.1e-3

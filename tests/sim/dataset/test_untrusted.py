@@ -11,10 +11,10 @@ import pytest
 from helpers.set_commands import configuration
 from tactip_twin.commands import main as tactip
 from tactip_twin.sim.contact.fidelity import fidelity_named, finer
-from tactip_twin.sim.contact.limits import too_steep
+from tactip_twin.sim.contact.limits import exceeds_max_tilt
 from tactip_twin.sim.contact.mujoco_warnings import counted_warnings
-from tactip_twin.sim.contact.record import Bounds
-from tactip_twin.sim.contact.simulator import TRIES, CarefulPlayer
+from tactip_twin.sim.contact.record import QualityLimits
+from tactip_twin.sim.contact.simulator import TRIES, RetryingSimulator
 from tactip_twin.sim.dataset import generate as generation
 from tactip_twin.sim.dataset.generate import Job
 from tactip_twin.sim.dataset.sampling import SHEAR_RANGES, Ranges, generator
@@ -24,7 +24,7 @@ from tactip_twin.tactip_model.errors import TactipError
 
 def test_a_contact_that_cannot_be_trusted_is_tried_again_then_named(design, tmp_path):
     """No contact keeps a penetration bound of a nanometre: all are tried again, left out, and named with the reason."""
-    job = Job(configuration(design, bounds=Bounds(penetration_m=1e-9)), tmp_path / "failed")
+    job = Job(configuration(design, bounds=QualityLimits(penetration_m=1e-9)), tmp_path / "failed")
     (result,) = generation.make([job], workers=1, say=lambda line: None)
     assert result["kept"] == 0
     meta = json.loads((job.folder / "meta.json").read_text())
@@ -38,9 +38,11 @@ def test_the_second_try_takes_finer_steps(design):
     """A bound between the penetrations of the two tries: the contact is good, and says that it took two."""
     draft = fidelity_named("draft")
     pose, shear = from_mm_deg([0, 0, -5, 10, 0, 0]), np.zeros(6)
-    coarse, fine = (CarefulPlayer(design, "surface", f, Bounds()).play(pose, shear)[0] for f in (draft, finer(draft)))
+    coarse, fine = (
+        RetryingSimulator(design, "surface", f, QualityLimits()).play(pose, shear)[0] for f in (draft, finer(draft))
+    )
     between = (coarse.penetration_m + fine.penetration_m) / 2
-    contact, faults = CarefulPlayer(design, "surface", draft, Bounds(penetration_m=between)).play(pose, shear)
+    contact, faults = RetryingSimulator(design, "surface", draft, QualityLimits(penetration_m=between)).play(pose, shear)
     assert len(faults) == 1
     assert contact.penetration_m == fine.penetration_m
 
@@ -109,16 +111,16 @@ def test_a_diverged_state_is_a_fault(on_surface):
     from dataclasses import replace
 
     contact = on_surface([0, 0, -2, 0, 0, 0])
-    assert contact.faults(Bounds()) == []
+    assert contact.faults(QualityLimits()) == []
     broken = replace(contact, tips=np.where(contact.tips == contact.tips.max(), np.nan, contact.tips))
-    assert "not finite" in broken.faults(Bounds())[0]
-    assert "shrank" in replace(contact, volume_ratio=-0.2).faults(Bounds())[0]
-    assert "mm/s" in replace(contact, speed_m_s=1.0).faults(Bounds())[0]
+    assert "not finite" in broken.faults(QualityLimits())[0]
+    assert "shrank" in replace(contact, volume_ratio=-0.2).faults(QualityLimits())[0]
+    assert "mm/s" in replace(contact, speed_m_s=1.0).faults(QualityLimits())[0]
 
 
 def test_a_state_that_blows_up_is_seen(design, monkeypatch):
     """Not a number in one vertex in mid-press: the record must say so, not start again from the undeformed tip."""
-    player = CarefulPlayer(design, "surface", fidelity_named("draft"), Bounds())
+    player = RetryingSimulator(design, "surface", fidelity_named("draft"), QualityLimits())
     scene = player._players[0].scene
     place, steps = scene.place, []
 
@@ -131,7 +133,7 @@ def test_a_state_that_blows_up_is_seen(design, monkeypatch):
     monkeypatch.setattr(scene, "place", poisoned)
     contact, faults = player.play(from_mm_deg([0, 0, -3, 0, 0, 0]), np.zeros(6))
     assert faults == [["the state is not finite"]]
-    assert contact.faults(Bounds()) == []  # the second try is another scene, and good
+    assert contact.faults(QualityLimits()) == []  # the second try is another scene, and good
 
 
 def test_what_is_too_steep_is_drawn_again(design):
@@ -141,14 +143,14 @@ def test_what_is_too_steep_is_drawn_again(design):
     c = configuration(design, pose=wide)
     again = 0
     for number in range(400):
-        draw, given = generator(0, "surface", "train", number), generation.drawn(c, number)
-        assert not too_steep(given.pose, given.shear)
+        draw, given = generator(0, "surface", "train", number), generation.sample_contact(c, number)
+        assert not exceeds_max_tilt(given.pose, given.shear)
         pose, shear = wide.draw(draw), SHEAR_RANGES.draw(draw)
-        again += too_steep(pose, shear)
-        assert too_steep(pose, shear) or ((given.pose == pose).all() and (given.shear == shear).all())
+        again += exceeds_max_tilt(pose, shear)
+        assert exceeds_max_tilt(pose, shear) or ((given.pose == pose).all() and (given.shear == shear).all())
     assert 0 < again < 20
     gentle = configuration(design)
-    assert not any(too_steep(d.pose, d.shear) for d in (generation.drawn(gentle, number) for number in range(50)))
+    assert not any(exceeds_max_tilt(d.pose, d.shear) for d in (generation.sample_contact(gentle, number) for number in range(50)))
 
 
 def test_ranges_that_are_too_steep_throughout_are_refused(design, tmp_path):

@@ -12,7 +12,7 @@ from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.dataset.format import Configuration
 from tactip_twin.sim.dataset.generate import Job, make
 from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES
-from tactip_twin.sim.parallel.ray_pool import ClusterCrew
+from tactip_twin.sim.parallel.ray_pool import RayPool
 from tactip_twin.tactip_model.errors import TactipError
 
 
@@ -108,7 +108,7 @@ def _begin(done, wrong):
 
 def crew(ray, tasks, wrong=None):
     made, said = [], []
-    return ClusterCrew(ray, _begin, (made, wrong), tasks, "sample", said.append), made, said
+    return RayPool(ray, _begin, (made, wrong), tasks, "sample", said.append), made, said
 
 
 def test_every_task_is_done_once_and_nobody_is_left():

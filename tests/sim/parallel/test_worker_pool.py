@@ -12,8 +12,8 @@ import pytest
 from helpers.set_commands import configuration
 from tactip_twin.sim.dataset import generate as generation
 from tactip_twin.sim.dataset.generate import Job
-from tactip_twin.sim.dataset.shards import Closing
-from tactip_twin.sim.parallel.worker_pool import Crew, _serve, peak_mib
+from tactip_twin.sim.dataset.shards import ShardFinalizer
+from tactip_twin.sim.parallel.worker_pool import WorkerPool, _serve, peak_mib
 from tactip_twin.tactip_model.errors import TactipError
 
 
@@ -46,20 +46,20 @@ def _deadly():
 
 def test_a_task_that_ends_workers_is_told_by_its_name():
     said = []
-    crew = Crew(_deadly, (), [(0, 17)], "sample", said.append, lambda task: f"sample {task[1]} of set {task[0]}")
+    crew = WorkerPool(_deadly, (), [(0, 17)], "sample", said.append, lambda task: f"sample {task[1]} of set {task[0]}")
     with pytest.raises(TactipError, match=r"^sample 17 of set 0 has ended two workers \(the last by signal SIGKILL\)"):
         crew.work(1, lambda *done: None)
     assert said == ["a worker ended by signal SIGKILL at sample 17 of set 0: another takes over"]
 
 
 def test_samples_and_ends_of_shards_are_told_with_their_set(design, tmp_path, monkeypatch):
-    class Named(Crew):
+    class Named(WorkerPool):
         def work(self, workers, done):
-            told.extend(map(self._named, [(1, 17), (0, Closing("shard-00001", b""))]))
+            told.extend(map(self._named, [(1, 17), (0, ShardFinalizer("shard-00001", b""))]))
             raise TactipError("it is enough to be named")
 
     told = []
-    monkeypatch.setattr(generation, "Crew", Named)
+    monkeypatch.setattr(generation, "WorkerPool", Named)
     jobs = [Job(configuration(design), tmp_path / name) for name in ("train", "val")]
     with pytest.raises(TactipError, match="enough to be named"):
         generation.make(jobs, 1, say=lambda line: None)

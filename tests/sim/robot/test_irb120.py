@@ -6,7 +6,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tactip_twin.sim.pose import matrix
-from tactip_twin.sim.robot.arm_models import CARRIERS, Dynamic, Kinematic, between, carrier_named
+from tactip_twin.sim.robot.arm_models import ARM_MODELS, DynamicArm, KinematicArm, arm_model_named, between
 from tactip_twin.sim.robot.irb120 import APEX_FROM_FLANGE_M, LEAST_SINGULAR, READY_RAD, SPEEDS_RAD_S, Arm, Unreachable
 from tactip_twin.tactip_model.errors import TactipError
 
@@ -74,7 +74,7 @@ def test_joint_6_begins_where_it_has_room_to_turn(arm, wrist_deg):
 def test_what_cannot_be_reached_is_said_before_moving(arm):
     with pytest.raises(Unreachable, match="stays 1"):
         arm.find(matrix([0.7, 0, 0.1], DOWN))
-    carrier = Kinematic()
+    carrier = KinematicArm()
     carrier.put(matrix([0.4, 0, 0.1], DOWN))
     before = carrier.pose.copy()
     with pytest.raises(Unreachable):
@@ -92,7 +92,7 @@ def test_singular_poses_are_refused(arm):
 
 def test_joints_keep_their_speeds(arm):
     """Past a singular wrist a small motion is a large one of the joints: it is given the time."""
-    carrier = Kinematic()
+    carrier = KinematicArm()
     carrier._be(np.radians([0.0, 30, 10, 0, 12, 0]))
     T = carrier.pose @ matrix([0, 0, 0], Rotation.from_rotvec([0.15, 0, 0]))
     steps, before = carrier.aim(T, 3, 0.007), carrier.angles.copy()
@@ -101,9 +101,9 @@ def test_joints_keep_their_speeds(arm):
     assert (mean <= SPEEDS_RAD_S).all()
 
 
-@pytest.mark.parametrize("name", CARRIERS)
+@pytest.mark.parametrize("name", ARM_MODELS)
 def test_every_carrier_ends_where_it_is_sent(name):
-    carrier = carrier_named(name)
+    carrier = arm_model_named(name)
     start, end = matrix([0.38, 0, 0.1], DOWN), matrix([0.385, 0.003, 0.098], DOWN * Rotation.from_rotvec([0.03, 0, 0.02]))
     carrier.put(start)
     count = carrier.aim(end, 8, 0.007)
@@ -117,7 +117,7 @@ def test_every_carrier_ends_where_it_is_sent(name):
 
 def test_the_dynamic_arm_gives_way_to_a_force_as_its_stiffness_says():
     """At rest, joints turn by torque over stiffness: the sensor moves by J K^-1 J^T F. Gravity is made up for."""
-    carrier = Dynamic()
+    carrier = DynamicArm()
     T = matrix([0.38, 0, 0.1], DOWN)
     carrier.put(T)
     for _ in range(60):
@@ -153,4 +153,4 @@ def test_half_way_between_two_poses():
 
 def test_an_unknown_arm_is_refused():
     with pytest.raises(TactipError, match="none, kinematic, dynamic"):
-        carrier_named("left")
+        arm_model_named("left")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from tactip_twin.sim.robot.objects import MOST_TRIANGLES, find_object
+from tactip_twin.sim.robot.objects import MOST_TRIANGLES, load_object
 from tactip_twin.tactip_model.errors import TactipError
 
 
@@ -20,7 +20,7 @@ def ball():
 
 @pytest.mark.parametrize("ending", ["stl", "ply", "obj", "glb"])
 def test_every_format_gives_the_same_solid(tmp_path, ball, ending):
-    thing = find_object(written(tmp_path / f"ball.{ending}", ball))
+    thing = load_object(written(tmp_path / f"ball.{ending}", ball))
     assert thing.notes == ()
     assert thing.solid.distance(np.array([0.05, 0, 0])) == pytest.approx(0.01, abs=1e-4)
     assert np.allclose(thing.T_base_object[:3, 3], [0.38, 0, 0.04], atol=1e-5)
@@ -28,7 +28,7 @@ def test_every_format_gives_the_same_solid(tmp_path, ball, ending):
 
 def test_unit_scale_and_place(tmp_path, ball):
     path = written(tmp_path / "ball.stl", ball)
-    thing = find_object(path, unit="cm", scale=0.2, place_mm=(300, -50, 10), turn_deg=(0, 90, 0))
+    thing = load_object(path, unit="cm", scale=0.2, place_mm=(300, -50, 10), turn_deg=(0, 90, 0))
     assert thing.solid.distance(np.zeros(3)) == pytest.approx(-0.08, abs=5e-4)
     assert np.allclose(thing.T_base_object[:3, 3], [0.3, -0.05, 0.09], atol=1e-4)
     assert np.allclose(thing.T_base_object[:3, :3] @ [0, 0, 1], [1, 0, 0], atol=1e-9)
@@ -48,7 +48,7 @@ def test_what_is_safe_is_repaired_and_said(tmp_path, ball):
         ("cut", cut, "closed with a lid"),
         ("doubled", doubled, "left out"),
     ):
-        thing = find_object(written(tmp_path / f"{name}.ply", mesh))
+        thing = load_object(written(tmp_path / f"{name}.ply", mesh))
         assert any(words in note for note in thing.notes), name
         assert thing.solid.distance(np.array([0, 0, 0.045])) == pytest.approx(0.005, abs=1e-4), name
         assert thing.solid.distance(np.array([0, 0, 0.035])) == pytest.approx(-0.005, abs=1e-3), name
@@ -72,7 +72,7 @@ def test_what_is_not_safe_is_refused_with_the_reason(tmp_path, ball):
         ("sheet", sheet, "has no inside"),
     ):
         with pytest.raises(TactipError, match=words):
-            find_object(written(tmp_path / f"{name}.ply", mesh))
+            load_object(written(tmp_path / f"{name}.ply", mesh))
 
 
 def test_wrong_input_is_one_sentence(tmp_path, ball):
@@ -94,11 +94,11 @@ def test_wrong_input_is_one_sentence(tmp_path, ball):
         (written(tmp_path / "gaps.ply", gaps), "not finite", {}),
     ):
         with pytest.raises(TactipError, match=words):
-            find_object(name, **options)
+            load_object(name, **options)
 
 
 def test_too_fine_a_mesh_is_refused_before_anything_is_built(monkeypatch, ball, tmp_path):
     monkeypatch.setattr("tactip_twin.sim.robot.objects.MOST_TRIANGLES", 100)
     with pytest.raises(TactipError, match="simplify"):
-        find_object(written(tmp_path / "ball.stl", ball))
+        load_object(written(tmp_path / "ball.stl", ball))
     assert MOST_TRIANGLES > 1e6

@@ -16,14 +16,14 @@ from tactip_twin.sim.robot.recording import (
     RECORDING,
     SCENERY,
     STEPS,
+    RecordedScene,
     Recorder,
-    Scenery,
+    read_recorded_scene,
     read_recording,
-    read_scenery,
 )
 from tactip_twin.tactip_model.errors import TactipError
 
-SCENE = Scenery(np.eye(3), np.array([[0, 1, 2]]), np.eye(4), np.array([[0, 1, 2]]), 20e-3, True)
+SCENE = RecordedScene(np.eye(3), np.array([[0, 1, 2]]), np.eye(4), np.array([[0, 1, 2]]), 20e-3, True)
 
 
 def _row(k):
@@ -63,7 +63,7 @@ def test_it_is_read_back_as_it_was_made(tmp_path):
     assert record["stopped_because"] == "it was enough"
     assert record["events"] == [{"step": 1, "kind": "force", "what": "too much"}]
     assert {p.name for p in (tmp_path / "run").iterdir()} == {RECORDING, SCENERY, STEPS, ".lock"}
-    scenery = read_scenery(tmp_path / "run")
+    scenery = read_recorded_scene(tmp_path / "run")
     assert np.array_equal(scenery.object_vertices, SCENE.object_vertices) and scenery.with_arm is True
     assert scenery.tip_radius_m == 20e-3
 
@@ -143,4 +143,4 @@ def test_what_is_missing_is_said(tmp_path):
     with pytest.raises(TactipError, match="there is no recording in"):
         read_recording(tmp_path)
     with pytest.raises(TactipError, match=r"scenery\.npz cannot be read"):
-        read_scenery(tmp_path)
+        read_recorded_scene(tmp_path)

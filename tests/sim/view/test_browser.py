@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 from helpers.recordings import RECORD, STEPS, arrays_of, scenery
 from tactip_twin.benchmarks.servo.headless_browser import PROGRAM, Chromium
 from tactip_twin.sim.contact.fidelity import fidelity_named
-from tactip_twin.sim.view.live_page import Live
-from tactip_twin.sim.view.replay_page import Viewer
+from tactip_twin.sim.view.live_page import LivePage
+from tactip_twin.sim.view.replay_page import ReplayPage
 from tactip_twin.tactip_model.presets import design_named
 from tactip_twin.tactip_model.renderer import renderer_named
 
@@ -53,7 +53,7 @@ class Served:
 
 @pytest.fixture(scope="module")
 def replay():
-    served = Served(Viewer(RECORD, arrays_of(), scenery(), port=8451))
+    served = Served(ReplayPage(RECORD, arrays_of(), scenery(), port=8451))
     yield served
     served.close()
 
@@ -118,7 +118,7 @@ def test_a_key_steps(replay):
 @pytest.fixture(scope="module")
 def live():
     design = design_named("nominal-127")
-    served = Served(Live(design, "surface", fidelity_named("draft"), renderer_named("raster", design), port=8461))
+    served = Served(LivePage(design, "surface", fidelity_named("draft"), renderer_named("raster", design), port=8461))
     yield served
     served.close()
 

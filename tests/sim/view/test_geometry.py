@@ -8,21 +8,21 @@ from PIL import Image
 
 from helpers.recordings import scenery, tip_mesh
 from tactip_twin.sim.robot.irb120 import READY_RAD, Arm
-from tactip_twin.sim.robot.objects import find_object
-from tactip_twin.sim.view.geometry import Prop, Stage, object_prop, tube
-from tactip_twin.sim.view.offscreen import BACKGROUND, Studio, looking, shade
+from tactip_twin.sim.robot.objects import load_object
+from tactip_twin.sim.view.geometry import ColoredMesh, SceneGeometry, object_mesh, tube
+from tactip_twin.sim.view.offscreen import BACKGROUND, SceneRenderer, looking, shade
 from tactip_twin.sim.view.video import write_video
 from tactip_twin.tactip_model.errors import TactipError
 
 
 def _ball(centre, radius, colour):
     mesh = trimesh.creation.icosphere(3, radius)
-    return Prop(mesh.vertices + centre, mesh.faces, mesh.vertices / radius, colour)
+    return ColoredMesh(mesh.vertices + centre, mesh.faces, mesh.vertices / radius, colour)
 
 
 @pytest.fixture(scope="module")
 def stage():
-    return Stage(scenery())
+    return SceneGeometry(scenery())
 
 
 def _skin():
@@ -46,7 +46,7 @@ def test_the_sensor_is_at_the_end_of_the_arm(stage):
 
 
 def test_without_an_arm_there_is_none(stage):
-    without = Stage(scenery(with_arm=False))
+    without = SceneGeometry(scenery(with_arm=False))
     T, skin = Arm().forward(READY_RAD), _skin()
     assert len(without.moving(np.full(6, np.nan), T, skin)) == 3 < len(stage.moving(READY_RAD, T, skin))
     assert len(stage.moving(np.full(6, np.nan), T, skin)) == 3
@@ -71,7 +71,7 @@ def test_a_tube_is_round():
 
 def test_a_picture_shows_what_is_in_front():
     red, blue = _ball([0, 0, 0], 0.1, (255.0, 0, 0)), _ball([0.5, 0, 0], 0.1, (0.0, 0, 255))
-    studio = Studio(120, 90, [blue])
+    studio = SceneRenderer(120, 90, [blue])
     for eye, channel in (([-1, 0, 0], 0), ([1.5, 0, 0], 2)):
         image = studio.picture([red], eye, [0.2, 0, 0])
         assert image.shape == (90, 120, 3)
@@ -95,7 +95,7 @@ def test_light_comes_from_above():
 
 
 def test_an_object_is_shown_where_it_is():
-    thing, prop = find_object("sphere"), object_prop(scenery())
+    thing, prop = load_object("sphere"), object_mesh(scenery())
     solid, T = thing.solid, thing.T_base_object
     assert np.allclose(prop.vertices[prop.triangles], solid.vertices[solid.triangles] @ T[:3, :3].T + T[:3, 3])
 

@@ -7,7 +7,7 @@ from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.contact.simulator import Diverged
 from tactip_twin.sim.contact.stimuli import STIMULI
 from tactip_twin.sim.pose import from_mm_deg, inverse, sensor_in_contact, to_mm_deg
-from tactip_twin.sim.view.live_page import _T_WORLD_SENSOR, Live, ranges_of
+from tactip_twin.sim.view.live_page import _T_WORLD_SENSOR, LivePage, ranges_of
 from tactip_twin.sim.view.viser_utils import place
 from tactip_twin.tactip_model.presets import design_named
 from tactip_twin.tactip_model.renderer import renderer_named
@@ -17,7 +17,7 @@ from tactip_twin.tactip_model.renderer import renderer_named
 def live():
     design = design_named("nominal-127")
     read = lambda image: {"z": -9.0, "Rx": float(image.mean())}  # noqa: E731
-    live = Live(design, "edge", fidelity_named("draft"), renderer_named("raster", design), read, port=8441)
+    live = LivePage(design, "edge", fidelity_named("draft"), renderer_named("raster", design), read, port=8441)
     yield live
     live.close()
 

@@ -5,12 +5,12 @@ import pytest
 
 from tactip_twin.commands import main as tactip
 from tactip_twin.sim.contact.fidelity import fidelity_named
-from tactip_twin.sim.contact.signed_distance import Solid
+from tactip_twin.sim.contact.signed_distance import SignedDistanceMesh
 from tactip_twin.sim.dataset.format import Configuration, read_dataset
 from tactip_twin.sim.dataset.generate import Job, make
 from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES
 from tactip_twin.sim.pose import to_mm_deg
-from tactip_twin.sim.robot.recording import PHASES, read_recording, read_scenery
+from tactip_twin.sim.robot.recording import PHASES, read_recorded_scene, read_recording
 from tactip_twin.sim.view.record_contact import record_contact
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.presets import design_named
@@ -63,8 +63,8 @@ def test_the_stimulus_stands_under_the_tip(sets, tmp_path):
     """The skin that is pressed lies on what is shown, and not in it."""
     for kind in ("surface", "edge", "bent"):
         _, arrays = record_contact(sets / kind, 0, tmp_path / kind)
-        scenery = read_scenery(tmp_path / kind)
-        solid = Solid(scenery.object_vertices, scenery.object_triangles)
+        scenery = read_recorded_scene(tmp_path / kind)
+        solid = SignedDistanceMesh(scenery.object_vertices, scenery.object_triangles)
         T = np.linalg.inv(scenery.T_base_object) @ arrays["T_base_tcp"][-1]
         distance = solid.distance(arrays["skin_m"][-1] @ T[:3, :3].T + T[:3, 3])
         assert -0.1e-3 < distance.min() < 0.5e-3

@@ -10,13 +10,13 @@ import websockets
 
 from helpers.recordings import RECORD, STEPS, arrays_of, scenery
 from tactip_twin.sim.view.geometry import way_lines
-from tactip_twin.sim.view.replay_page import Viewer
+from tactip_twin.sim.view.replay_page import ReplayPage
 from tactip_twin.tactip_model.errors import TactipError
 
 
 @pytest.fixture(scope="module")
 def viewer():
-    viewer = Viewer(RECORD, arrays_of(), scenery(), port=8431)
+    viewer = ReplayPage(RECORD, arrays_of(), scenery(), port=8431)
     yield viewer
     viewer.close()
 
@@ -95,15 +95,15 @@ def test_other_sites_are_not_let_in(viewer, origin, let_in):
 
 def test_nothing_to_show_is_said():
     with pytest.raises(TactipError, match="no step was made"):
-        Viewer(RECORD | {"steps": 0}, arrays_of(), scenery())
+        ReplayPage(RECORD | {"steps": 0}, arrays_of(), scenery())
 
 
 def test_an_address_that_is_not_ours_is_said():
     with pytest.raises(TactipError, match=r"cannot serve at 192\.0\.2\.1"):
-        Viewer(RECORD, arrays_of(), scenery(), host="192.0.2.1", port=8432)
+        ReplayPage(RECORD, arrays_of(), scenery(), host="192.0.2.1", port=8432)
 
 
 @pytest.mark.parametrize("port", [-5, 0, 65536])
 def test_a_port_that_there_is_not_is_said(port):
     with pytest.raises(TactipError, match=f"the port is {port}: it must be a number from 1 to 65535"):
-        Viewer(RECORD, arrays_of(), scenery(), port=port)
+        ReplayPage(RECORD, arrays_of(), scenery(), port=port)

@@ -10,10 +10,10 @@ import pytest
 
 from tactip_twin.commands import main as tactip
 from tactip_twin.sim.contact.fidelity import fidelity_named
-from tactip_twin.sim.contact.simulator import ContactPlayer
+from tactip_twin.sim.contact.simulator import ContactSimulator
 from tactip_twin.sim.pose import from_mm_deg, to_mm_deg
 from tactip_twin.sim2real.calibration.fit import DONE, LOAD_CELL_N, Settings, best_share, calibrate, distances, robust
-from tactip_twin.sim2real.calibration.parameters import Twin, parameters
+from tactip_twin.sim2real.calibration.parameters import SensorOnRig, parameters
 from tactip_twin.sim2real.calibration.report import judge, write_report
 from tactip_twin.sim2real.calibration.rig import Rig, RigMotion
 from tactip_twin.tactip_model.design_file import read_design, read_in_use
@@ -35,7 +35,7 @@ RIG = Rig(
 
 def hidden_twin():
     plain = design_named("nominal-127")
-    return Twin(
+    return SensorOnRig(
         replace(
             plain,
             materials=replace(plain.materials, friction=0.65, kinetic_share=0.6, skin_young_pa=0.9e6, gel_young_pa=1.6e4),
@@ -54,7 +54,7 @@ def picture(design, tips, directions):
 def write_set(folder, twin, count, seed=0):
     """A real set as the hidden twin makes it, half of its frames taken before the move is over. Returns the shares done."""
     draw = np.random.default_rng(seed)
-    player, motion = ContactPlayer(twin.design, "surface", fidelity_named("draft")), RigMotion(twin.rig)
+    player, motion = ContactSimulator(twin.design, "surface", fidelity_named("draft")), RigMotion(twin.rig)
     (folder / "images").mkdir(parents=True)
     at_rest = replace(twin.design, optics=replace(twin.design.optics, zoom=1.0, drift=(0.0, 0.0)))
     cv2.imwrite(str(folder / "init_0.png"), picture(at_rest, *neutral_pins(at_rest)))
@@ -85,7 +85,7 @@ def start():
 
 
 def test_a_parameter_reads_what_it_writes_and_keeps_its_bounds():
-    twin = Twin(start(), RIG)
+    twin = SensorOnRig(start(), RIG)
     twin = next(p for p in parameters(start()) if p.name == "kinetic_share").write(twin, 0.6)
     for p in parameters(start()):
         assert p.low <= p.read(twin) <= p.high

@@ -11,14 +11,14 @@ import pytest
 from tactip_twin.commands import main as tactip
 from tactip_twin.learning.data import read_samples
 from tactip_twin.sim.contact.fidelity import fidelity_named
-from tactip_twin.sim.contact.simulator import ContactPlayer
+from tactip_twin.sim.contact.simulator import ContactSimulator
 from tactip_twin.sim.dataset.format import read_dataset
 from tactip_twin.sim.pose import from_mm_deg
 from tactip_twin.sim.view.video import write_video
 from tactip_twin.sim2real.importing import import_set as importing
 from tactip_twin.sim2real.importing.column_map import Layout
 from tactip_twin.sim2real.sensor.preprocess import FrameReader
-from tactip_twin.sim2real.transfer.neutral_calibration import twin_of
+from tactip_twin.sim2real.transfer.neutral_calibration import fit_design_to_neutral_image
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.mask import pin_area
 from tactip_twin.tactip_model.neutral_image import neutral_px
@@ -151,7 +151,7 @@ def test_light_at_the_rim_tells_how_the_camera_has_changed(tmp_path, capsys, mon
     assert bring(tmp_path / "lab", tmp_path / "set") == 0
     assert (tmp_path / "set" / "meta.json").read_bytes() == meta
     # The twin has it, and the pins that the neutral image shows are where they were when that was taken.
-    design, figures = twin_of(tmp_path / "set", 128)
+    design, figures = fit_design_to_neutral_image(tmp_path / "set", 128)
     assert figures["camera"] == camera and design.optics.zoom == camera["zoom"]
     then = replace(design, optics=replace(design.optics, zoom=1.0, drift=(0.0, 0.0)))
     assert np.abs(neutral_px(then) - neutral_px(DESIGN)).max() < 0.6
@@ -162,7 +162,7 @@ def test_a_camera_of_which_no_light_tells_is_not_known(tmp_path, capsys):
     assert bring(tmp_path / "lab", tmp_path / "set") == 0
     assert "too little light at the rim" in capsys.readouterr().out
     assert json.loads((tmp_path / "set" / "import.json").read_text())["camera"] is None
-    assert twin_of(tmp_path / "set", 128)[0].optics.zoom == 1.0
+    assert fit_design_to_neutral_image(tmp_path / "set", 128)[0].optics.zoom == 1.0
 
 
 def test_frames_that_are_mirrored_turned_and_dark():
@@ -345,7 +345,7 @@ def test_without_a_neutral_image_the_shallowest_frames_stand_for_it(tmp_path, ca
     assert tactip.main(command) == 0
     told = "the middle of 5 of the shallowest frames, -0.05 to -0.05 mm, stands for it"
     assert told in capsys.readouterr().out
-    design, figures = twin_of(tmp_path / "set", 128)
+    design, figures = fit_design_to_neutral_image(tmp_path / "set", 128)
     assert figures["pins"] == 127 and figures["camera"] is None
     assert np.abs(neutral_px(design) - neutral_px(DESIGN)).max() < 0.6
     # One that an earlier version imported, which kept no such image, is imported anew.
@@ -365,7 +365,7 @@ def test_the_press_of_frames_that_stand_for_a_neutral_image_is_taken_off(tmp_pat
     write_set(tmp_path / "lab", 1)
     (tmp_path / "lab" / "init_0.png").unlink()
     stiffer = replace(DESIGN, materials=replace(DESIGN.materials, skin_young_pa=1.3 * DESIGN.materials.skin_young_pa))
-    player = ContactPlayer(stiffer, "surface", fidelity_named("draft"))
+    player = ContactSimulator(stiffer, "surface", fidelity_named("draft"))
     rows = []
     for k, depth in enumerate(np.linspace(1, 2, 6)):
         contact = player.play(from_mm_deg([0, 0, -depth, 0, 0, 0]), np.zeros(6))
@@ -378,7 +378,7 @@ def test_the_press_of_frames_that_stand_for_a_neutral_image_is_taken_off(tmp_pat
     assert tactip.main(command) == 0
 
     def off_px():
-        design, figures = twin_of(tmp_path / "set", 128)
+        design, figures = fit_design_to_neutral_image(tmp_path / "set", 128)
         return np.sqrt(((neutral_px(design) - neutral_px(DESIGN)) ** 2).sum(1).mean()), figures["pressed_mm"], design
 
     off, pressed_mm, design = off_px()

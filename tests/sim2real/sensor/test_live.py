@@ -13,12 +13,12 @@ import pytest
 
 from tactip_twin.commands import main as tactip
 from tactip_twin.sim.contact.fidelity import fidelity_named
-from tactip_twin.sim.contact.simulator import ContactPlayer
+from tactip_twin.sim.contact.simulator import ContactSimulator
 from tactip_twin.sim.pose import from_mm_deg
 from tactip_twin.sim2real.importing.column_map import Layout
 from tactip_twin.sim2real.sensor import frame_sources as frames
 from tactip_twin.sim2real.sensor.frame_sources import CameraFrames
-from tactip_twin.sim2real.sensor.live import Camera
+from tactip_twin.sim2real.sensor.live import LiveSensor
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.pins import neutral_pins
 from tactip_twin.tactip_model.presets import find_design
@@ -34,7 +34,7 @@ CROP = (LEFT, TOP, LEFT + 360, TOP + 360)
 def presses():
     """Frames of a camera, the tip untouched and then pressed, and the depths: grey, 640 by 480 px."""
     design, depths = find_design("tactip-127"), [2.0, 3.0, 4.0]
-    player = ContactPlayer(design, "surface", fidelity_named("standard"))
+    player = ContactSimulator(design, "surface", fidelity_named("standard"))
     contacts = [player.play(from_mm_deg([0, 0, -d, 0, 0, 0]), np.zeros(6)) for d in depths]
     raster, shots = Raster(design), []
     for tips, directions in [neutral_pins(design), *((c.tips, c.directions) for c in contacts)]:
@@ -86,14 +86,14 @@ def test_images_are_read_in_their_order_and_as_few_as_asked_for(presses, tmp_pat
 def test_the_image_is_the_one_that_a_set_would_have(presses):
     layout = Layout(threshold=(61, -5.0), crop=CROP, mask="none")
     design = find_design("tactip-127")
-    reading = next(iter(Camera(presses[0][1:2], layout)))
+    reading = next(iter(LiveSensor(presses[0][1:2], layout)))
     plain = tactile_image(presses[0][1], replace(design.image, crop=CROP))
     assert np.array_equal(reading.image, plain)
 
 
 def test_a_frame_that_does_not_fit_is_a_fault_and_the_next_goes_on(presses):
     shots = [presses[0][0], np.zeros_like(presses[0][0]), presses[0][1][:100], presses[0][2]]
-    readings = list(Camera(shots, Layout(threshold=(61, -5.0), crop=CROP)))
+    readings = list(LiveSensor(shots, Layout(threshold=(61, -5.0), crop=CROP)))
     assert [bool(s.fault) for s in readings] == [False, True, True, False]
     assert "pins are seen, 127 were in the undeformed tip" in readings[1].fault
     assert "it is 640 by 100 px, the others are 640 by 480 px" in readings[2].fault
@@ -102,9 +102,9 @@ def test_a_frame_that_does_not_fit_is_a_fault_and_the_next_goes_on(presses):
 
 def test_a_first_frame_without_a_tip(presses):
     with pytest.raises(TactipError, match="the first frame shows no tip: at most 0 pins are seen"):
-        list(Camera([np.zeros((HEIGHT, WIDTH, 3), np.uint8)], Layout(threshold=(61, -5.0))))
+        list(LiveSensor([np.zeros((HEIGHT, WIDTH, 3), np.uint8)], Layout(threshold=(61, -5.0))))
     with pytest.raises(TactipError, match=r"the frames do not fit: .* should be square: give --crop 132 65 488 421"):
-        list(Camera(presses[0], Layout(threshold=(61, -5.0))))
+        list(LiveSensor(presses[0], Layout(threshold=(61, -5.0))))
 
 
 class Unplugged:

@@ -20,14 +20,14 @@ from tactip_twin.learning.posenet import PoseNetConfig
 from tactip_twin.learning.recipes import Recipe
 from tactip_twin.learning.train import TrainSettings, train
 from tactip_twin.sim.contact.fidelity import fidelity_named
-from tactip_twin.sim.contact.simulator import ContactPlayer
+from tactip_twin.sim.contact.simulator import ContactSimulator
 from tactip_twin.sim.pose import from_mm_deg
 from tactip_twin.sim2real.transfer.experiments import ABLATIONS, Experiment, score, split_of
 from tactip_twin.sim2real.transfer.fine_tune import FineTuning, fine_tune
-from tactip_twin.sim2real.transfer.neutral_calibration import twin_of
+from tactip_twin.sim2real.transfer.neutral_calibration import fit_design_to_neutral_image
 from tactip_twin.sim2real.transfer.pseudo_real import hidden_design
 from tactip_twin.sim2real.transfer.settings import TransferSettings
-from tactip_twin.sim2real.transfer.sim_gap import gap
+from tactip_twin.sim2real.transfer.sim_gap import sim_to_real_gap
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.neutral_image import neutral_px
 from tactip_twin.tactip_model.pins import neutral_pins
@@ -66,7 +66,7 @@ def lab(tmp_path_factory):
     (folder / "images").mkdir(parents=True)
     design = hidden(design_named("nominal-127"))
     cv2.imwrite(str(folder / "init_0.png"), photo(design, *neutral_pins(design)))
-    player, draw, rows = ContactPlayer(design, "surface", fidelity_named("draft")), np.random.default_rng(0), []
+    player, draw, rows = ContactSimulator(design, "surface", fidelity_named("draft")), np.random.default_rng(0), []
     for k in range(60):
         depth, tilt, slid = draw.uniform(-4, 0), draw.uniform(-15, 15), draw.uniform(-3, 3)
         contact = player.play(from_mm_deg([0, 0, -depth - 5, 0, tilt, 0]), from_mm_deg([slid, 0, 0, 0, 0, 0]))
@@ -88,7 +88,7 @@ def tiny(monkeypatch):
 
 
 def test_the_twin_has_the_hidden_sensors_pins_where_they_are(lab):
-    design, figures = twin_of(lab, 128)
+    design, figures = fit_design_to_neutral_image(lab, 128)
     true = hidden(design_named("nominal-127"))
     assert figures["pins"] == 127 and figures["layout"] == "nominal-127"
     assert design.pins.rotation_deg == pytest.approx(24.0, abs=0.5)
@@ -232,11 +232,11 @@ def test_the_gap_is_seen_and_closes_with_the_right_design(lab, tmp_path, capsys)
     told = [*command[:-3], str(tmp_path / "other"), *command[-2:], "--design", "nominal-127", "--gap-frames", "8"]
     assert tactip.main([*told, "--fidelity", "draft"]) == 0
     assert (tmp_path / "other" / "gap.png").exists()
-    right, _ = gap(read_samples(lab), hidden(design_named("nominal-127")), "draft", 20)
+    right, _ = sim_to_real_gap(read_samples(lab), hidden(design_named("nominal-127")), "draft", 20)
     assert right["at_the_best_share_of_the_move"]["median"] < 0.5  # a blob's middle in an image of 128 px
     assert right["images"]["white_within_a_pixel"] > 0.9
     with pytest.raises(TactipError, match="in none of 8 frames"):
-        gap(read_samples(lab), design_named("nominal-331"), "draft", 8)
+        sim_to_real_gap(read_samples(lab), design_named("nominal-331"), "draft", 8)
 
 
 @pytest.mark.parametrize(
@@ -298,7 +298,7 @@ def test_an_unknown_experiment_and_a_set_without_a_neutral_image(lab, tmp_path, 
     assert "choose one of zero-shot, ablate, few-shot, gap, pseudo-real" in capsys.readouterr().err
     (tmp_path / "set").mkdir()
     with pytest.raises(TactipError, match=r"has no neutral\.png, it was imported by an earlier version"):
-        twin_of(tmp_path / "set", 128)
+        fit_design_to_neutral_image(tmp_path / "set", 128)
 
 
 def test_the_page_of_all_sets_says_what_was_asked(lab, tmp_path, monkeypatch):
