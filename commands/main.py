@@ -1,7 +1,6 @@
 """The command line: one subcommand for each job, and how each ends."""
 
 import contextlib
-import re
 import signal
 import sys
 import threading
@@ -20,7 +19,7 @@ def main(arguments=None):
         try:
             return _command(arguments).run()
         except TactipError as error:
-            print(f"tactip: {_as_typed(str(error), arguments)}", file=sys.stderr)
+            print(f"tactip: {error}", file=sys.stderr)
             return 1
         except OSError as error:
             print(f"tactip: {error.filename or 'a file'}: {error.strerror or error}", file=sys.stderr)
@@ -32,18 +31,6 @@ def main(arguments=None):
             if not _is_from_stop(error):
                 raise
             return _stopped("", signals)
-
-
-def _as_typed(message, arguments):
-    """A message that begins with the field of a configuration (Class.field), with the option that it was given by in its
-    place, if there is one such option among the arguments (list of str)."""
-    field = re.match(r"\w+\.(\w+)(?= is )", message)
-    if not field:
-        return message
-    name = field[1].replace("_", "-")
-    options = {a.split("=")[0] for a in arguments if a.startswith("--")}
-    given = [option for option in options if option[2:].replace("_", "-").rpartition(".")[2] == name]
-    return given[0] + message[field.end() :] if len(given) == 1 else message
 
 
 def _stopped(what, signals):

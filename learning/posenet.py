@@ -69,9 +69,9 @@ class PoseNetConfig:
     def __post_init__(self):
         check(self)
         lookup("activation", self.activation, ACTIVATIONS)
-        require(not (self.batch_norm and self.group_norm), "PoseNetConfig.group_norm", self.group_norm, "0 with batch norm")
+        require(not (self.batch_norm and self.group_norm), "group_norm", self.group_norm, "0 with batch norm")
         lookup("halving", self.halving, dict.fromkeys(("pool", "stride")))
-        require(not (self.fold and self.reduce == 1), "PoseNetConfig.reduce", self.reduce, "above 1 with fold")
+        require(not (self.fold and self.reduce == 1), "reduce", self.reduce, "above 1 with fold")
 
     def shape(self):
         """What two networks must share (dict) for one to take the other's weights: all but how it is trained."""
@@ -89,7 +89,7 @@ class PoseNetConfig:
             left = (left - 2) // 2
             require(
                 left >= 1,
-                "PoseNetConfig.conv_layers",
+                "conv_layers",
                 self.conv_layers,
                 f"at most {layer - 1}: an image of {size} px has no pixels left after convolution and pooling {layer}",
             )

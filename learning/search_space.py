@@ -39,7 +39,7 @@ class SearchSpace:
 
     def expressions(self):
         """The space as hyperopt's expressions: a dict."""
-        require(self.most_filters >= 2, "SearchSpace.most_filters", self.most_filters, "at least 2")
+        require(self.most_filters >= 2, "most_filters", self.most_filters, "at least 2")
         return {
             "conv_layers": hp.randint("conv_layers", 1, self.most_conv_layers + 1),
             "log2_filters": hp.randint("log2_filters", 1, _log2(self.most_filters) + 1),

@@ -8,10 +8,7 @@ depth is the distance of the undeformed apex below the surface.
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tactip_twin.sim.pose import label_of, matrix
-
-_FACING = np.diag([1.0, -1.0, -1.0])
-"""Label axes in the sensor's frame at pose zero (sim/pose.py)."""
+from tactip_twin.sim.pose import FACING, label_of, matrix
 
 
 class SurfaceGroundTruth:
@@ -28,7 +25,7 @@ class SurfaceGroundTruth:
         normal = self._solid.smooth_normal(apex[None])[0]
         axis = T_object_sensor[:3, 2]
         lean = Rotation.align_vectors([-normal], [axis])[0] if axis @ normal > -1 + 1e-12 else Rotation.identity()
-        return matrix(at.place[0], lean * Rotation.from_matrix(T_object_sensor[:3, :3] @ _FACING))
+        return matrix(at.place[0], lean * Rotation.from_matrix(T_object_sensor[:3, :3] @ FACING))
 
     def label(self, T_object_sensor):
         """The label (6,), m and rad, of a sensor; x, y and yaw are zero but for the apex's place beside the normal."""

@@ -25,7 +25,10 @@ leans on its image's lower side; pitch: on its right side; yaw: the edge turns c
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-_FACING = np.diag([1.0, -1.0, -1.0, 1.0])
+FACING = np.diag([1.0, -1.0, -1.0])
+"""Label axes in the sensor's frame at pose zero: half a turn about x."""
+
+_T_FACING = np.diag([*np.diag(FACING), 1.0])
 _EDGE_UNITS = np.array([1e3] * 3 + [180 / np.pi] * 3)
 
 
@@ -58,12 +61,12 @@ def inverse(T):
 def sensor_in_contact(pose):
     """T_contact_sensor (4, 4) of a label (6,), m and rad."""
     pose = np.asarray(pose, float)
-    return matrix(pose[:3], Rotation.from_rotvec(pose[3:])) @ _FACING
+    return matrix(pose[:3], Rotation.from_rotvec(pose[3:])) @ _T_FACING
 
 
 def label_of(T_contact_sensor):
     """The label (6,), m and rad, of a T_contact_sensor (4, 4)."""
-    T = T_contact_sensor @ _FACING
+    T = T_contact_sensor @ _T_FACING
     return np.concatenate([T[:3, 3], Rotation.from_matrix(T[:3, :3]).as_rotvec()])
 
 
@@ -97,3 +100,17 @@ def path(start, end, shares):
 def turn_between(start, end):
     """Angle (rad) between the orientations of labels `start` and `end`."""
     return float((Rotation.from_rotvec(end[3:]) * Rotation.from_rotvec(start[3:]).inv()).magnitude())
+
+
+def interpolate(T_a, T_b, fraction):
+    """The pose (4, 4) at a fraction (0 to 1) of the path from T_a to T_b (4, 4): straight, at a steady turn."""
+    turn = Rotation.from_matrix(T_a[:3, :3].T @ T_b[:3, :3]).as_rotvec()
+    return matrix(
+        T_a[:3, 3] + fraction * (T_b[:3, 3] - T_a[:3, 3]),
+        Rotation.from_matrix(T_a[:3, :3]) * Rotation.from_rotvec(fraction * turn),
+    )
+
+
+def angle_between(T_a, T_b):
+    """Angle (rad) between the orientations of two poses (4, 4)."""
+    return float(Rotation.from_matrix(T_a[:3, :3].T @ T_b[:3, :3]).magnitude())

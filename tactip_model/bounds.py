@@ -31,14 +31,13 @@ def check(configuration):
         value = getattr(configuration, name)
         if value is None and optional:
             continue
-        told = f"{type(configuration).__name__}.{name} is {value}: it must be"
         if isinstance(value, tuple | list) != many or (many and len(value) != len(numbers)):
             allowed = list(dict.fromkeys(_allowed(*number) for number in numbers))
             many_of = f"{len(numbers)} numbers, {'each ' if len(allowed) == 1 else ''}" if many else ""
-            raise TactipError(f"{told} {many_of}{' and '.join(allowed)}")
+            raise TactipError(f"{name} must be {many_of}{' and '.join(allowed)}, got {value}")
         for number, (kind, low, high) in zip(value if many else (value,), numbers, strict=True):
             if not isinstance(number, kind) or not isfinite(number) or not low <= number <= high:
-                raise TactipError(f"{told} {_allowed(kind, low, high)}")
+                raise TactipError(f"{name} must be {_allowed(kind, low, high)}, got {value}")
 
 
 @cache
@@ -68,7 +67,7 @@ def _allowed(kind, low, high):
 def require(holds, name, value, what):
     """Raise TactipError, naming a field's name and value and `what` is allowed (str), where `holds` is False."""
     if not holds:
-        raise TactipError(f"{name} is {value}: it must be {what}")
+        raise TactipError(f"{name} must be {what}, got {value}")
 
 
 def _each(bound, count):

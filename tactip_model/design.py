@@ -64,7 +64,7 @@ class Materials:
         most = STIFFEST_SKIN * self.gel_young_pa
         require(
             self.skin_young_pa <= most,
-            "Materials.skin_young_pa",
+            "skin_young_pa",
             self.skin_young_pa,
             f"at most {STIFFEST_SKIN:g} times gel_young_pa, {most:g}, or the skin buckles as a shell",
         )
@@ -99,7 +99,7 @@ class Pins:
         check(self)
         for offset in self.as_built_m:
             close = len(offset) == 2 and all(abs(x) <= self.pitch_m / 2 for x in offset)
-            require(close, "Pins.as_built_m", offset, "an x and a y of at most half the pitch for each pin")
+            require(close, "as_built_m", offset, "an x and a y of at most half the pitch for each pin")
 
 
 @dataclass(frozen=True)
@@ -181,15 +181,15 @@ class Design:
         thickest = 0.15 * radius
         require(
             materials.skin_thickness_m <= thickest,
-            "Materials.skin_thickness_m",
+            "skin_thickness_m",
             materials.skin_thickness_m,
             f"at most 0.15 of the dome's radius, {thickest:g} m",
         )
-        require(pins.length_m <= radius / 4, "Pins.length_m", pins.length_m, "at most a quarter of the dome's radius")
+        require(pins.length_m <= radius / 4, "length_m", pins.length_m, "at most a quarter of the dome's radius")
         widest = WIDEST_LAYOUT * radius
         require(
             pins.rings * pins.pitch_m <= widest,
-            "Pins.pitch_m",
+            "pitch_m",
             pins.pitch_m,
             f"at most {widest / pins.rings:g} m with {pins.rings} rings, within {WIDEST_LAYOUT} of the dome's radius",
         )

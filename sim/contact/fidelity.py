@@ -54,7 +54,7 @@ class Motion:
         for name, fastest in (("press_step_m", FASTEST_M_S), ("shear_step_m", FASTEST_SHEAR_M_S)):
             step, most = getattr(self, name), fastest * self.step_s
             require(step <= most * (1 + 1e-9), f"Motion.{name}", step, f"at most {fastest} m/s times step_s, {most:g} m")
-        require(self.settle_limit >= self.settle_steps, "Motion.settle_limit", self.settle_limit, "at least settle_steps")
+        require(self.settle_limit >= self.settle_steps, "settle_limit", self.settle_limit, "at least settle_steps")
 
     @property
     def pause_steps(self):

@@ -8,10 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from tactip_twin.sim.pose import FACING
 from tactip_twin.tactip_model.pins import PinReader
-
-_FACING = np.diag([1.0, -1.0, -1.0])
-"""Sensor axes from label axes (sim/pose.py)."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +35,7 @@ class Symmetry:
     @property
     def in_sensor(self):
         """(3, 3): the same in the sensor frame."""
-        return _FACING @ self.matrix @ _FACING
+        return FACING @ self.matrix @ FACING
 
 
 _TURNS = tuple(((c, -s), (s, c)) for c, s in ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)))

@@ -10,9 +10,8 @@ from abc import ABC, abstractmethod
 
 import mujoco
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from tactip_twin.sim.pose import matrix
+from tactip_twin.sim.pose import interpolate
 from tactip_twin.sim.robot.irb120 import JOINTS, SPEEDS_RAD_S, Arm, Unreachable, arm_spec
 from tactip_twin.tactip_model.errors import lookup
 
@@ -66,7 +65,7 @@ class IdealArm(ArmModel):
 
     def advance(self, share, step_s, force, torque):
         """See Carrier."""
-        self.pose = between(self._from, self._to, share)
+        self.pose = interpolate(self._from, self._to, share)
         return self.pose
 
 
@@ -164,12 +163,3 @@ ARM_MODELS = {"none": IdealArm, "kinematic": KinematicArm, "dynamic": DynamicArm
 def arm_model_named(name):
     """A new Carrier. Raises TactipError that lists the names."""
     return lookup("arm", name, ARM_MODELS)()
-
-
-def between(T_a, T_b, share):
-    """The pose (4, 4) at a share (0 to 1) of the way from T_a to T_b: straight, at a steady turn."""
-    turn = Rotation.from_matrix(T_a[:3, :3].T @ T_b[:3, :3]).as_rotvec()
-    return matrix(
-        T_a[:3, 3] + share * (T_b[:3, 3] - T_a[:3, 3]),
-        Rotation.from_matrix(T_a[:3, :3]) * Rotation.from_rotvec(share * turn),
-    )

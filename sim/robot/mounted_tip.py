@@ -12,7 +12,7 @@ from tactip_twin.sim.contact.scene import Scene
 from tactip_twin.sim.contact.simulator import LEVER_M, Diverged, motion_fractions
 from tactip_twin.sim.contact.solid_stimulus import SolidStimulus
 from tactip_twin.sim.contact.tip_state import read_tip_state
-from tactip_twin.sim.pose import inverse
+from tactip_twin.sim.pose import angle_between, inverse
 from tactip_twin.sim.robot.irb120 import housing_points
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.pins import PinReader
@@ -66,7 +66,7 @@ class MountedTip:
         Raises Unreachable, without having moved, and Diverged.
         """
         motion, here = self.scene.fidelity.motion, self.carrier.pose
-        travel = np.linalg.norm(T_base_tcp[:3, 3] - here[:3, 3]) + LEVER_M * _turn(here, T_base_tcp)
+        travel = np.linalg.norm(T_base_tcp[:3, 3] - here[:3, 3]) + LEVER_M * angle_between(here, T_base_tcp)
         step = motion.shear_step_m if self.scene.data.ncon or self.gap(T_base_tcp) < _CLEAR_M else motion.press_step_m
         count = max(int(np.ceil(motion.least_steps / self._pace)), int(np.ceil(travel / (step * self._pace))))
         count = self.carrier.aim(T_base_tcp, count, motion.step_s)
@@ -118,8 +118,3 @@ class MountedTip:
             linear = (T_next[:3, 3] - T[:3, 3]) / h
             angular = Rotation.from_matrix(T[:3, :3].T @ T_next[:3, :3]).as_rotvec() / h
         self.scene.place(T[:3, 3], Rotation.from_matrix(T[:3, :3]).as_quat(scalar_first=True), linear, angular)
-
-
-def _turn(T_a, T_b):
-    """Angle (rad) between two poses."""
-    return float(Rotation.from_matrix(T_a[:3, :3].T @ T_b[:3, :3]).magnitude())

@@ -65,7 +65,7 @@ class Layout:
         lookup("mask", self.mask, dict.fromkeys(("pins", "none")))
         good = self.angles == "vector" or sorted(self.angles.lower()) == ["x", "y", "z"]
         good = good and self.angles in ("vector", self.angles.lower(), self.angles.upper())
-        require(good, "Layout.angles", repr(self.angles), "vector, or three letters as xyz or ZYX")
+        require(good, "angles", repr(self.angles), "vector, or three letters as xyz or ZYX")
         for told in self.columns:
             parsed(told)
 

@@ -7,7 +7,6 @@ import pytest
 
 from tactip_twin.commands import main as tactip
 from tactip_twin.commands._progress import _PATIENCE_S, Waiting
-from tactip_twin.tactip_model.errors import TactipError
 
 
 def test_a_long_wait_is_told_once_and_a_short_one_is_not(capsys):
@@ -51,24 +50,6 @@ def test_a_library_that_is_not_there_is_not_a_stop(monkeypatch):
     monkeypatch.setattr(tactip, "_command", lacking)
     with pytest.raises(ImportError, match="no such library"):
         tactip.main([])
-
-
-@pytest.mark.parametrize(
-    ("arguments", "told"),
-    [
-        (["--training.epochs", "0"], "--training.epochs is 0: at least 1"),
-        (["--training.epochs=0"], "--training.epochs is 0: at least 1"),
-        (["--config", "epochs"], "TrainSettings.epochs is 0: at least 1"),  # it stands in a file
-        (["--a.epochs", "1", "--b.epochs", "0"], "TrainSettings.epochs is 0: at least 1"),  # it may be either's
-    ],
-)
-def test_a_number_out_of_bounds_is_told_by_the_option_that_gave_it(capsys, monkeypatch, arguments, told):
-    def refusing(_):
-        raise TactipError("TrainSettings.epochs is 0: at least 1")
-
-    monkeypatch.setattr(tactip, "_command", refusing)
-    assert tactip.main(arguments) == 1
-    assert capsys.readouterr().err == f"tactip: {told}\n"
 
 
 def test_an_error_is_one_line(tmp_path, capsys):

@@ -31,10 +31,10 @@ def ran(tmp_path_factory):
 @pytest.mark.parametrize(
     ("asked", "words"),
     [
-        ({"noise_grey": -1.0}, "noise_grey is -1.0: it must be a finite number from 0 to 255"),
-        ({"friction": 2.5}, "friction is 2.5: it must be a finite number from 0 to 2"),
-        ({"settle_steps": 0}, "settle_steps is 0: it must be a whole number from 1 to 1000"),
-        ({"scale": 0.0}, "scale is 0.0: it must be a finite number from 1e-06 to 1e"),
+        ({"noise_grey": -1.0}, "noise_grey must be a finite number from 0 to 255, got -1.0"),
+        ({"friction": 2.5}, "friction must be a finite number from 0 to 2, got 2.5"),
+        ({"settle_steps": 0}, "settle_steps must be a whole number from 1 to 1000, got 0"),
+        ({"scale": 0.0}, "scale must be a finite number from 1e-06 to 1e\\+06, got 0.0"),
     ],
 )
 def test_options_out_of_bounds_are_refused_before_anything_is_made(tmp_path, asked, words):

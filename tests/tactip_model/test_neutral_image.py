@@ -98,7 +98,7 @@ def test_a_fitted_design_is_as_at_rest_and_knows_its_camera_in_use(hidden, tmp_p
         ('"friction": 0', '"fricton": 0', "has no field 'fricton'"),
         ('"name": "nominal-127"', '"name": 3', "must be a text"),
         ('"friction": 0', '"friction": -1e', "not JSON"),
-        ('"pitch_m": 0.003', '"pitch_m": 0.3', "Pins.pitch_m is 0.3"),
+        ('"pitch_m": 0.003', '"pitch_m": 0.3', "got 0.3"),
         ('"pitch_m": 0.003', '"pitch_m": "wide"', "pitch_m is 'wide'"),
     ],
 )

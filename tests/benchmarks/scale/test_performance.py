@@ -73,7 +73,7 @@ def test_a_machine_that_is_too_busy_is_said(monkeypatch):
 
 @pytest.mark.parametrize(
     ("options", "words"),
-    [({"steps": 3}, "--steps is 3: it must be at least 4"), ({"contacts": 0}, "--contacts is 0: it must be at least 1")],
+    [({"steps": 3}, "--steps must be at least 4, got 3"), ({"contacts": 0}, "--contacts must be at least 1, got 0")],
 )
 def test_too_few_are_refused(tmp_path, options, words):
     with pytest.raises(TactipError, match=words):

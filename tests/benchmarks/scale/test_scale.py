@@ -51,6 +51,6 @@ def test_rates_are_measured(tmp_path):
 
 @pytest.mark.parametrize(("name", "given", "least"), [("messages", 9, 10), ("contacts", 0, 1), ("few", 0, 1)])
 def test_too_few_are_refused(tmp_path, name, given, least):
-    with pytest.raises(TactipError, match=f"--{name} is {given}: it must be at least {least}"):
+    with pytest.raises(TactipError, match=f"--{name} must be at least {least}, got {given}"):
         run(ScaleOptions(**{name: given}, out=tmp_path))
     assert not list(tmp_path.iterdir())

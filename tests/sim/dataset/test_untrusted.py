@@ -150,7 +150,9 @@ def test_what_is_too_steep_is_drawn_again(design):
         assert exceeds_max_tilt(pose, shear) or ((given.pose == pose).all() and (given.shear == shear).all())
     assert 0 < again < 20
     gentle = configuration(design)
-    assert not any(exceeds_max_tilt(d.pose, d.shear) for d in (generation.sample_contact(gentle, number) for number in range(50)))
+    assert not any(
+        exceeds_max_tilt(d.pose, d.shear) for d in (generation.sample_contact(gentle, number) for number in range(50))
+    )
 
 
 def test_ranges_that_are_too_steep_throughout_are_refused(design, tmp_path):

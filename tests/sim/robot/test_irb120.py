@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tactip_twin.sim.pose import matrix
-from tactip_twin.sim.robot.arm_models import ARM_MODELS, DynamicArm, KinematicArm, arm_model_named, between
+from tactip_twin.sim.pose import interpolate, matrix
+from tactip_twin.sim.robot.arm_models import ARM_MODELS, DynamicArm, KinematicArm, arm_model_named
 from tactip_twin.sim.robot.irb120 import APEX_FROM_FLANGE_M, LEAST_SINGULAR, READY_RAD, SPEEDS_RAD_S, Arm, Unreachable
 from tactip_twin.tactip_model.errors import TactipError
 
@@ -148,7 +148,7 @@ def test_the_arm_s_centres_of_mass_lie_in_its_links(arm):
 
 def test_half_way_between_two_poses():
     a, b = matrix([0, 0, 0], Rotation.identity()), matrix([2, 0, 0], Rotation.from_rotvec([0, 0, 1]))
-    assert np.allclose(between(a, b, 0.5), matrix([1, 0, 0], Rotation.from_rotvec([0, 0, 0.5])))
+    assert np.allclose(interpolate(a, b, 0.5), matrix([1, 0, 0], Rotation.from_rotvec([0, 0, 0.5])))
 
 
 def test_an_unknown_arm_is_refused():

@@ -105,5 +105,5 @@ def test_an_address_that_is_not_ours_is_said():
 
 @pytest.mark.parametrize("port", [-5, 0, 65536])
 def test_a_port_that_there_is_not_is_said(port):
-    with pytest.raises(TactipError, match=f"the port is {port}: it must be a number from 1 to 65535"):
+    with pytest.raises(TactipError, match=f"the port must be a number from 1 to 65535, got {port}"):
         ReplayPage(RECORD, arrays_of(), scenery(), port=port)

@@ -176,7 +176,7 @@ def test_a_page_stays_after_the_last_frame_until_it_is_ended(film):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--device", "-1"], "tactip: --device is -1: it must be a"),
+        (["--device", "-1"], "tactip: device must be a whole number from 0 to 1000, got -1"),
         (["--images", "b", "--frames", "-2"], "tactip: --frames is -2"),
         ([], "0 sources of frames are given: give one of --device, --video and --images"),
         (["--video", "a.avi", "--images", "b"], "2 sources of frames"),
