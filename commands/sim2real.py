@@ -8,7 +8,9 @@ from typing import Annotated
 import tyro
 
 from tactip_twin.commands._progress import Waiting, to_stderr
-from tactip_twin.sim2real.importing.column_map import Layout
+from tactip_twin.sim2real.importing.column_map import ColumnMap
+from tactip_twin.sim2real.importing.layout import Layout, read_layout
+from tactip_twin.sim2real.sensor.preprocessing_options import ImagePreprocessing
 from tactip_twin.sim2real.transfer.settings import TransferSettings
 from tactip_twin.tactip_model.bounds import check, within
 
@@ -28,15 +30,17 @@ class Import:
     """Image of the undeformed tip. If there is none, the middle of the shallowest frames stands for it."""
     layout: Path | None = None
     """JSON file of the options below; those that are given beside it come before its."""
-    told: Annotated[Layout, tyro.conf.arg(name="")] = field(default_factory=Layout)
-    """What the set's columns and frames mean."""
+    column_map: Annotated[ColumnMap, tyro.conf.arg(name="")] = field(default_factory=ColumnMap)
+    """What the set's columns mean."""
+    preprocessing: Annotated[ImagePreprocessing, tyro.conf.arg(name="")] = field(default_factory=ImagePreprocessing)
+    """What the set's frames are like."""
 
     def run(self):
         from tactip_twin.sim2real.importing.import_set import PICTURE, import_set, read_source
         from tactip_twin.sim2real.importing.report import report_lines
 
         layout = self._layout()
-        source = read_source(self.source, layout, self.targets, self.neutral)
+        source = read_source(self.source, layout.column_map, self.targets, self.neutral)
         report = import_set(source, layout, self.out)
         for line in report_lines(report):
             print(line)
@@ -44,15 +48,12 @@ class Import:
         return 0
 
     def _layout(self):
-        from dataclasses import fields, replace
-
-        from tactip_twin.sim2real.importing.column_map import read_layout
-
+        given = Layout(self.column_map, self.preprocessing)
         if self.layout is None:
-            return self.told
-        plain = Layout()
-        given = {f.name: getattr(self.told, f.name) for f in fields(Layout)}
-        return replace(read_layout(self.layout), **{k: v for k, v in given.items() if v != getattr(plain, k)})
+            return given
+        defaults = Layout().as_dict()
+        changed = {name: value for name, value in given.as_dict().items() if value != defaults[name]}
+        return Layout.from_dict(read_layout(self.layout).as_dict() | changed)
 
 
 @dataclass(frozen=True)
@@ -142,8 +143,10 @@ class Camera:
     """Its port, or the next that is free."""
     frames: int = within(0, 10**9, default=0)
     """Stop after so many frames; 0: go on to the end."""
-    layout: Annotated[Layout, tyro.conf.arg(name="")] = field(default_factory=lambda: Layout(threshold=(61, -5.0)))
-    """What its frames mean, and what is used of them."""
+    preprocessing: Annotated[ImagePreprocessing, tyro.conf.arg(name="")] = field(
+        default_factory=lambda: ImagePreprocessing(threshold=(61, -5.0))
+    )
+    """What its frames are like, and what is used of them."""
 
     def __post_init__(self):
         check(self)
@@ -153,20 +156,20 @@ class Camera:
         from json import dumps
         from threading import Event
 
-        from tactip_twin.learning.model import find_model
+        from tactip_twin.learning.model import load_network
         from tactip_twin.sim2real.sensor.live import LiveSensor
         from tactip_twin.sim2real.sensor.preprocess import load_neutral
 
         source = self._source()
         page = None
         try:
-            model = None if self.model == "none" else find_model(self.model)
+            model = None if self.model == "none" else load_network(self.model)
             neutral = None if self.neutral is None else load_neutral(self.neutral)
             page = self._page()
             count, faults, last = 0, 0, 0.0
             # A camera never ends by itself: Ctrl-C is how it does.
             with suppress(KeyboardInterrupt):
-                for sight in LiveSensor(source, self.layout, model, neutral):
+                for sight in LiveSensor(source, self.preprocessing, model, neutral):
                     print(dumps(sight.as_json()), flush=True)
                     count, faults, last = count + 1, faults + bool(sight.fault), sight.time_s
                     if page:

@@ -1,5 +1,5 @@
-"""How far the pins of a twin are off that was fitted without a neutral image: `python -m
-tactip_twin.benchmarks.learning.missing_neutral_image`.
+"""How far the pins of a twin are off that was fitted without a neutral image: `tactip bench
+missing-neutral-image`.
 
 A set that has one is imported without it, and the pins of its twin are held against those of the twin that had it.
 """
@@ -13,8 +13,8 @@ import tyro
 from scipy.spatial import cKDTree
 
 from tactip_twin.sim.dataset.format import read_meta
-from tactip_twin.sim2real.importing.column_map import Layout
 from tactip_twin.sim2real.importing.import_set import import_set, read_report, read_source
+from tactip_twin.sim2real.importing.layout import Layout
 from tactip_twin.sim2real.transfer.neutral_calibration import fit_design_to_neutral_image, nearest_nominal_design
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.neutral_image import neutral_px
@@ -39,14 +39,14 @@ def distance(options):
     TactipError where a set cannot be used.
     """
     told = read_meta(options.real)["configuration"]["layout"]
-    layout = Layout(**{name: tuple(value) if isinstance(value, list) else value for name, value in told.items()})
+    layout = Layout.from_dict(told)
     report = read_report(options.real)
     if report is None:
         raise TactipError(f"{options.real} is no set that tactip import made")
-    size, pins = layout.size_px, report["pins"]["median"]
+    size, pins = layout.preprocessing.size_px, report["pins"]["median"]
     with tempfile.TemporaryDirectory() as folder:
         out = options.keep or Path(folder) / "set"
-        import_set(replace(read_source(options.lab, layout), neutral=None), layout, out)
+        import_set(replace(read_source(options.lab, layout.column_map), neutral=None), layout, out)
         blind, _ = fit_design_to_neutral_image(out, size)
     seeing = cKDTree(neutral_px(fit_design_to_neutral_image(options.real, size)[0]))
     designs = {"of frames alone": blind, "fitted to nothing": nearest_nominal_design(pins, size)}

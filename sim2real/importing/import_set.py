@@ -13,20 +13,12 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from tactip_twin.sim.dataset.format import (
-    COLUMNS,
-    FORMAT,
-    VERSION,
-    checksum,
-    digest_of,
-    encode_image,
-    image_name,
-    read_meta,
-    versions,
-)
+from tactip_twin.sim.dataset.configuration import digest_of
+from tactip_twin.sim.dataset.format import COLUMNS, FORMAT, VERSION, checksum, encode_image, image_name, read_meta, versions
 from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES, Ranges
-from tactip_twin.sim2real.importing.column_map import Layout
-from tactip_twin.sim2real.importing.convert_labels import image_column, labels
+from tactip_twin.sim2real.importing.column_map import ColumnMap
+from tactip_twin.sim2real.importing.convert_labels import convert_labels, image_column
+from tactip_twin.sim2real.importing.layout import Layout
 from tactip_twin.sim2real.importing.report import picture, report_of
 from tactip_twin.sim2real.sensor.preprocess import IMAGES, FrameReader, check_frame, load, load_neutral
 from tactip_twin.sim2real.sensor.video_frames import FILMS
@@ -84,7 +76,7 @@ class Source:
     digest: str
     """Checksum of the table."""
     film_frame: int = -1
-    """Which frame of a film is meant (Layout.film_frame)."""
+    """Which frame of a film is meant (ColumnMap.film_frame)."""
 
     def load(self, i):
         """Frame i, (h, w, 3) uint8. Raises TactipError where it is not there or cannot be read."""
@@ -94,8 +86,8 @@ class Source:
         return load(path, self.film_frame)
 
 
-def read_source(folder, layout, targets=None, neutral=None):
-    """The Source in a folder (path). layout: Layout. targets: path of the table; if None, targets.csv in the folder, or the
+def read_source(folder, column_map: ColumnMap, targets=None, neutral=None):
+    """The Source in a folder (path). targets: path of the table; if None, targets.csv in the folder, or the
     only table there is. neutral: path of the neutral image; one that begins with init or neutral if None.
 
     Raises TactipError.
@@ -114,8 +106,8 @@ def read_source(folder, layout, targets=None, neutral=None):
     if not rows:
         raise TactipError(f"the table {path} has no rows")
     table = {name: [row[name] for row in rows] for name in rows[0] if name}
-    names = tuple(name or "" for name in table[image_column(layout, list(table))])
-    poses, shears = labels(layout, table)
+    names = tuple(name or "" for name in table[image_column(column_map, list(table))])
+    poses, shears = convert_labels(column_map, table)
     if neutral is not None and not Path(neutral).is_file():
         raise TactipError(f"the neutral image {neutral} does not exist")
     found = [p for pattern in _NEUTRALS for p in sorted(folder.glob(pattern)) if p.suffix.lower() in IMAGES]
@@ -124,7 +116,7 @@ def read_source(folder, layout, targets=None, neutral=None):
         places = ", ".join(str(folder / f) for f in FOLDERS)
         raise TactipError(f"no frame of the table is there: {names[0]!r} was looked for in {places}")
     neutral = Path(neutral) if neutral else next(iter(found), None)
-    return Source(folder, names, paths, poses, shears, neutral, checksum(data), layout.film_frame)
+    return Source(folder, names, paths, poses, shears, neutral, checksum(data), column_map.film_frame)
 
 
 def _table_in(folder):
@@ -165,16 +157,16 @@ def _spread(items):
     return [items[i] for i in np.unique(np.linspace(0, len(items) - 1, _UNTOLD).astype(int))]
 
 
-def import_set(source, layout, out, say=print, quiet=False):
+def import_set(source, layout: Layout, out, say=print, quiet=False):
     """Bring a Source into a folder (path) of the project's format. Returns the report (dict).
 
-    layout: Layout. say: called with lines for the user. quiet: bool, without a progress bar. What was imported before,
+    say: called with lines for the user. quiet: bool, without a progress bar. What was imported before,
     alike, is left as it is. Raises TactipError where the folder holds something else and where most frames do not fit,
     and Interrupted at Ctrl-C.
     """
     out = Path(out)
-    record = {"task": layout.task, "layout": json.loads(json.dumps(dataclasses.asdict(layout)))}
-    if layout.film_frame == Layout.film_frame:
+    record = {"task": layout.column_map.task, "layout": layout.as_dict()}
+    if layout.column_map.film_frame == ColumnMap.film_frame:
         del record["layout"]["film_frame"]  # sets that were imported before there were films are the same still
     record |= {"source": {"name": source.folder.resolve().name, "targets_sha256": source.digest}}
     record["source"]["neutral_sha256"] = source.neutral and checksum(source.neutral.read_bytes())
@@ -227,7 +219,7 @@ def read_report(folder):
 
 def _import(source, layout, out, record, quiet):
     neutral = None if source.neutral is None else load_neutral(source.neutral)
-    reader = _reader(source, layout, neutral)
+    reader = _reader(source, layout.preprocessing, neutral)
     out.mkdir(parents=True, exist_ok=True)
     write_file(out / _WORK, b"")  # first of all, so that what a kill leaves is known for ours
     (out / "meta.json").unlink(missing_ok=True)  # of an earlier version's import: until the last file it is no set
@@ -266,7 +258,7 @@ def _import(source, layout, out, record, quiet):
     for name, data in files.items():
         write_file(out / name, data)
     ranges = {
-        "pose": _ranges(source.poses[kept], POSE_RANGES[layout.task]),
+        "pose": _ranges(source.poses[kept], POSE_RANGES[layout.column_map.task]),
         "shear": _ranges(source.shears[kept], SHEAR_RANGES),
     }
     configuration = record | ranges
@@ -286,14 +278,14 @@ def _import(source, layout, out, record, quiet):
     return report
 
 
-def _reader(source, layout, neutral):
-    """The FrameReader of a Source, tried on a frame. Raises TactipError where the layout does not fit that one."""
+def _reader(source, options, neutral):
+    """The FrameReader of a Source, tried on a frame. Raises TactipError where the options do not fit that one."""
     others = [] if neutral is not None else _some(source)
     first = neutral if neutral is not None else next(iter(others), None)
     try:
         if first is not None:
-            check_frame(first, layout)
-        reader = FrameReader(layout, neutral, others)
+            check_frame(first, options)
+        reader = FrameReader(options, neutral, others)
         if first is not None:
             reader.read(first)
     except TactipError as error:

@@ -7,6 +7,7 @@ import numpy as np
 
 from tactip_twin.sim2real.importing.import_set import FEW
 from tactip_twin.sim2real.sensor.preprocess import FrameReader
+from tactip_twin.sim2real.sensor.preprocessing_options import ImagePreprocessing
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.pin_detection import find_blobs
 
@@ -41,15 +42,15 @@ class Reading:
 class LiveSensor:
     """Turns frames into Readings."""
 
-    def __init__(self, frames, layout, model=None, neutral=None):
-        """frames: iterable of (h, w, 3) uint8. layout: Layout, of which the image's part is used. model: Model or None.
+    def __init__(self, frames, options: ImagePreprocessing, model=None, neutral=None):
+        """frames: iterable of (h, w, 3) uint8. model: Model or None.
         neutral: (h, w, 3) uint8, the undeformed tip; the first frame if None.
 
-        Raises TactipError where model and layout do not fit.
+        Raises TactipError where the network takes images of another size.
         """
-        if model and model.size != layout.size_px:
-            raise TactipError(f"the images are {layout.size_px} px wide, the network takes {model.size} px")
-        self._frames, self._layout, self._model, self._neutral = frames, layout, model, neutral
+        if model and model.size != options.size_px:
+            raise TactipError(f"the images are {options.size_px} px wide, the network takes {model.size} px")
+        self._frames, self._options, self._model, self._neutral = frames, options, model, neutral
 
     def __iter__(self):
         """Yields Readings. Raises TactipError where the first frame shows no tip, and where frames end in a fault of their
@@ -65,7 +66,7 @@ class LiveSensor:
             except TactipError as error:
                 if number == 0:
                     raise TactipError(f"the frames do not fit: {error}") from error
-                size = self._layout.size_px
+                size = self._options.size_px
                 yield Reading(number, time.perf_counter() - start, 0, np.zeros((size, size), np.uint8), {}, str(error))
                 continue
             pins = len(find_blobs(binary).centres)
@@ -76,7 +77,7 @@ class LiveSensor:
     def _reader(self, neutral):
         """A FrameReader, the pins of the undeformed tip, and the time now."""
         try:
-            reader = FrameReader(self._layout, neutral)
+            reader = FrameReader(self._options, neutral)
         except TactipError as error:
             raise TactipError(f"the first frame shows no tip: {error}; are light, threshold and crop right?") from error
         usual = len(find_blobs(reader.masked(neutral)).centres)

@@ -6,6 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from tactip_twin.sim2real.sensor.preprocessing_options import ImagePreprocessing
 from tactip_twin.sim2real.sensor.video_frames import FILMS, frame_of
 from tactip_twin.tactip_model.design import TactileImage
 from tactip_twin.tactip_model.errors import TactipError
@@ -49,12 +50,12 @@ def load_neutral(path):
         raise TactipError(f"the neutral image {path}: {error}") from error
 
 
-def check_frame(frame, layout):
-    """Raise TactipError, with the option that helps, where a frame is grey and a Layout takes it for binary.
+def check_frame(frame: np.ndarray, options: ImagePreprocessing) -> None:
+    """Raise TactipError, with the option that helps, where a frame is grey and the options take it for binary.
 
-    frame: (h, w[, 3]) uint8. layout: Layout.
+    frame: (h, w[, 3]) uint8.
     """
-    if layout.threshold is not None:
+    if options.threshold is not None:
         return
     low, high = _GREY
     share = ((frame >= low) & (frame < high)).mean()
@@ -84,28 +85,28 @@ def _crop_round_pins(binary):
 class FrameReader:
     """Binary tactile images of a laboratory's frames: mirrored, turned, thresholded, masked and cropped, in this order."""
 
-    def __init__(self, layout, neutral=None, others=()):
-        """layout: Layout. neutral: (h, w[, 3]) uint8, the undeformed tip, or None; then others, frames, tell where pins are.
+    def __init__(self, options: ImagePreprocessing, neutral: np.ndarray | None = None, others=()):
+        """neutral: (h, w[, 3]) uint8, the undeformed tip, or None; then others, frames, tell where pins are.
 
         Raises TactipError where that cannot be told and is needed.
         """
-        self._layout, self._mask = layout, None
+        self._options, self._mask = options, None
         # Nothing is thresholded twice, and a crop is of the frame as it comes out of the turn.
-        self._image = TactileImage(crop=layout.crop, threshold=None, size_px=layout.size_px)
+        self._image = TactileImage(crop=options.crop, threshold=None, size_px=options.size_px)
         self.shape = None if neutral is None else neutral.shape[:2]
         """Height and width of a frame, px; None until one was seen."""
-        if layout.mask == "pins":
+        if options.mask == "pins":
             # In pressed frames the pins have gone outward already.
             told, margin = ([neutral], 1.0) if neutral is not None else (others, 0.5)
             self._mask = pin_area((self.binary(frame) for frame in told), margin)
 
     def binary(self, frame):
         """Binary frame (h, w) uint8, pins white, upright; not cropped and not masked. frame: (h, w[, 3]) uint8."""
-        frame = frame[:, ::-1] if self._layout.mirrored else frame
-        frame = _turned(np.ascontiguousarray(frame), self._layout.image_turn_deg)
-        if self._layout.dark:
+        frame = frame[:, ::-1] if self._options.mirrored else frame
+        frame = _turned(np.ascontiguousarray(frame), self._options.image_turn_deg)
+        if self._options.dark:
             frame = 255 - frame
-        return binary_frame(frame, self._layout.threshold)
+        return binary_frame(frame, self._options.threshold)
 
     def masked(self, frame):
         """Binary frame (h, w) with what is outside of the pins black. Raises TactipError on a frame of another size."""

@@ -16,13 +16,15 @@ import cv2
 import numpy as np
 
 from tactip_twin.sim.contact.fidelity import fidelity_named
-from tactip_twin.sim.dataset.format import Configuration, encode_image, read_dataset, read_pins
+from tactip_twin.sim.dataset.configuration import Configuration
+from tactip_twin.sim.dataset.format import encode_image, read_dataset, read_pins
 from tactip_twin.sim.dataset.generate import Job, make
 from tactip_twin.sim.dataset.mechanics_randomization import MECHANICS_RANDOMIZATIONS
 from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES
 from tactip_twin.sim.labels import LABELS, SHEARS
-from tactip_twin.sim2real.importing.column_map import Layout
+from tactip_twin.sim2real.importing.column_map import ColumnMap
 from tactip_twin.sim2real.importing.import_set import import_set, read_source
+from tactip_twin.sim2real.importing.layout import Layout
 from tactip_twin.tactip_model.files import write_file
 from tactip_twin.tactip_model.pins import neutral_pins
 from tactip_twin.tactip_model.presets import design_named
@@ -32,7 +34,7 @@ from tactip_twin.tactip_model.tactile_image import tactile_image
 FRAME_PX = 256
 """Width of the frames that are published."""
 
-LAYOUT = Layout(columns=("pose_z=-depth", "pose_Rx=roll", "pose_Ry=pitch", "pose_Rz=yaw", "pose_x=across"))
+COLUMN_MAP = ColumnMap(columns=("pose_z=-depth", "pose_Rx=roll", "pose_Ry=pitch", "pose_Rz=yaw", "pose_x=across"))
 """What its table says: depth is positive into the object."""
 
 _COLUMNS = {
@@ -47,7 +49,7 @@ _COLUMNS = {
 def hidden_design(name, seed):
     """The Design of a hidden sensor of the kind of a preset (str)."""
     draw = np.random.default_rng((seed, 77))
-    plain = MECHANICS_RANDOMIZATIONS["real"].draw(design_named(name), draw)
+    plain = MECHANICS_RANDOMIZATIONS["real"].sample(design_named(name), draw)
     o, p = plain.optics, plain.pins
     optics = replace(
         o,
@@ -90,8 +92,8 @@ def make_pseudo_real(folder, task, name, frames, seed, workers, say=print):
     lab = folder / "lab"
     if not (lab / "targets.csv").exists():
         _publish(folder / "contacts", design, lab, seed)
-    layout = replace(LAYOUT, task=task)
-    import_set(read_source(lab, layout), layout, folder / "set", say)
+    layout = Layout(replace(COLUMN_MAP, task=task))
+    import_set(read_source(lab, layout.column_map), layout, folder / "set", say)
     return folder / "set"
 
 

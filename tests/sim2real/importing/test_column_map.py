@@ -9,8 +9,10 @@ from scipy.spatial.transform import Rotation
 from tactip_twin.sim.labels import LABELS, SHEARS
 from tactip_twin.sim.pose import from_mm_deg, to_mm_deg
 from tactip_twin.sim2real.calibration.rig import Rig, RigMotion
-from tactip_twin.sim2real.importing.column_map import Layout, read_layout
-from tactip_twin.sim2real.importing.convert_labels import image_column, labels
+from tactip_twin.sim2real.importing.column_map import ColumnMap
+from tactip_twin.sim2real.importing.convert_labels import convert_labels, image_column
+from tactip_twin.sim2real.importing.layout import Layout, read_layout
+from tactip_twin.sim2real.sensor.preprocessing_options import ImagePreprocessing
 from tactip_twin.tactip_model.errors import TactipError
 
 
@@ -22,12 +24,12 @@ def test_a_press_along_y_before_a_tap_is_as_the_rig_has_it():
     """The published planar sets: depth before a tap of 5 mm along y, one tilt about z, shears of both."""
     draw = np.random.default_rng(0)
     depth, tilt, shear, turn = (draw.uniform(low, high, 20) for low, high in ((-4, 0), (-20, 20), (-5, 5), (-5, 5)))
-    layout = Layout(
+    column_map = ColumnMap(
         columns=("pose_z=-pose_2-5", "pose_Ry=pose_6", "shear_x=move_1", "shear_Ry=move_6"),
         camera_turn_deg=-75.0,
         tcp_behind_apex_mm=12.0,
     )
-    poses, shears = labels(layout, table_of(pose_2=depth, pose_6=tilt, move_1=shear, move_6=turn))
+    poses, shears = convert_labels(column_map, table_of(pose_2=depth, pose_6=tilt, move_1=shear, move_6=turn))
     motion = RigMotion(Rig(press_axis=(0.0, 1.0, 0.0), azimuth_deg=-75.0, tcp_behind_apex_m=12e-3))
     zero = np.zeros(20)
     commands = from_mm_deg(np.stack([zero, depth, zero, zero, zero, tilt], -1))
@@ -39,7 +41,7 @@ def test_a_press_along_y_before_a_tap_is_as_the_rig_has_it():
 
 
 def test_our_own_columns_need_no_word():
-    poses, shears = labels(Layout(), table_of(pose_z=-3, pose_Rx=7, pose_Ry=-2, shear_x=1.5, shear_Rz=4))
+    poses, shears = convert_labels(ColumnMap(), table_of(pose_z=-3, pose_Rx=7, pose_Ry=-2, shear_x=1.5, shear_Rz=4))
     assert np.allclose(poses, [[0, 0, -3, 7, -2, 0]])
     # A turn about the normal turns the tilt with it: it is the motion that is told, and the pose at its end.
     assert np.allclose(shears[0, :3], [1.5, 0, 0])
@@ -48,10 +50,10 @@ def test_our_own_columns_need_no_word():
 
 def test_an_edge_keeps_its_own_axes():
     """The camera is turned against the labels: the edge lies as it did, and the tip's yaw differs by the turn."""
-    layout = Layout(task="edge", columns=("pose_x=x", "pose_z=-d", "pose_Rz=yaw"), camera_turn_deg=20.0)
-    poses, _ = labels(layout, table_of(x=3.0, d=2.0, yaw=-10.0))
+    column_map = ColumnMap(task="edge", columns=("pose_x=x", "pose_z=-d", "pose_Rz=yaw"), camera_turn_deg=20.0)
+    poses, _ = convert_labels(column_map, table_of(x=3.0, d=2.0, yaw=-10.0))
     assert np.allclose(poses, [[3, 0, -2, 0, 0, -30]])
-    poses, _ = labels(Layout(task="edge"), table_of(pose_x=3.0, pose_y=4.0, pose_z=-1.0))
+    poses, _ = convert_labels(ColumnMap(task="edge"), table_of(pose_x=3.0, pose_y=4.0, pose_z=-1.0))
     assert np.allclose(poses[0, :3], [3, 0, -1])  # along the edge nothing changes
 
 
@@ -60,19 +62,19 @@ def test_euler_angles(order):
     angles = [10.0, -20.0, 30.0]
     turn = Rotation.from_euler(order, angles, degrees=True)
     table = table_of(**dict(zip(("pose_Rx", "pose_Ry", "pose_Rz"), angles, strict=True)), pose_z=-1.0)
-    poses, _ = labels(Layout(task="edge", angles=order), table)
+    poses, _ = convert_labels(ColumnMap(task="edge", angles=order), table)
     assert np.allclose(poses[0, 3:], turn.as_rotvec(degrees=True))
 
 
 def test_factors_offsets_and_numbers():
-    layout = Layout(columns=("pose_z = -0.5*d + 1", "pose_Rx=angle", "pose_Ry=2.5", "shear_y=+1e-1*s"))
-    poses, shears = labels(layout, table_of(d=4.0, angle=3.0, s=20.0))
+    column_map = ColumnMap(columns=("pose_z = -0.5*d + 1", "pose_Rx=angle", "pose_Ry=2.5", "shear_y=+1e-1*s"))
+    poses, shears = convert_labels(column_map, table_of(d=4.0, angle=3.0, s=20.0))
     assert np.allclose(poses[0, 2:5], [-1, 3, 2.5])
     assert np.isclose(shears[0, 1], 2.0)
 
 
 def test_a_cell_that_is_no_number_is_told_as_none():
-    poses, _ = labels(Layout(), {"pose_z": ["-1", "", "deep"], "pose_Rx": ["0", "0", "0"]})
+    poses, _ = convert_labels(ColumnMap(), {"pose_z": ["-1", "", "deep"], "pose_Rx": ["0", "0", "0"]})
     assert np.isfinite(poses[0]).all()
     assert np.isnan(poses[1:]).all()
 
@@ -88,32 +90,39 @@ def test_a_cell_that_is_no_number_is_told_as_none():
 )
 def test_what_is_not_understood_is_said(told, words):
     with pytest.raises(TactipError, match=words.replace("(", r"\(")):
-        Layout(columns=(told,))
+        ColumnMap(columns=(told,))
 
 
 def test_columns_that_are_not_there():
     with pytest.raises(TactipError, match="no column 'depth': its columns are pose_1, pose_2"):
-        labels(Layout(columns=("pose_z=depth",)), table_of(pose_1=0.0, pose_2=0.0))
+        convert_labels(ColumnMap(columns=("pose_z=depth",)), table_of(pose_1=0.0, pose_2=0.0))
     with pytest.raises(TactipError, match="none of our columns"):
-        labels(Layout(), table_of(pose_1=0.0))
+        convert_labels(ColumnMap(), table_of(pose_1=0.0))
     with pytest.raises(TactipError, match=r"its columns are name, pose_1, pose_2 \(-4 to 1.5\)$"):
-        labels(Layout(), {"name": ["a", "b"], "pose_1": ["0", "0"], "pose_2": ["1.5", "-4"]})
+        convert_labels(ColumnMap(), {"name": ["a", "b"], "pose_1": ["0", "0"], "pose_2": ["1.5", "-4"]})
     with pytest.raises(TactipError, match="no column photo"):
-        image_column(Layout(image_column="photo"), ["image_name"])
+        image_column(ColumnMap(image_column="photo"), ["image_name"])
 
 
 def test_a_layout_file(tmp_path):
     path = tmp_path / "layout.json"
     path.write_text(json.dumps({"task": "edge", "columns": ["pose_z=-d"], "crop": [1, 2, 3, 4], "angles": "xyz"}))
-    assert read_layout(path) == Layout(task="edge", columns=("pose_z=-d",), crop=(1, 2, 3, 4), angles="xyz")
+    table = ColumnMap(task="edge", columns=("pose_z=-d",), angles="xyz")
+    layout = Layout(table, ImagePreprocessing(crop=(1, 2, 3, 4)))
+    assert read_layout(path) == layout
+    assert Layout.from_dict(layout.as_dict()) == layout
     path.write_text(json.dumps({"colour": 1}))
     with pytest.raises(TactipError, match=r"has colour: its fields are angles, camera_turn_deg"):
         read_layout(path)
     path.write_text("{")
     with pytest.raises(TactipError, match="is not JSON"):
         read_layout(path)
-    with pytest.raises(TactipError, match=r"Layout\.angles is 'xxy'"):
-        Layout(angles="xxy")
+    with pytest.raises(TactipError, match="angles must be vector, or three letters as xyz or ZYX, got 'xxy'"):
+        ColumnMap(angles="xxy")
+    with pytest.raises(TactipError, match="unknown task 'corner': choose one of surface, edge"):
+        ColumnMap(task="corner")
+    with pytest.raises(TactipError, match="unknown mask 'rim': choose one of pins, none"):
+        ImagePreprocessing(mask="rim")
 
 
 def test_columns_are_named_after_the_components():

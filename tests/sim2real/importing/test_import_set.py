@@ -16,8 +16,8 @@ from tactip_twin.sim.dataset.format import read_dataset
 from tactip_twin.sim.pose import from_mm_deg
 from tactip_twin.sim.view.video import write_video
 from tactip_twin.sim2real.importing import import_set as importing
-from tactip_twin.sim2real.importing.column_map import Layout
 from tactip_twin.sim2real.sensor.preprocess import FrameReader
+from tactip_twin.sim2real.sensor.preprocessing_options import ImagePreprocessing
 from tactip_twin.sim2real.transfer.neutral_calibration import fit_design_to_neutral_image
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.mask import pin_area
@@ -105,11 +105,11 @@ def test_a_set_comes_in_whole(tmp_path, capsys):
 
 def test_light_at_the_rim_is_masked_and_pins_are_not(tmp_path):
     plain, lit = frame(1.08), with_rim(frame(1.08))
-    reader = FrameReader(Layout(), with_rim(frame()))
+    reader = FrameReader(ImagePreprocessing(), with_rim(frame()))
     assert np.array_equal(reader.masked(lit), plain)
-    assert not np.array_equal(FrameReader(Layout(mask="none"), with_rim(frame())).masked(lit), plain)
+    assert not np.array_equal(FrameReader(ImagePreprocessing(mask="none"), with_rim(frame())).masked(lit), plain)
     # Without a neutral image, frames tell where the pins are.
-    told = FrameReader(Layout(), None, [with_rim(frame(z)) for z in (1.0, 1.04, 1.1)])
+    told = FrameReader(ImagePreprocessing(), None, [with_rim(frame(z)) for z in (1.0, 1.04, 1.1)])
     assert np.array_equal(told.masked(lit), plain)
     with pytest.raises(TactipError, match="at most 0 pins are seen"):
         pin_area([np.zeros((64, 64), np.uint8)])
@@ -170,20 +170,20 @@ def test_frames_that_are_mirrored_turned_and_dark():
     assert len(find_blobs(upright).centres) == 127
     for turn in (90, 180, -90):
         given = np.ascontiguousarray(np.rot90(upright, -turn // 90)[:, ::-1])
-        reader = FrameReader(Layout(mirrored=True, dark=True, mask="none"))
+        reader = FrameReader(ImagePreprocessing(mirrored=True, dark=True, mask="none"))
         assert not np.array_equal(reader.binary(255 - given), upright)
         # What was turned and then mirrored is mirrored back, and then turned back.
-        reader = FrameReader(Layout(image_turn_deg=turn, mirrored=True, dark=True, mask="none"))
+        reader = FrameReader(ImagePreprocessing(image_turn_deg=turn, mirrored=True, dark=True, mask="none"))
         assert np.array_equal(reader.binary(255 - given), upright)
     # An angle between: there and back is where it was, to a pixel's rounding.
-    turned = FrameReader(Layout(image_turn_deg=30.0, mask="none")).binary(upright)
-    back = FrameReader(Layout(image_turn_deg=-30.0, mask="none")).binary(turned)
+    turned = FrameReader(ImagePreprocessing(image_turn_deg=30.0, mask="none")).binary(upright)
+    back = FrameReader(ImagePreprocessing(image_turn_deg=-30.0, mask="none")).binary(turned)
     assert (np.abs(back.astype(int) - upright) > 127).mean() < 0.01
 
 
 def test_grey_frames_are_thresholded_as_a_simulated_one():
     grey = Raster(DESIGN).render(*neutral_pins(DESIGN))
-    reader = FrameReader(Layout(threshold=(61, -5.0), mask="none"))
+    reader = FrameReader(ImagePreprocessing(threshold=(61, -5.0), mask="none"))
     assert np.array_equal(reader.read(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)), tactile_image(grey, DESIGN.image))
 
 
@@ -229,7 +229,6 @@ def test_what_does_not_fit_is_left_out_and_named(tmp_path, capsys):
         (lambda lab: None, ["--crop", "0", "0", "256", "128"], "is 256 by 128 px, and should be square"),
         (lambda lab: None, ["--crop", "0", "0", "0", "0"], "is 0 by 0 px, and should be square"),
         (lambda lab: None, ["--crop", "0", "0", "999", "999"], "does not fit a frame of 256 by 256 px"),
-        (lambda lab: None, ["--task", "corner"], "unknown task 'corner': choose one of"),
     ],
 )
 def test_a_wrong_set_is_one_sentence(tmp_path, capsys, spoil, options, words):
@@ -239,6 +238,14 @@ def test_a_wrong_set_is_one_sentence(tmp_path, capsys, spoil, options, words):
     told = capsys.readouterr().err.strip().splitlines()[-1]
     assert words in told
     assert not (tmp_path / "set" / "meta.json").exists()
+
+
+def test_a_task_that_there_is_not_is_refused_with_those_there_are(tmp_path, capsys):
+    with pytest.raises(SystemExit) as ended:
+        bring(tmp_path / "lab", tmp_path / "set", "--task", "corner")
+    assert ended.value.code == 2
+    told = " ".join(capsys.readouterr().err.replace("│", " ").split())
+    assert "invalid choice 'corner' for argument '--task'. Expected one of ('surface', 'edge')" in told
 
 
 def test_the_only_table_is_the_sets_whatever_its_name(tmp_path):

@@ -15,13 +15,13 @@ from tactip_twin.commands import main as tactip
 from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.contact.simulator import ContactSimulator
 from tactip_twin.sim.pose import from_mm_deg
-from tactip_twin.sim2real.importing.column_map import Layout
 from tactip_twin.sim2real.sensor import frame_sources as frames
 from tactip_twin.sim2real.sensor.frame_sources import CameraFrames
 from tactip_twin.sim2real.sensor.live import LiveSensor
+from tactip_twin.sim2real.sensor.preprocessing_options import ImagePreprocessing
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.pins import neutral_pins
-from tactip_twin.tactip_model.presets import find_design
+from tactip_twin.tactip_model.presets import load_design
 from tactip_twin.tactip_model.raster_renderer import Raster
 from tactip_twin.tactip_model.tactile_image import tactile_image
 
@@ -33,7 +33,7 @@ CROP = (LEFT, TOP, LEFT + 360, TOP + 360)
 @pytest.fixture(scope="module")
 def presses():
     """Frames of a camera, the tip untouched and then pressed, and the depths: grey, 640 by 480 px."""
-    design, depths = find_design("tactip-127"), [2.0, 3.0, 4.0]
+    design, depths = load_design("tactip-127"), [2.0, 3.0, 4.0]
     player = ContactSimulator(design, "surface", fidelity_named("standard"))
     contacts = [player.play(from_mm_deg([0, 0, -d, 0, 0, 0]), np.zeros(6)) for d in depths]
     raster, shots = Raster(design), []
@@ -84,16 +84,16 @@ def test_images_are_read_in_their_order_and_as_few_as_asked_for(presses, tmp_pat
 
 
 def test_the_image_is_the_one_that_a_set_would_have(presses):
-    layout = Layout(threshold=(61, -5.0), crop=CROP, mask="none")
-    design = find_design("tactip-127")
-    reading = next(iter(LiveSensor(presses[0][1:2], layout)))
+    options = ImagePreprocessing(threshold=(61, -5.0), crop=CROP, mask="none")
+    design = load_design("tactip-127")
+    reading = next(iter(LiveSensor(presses[0][1:2], options)))
     plain = tactile_image(presses[0][1], replace(design.image, crop=CROP))
     assert np.array_equal(reading.image, plain)
 
 
 def test_a_frame_that_does_not_fit_is_a_fault_and_the_next_goes_on(presses):
     shots = [presses[0][0], np.zeros_like(presses[0][0]), presses[0][1][:100], presses[0][2]]
-    readings = list(LiveSensor(shots, Layout(threshold=(61, -5.0), crop=CROP)))
+    readings = list(LiveSensor(shots, ImagePreprocessing(threshold=(61, -5.0), crop=CROP)))
     assert [bool(s.fault) for s in readings] == [False, True, True, False]
     assert "pins are seen, 127 were in the undeformed tip" in readings[1].fault
     assert "it is 640 by 100 px, the others are 640 by 480 px" in readings[2].fault
@@ -102,9 +102,9 @@ def test_a_frame_that_does_not_fit_is_a_fault_and_the_next_goes_on(presses):
 
 def test_a_first_frame_without_a_tip(presses):
     with pytest.raises(TactipError, match="the first frame shows no tip: at most 0 pins are seen"):
-        list(LiveSensor([np.zeros((HEIGHT, WIDTH, 3), np.uint8)], Layout(threshold=(61, -5.0))))
+        list(LiveSensor([np.zeros((HEIGHT, WIDTH, 3), np.uint8)], ImagePreprocessing(threshold=(61, -5.0))))
     with pytest.raises(TactipError, match=r"the frames do not fit: .* should be square: give --crop 132 65 488 421"):
-        list(LiveSensor(presses[0], Layout(threshold=(61, -5.0))))
+        list(LiveSensor(presses[0], ImagePreprocessing(threshold=(61, -5.0))))
 
 
 class Unplugged:
@@ -177,7 +177,7 @@ def test_a_page_stays_after_the_last_frame_until_it_is_ended(film):
     ("options", "words"),
     [
         (["--device", "-1"], "tactip: device must be a whole number from 0 to 1000, got -1"),
-        (["--images", "b", "--frames", "-2"], "tactip: --frames is -2"),
+        (["--images", "b", "--frames", "-2"], "tactip: frames must be a whole number from 0 to 1e+09, got -2"),
         ([], "0 sources of frames are given: give one of --device, --video and --images"),
         (["--video", "a.avi", "--images", "b"], "2 sources of frames"),
         (["--video", "nothing.avi"], "the film nothing.avi does not exist"),

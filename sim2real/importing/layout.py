@@ -1,0 +1,63 @@
+"""A laboratory's conventions, both of its table and of its frames, as one record and as a JSON file. Light to import."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+from tactip_twin.sim2real.importing.column_map import ColumnMap
+from tactip_twin.sim2real.sensor.preprocessing_options import ImagePreprocessing
+from tactip_twin.tactip_model.errors import TactipError
+
+_TABLE_KEYS = tuple(f.name for f in fields(ColumnMap))
+_FRAME_KEYS = tuple(f.name for f in fields(ImagePreprocessing))
+
+
+@dataclass(frozen=True)
+class Layout:
+    """How a laboratory wrote its set: its table and its frames."""
+
+    column_map: ColumnMap = field(default_factory=ColumnMap)
+    """Columns of the table."""
+    preprocessing: ImagePreprocessing = field(default_factory=ImagePreprocessing)
+    """Steps from a frame to a tactile image."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return both parts as one flat dict of JSON types, as layout files and sets record them."""
+        return json.loads(json.dumps(asdict(self.column_map) | asdict(self.preprocessing)))
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> "Layout":
+        """Return the Layout of flat `values`, some or all of the keys of `as_dict`; the others keep their defaults.
+
+        Raises:
+            TactipError: Where a value is not allowed.
+            TypeError: Where a key is unknown.
+        """
+        native = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
+        table = {name: native.pop(name) for name in _TABLE_KEYS if name in native}
+        return cls(ColumnMap(**table), ImagePreprocessing(**native))
+
+
+def read_layout(path: str | Path) -> Layout:
+    """Return the Layout in a JSON file: an object of the fields that differ from their defaults.
+
+    Raises:
+        TactipError: Where the file does not exist, is not JSON, or has an unknown field or a wrong value.
+    """
+    path = Path(path)
+    try:
+        content = json.loads(path.read_text())
+    except FileNotFoundError:
+        raise TactipError(f"the layout file {path} does not exist") from None
+    except ValueError as error:
+        raise TactipError(f"the layout file {path} is not JSON: {error}") from error
+    known = {*_TABLE_KEYS, *_FRAME_KEYS}
+    if not isinstance(content, dict) or set(content) - known:
+        strange = sorted(set(content) - known) if isinstance(content, dict) else [type(content).__name__]
+        raise TactipError(f"the layout file {path} has {', '.join(strange)}: its fields are {', '.join(sorted(known))}")
+    try:
+        return Layout.from_dict(content)
+    except TypeError as error:
+        raise TactipError(f"the layout file {path} has a value of the wrong kind: {error}") from error
