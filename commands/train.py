@@ -102,15 +102,16 @@ class Train:
 
     def run(self):
         with Waiting("reading the sets"):
+            from tactip_twin.learning.configuration import Recipe
             from tactip_twin.learning.data import read_splits
             from tactip_twin.learning.device import device_named
-            from tactip_twin.learning.model import find_model
-            from tactip_twin.learning.recipes import Recipe, read_recipe, recipe_named
+            from tactip_twin.learning.model import load_network
+            from tactip_twin.learning.recipes import read_recipe, recipe_named
             from tactip_twin.learning.train import train
 
             device_named(self.device)
             given = read_recipe(self.config) if self.config else None
-            start = find_model(self.start) if self.start else None
+            start = load_network(self.start) if self.start else None
             train_samples, val_samples = read_splits(self.data)
         recipe = given or recipe_named(self.recipe, train_samples.labels.task)
         recipe = replace(recipe, network=start.config) if start and not given else recipe
@@ -170,10 +171,9 @@ class Tune:
 
     def run(self):
         with Waiting("loading the libraries"):
+            from tactip_twin.learning.configuration import SearchSpace, TrainSettings, TuneSettings
             from tactip_twin.learning.device import device_named
-            from tactip_twin.learning.search_space import SearchSpace
-            from tactip_twin.learning.train import TrainSettings
-            from tactip_twin.learning.tune import TuneSettings, tune
+            from tactip_twin.learning.tune import tune
 
         device_named(self.device)
         if self.jobs < 1:
@@ -220,9 +220,9 @@ class Evaluate:
             from tactip_twin.learning.device import device_named
             from tactip_twin.learning.evaluate import evaluate
             from tactip_twin.learning.evaluation_page import write_evaluation
-            from tactip_twin.learning.model import find_model
+            from tactip_twin.learning.model import load_network
 
-            model, samples = find_model(self.model, device_named(self.device)), read_samples(self.data)
+            model, samples = load_network(self.model, device_named(self.device)), read_samples(self.data)
             evaluation = evaluate(model, samples)
         if self.out:
             write_evaluation(evaluation, samples, model, self.out)

@@ -13,9 +13,10 @@ import numpy as np
 import torch
 
 from tactip_twin.assets import MODELS
+from tactip_twin.learning.configuration import PoseNetConfig
 from tactip_twin.learning.device import one_thread
 from tactip_twin.learning.labels import Labels
-from tactip_twin.learning.posenet import PoseNet, PoseNetConfig
+from tactip_twin.learning.posenet import PoseNet
 from tactip_twin.sim.labels import LEARNED
 from tactip_twin.tactip_model.errors import TactipError, lookup
 from tactip_twin.tactip_model.files import write_file
@@ -42,11 +43,13 @@ class Model:
     """What it was trained on and how, JSON."""
 
     def predict(self, images, batch=256):
-        """Poses (n, k), mm and degrees in the order of labels.components, of images (n, size, size) uint8.
+        """Predict poses (n, k), mm and degrees in the order of labels.components, from images (n, size, size) uint8.
 
-        Raises TactipError on images of another size.
+        One image (size, size) gives one pose (k,). Raises TactipError on images of another size or type.
         """
         images = np.asarray(images)
+        if images.ndim == 2:
+            return self.predict(images[None], batch)[0]
         if images.ndim != 3 or images.shape[1:] != (self.size, self.size) or images.dtype != np.uint8:
             raise TactipError(
                 f"images of {images.dtype} {images.shape} were given: the model takes uint8 (n, {self.size}, {self.size})"
@@ -111,7 +114,7 @@ def shipped_models():
     return sorted(path.parent.name for path in MODELS.glob(f"*/{DESCRIPTION}"))
 
 
-def find_model(name, device="cpu"):
+def load_network(name, device="cpu"):
     """The Model of a shipped network's name, or in a folder.
 
     Raises TactipError that lists the names where there is neither.

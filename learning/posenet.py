@@ -9,91 +9,11 @@
 The paper's own setting is the default of every field that it does not have.
 """
 
-from dataclasses import asdict, dataclass
-
 import torch
 from torch import nn
 
-from tactip_twin.tactip_model.bounds import check, require, within
-from tactip_twin.tactip_model.errors import lookup
-
 ACTIVATIONS = {"relu": nn.ReLU, "elu": nn.ELU}
 """Activations by name [P]."""
-
-
-@dataclass(frozen=True)
-class PoseNetConfig:
-    """Everything that is chosen of a network and its training by the paper's search. Defaults: its best for the surface."""
-
-    conv_layers: int = within(1, 8, default=5)
-    """N_conv, convolutions; 1 to 5 [P]."""
-    filters: int = within(1, 1024, default=512)
-    """N_filters, of the first convolution; 2, 4, … 512 [P]."""
-    widening: float = within(0.5, 4, default=1.0)
-    """Filters of each convolution over those of the one before; 1 [P]."""
-    most_filters: int = within(1, 1024, default=1024)
-    """... up to so many."""
-    blur_px: float = within(0, 4, default=0.0)
-    """Standard deviation of a blur of the image before all else, px; none [P]. Pooling keeps the place of a grey slope to
-    a part of a pixel, and that of a step only to a pixel."""
-    reduce: int = within(1, 8, default=1)
-    """The image is then averaged over squares of so many px; 1 [P]. At 2, a blurred image keeps what it tells, and costs a
-    quarter."""
-    fold: bool = False
-    """The pixels of those squares become channels instead: none is lost, and only the first convolution costs more."""
-    dense_layers: int = within(1, 5, default=1)
-    """N_dense, dense layers; 1 to 5 [P]."""
-    units: int = within(1, 4096, default=16)
-    """N_units, of each dense layer; 2, 4, … 512 [P]."""
-    activation: str = "relu"
-    """relu or elu [P]."""
-    batch_norm: bool = False
-    """Batch normalisation after each convolution [P]."""
-    group_norm: int = within(0, 1024, default=0)
-    """Group normalisation in its place, over so many filters each; none [P]. A batch's mean is another at every step, which
-    features that are to tell a hundredth of a millimetre notice."""
-    halving: str = "pool"
-    """How a convolution layer halves its image: pool, 2×2 max-pooling [P], or stride, a convolution of stride 2. The largest
-    of four does not tell where a pin is to a part of a pixel; a stride does, and costs less."""
-    further: int = within(0, 4, default=0)
-    """Convolutions that follow in each layer, of the same width; none [P]."""
-    dropout: float = within(0, 0.9, default=0.001)
-    """Share of the inputs of each dense layer that is left out in training; 0 to 0.5 [P]."""
-    l1: float = within(0, 1, default=0.001)
-    """Weight of the sum of absolute weights of dense and output layers in the loss; 1e-4 to 1e-1 [P]."""
-    l2: float = within(0, 1, default=0.064)
-    """Weight of the sum of their squares; 1e-4 to 1e-1 [P]."""
-    batch_size: int = within(1, 4096, default=32)
-    """Images a step of training; 16, 32, 64 or 128 [P]."""
-
-    def __post_init__(self):
-        check(self)
-        lookup("activation", self.activation, ACTIVATIONS)
-        require(not (self.batch_norm and self.group_norm), "group_norm", self.group_norm, "0 with batch norm")
-        lookup("halving", self.halving, dict.fromkeys(("pool", "stride")))
-        require(not (self.fold and self.reduce == 1), "reduce", self.reduce, "above 1 with fold")
-
-    def shape(self):
-        """What two networks must share (dict) for one to take the other's weights: all but how it is trained."""
-        return {k: v for k, v in asdict(self).items() if k not in ("dropout", "l1", "l2", "batch_size")}
-
-    def widths(self):
-        """Filters (list of int) of each convolution."""
-        wide = (self.filters * self.widening**k for k in range(self.conv_layers))
-        return [max(1, min(round(w), self.most_filters)) for w in wide]
-
-    def last_size(self, size):
-        """Width (int), px, that the convolutions leave of an image of `size` px. Raises TactipError if nothing is left."""
-        left = size // self.reduce
-        for layer in range(1, self.conv_layers + 1):
-            left = (left - 2) // 2
-            require(
-                left >= 1,
-                "conv_layers",
-                self.conv_layers,
-                f"at most {layer - 1}: an image of {size} px has no pixels left after convolution and pooling {layer}",
-            )
-        return left
 
 
 class PoseNet(nn.Module):

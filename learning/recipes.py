@@ -2,69 +2,11 @@
 
 import dataclasses
 import json
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields
 from pathlib import Path
 
-from tactip_twin.learning.posenet import PoseNetConfig
-from tactip_twin.learning.train import TrainSettings
+from tactip_twin.learning.configuration import RECIPES, PoseNetConfig, Recipe, TrainSettings
 from tactip_twin.tactip_model.errors import TactipError, lookup
-
-
-@dataclass(frozen=True)
-class Recipe:
-    """A network and how it is trained."""
-
-    network: PoseNetConfig
-    """What is trained."""
-    settings: TrainSettings
-    """How."""
-
-
-_PAPER = {
-    "surface": PoseNetConfig(),
-    "edge": PoseNetConfig(filters=256, dense_layers=2, units=512, dropout=0.203, l1=1e-4, l2=3e-4, batch_size=16),
-}
-"""The paper's best: Table 2, where its text differs [P]."""
-
-_LAPTOP = PoseNetConfig(
-    conv_layers=4,
-    filters=32,
-    widening=2.0,
-    most_filters=128,
-    reduce=2,
-    fold=True,
-    halving="stride",
-    further=1,
-    dense_layers=3,
-    units=256,
-    activation="elu",
-    group_norm=16,
-    dropout=0.0,
-    l1=0.0,
-    l2=0.0,
-    batch_size=32,
-)
-
-_LAPTOP_TRAINING = TrainSettings(
-    epochs=36,
-    least_steps=8000,
-    patience=100000,
-    rate=1.4e-3,
-    muon=0.014,
-    schedule="cosine",
-    drawn=0.4,
-    optics=0.2,
-)
-
-RECIPES = {
-    "laptop": {
-        "surface": Recipe(_LAPTOP, _LAPTOP_TRAINING),
-        "edge": Recipe(_LAPTOP, replace(_LAPTOP_TRAINING, epochs=26, drawn=0.5)),
-    },
-    "paper": {task: Recipe(network, TrainSettings()) for task, network in _PAPER.items()},
-}
-"""By name and task. `laptop` is for two cores: per image, its convolutions multiply some 300 times less than the paper's for
-the surface. `tactip bench learning` holds the two side by side."""
 
 
 def recipe_named(name, task):

@@ -11,7 +11,6 @@ import json
 import math
 import sys
 import time
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -19,15 +18,15 @@ import torch
 from tqdm import tqdm
 
 from tactip_twin.learning.augmentation import OpticsAugmentation
+from tactip_twin.learning.configuration import PoseNetConfig, TrainSettings
 from tactip_twin.learning.device import device_named, is_half
 from tactip_twin.learning.model import net_sha256, save_model, tensors_of, to_input, weights_bytes
 from tactip_twin.learning.muon import Muon, inner_weights
 from tactip_twin.learning.optics_ranges import OPTICS
-from tactip_twin.learning.posenet import PoseNet, PoseNetConfig, parameter_count
+from tactip_twin.learning.posenet import PoseNet, parameter_count
 from tactip_twin.sim.dataset.format import labels_sha256
 from tactip_twin.sim.parallel.file_lock import locked
-from tactip_twin.tactip_model.bounds import check, within
-from tactip_twin.tactip_model.errors import Interrupted, TactipError, lookup
+from tactip_twin.tactip_model.errors import Interrupted, TactipError
 from tactip_twin.tactip_model.files import write_file
 
 CHECKPOINT, METRICS, LOCK = "checkpoint.pt", "metrics.jsonl", ".lock"
@@ -46,45 +45,6 @@ def cosine_rate(settings, step, steps):
 
 SCHEDULES = {"paper": paper_rate, "cosine": cosine_rate}
 """How the learning rate goes over a training, by name."""
-
-
-@dataclass(frozen=True)
-class TrainSettings:
-    """How a network is trained. Defaults are the paper's."""
-
-    seed: int = within(0, 2**31, default=0)
-    """Seed of weights, order and dropout."""
-    epochs: int = within(1, 100000, default=500)
-    """Most epochs; the paper names no limit."""
-    least_steps: int = within(0, 10**8, default=0)
-    """Steps for which a small set is gone through more often than `epochs`; none [P]."""
-    patience: int = within(1, 100000, default=10)
-    """Epochs without a lower validation error after which training ends [P]."""
-    rate: float = within(1e-7, 1, default=1e-4)
-    """Learning rate of Adam [P]."""
-    muon: float = within(0, 1, default=0.0)
-    """Learning rate of Muon (muon.py), which then takes the weights between layers; 0 for Adam alone [P]."""
-    decay: float = within(0, 1, default=1e-6)
-    """Its decay a step [P], of the schedule `paper`."""
-    schedule: str = "paper"
-    """paper, or cosine: to zero over all epochs."""
-    precision: str = "auto"
-    """Of the convolutions: float32, bfloat16, or auto: bfloat16 on a GPU, and on a CPU that multiplies matrices of it (AMX),
-    where that is twice as fast."""
-    drawn: float = within(0, 1, default=0.0)
-    """Share of the images that are drawn anew at every step, from their pins under varied optics (drawn.py); the rest are
-    the plain images of the set [P]."""
-    optics: float = within(0, 4, default=1.0)
-    """How far the optics are varied for that, of the ranges `varied`; 0.2 of `lens` is little more than which pixels a pin
-    falls on."""
-    varied: str = "lens"
-    """What is varied: lens, real, rim or steady (varied.py), each also without noise: lens-clean and so on."""
-
-    def __post_init__(self):
-        check(self)
-        lookup("schedule", self.schedule, SCHEDULES)
-        lookup("varied", self.varied, OPTICS)
-        is_half(self.precision, "cpu")
 
 
 class TrainingDiverged(TactipError):

@@ -15,7 +15,6 @@ import math
 import os
 import signal
 import sys
-from dataclasses import dataclass
 from multiprocessing import connection, get_context
 from pathlib import Path
 
@@ -25,39 +24,16 @@ from hyperopt import STATUS_FAIL, STATUS_OK, Trials, rand, tpe
 from hyperopt.base import JOB_STATE_DONE, Domain
 from tqdm import tqdm
 
+from tactip_twin.learning.configuration import TuneSettings
 from tactip_twin.learning.data import read_splits
-from tactip_twin.learning.search_space import SearchSpace
-from tactip_twin.learning.train import METRICS, Pruned, TrainSettings, read_metrics, train, with_new_defaults
+from tactip_twin.learning.search_space import expressions, network_of_values
+from tactip_twin.learning.train import METRICS, Pruned, read_metrics, train, with_new_defaults
 from tactip_twin.sim.parallel.file_lock import locked
 from tactip_twin.sim.view.plot import pyplot
-from tactip_twin.tactip_model.bounds import check, within
 from tactip_twin.tactip_model.errors import Interrupted, TactipError
 from tactip_twin.tactip_model.files import write_file
 
 TRIAL, RESULTS, BEST, LOCK = "trial.json", "results.jsonl", "best.json", ".lock"
-
-
-@dataclass(frozen=True)
-class TuneSettings:
-    """How a search is run. Defaults are the paper's."""
-
-    trials: int = within(1, 100000, default=300)
-    """Trainings in all [P]."""
-    startup: int = within(1, 100000, default=50)
-    """The first so many at random [P]."""
-    seed: int = within(0, 2**31, default=0)
-    """Seed of the suggestions; every training has the seed of `training`."""
-    prune: bool = False
-    """End a trial that, after as many epochs, is worse than half of those before it; the paper did not."""
-    least_epochs: int = within(1, 1000, default=5)
-    """... but not before so many epochs."""
-    space: SearchSpace = dataclasses.field(default_factory=SearchSpace)
-    """Networks that may be tried."""
-    training: TrainSettings = dataclasses.field(default_factory=TrainSettings)
-    """How each is trained."""
-
-    def __post_init__(self):
-        check(self)
 
 
 def past(results, domain):
@@ -84,7 +60,7 @@ def values_of(doc):
 
 def suggest(settings, index, results):
     """Hyperopt's values (dict of label to number) for trial `index`, given results (list of dict) so far."""
-    domain = Domain(lambda point: 0.0, settings.space.expressions())
+    domain = Domain(lambda point: 0.0, expressions(settings.space))
     trials = past(results, domain)
     seed = int(np.random.SeedSequence(settings.seed, spawn_key=(index,)).generate_state(1)[0])
     algorithm = rand if index < settings.startup else tpe
@@ -145,7 +121,7 @@ def claim(folder, data, settings):
     Raises TactipError there, and where the folder is another's.
     """
     train_samples, _ = read_splits(data)
-    settings.space.checked(train_samples.size)
+    settings.space.check_image_size(train_samples.size)
     identity = {"settings": dataclasses.asdict(settings), "data": train_samples.dataset.meta.get("digest")}
     del identity["settings"]["trials"]  # a search may be made longer
     identity = json.loads(json.dumps(identity))
@@ -231,7 +207,7 @@ def run_trial(data, folder, index, settings, device, threads):
     record = json.loads(place.with_suffix(".json").read_text())
     result = record | {"status": "failed", "loss": None, "network": None}
     try:
-        network = settings.space.network(record["values"])
+        network = network_of_values(settings.space, record["values"])
         result["network"] = dataclasses.asdict(network)
         watch = _hopeless(read_results(folder), folder, settings.least_epochs) if settings.prune else None
         history = train(*read_splits(data), network, settings.training, place, device, lambda line: None, watch, quiet=True)

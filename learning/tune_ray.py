@@ -11,6 +11,7 @@ from pathlib import Path
 from hyperopt.base import Domain
 from tqdm import tqdm
 
+from tactip_twin.learning.search_space import expressions
 from tactip_twin.learning.tune import (
     LOCK,
     claim,
@@ -115,7 +116,7 @@ def _search(settings, results):
         """Suggests a trial's number and values instead of a point of the space."""
 
         def __init__(self):
-            space = settings.space.expressions()
+            space = expressions(settings.space)
             super().__init__(
                 space=space,
                 metric="loss",

@@ -12,9 +12,9 @@ from dataclasses import replace
 from tactip_twin.benchmarks.hardware import machine, machine_text
 from tactip_twin.benchmarks.learning import learning as learned
 from tactip_twin.benchmarks.options import LearningOptions
-from tactip_twin.learning.search_space import SearchSpace
-from tactip_twin.learning.train import TrainSettings, with_new_defaults
-from tactip_twin.learning.tune import PARAMETERS, TuneSettings, draw, tune
+from tactip_twin.learning.configuration import SearchSpace, TrainSettings, TuneSettings
+from tactip_twin.learning.train import with_new_defaults
+from tactip_twin.learning.tune import PARAMETERS, draw, tune
 from tactip_twin.sim.dataset.generate import Job, make
 from tactip_twin.sim.parallel.worker_pool import worker_count
 from tactip_twin.tactip_model.errors import lookup

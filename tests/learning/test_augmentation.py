@@ -9,10 +9,10 @@ import torch
 
 from helpers.learning_sets import write_fake_set
 from tactip_twin.learning.augmentation import OpticsAugmentation
+from tactip_twin.learning.configuration import PoseNetConfig, TrainSettings
 from tactip_twin.learning.data import read_samples
 from tactip_twin.learning.optics_ranges import OPTICS, OpticsRanges
-from tactip_twin.learning.posenet import PoseNetConfig
-from tactip_twin.learning.train import TrainSettings, read_metrics, train
+from tactip_twin.learning.train import read_metrics, train
 from tactip_twin.tactip_model.errors import Interrupted, TactipError
 from tactip_twin.tactip_model.pins import neutral_pins
 from tactip_twin.tactip_model.raster_renderer import Raster

@@ -6,10 +6,11 @@ import pytest
 import torch
 from torch import nn
 
-from tactip_twin.learning.posenet import PoseNet, PoseNetConfig, parameter_count
-from tactip_twin.learning.recipes import RECIPES, recipe_named
-from tactip_twin.learning.search_space import SearchSpace
-from tactip_twin.learning.train import TrainSettings, cosine_rate, paper_rate
+from tactip_twin.learning.configuration import RECIPES, PoseNetConfig, SearchSpace, TrainSettings
+from tactip_twin.learning.posenet import PoseNet, parameter_count
+from tactip_twin.learning.recipes import recipe_named
+from tactip_twin.learning.search_space import network_of_point
+from tactip_twin.learning.train import cosine_rate, paper_rate
 from tactip_twin.tactip_model.errors import TactipError
 
 SMALL = PoseNetConfig(conv_layers=2, filters=3, dense_layers=2, units=4, dropout=0.3)
@@ -136,10 +137,10 @@ def test_widening_stops_at_most_filters():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"conv_layers": 0}, "conv_layers is 0"),
+        ({"conv_layers": 0}, "conv_layers must be a whole number from 1 to 8, got 0"),
         ({"filters": 2.5}, "filters must be a whole number .*, got 2.5"),
         ({"filters": [32]}, r"filters must be a whole number .*, got \[32\]"),
-        ({"dropout": 1.0}, "dropout is 1.0"),
+        ({"dropout": 1.0}, "dropout must be a finite number from 0 to 0.9, got 1.0"),
         ({"activation": "tanh"}, "choose one of relu, elu"),
     ],
 )
@@ -167,10 +168,10 @@ def test_recipes_fit_the_images():
 def test_the_space_is_the_papers():
     point = {"conv_layers": 5, "log2_filters": 9, "dense_layers": 1, "log2_units": 4, "activation": "relu"}
     point |= {"batch_norm": False, "dropout": 0.001, "l1": 0.001, "l2": 0.064, "batch_size": 32}
-    assert SearchSpace().network_of(point) == PoseNetConfig()
+    assert network_of_point(SearchSpace(), point) == PoseNetConfig()
     small = SearchSpace(most_conv_layers=4, reduce=2, blur_px=1.0)
-    assert small.network_of(point) == PoseNetConfig(reduce=2, blur_px=1.0)
-    with pytest.raises(TactipError, match="conv_layers must be at most 5.*, got 7"):
-        SearchSpace(most_conv_layers=7).checked(128)
+    assert network_of_point(small, point) == PoseNetConfig(reduce=2, blur_px=1.0)
+    with pytest.raises(TactipError, match=r"conv_layers must be at most 5.*, got 7"):
+        SearchSpace(most_conv_layers=7).check_image_size(128)
     with pytest.raises(TactipError, match="at most 4: an image of 128 px"):
-        SearchSpace(most_conv_layers=5, reduce=2).checked(128)
+        SearchSpace(most_conv_layers=5, reduce=2).check_image_size(128)

@@ -15,13 +15,13 @@ import torch
 from helpers.learning_sets import write_fake_set, write_fake_splits
 from tactip_twin.commands import main as tactip
 from tactip_twin.learning import train as train_module
+from tactip_twin.learning.configuration import PoseNetConfig, Recipe, TrainSettings
 from tactip_twin.learning.data import read_samples, read_splits
 from tactip_twin.learning.evaluate import binned, evaluate, tables
 from tactip_twin.learning.model import load_model, net_sha256, to_input
 from tactip_twin.learning.muon import Muon, inner_weights
-from tactip_twin.learning.posenet import PoseNetConfig
-from tactip_twin.learning.recipes import Recipe, read_recipe, recipe_json
-from tactip_twin.learning.train import Training, TrainingDiverged, TrainSettings, read_metrics, train
+from tactip_twin.learning.recipes import read_recipe, recipe_json
+from tactip_twin.learning.train import Training, TrainingDiverged, read_metrics, train
 from tactip_twin.sim.dataset.format import encode_image, read_dataset
 from tactip_twin.sim.dataset.sampling import POSE_RANGES
 from tactip_twin.tactip_model.errors import Interrupted, TactipError

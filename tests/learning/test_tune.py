@@ -15,10 +15,9 @@ import pytest
 import torch
 
 from helpers.learning_sets import write_fake_splits
+from tactip_twin.learning.configuration import SearchSpace, TrainSettings, TuneSettings
 from tactip_twin.learning.recipes import read_recipe
-from tactip_twin.learning.search_space import SearchSpace
-from tactip_twin.learning.train import TrainSettings
-from tactip_twin.learning.tune import TuneSettings, note, read_results, run_trial, suggest, tune
+from tactip_twin.learning.tune import note, read_results, run_trial, suggest, tune
 from tactip_twin.learning.tune_ray import clear, tune_on_cluster
 from tactip_twin.tactip_model.errors import TactipError
 
@@ -92,7 +91,7 @@ def test_a_search(data, tmp_path):
 
 
 def test_a_space_that_leaves_no_pixels_is_refused_first(data, tmp_path):
-    with pytest.raises(TactipError, match="conv_layers must be at most 3.*, got 5"):
+    with pytest.raises(TactipError, match=r"conv_layers must be at most 3.*, got 5"):
         tune(data, tmp_path / "search", TuneSettings(), say=lambda line: None)
     assert not (tmp_path / "search").exists()
 

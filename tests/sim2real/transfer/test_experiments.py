@@ -11,14 +11,13 @@ import pytest
 import torch
 
 from tactip_twin.benchmarks.learning import transfer as transferred
-from tactip_twin.benchmarks.options import TransferredOptions
+from tactip_twin.benchmarks.options import TransferOptions
 from tactip_twin.commands import main as tactip
 from tactip_twin.learning import recipes as networks
+from tactip_twin.learning.configuration import PoseNetConfig, Recipe, TrainSettings
 from tactip_twin.learning.data import read_samples
 from tactip_twin.learning.model import load_model
-from tactip_twin.learning.posenet import PoseNetConfig
-from tactip_twin.learning.recipes import Recipe
-from tactip_twin.learning.train import TrainSettings, train
+from tactip_twin.learning.train import train
 from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.contact.simulator import ContactSimulator
 from tactip_twin.sim.pose import from_mm_deg
@@ -312,7 +311,7 @@ def test_the_page_of_all_sets_says_what_was_asked(lab, tmp_path, monkeypatch):
     few = {"0": {"fine_tuned": figures(0.3, 1.5)}, "50": {"fine_tuned": figures(0.11, 1.2)}}
     monkeypatch.setattr(transferred, "EXPERIMENTS", {"zero-shot": lambda e: zero, "few-shot": lambda e: few})
     folders = {"runs": tmp_path / "runs", "out": tmp_path / "out", "settings": TransferSettings(real_frames=30)}
-    options = TransferredOptions((lab,), ("zero-shot",), **folders)
+    options = TransferOptions((lab,), ("zero-shot",), **folders)
     transferred.run(options, say=lambda line: None)
     assert "| set | pose_z | 0.300 mm | 0.3 mm | 3.00 | 2 |  | 1.3 |" in (tmp_path / "out" / "transfer.md").read_text()
     transferred.run(replace(options, experiments=("few-shot",)), say=lambda line: None)
