@@ -85,15 +85,15 @@ test-all: $(READY)
 	@$(BIN)/python -m pytest -m ""
 
 report: $(READY)
-	@$(BIN)/python -m tactip_twin.benchmarks.physics.mechanics
-	@$(BIN)/python -m tactip_twin.benchmarks.physics.materials
-	@$(BIN)/python -m tactip_twin.benchmarks.physics.fem_cross_check
-	@$(BIN)/python -m tactip_twin.benchmarks.physics.friction
-	@$(BIN)/python -m tactip_twin.benchmarks.physics.mesh_contact
-	@$(BIN)/tactip bench error
-	@$(BIN)/tactip bench parts
+	@$(BIN)/tactip bench mechanics
+	@$(BIN)/tactip bench materials
+	@$(BIN)/tactip bench fem-cross-check
+	@$(BIN)/tactip bench friction
+	@$(BIN)/tactip bench mesh-contact
+	@$(BIN)/tactip bench fidelity
+	@$(BIN)/tactip bench scene-cost
 	@$(BIN)/tactip bench stability
-	@$(BIN)/python -m tactip_twin.benchmarks.learning.real_comparison
+	@$(BIN)/tactip bench real-comparison
 
 lint: $(READY)
 	@$(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/pyright

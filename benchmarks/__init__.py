@@ -1,1 +1,1 @@
-"""Measurements that choose the settings and stand in the documents. Each is one command; results are JSON and Markdown."""
+"""Measurements behind the choice of settings and the pages of docs/: one `tactip bench` command and one module each."""

@@ -1,12 +1,13 @@
-"""The machine that a figure was taken on."""
+"""Description of the machine that a figure was measured on."""
 
 import os
 import platform
+from collections.abc import Mapping
 from pathlib import Path
 
 
-def machine():
-    """Description (dict of str) of processor, cores, memory and system."""
+def machine() -> dict[str, str]:
+    """Return the description of this machine: processor, cores, memory and system."""
     memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 2**30
     return {
         "processor": _processor(),
@@ -16,12 +17,12 @@ def machine():
     }
 
 
-def machine_text(described):
-    """What `machine` told (dict of str), as text (str)."""
+def machine_text(described: Mapping[str, str]) -> str:
+    """Return a description by `machine` as text."""
     return "; ".join(f"{k} {v}" for k, v in described.items())
 
 
-def _processor():
+def _processor() -> str:
     for line in Path("/proc/cpuinfo").read_text().splitlines():
         if line.startswith("model name"):
             return line.split(":", 1)[1].strip()

@@ -1,29 +1,37 @@
-"""What may be asked of the longer measurements. Nothing heavy is imported here: the command line reads it to tell what there
-is."""
+"""Options of every measurement, and the table of measurements that `tactip bench` makes its subcommands from.
+
+Nothing heavy is imported here, because the command line reads this module before it knows which command runs.
+"""
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal, NamedTuple
 
 import tyro
 
+from tactip_twin.assets import MODELS
 from tactip_twin.sim2real.transfer.settings import TransferSettings
 
+TaskName = Literal["surface", "edge"]
+"""Names of the tasks (sim/labels.py)."""
+
+FidelityName = Literal["draft", "standard", "reference"]
+"""Names of the fidelity presets (sim/contact/fidelity.py)."""
+
+ExperimentName = Literal["zero-shot", "ablate", "few-shot", "gap"]
+"""Names of the experiments on a real set (sim2real/transfer/experiments.py)."""
+
+ServoGroup = Literal["objects", "oracle", "arm", "fidelity", "robust", "starts"]
+"""Groups of servo runs (benchmarks/servo/servo.py)."""
+
+PerformanceGroup = Literal[
+    "samples", "growth", "images", "learning", "servo", "faces", "threads", "gpu-engine", "start-up", "first-words"
+]
+"""Groups of rates (benchmarks/scale/performance.py)."""
+
 
 @dataclass(frozen=True)
-class StabilityOptions:
-    """Map where contacts converge and where they are refused. Run again, it goes on where it stopped."""
-
-    out: Path = Path("docs")
-    """Folder for stability.json, stability.md and stability.png."""
-    quick: bool = False
-    """Every seventh cell: about a minute and a half on two cores."""
-    workers: str = "auto"
-    """Worker processes; auto is one a core."""
-
-
-@dataclass(frozen=True)
-class ErrorOptions:
+class FidelityOptions:
     """Measure errors and costs of contacts over presets and numbers. Run again, it goes on where it stopped."""
 
     out: Path = Path("docs")
@@ -39,11 +47,63 @@ class ErrorOptions:
 
 
 @dataclass(frozen=True)
-class PartsOptions:
+class StabilityOptions:
+    """Map where contacts converge and where they are refused. Run again, it goes on where it stopped."""
+
+    out: Path = Path("docs")
+    """Folder for stability.json, stability.md and stability.png."""
+    quick: bool = False
+    """Every seventh cell: about a minute and a half on two cores."""
+    workers: str = "auto"
+    """Worker processes; auto is one a core."""
+
+
+@dataclass(frozen=True)
+class FrictionOptions:
+    """Measure the force along slides, and the dependence of friction on the path."""
+
+    out: Path = Path("docs")
+    """Folder for friction.json, friction.md and friction.png."""
+
+
+@dataclass(frozen=True)
+class MaterialsOptions:
+    """Compare the materials of gel and skin with closed-form solutions."""
+
+    out: Path = Path("docs")
+    """Folder for materials.json and materials.md."""
+
+
+@dataclass(frozen=True)
+class MechanicsOptions:
+    """Compare the pressed tip with an independent axisymmetric finite-element code."""
+
+    out: Path = Path("docs")
+    """Folder for mechanics.json and mechanics.md."""
+
+
+@dataclass(frozen=True)
+class FemCrossCheckOptions:
+    """Compare the pressed gel, on the same tetrahedra, with other finite-element codes."""
+
+    out: Path = Path("docs")
+    """Folder for fem_cross_check.json and fem_cross_check.md."""
+
+
+@dataclass(frozen=True)
+class MeshContactOptions:
+    """Compare contact models of meshes by error and cost."""
+
+    out: Path = Path("docs")
+    """Folder for mesh_contact.json and mesh_contact.md."""
+
+
+@dataclass(frozen=True)
+class SceneCostOptions:
     """Measure what each part of the data-set scene costs, and count what it holds."""
 
     out: Path = Path("docs")
-    """Folder for parts.json and parts.md."""
+    """Folder for scene_cost.json and scene_cost.md."""
     contacts: int = 6
     """Contacts of each training set."""
 
@@ -52,7 +112,7 @@ class PartsOptions:
 class LearningOptions:
     """Measure what each step of learning buys, what shear is worth, and error against run time over networks."""
 
-    task: str = "surface"
+    task: TaskName = "surface"
     """surface or edge."""
     contacts: int = 2000
     """Contacts to train on in all rows but `laptop-most`: as many as the paper had."""
@@ -84,7 +144,7 @@ class LearningOptions:
 class SearchOptions:
     """Run the paper's search with as many trials as there is time for, and write the page that says what was cut."""
 
-    task: str = "surface"
+    task: TaskName = "surface"
     """surface or edge."""
     trials: int = 60
     """Trainings in all."""
@@ -107,12 +167,12 @@ class SearchOptions:
 
 
 @dataclass(frozen=True)
-class TransferredOptions:
+class TransferOptions:
     """Measure what is learned in simulation against real sensors: the experiments of `tactip transfer`, on one page."""
 
     real: tuple[Path, ...] = ()
     """Folders of imported sets (tactip import)."""
-    experiments: tuple[str, ...] = ("gap", "zero-shot", "few-shot", "ablate")
+    experiments: tuple[ExperimentName, ...] = ("gap", "zero-shot", "few-shot", "ablate")
     """Which; the page keeps the others."""
     runs: Path = Path("runs/transfer")
     """Folder of sets and networks: RUNS/SET."""
@@ -125,10 +185,56 @@ class TransferredOptions:
 
 
 @dataclass(frozen=True)
-class FollowedOptions:
+class ReleaseModelsOptions:
+    """Copy a network of `tactip bench learning` into the package, with its evaluation and its card."""
+
+    task: TaskName = "surface"
+    """surface or edge."""
+    name: str = "laptop-most"
+    """Row of `tactip bench learning`."""
+    data: Path = Path("data/learning")
+    """Its folder of sets."""
+    runs: Path = Path("runs/learning")
+    """Its folder of trainings."""
+    out: Path = MODELS
+    """Folder of the shipped networks."""
+    again: bool = False
+    """Judge the network that is shipped, and leave its weights as they are."""
+    judged: int = 2000
+    """Test contacts that it is judged on, then."""
+    workers: str = "auto"
+    """Worker processes that make them, then; auto is one a core."""
+
+
+@dataclass(frozen=True)
+class MissingNeutralImageOptions:
+    """Fit a tip to frames alone, and compare its pins with those of the tip that was fitted to its neutral image."""
+
+    lab: Path
+    """Folder of the laboratory's set."""
+    real: Path
+    """Folder that it was imported into (tactip import)."""
+    keep: Path | None = None
+    """Folder to keep the set in that is imported without its neutral image: for tactip transfer."""
+
+
+@dataclass(frozen=True)
+class RealComparisonOptions:
+    """Compare the simulated 127-pin tip with the real one, in a picture and by the displacements of its pins."""
+
+    out: Path = Path("docs")
+    """Folder for real_and_simulated.png."""
+    real: Path | None = None
+    """Folder with the real neutral frame init_0.png; not needed."""
+    fidelity: FidelityName = "standard"
+    """draft, standard or reference."""
+
+
+@dataclass(frozen=True)
+class ServoOptions:
     """Measure what the servo reaches: objects, arms, fidelities, what it withstands, random starts."""
 
-    groups: tuple[str, ...] = ()
+    groups: tuple[ServoGroup, ...] = ()
     """objects, oracle, arm, fidelity, robust, starts; all if not given. The page keeps the others."""
     other_surface: str = ""
     """A surface network of another seed, to hold beside the shipped one."""
@@ -143,10 +249,22 @@ class FollowedOptions:
 
 
 @dataclass(frozen=True)
-class SpeedOptions:
+class ViewerOptions:
+    """Measure what a replay costs: host and browser."""
+
+    seconds: float = 10.0
+    """How long it plays, s."""
+    runs: Path = Path("runs/viewer-bench")
+    """Folder of the recording."""
+    out: Path = Path("docs")
+    """Folder for viewer.json and viewer.md."""
+
+
+@dataclass(frozen=True)
+class PerformanceOptions:
     """Measure what everything costs, and how it grows: sets, images, training, estimates, servo, objects, start-up."""
 
-    groups: tuple[str, ...] = ()
+    groups: tuple[PerformanceGroup, ...] = ()
     """samples, growth, images, learning, servo, faces, threads, gpu-engine, start-up, first-words; all if none is. The page
     keeps the others."""
     contacts: int = 40
@@ -171,13 +289,41 @@ class ScaleOptions:
     """Folder for scale.json and scale.md."""
 
 
-@dataclass(frozen=True)
-class ViewerOptions:
-    """Measure what a replay costs: host and browser."""
+class Measurement(NamedTuple):
+    """A subcommand of `tactip bench`."""
 
-    seconds: float = 10.0
-    """How long it plays, s."""
-    runs: Path = Path("runs/viewer-bench")
-    """Folder of the recording."""
-    out: Path = Path("docs")
-    """Folder for viewer.json and viewer.md."""
+    module: str
+    """Module whose `run(options)` measures and returns the results (dict)."""
+    options: type
+    """Dataclass of its options."""
+    page: str
+    """File that it writes into the folder `options.out`; empty where it writes no page."""
+
+
+MEASUREMENTS = {
+    "fidelity": Measurement("tactip_twin.benchmarks.physics.fidelity", FidelityOptions, "fidelity.md"),
+    "stability": Measurement("tactip_twin.benchmarks.physics.stability", StabilityOptions, "stability.md"),
+    "friction": Measurement("tactip_twin.benchmarks.physics.friction", FrictionOptions, "friction.md"),
+    "materials": Measurement("tactip_twin.benchmarks.physics.materials", MaterialsOptions, "materials.md"),
+    "mechanics": Measurement("tactip_twin.benchmarks.physics.mechanics", MechanicsOptions, "mechanics.md"),
+    "fem-cross-check": Measurement(
+        "tactip_twin.benchmarks.physics.fem_cross_check", FemCrossCheckOptions, "fem_cross_check.md"
+    ),
+    "mesh-contact": Measurement("tactip_twin.benchmarks.physics.mesh_contact", MeshContactOptions, "mesh_contact.md"),
+    "scene-cost": Measurement("tactip_twin.benchmarks.physics.scene_cost", SceneCostOptions, "scene_cost.md"),
+    "learning": Measurement("tactip_twin.benchmarks.learning.learning", LearningOptions, "learning.md"),
+    "search": Measurement("tactip_twin.benchmarks.learning.search", SearchOptions, "search.md"),
+    "transfer": Measurement("tactip_twin.benchmarks.learning.transfer", TransferOptions, "transfer.md"),
+    "release-models": Measurement("tactip_twin.benchmarks.learning.release_models", ReleaseModelsOptions, ""),
+    "missing-neutral-image": Measurement(
+        "tactip_twin.benchmarks.learning.missing_neutral_image", MissingNeutralImageOptions, ""
+    ),
+    "real-comparison": Measurement(
+        "tactip_twin.benchmarks.learning.real_comparison", RealComparisonOptions, "real_and_simulated.png"
+    ),
+    "servo": Measurement("tactip_twin.benchmarks.servo.servo", ServoOptions, "servo.md"),
+    "viewer": Measurement("tactip_twin.benchmarks.servo.viewer", ViewerOptions, "viewer.md"),
+    "performance": Measurement("tactip_twin.benchmarks.scale.performance", PerformanceOptions, "performance.md"),
+    "scale": Measurement("tactip_twin.benchmarks.scale.scale", ScaleOptions, "scale.md"),
+}
+"""Measurements by the name of their command, which is also that of their module and page."""

@@ -6,15 +6,15 @@ from typing import Annotated
 import tyro
 
 from tactip_twin.benchmarks.options import (
-    ErrorOptions,
-    FollowedOptions,
+    FidelityOptions,
     LearningOptions,
-    PartsOptions,
+    PerformanceOptions,
     ScaleOptions,
+    SceneCostOptions,
     SearchOptions,
-    SpeedOptions,
+    ServoOptions,
     StabilityOptions,
-    TransferredOptions,
+    TransferOptions,
     ViewerOptions,
 )
 
@@ -36,8 +36,8 @@ class Stability(StabilityOptions):
         return 1 if result["counts"]["wrong"] else 0
 
 
-class Error(ErrorOptions):
-    __doc__ = ErrorOptions.__doc__
+class Error(FidelityOptions):
+    __doc__ = FidelityOptions.__doc__
 
     def run(self):
         from tactip_twin.benchmarks.physics.fidelity import run
@@ -46,13 +46,13 @@ class Error(ErrorOptions):
         return 0
 
 
-class Parts(PartsOptions):
-    __doc__ = PartsOptions.__doc__
+class Parts(SceneCostOptions):
+    __doc__ = SceneCostOptions.__doc__
 
     def run(self):
         from tactip_twin.benchmarks.physics.scene_cost import run
 
-        _measured(self, run, "parts.md")
+        _measured(self, run, "scene_cost.md")
         return 0
 
 
@@ -76,8 +76,8 @@ class Search(SearchOptions):
         return 0
 
 
-class Followed(FollowedOptions):
-    __doc__ = FollowedOptions.__doc__
+class Followed(ServoOptions):
+    __doc__ = ServoOptions.__doc__
 
     def run(self):
         from tactip_twin.benchmarks.servo.servo import run
@@ -86,8 +86,8 @@ class Followed(FollowedOptions):
         return 0
 
 
-class Transferred(TransferredOptions):
-    __doc__ = TransferredOptions.__doc__
+class Transferred(TransferOptions):
+    __doc__ = TransferOptions.__doc__
 
     def run(self):
         from tactip_twin.benchmarks.learning.transfer import run
@@ -96,8 +96,8 @@ class Transferred(TransferredOptions):
         return 0
 
 
-class Speed(SpeedOptions):
-    __doc__ = SpeedOptions.__doc__
+class Speed(PerformanceOptions):
+    __doc__ = PerformanceOptions.__doc__
 
     def run(self):
         from tactip_twin.benchmarks.scale.performance import run
@@ -132,13 +132,13 @@ class Bench:
 
     action: Annotated[
         Annotated[Stability, tyro.conf.subcommand("stability")]
-        | Annotated[Error, tyro.conf.subcommand("error")]
-        | Annotated[Parts, tyro.conf.subcommand("parts")]
+        | Annotated[Error, tyro.conf.subcommand("fidelity")]
+        | Annotated[Parts, tyro.conf.subcommand("scene-cost")]
         | Annotated[Learning, tyro.conf.subcommand("learning")]
         | Annotated[Search, tyro.conf.subcommand("search")]
         | Annotated[Followed, tyro.conf.subcommand("servo")]
         | Annotated[Transferred, tyro.conf.subcommand("transfer")]
-        | Annotated[Speed, tyro.conf.subcommand("speed")]
+        | Annotated[Speed, tyro.conf.subcommand("performance")]
         | Annotated[Scaled, tyro.conf.subcommand("scale")]
         | Annotated[Viewed, tyro.conf.subcommand("viewer")],
         tyro.conf.arg(name=""),

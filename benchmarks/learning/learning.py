@@ -13,13 +13,15 @@ import numpy as np
 
 from tactip_twin.benchmarks.hardware import machine, machine_text
 from tactip_twin.benchmarks.options import LearningOptions
+from tactip_twin.learning.configuration import Recipe
 from tactip_twin.learning.data import read_samples, read_splits
 from tactip_twin.learning.evaluate import evaluate
-from tactip_twin.learning.model import find_model, load_model
-from tactip_twin.learning.recipes import Recipe, recipe_named
+from tactip_twin.learning.model import load_model, load_network
+from tactip_twin.learning.recipes import recipe_named
 from tactip_twin.learning.train import train
 from tactip_twin.sim.contact.fidelity import fidelity_named
-from tactip_twin.sim.dataset.format import Configuration, read_meta
+from tactip_twin.sim.dataset.configuration import Configuration
+from tactip_twin.sim.dataset.format import read_meta
 from tactip_twin.sim.dataset.generate import Job, make
 from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES, Ranges
 from tactip_twin.sim.dataset.symmetry import SYMMETRIES
@@ -27,7 +29,7 @@ from tactip_twin.sim.parallel.worker_pool import worker_count
 from tactip_twin.sim.view.plot import pyplot
 from tactip_twin.tactip_model.errors import TactipError, lookup
 from tactip_twin.tactip_model.files import write_file
-from tactip_twin.tactip_model.presets import find_design
+from tactip_twin.tactip_model.presets import load_design
 
 PAPER = {
     "surface": {"pose_z": 0.1, "pose_Rx": 0.3, "pose_Ry": 0.3},
@@ -165,7 +167,7 @@ def jobs(options, kinds):
             seed=0,
             # Of eight images a contact, OpenGL's cost more than their contact; what is judged on is drawn by it.
             renderer="raster" if (kind, split) == ("bent", "train") else "pyrender",
-            design=find_design(DESIGN),
+            design=load_design(DESIGN),
             fidelity=fidelity_named(FIDELITY),
             pose=POSE_RANGES[task],
             shear=shear,
@@ -237,7 +239,7 @@ def run(options, say=print):
         folder = options.runs / options.task / row.name
         say(f"{row.name}: {row.what}")
         training, validation = sets.training(row.kind)
-        start = find_model(row.start) if row.start else None
+        start = load_network(row.start) if row.start else None
         history = train(training, validation, row.recipe.network, row.recipe.settings, folder, say=say, start=start)
         model = load_model(folder)
         figures = {name: evaluate(model, samples).figures for name, samples in tests.items()}

@@ -1,4 +1,4 @@
-"""The simulated 127-pin tip beside the real one: `python -m tactip_twin.benchmarks.learning.real_comparison`.
+"""The simulated 127-pin tip beside the real one: `tactip bench real-comparison`.
 
 The real sensor enters by what was measured on its public images (Tac-VGNN's 127-pin surface set): the map of its
 neutral image, and the outward displacement of its pins at five depths. Its frames themselves are not ours to keep; with

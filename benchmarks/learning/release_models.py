@@ -1,6 +1,6 @@
 """Ships the networks of `tactip bench learning`: copies them into assets/models, each with its evaluation and its card.
 
-python -m tactip_twin.benchmarks.learning.release_models --task surface
+tactip bench release-models --task surface
 
 With --again, the network that is there is judged anew, on test contacts of the tip as it is fitted now.
 """
@@ -18,7 +18,7 @@ from tactip_twin.benchmarks.learning.learning import BARS, DESIGN, PAPER, jobs, 
 from tactip_twin.benchmarks.options import LearningOptions
 from tactip_twin.learning.data import read_samples
 from tactip_twin.learning.evaluate import evaluate, tables
-from tactip_twin.learning.model import DESCRIPTION, WEIGHTS, find_model, load_model, net_sha256
+from tactip_twin.learning.model import DESCRIPTION, WEIGHTS, load_model, load_network, net_sha256
 from tactip_twin.sim.dataset.format import labels_sha256
 from tactip_twin.sim.dataset.generate import make
 from tactip_twin.sim.dataset.symmetry import SYMMETRIES
@@ -105,7 +105,7 @@ def _begun(model, options):
     if "begun_from" not in model.provenance:
         return []
     (start,) = (row.start for row in rows(model.labels.task, False) if row.name == options.name)
-    same = net_sha256(find_model(start).net) == model.provenance["begun_from"]
+    same = net_sha256(load_network(start).net) == model.provenance["begun_from"]
     its = "" if same else " as an earlier version shipped it"
     return [f"- Begun from the weights of `{start}`{its} (checksum {model.provenance['begun_from'][:16]})."]
 
@@ -168,7 +168,7 @@ def card(model, record, options):
         "",
         "```",
         f"tactip bench learning --task {task} --{_AS_MANY.get(options.name, 'contacts')} {contacts} --only {options.name}",
-        f"python -m tactip_twin.benchmarks.learning.release_models --task {task} --name {options.name}",
+        f"tactip bench release-models --task {task} --name {options.name}",
         "```",
     ]
     return "\n".join(lines) + "\n"

@@ -24,7 +24,7 @@ real frames."""
 
 
 def run(options, say=print):
-    """Make the experiments, and write the page. options: TransferredOptions. Returns its record (dict). say: called with
+    """Make the experiments, and write the page. options: TransferOptions. Returns its record (dict). say: called with
     lines for the user.
 
     Raises TactipError, and Interrupted at Ctrl-C.

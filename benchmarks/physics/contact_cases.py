@@ -55,7 +55,7 @@ def training(task, count):
     cases = []
     for index in range(count):
         draw = generator(0, task, "train", index)
-        pose, shear = POSE_RANGES[task].draw(draw), SHEAR_RANGES.draw(draw)
+        pose, shear = POSE_RANGES[task].sample(draw), SHEAR_RANGES.sample(draw)
         scale = from_mm_deg(np.ones(6))
         cases.append(Case(f"{task} {index}", task, tuple((pose / scale).tolist()), tuple((shear / scale).tolist())))
     return cases

@@ -1,22 +1,23 @@
-"""The pressed gel, element for element, in other finite-element codes: `python -m
-tactip_twin.benchmarks.physics.fem_cross_check`.
+"""The pressed gel, element for element, in other finite-element codes: `tactip bench fem-cross-check`.
 
 The same tetrahedra are solved by benchmarks/physics/fem_tetrahedra.py and, where it is installed (Debian: calculix-ccx),
 by CalculiX.
 The vertices that touch the plate are held at the height where the simulator has them; what is compared is where the rest of
-the surface goes, in mm, and the force. Writes docs/second_code.md and docs/second_code.json.
+the surface goes, in mm, and the force. Writes docs/fem_cross_check.md and docs/fem_cross_check.json.
 """
 
 import json
 import shutil
 import subprocess
 import tempfile
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-import tyro
 
+from tactip_twin.benchmarks.options import FemCrossCheckOptions
 from tactip_twin.benchmarks.physics.fem_tetrahedra import Solid, lame
 from tactip_twin.benchmarks.physics.materials import Specimen, gel
 from tactip_twin.sim.contact.fidelity import FIDELITIES
@@ -29,14 +30,6 @@ from tactip_twin.tactip_model.soft_body import gel_attributes
 DEPTHS_MM = (1.0, 2.0, 3.0, 5.0)
 PLAIN_POISSON = 0.3
 """Where St Venant-Kirchhoff's law, which MuJoCo and CalculiX share, still stands 2 mm of depth."""
-
-
-@dataclass(frozen=True)
-class Options:
-    """Compare with other codes."""
-
-    out: Path = Path("docs")
-    """Folder for second_code.md and second_code.json."""
 
 
 def calculix():
@@ -136,20 +129,23 @@ def compare_codes(depth_mm, law, folder):
     return rows
 
 
-def main(options: Options):
-    """Measure, print, and write the page."""
+def run(options: FemCrossCheckOptions, log: Callable[[str], None] = print) -> dict[str, Any]:
+    """Measure, write fem_cross_check.json and fem_cross_check.md, and return the results.
+
+    Where CalculiX is not installed, its comparison is left out and `log` gets a line that says so.
+    """
     rows = [compare_simulator(depth) for depth in DEPTHS_MM]
     if calculix() is None:
-        print("CalculiX is not installed (Debian: apt install calculix-ccx): its comparison is left out")
+        log("CalculiX is not installed (Debian: apt install calculix-ccx): its comparison is left out")
     else:
         for depth, law in ((1.0, "St Venant-Kirchhoff"), (2.0, "St Venant-Kirchhoff"), (3.0, "split neo-Hooke")):
             with tempfile.TemporaryDirectory() as folder:
                 rows += compare_codes(depth, law, Path(folder))
     result = {"rows": rows}
     options.out.mkdir(parents=True, exist_ok=True)
-    write_file(options.out / "second_code.json", (json.dumps(result, indent=1) + "\n").encode())
-    write_file(options.out / "second_code.md", page(result).encode())
-    print(page(result))
+    write_file(options.out / "fem_cross_check.json", (json.dumps(result, indent=1) + "\n").encode())
+    write_file(options.out / "fem_cross_check.md", page(result).encode())
+    return result
 
 
 def page(result):
@@ -157,7 +153,7 @@ def page(result):
     lines = [
         "# The pressed gel in other finite-element codes",
         "",
-        "Written by `python -m tactip_twin.benchmarks.physics.fem_cross_check`; do not edit. The gel of the "
+        "Written by `tactip bench fem-cross-check`; do not edit. The gel of the "
         "127-pin tip on the `standard` mesh, "
         "without skin and friction, solved by two codes on the very same tetrahedra; the vertices that touch the plate are "
         "held at the simulator's height. *Simulator*: a contact as it is played for data sets. *MuJoCo's flex*: the flex "
@@ -175,7 +171,3 @@ def page(result):
     if not any("CalculiX" in r["codes"] for r in result["rows"]):
         lines += ["", "CalculiX was not installed."]
     return "\n".join(lines) + "\n"
-
-
-if __name__ == "__main__":
-    main(tyro.cli(Options))

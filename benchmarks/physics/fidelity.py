@@ -1,5 +1,4 @@
-"""Error against run time of simulated contacts: `tactip bench error`, or `python -m
-tactip_twin.benchmarks.physics.fidelity`.
+"""Error against run time of simulated contacts: `tactip bench fidelity`.
 
 The fidelity presets on named cases and on the first contacts of the training sets; `standard` with one number changed at a
 time; the reference itself refined; and the raster against pyrender. Errors are of pins, of force, and of the label that
@@ -69,7 +68,7 @@ class Measurement:
     """Errors and costs, from contacts that are played or found."""
 
     def __init__(self, options, plays):
-        """options: ErrorOptions. plays: called with a Case and a Variant for a Played
+        """options: FidelityOptions. plays: called with a Case and a Variant for a Played
         (tactip_twin.benchmarks.physics.contact_cache)."""
         self._options, self._plays = options, plays
         self._pins = ImagePins(design_named(DESIGN))
@@ -250,7 +249,7 @@ def seen_at(frame, settings, places):
 
 
 def run(options):
-    """Measure, and write fidelity.json, .md and .png. options: ErrorOptions. Returns the result (dict).
+    """Measure, and write fidelity.json, .md and .png. options: FidelityOptions. Returns the result (dict).
 
     Raises TactipError and OSError. Stopped by Ctrl-C, the contacts played so far are kept.
     """

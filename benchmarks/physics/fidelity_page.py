@@ -39,7 +39,9 @@ def page(result):
     lines = [
         "# Error against run time",
         "",
-        "Written by `tactip bench error`; do not edit. 127-pin tip, one core of: " + machine_text(result["machine"]) + ".",
+        "Written by `tactip bench fidelity`; do not edit. 127-pin tip, one core of: "
+        + machine_text(result["machine"])
+        + ".",
         "",
         "Pins: distance of their tips in mm, mean / 95th percentile / greatest. Force: its error over the force, summed "
         "over contacts. Label: the change of pose that moves the pins in the tactile image as the error does (least squares "

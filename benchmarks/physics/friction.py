@@ -1,4 +1,4 @@
-"""Force along a slide, and what friction must do along a path: `python -m tactip_twin.benchmarks.physics.friction`.
+"""Force along a slide, and what friction must do along a path: `tactip bench friction`.
 
 The 127-pin tip on the flat at `standard`. Slides: the force at each step, and of contacts at rest. Paths: one pose reached
 in different orders, loading and unloading, and work over closed cycles, with friction and without. Writes
@@ -6,13 +6,13 @@ docs/friction.md, docs/friction.json and docs/friction.png.
 """
 
 import json
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
+from typing import Any
 
 import matplotlib.figure
 import numpy as np
-import tyro
 
+from tactip_twin.benchmarks.options import FrictionOptions
 from tactip_twin.sim.contact.fidelity import FIDELITIES
 from tactip_twin.sim.contact.simulator import ContactSimulator, motion_fractions
 from tactip_twin.sim.pose import from_mm_deg, path
@@ -23,14 +23,6 @@ DEPTHS_MM = (2.0, 3.0, 4.0)
 FRICTIONS = (0.3, 0.6)
 SLIDE_MM = 10.0
 SMALL_STEP_MM = 0.1
-
-
-@dataclass(frozen=True)
-class Options:
-    """Measure friction."""
-
-    out: Path = Path("docs")
-    """Folder for friction.md, friction.json and friction.png."""
 
 
 class Walker(ContactSimulator):
@@ -224,8 +216,8 @@ def measure():
     }
 
 
-def main(options: Options):
-    """Measure, print, and write the page."""
+def run(options: FrictionOptions) -> dict[str, Any]:
+    """Measure, write friction.json, friction.md and friction.png, and return the results."""
     result = measure()
     options.out.mkdir(parents=True, exist_ok=True)
     draw(result, options.out / "friction.png")
@@ -233,7 +225,7 @@ def main(options: Options):
         del row["trace"]
     write_file(options.out / "friction.json", (json.dumps(result, indent=1) + "\n").encode())
     write_file(options.out / "friction.md", page(result).encode())
-    print(page(result))
+    return result
 
 
 def draw(result, file):
@@ -259,8 +251,7 @@ def page(result):
     lines = [
         "# Friction along a path",
         "",
-        "Written by `python -m tactip_twin.benchmarks.physics.friction`; do not edit. The 127-pin tip on the flat "
-        "at `standard`.",
+        "Written by `tactip bench friction`; do not edit. The 127-pin tip on the flat at `standard`.",
         "",
         f"*Slides* of {SLIDE_MM:g} mm, their second half: standard deviation of the normal force over its mean, and "
         "tangential over normal force, mean (greatest). *Moving*: at every step of one motion. *At rest*: every 0.5 mm, as "
@@ -310,7 +301,3 @@ def page(result):
     line("greatest T/N", [f"{r['greatest']:.4f}" for r in rows])
     lines += ["", "![forces along slides, and a shear loop](friction.png)"]
     return "\n".join(lines) + "\n"
-
-
-if __name__ == "__main__":
-    main(tyro.cli(Options))

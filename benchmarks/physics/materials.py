@@ -1,4 +1,4 @@
-"""The flexes' materials against closed forms: `python -m tactip_twin.benchmarks.physics.materials`.
+"""The flexes' materials against closed forms: `tactip bench materials`.
 
 Small bodies with the very settings of tactip_model/soft_body.py: a patch test and a bar in tension and compression for
 gel of
@@ -7,15 +7,15 @@ docs/materials.json.
 """
 
 import json
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import permutations
-from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
-import tyro
 from scipy.spatial import Delaunay
 
+from tactip_twin.benchmarks.options import MaterialsOptions
 from tactip_twin.benchmarks.physics.fem_tetrahedra import lame
 from tactip_twin.sim.contact.fidelity import FIDELITIES
 from tactip_twin.tactip_model.design import Materials, TipGeometry
@@ -45,14 +45,6 @@ _STEP_S = 7e-3
 _HELD_KG = 1e6
 _NODE_KG = 1e-6
 _SMALL_M = 5e-6  # deflection at which plates and shells are compared with linear theory
-
-
-@dataclass(frozen=True)
-class Options:
-    """Measure the materials."""
-
-    out: Path = Path("docs")
-    """Folder for materials.md and materials.json."""
 
 
 class Specimen:
@@ -373,13 +365,13 @@ def measure():
     return result
 
 
-def main(options: Options):
-    """Measure, print, and write the page."""
+def run(options: MaterialsOptions) -> dict[str, Any]:
+    """Measure, write materials.json and materials.md, and return the results."""
     result = measure()
     options.out.mkdir(parents=True, exist_ok=True)
     write_file(options.out / "materials.json", (json.dumps(result, indent=1) + "\n").encode())
     write_file(options.out / "materials.md", page(result).encode())
-    print(page(result))
+    return result
 
 
 def page(result):
@@ -387,7 +379,7 @@ def page(result):
     lines = [
         "# The materials against closed forms",
         "",
-        "Written by `python -m tactip_twin.benchmarks.physics.materials`; do not edit. Small bodies of their own, "
+        "Written by `tactip bench materials`; do not edit. Small bodies of their own, "
         "with the settings of "
         "`tactip_model/soft_body.py`. The sources of the closed forms stand in `benchmarks/physics/materials.py`.",
         "",
@@ -467,7 +459,3 @@ def _curved(result):
             ranges.append(f"{min(found):.2f} to {max(found):.2f} ({lattice})")
         told.append(f"{kind} {' and '.join(ranges)}")
     return ", ".join(told)
-
-
-if __name__ == "__main__":
-    main(tyro.cli(Options))

@@ -1,4 +1,4 @@
-"""The pressed tip against an independent finite-element code: `python -m tactip_twin.benchmarks.physics.mechanics`.
+"""The pressed tip against an independent finite-element code: `tactip bench mechanics`.
 
 Centred press on the flat without friction: force over that of benchmarks/physics/fem_axisymmetric.py (which does not
 lock and whose
@@ -8,12 +8,13 @@ volume. Writes docs/mechanics.md and docs/mechanics.json.
 """
 
 import json
-from dataclasses import dataclass, replace
-from pathlib import Path
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
-import tyro
 
+from tactip_twin.benchmarks.options import MechanicsOptions
 from tactip_twin.benchmarks.physics.fem_axisymmetric import Dome, Layer
 from tactip_twin.sim.contact.fidelity import FIDELITIES
 from tactip_twin.sim.contact.simulator import ContactSimulator
@@ -28,18 +29,10 @@ SHAPE_DEPTH_MM = 3.0
 POISSONS = (0.45, 0.47, 0.49, 0.499)
 
 
-@dataclass(frozen=True)
-class Options:
-    """Measure the mechanics."""
-
-    out: Path = Path("docs")
-    """Folder for mechanics.md and mechanics.json."""
-
-
 class Expected:
     """Forces and shapes of the independent code for one tip."""
 
-    def __init__(self, design, what, poisson):
+    def __init__(self, design, what, poisson, log=print):
         """design: Design. what: `gel` or `sensor`. poisson: of the gel, -."""
         m, r = design.materials, design.shape.radius_m
         gel, t = (m.gel_young_pa, poisson), m.skin_thickness_m
@@ -47,7 +40,7 @@ class Expected:
             "gel": [Layer(r - 2 * CONTACT_RADIUS_M, *gel, 12), Layer(r, *gel, 1)],
             "sensor": [Layer(r - t, *gel, 12), Layer(r, m.skin_young_pa, m.skin_poisson, round(t / 2 / CONTACT_RADIUS_M))],
         }
-        dome, steps = Dome(layers[what], polar_elements=40), _pressed(layers[what])
+        dome, steps = Dome(layers[what], polar_elements=40), _pressed(layers[what], log)
         # Nodes where the simulator's surface vertices lie. Not all points of the grid are nodes of elements.
         used = np.unique(dome.elements)
         nodes = used[np.isclose(np.linalg.norm(dome.nodes[used], axis=1), r - CONTACT_RADIUS_M, rtol=1e-6)]
@@ -73,14 +66,14 @@ class Expected:
         return [float(np.sqrt(np.mean(error**2))), float(error.max())]
 
 
-def _pressed(layers):
+def _pressed(layers, log):
     """Depths, mm, to (force, displacements) of the independent code, in steps as long as it stands: dict."""
     for step in (0.25, 0.125, 0.0625):
         depths = np.arange(step, max(DEPTHS_MM) + step / 2, step)
         try:
             steps = list(Dome(layers, polar_elements=40).press(depths * 1e-3))
         except ArithmeticError as error:
-            print(f"steps of {step} mm: {error}", flush=True)
+            log(f"steps of {step} mm: {error}")
             continue
         return {depth: state for depth, state in zip(depths.tolist(), steps, strict=True) if depth in DEPTHS_MM}
     raise ArithmeticError("the reference solution needs smaller steps than tried")
@@ -111,7 +104,7 @@ def as_it_is(fidelity):
     return replace(fidelity, mesh=replace(fidelity.mesh, poisson_limit=0.5, locked_stiffness=1.0))
 
 
-def against_depth(expected):
+def against_depth(expected, log):
     """Force ratios at DEPTHS_MM of the presets and of what they undo: a list of dict. expected: dict of what to Expected."""
     standard, rows = FIDELITIES["standard"], []
     cases = {"draft": FIDELITIES["draft"], "standard": standard, "standard mesh, 0.49 as it is": as_it_is(standard)}
@@ -123,16 +116,16 @@ def against_depth(expected):
                 player.scene.mesh.volumes.sum()
             )
             rows.append({"tip": what, "mesh": name, "force_ratio": ratios, "volume_lost_at_5_mm": float(lost)})
-            print(json.dumps(rows[-1]), flush=True)
+            log(json.dumps(rows[-1]))
     return rows
 
 
-def locking(known):
+def locking(known, log):
     """Force and shape over POISSONS and meshes: a list of dict. known: dict of what to the Expected of the design's gel."""
     rows, own = [], design_named("nominal-127").materials.gel_poisson
     for what in ("gel", "sensor"):
         for poisson in POISSONS:
-            expected = known[what] if poisson == own else Expected(design_named("nominal-127"), what, poisson)
+            expected = known[what] if poisson == own else Expected(design_named("nominal-127"), what, poisson, log)
             for name, fidelity in meshes().items():
                 cures = {"as it is": as_it_is(fidelity)}
                 if poisson > fidelity.mesh.poisson_limit:
@@ -145,11 +138,11 @@ def locking(known):
                         if depth == SHAPE_DEPTH_MM:
                             row["shape_mm"] = expected.shape_error(player.scene, depth)
                     rows.append(row)
-                    print(json.dumps(row), flush=True)
+                    log(json.dumps(row))
     return rows
 
 
-def bending(expected):
+def bending(expected, log):
     """Force and shape of the sensor at `standard` with the skin's bending scaled: a list of dict. expected: Expected."""
     rows = []
     for factor in (0.0, 1.0, 2.0):
@@ -161,7 +154,7 @@ def bending(expected):
             if depth == SHAPE_DEPTH_MM:
                 row["shape_mm"] = expected.shape_error(player.scene, depth)
         rows.append(row)
-        print(json.dumps(row), flush=True)
+        log(json.dumps(row))
     return rows
 
 
@@ -174,21 +167,22 @@ def ripple():
     return float(np.abs(force / smooth - 1).max())
 
 
-def main(options: Options):
-    """Measure, print, and write the page."""
+def run(options: MechanicsOptions, log: Callable[[str], None] = print) -> dict[str, Any]:
+    """Measure, write mechanics.json and mechanics.md, and return the results. Progress goes to `log`."""
     design = design_named("nominal-127")
-    expected = {what: Expected(design, what, design.materials.gel_poisson) for what in ("gel", "sensor")}
+    expected = {what: Expected(design, what, design.materials.gel_poisson, log) for what in ("gel", "sensor")}
     result = {
         "depths_mm": DEPTHS_MM,
         "independent_force_n": {what: [e.force(d) for d in DEPTHS_MM] for what, e in expected.items()},
-        "rows": against_depth(expected),
-        "locking": locking(expected),
-        "bending": bending(expected["sensor"]),
+        "rows": against_depth(expected, log),
+        "locking": locking(expected, log),
+        "bending": bending(expected["sensor"], log),
         "ripple": ripple(),
     }
     options.out.mkdir(parents=True, exist_ok=True)
     write_file(options.out / "mechanics.json", (json.dumps(result, indent=1) + "\n").encode())
     write_file(options.out / "mechanics.md", page(result).encode())
+    return result
 
 
 def page(result):
@@ -197,7 +191,7 @@ def page(result):
     lines = [
         "# The pressed tip against an independent code",
         "",
-        "Written by `python -m tactip_twin.benchmarks.physics.mechanics`; do not edit. Centred press on the flat "
+        "Written by `tactip bench mechanics`; do not edit. Centred press on the flat "
         "without friction. Force over "
         "that of `benchmarks/physics/fem_axisymmetric.py` (eight-node elements with reduced integration, a solid skin) at",
         "",
@@ -245,7 +239,3 @@ def page(result):
         ratios = " | ".join(f"{x:.2f}" for x in r["force_ratio"])
         lines.append(f"| {r['bending']:g} | {ratios} | " + " / ".join(f"{x:.3f}" for x in r["shape_mm"]) + " |")
     return "\n".join(lines) + "\n"
-
-
-if __name__ == "__main__":
-    main(tyro.cli(Options))

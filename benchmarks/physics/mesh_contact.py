@@ -1,14 +1,14 @@
 """By what a mesh is met: rigid flexes, signed distances and what follows the skin, by error and cost.
 
-`python -m tactip_twin.benchmarks.physics.mesh_contact`: the same sheared contacts with a stimulus and with a mesh of its
+`tactip bench mesh-contact`: the same sheared contacts with a stimulus and with a mesh of its
 shape, met in each of the ways
-that there are, and writes docs/objects.md and .json. Some minutes.
+that there are, and writes docs/mesh_contact.md and .json. Some minutes.
 """
 
 import json
-import sys
 import time
-from pathlib import Path
+from collections.abc import Callable
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -16,6 +16,7 @@ import trimesh
 
 from tactip_twin.assets.meshes.rims import block
 from tactip_twin.benchmarks.hardware import machine, machine_text
+from tactip_twin.benchmarks.options import MeshContactOptions
 from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.contact.signed_distance import SignedDistanceMesh
 from tactip_twin.sim.contact.simulator import ContactSimulator
@@ -24,7 +25,7 @@ from tactip_twin.sim.contact.stimuli import EDGE_RADIUS_M, SPHERE_RADIUS_M, Stim
 from tactip_twin.sim.pose import from_mm_deg
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.files import write_file
-from tactip_twin.tactip_model.presets import find_design
+from tactip_twin.tactip_model.presets import load_design
 from tactip_twin.tactip_model.soft_body import TOUCHES_FACETS, TOUCHES_VERTICES
 
 DESIGN, FIDELITY = "tactip-127", "standard"
@@ -120,9 +121,9 @@ def contacts(name):
     return [(from_mm_deg(draw.uniform(low, high)), from_mm_deg(draw.uniform(-far, far))) for _ in range(CONTACTS)]
 
 
-def measure(say=print):
+def measure(log: Callable[[str], None]) -> dict[str, Any]:
     """The record (dict, JSON): for each stimulus, rows of ways."""
-    design, fidelity = find_design(DESIGN), fidelity_named(FIDELITY)
+    design, fidelity = load_design(DESIGN), fidelity_named(FIDELITY)
     out = {"machine": machine(), "contacts": CONTACTS, "design": DESIGN, "fidelity": FIDELITY, "stimuli": {}}
     for name, mesh in shapes().items():
         rows, true = [], None
@@ -131,7 +132,7 @@ def measure(say=print):
                 player = ContactSimulator(design, stimulus(), fidelity)
             except TactipError as error:
                 rows.append({"way": way, "refused": str(error).splitlines()[0]})
-                say(f"{name}: {way}: refused")
+                log(f"{name}: {way}: refused")
                 continue
             played, seconds = [], []
             for pose, shear in contacts(name):
@@ -142,7 +143,7 @@ def measure(say=print):
             rows.append({"way": way, **_figures(played, true, seconds)})
             if way.startswith("rigid flex"):
                 rows[-1]["force"] = None  # Scene.contact_force tells sides by geoms: a flex has none
-            say(f"{name}: {way}: {rows[-1]['pins_mm']} mm, {rows[-1]['seconds']:.2f} s")
+            log(f"{name}: {way}: {rows[-1]['pins_mm']} mm, {rows[-1]['seconds']:.2f} s")
         out["stimuli"][name] = rows
     return out
 
@@ -165,7 +166,7 @@ def page(record):
     lines = [
         "# By what a mesh is met",
         "",
-        "Written by `python -m tactip_twin.benchmarks.physics.mesh_contact`; do not edit. "
+        "Written by `tactip bench mesh-contact`; do not edit. "
         f"{record['contacts']} sheared contacts of `{record['design']}` at `{record['fidelity']}`, with a stimulus and "
         f"with a mesh of its shape; errors are against the stimulus itself. On: {state}.",
         "",
@@ -195,15 +196,10 @@ def page(record):
     return "\n".join(lines) + "\n"
 
 
-def main():
-    """Measure and write."""
-    record = measure()
-    docs = Path("docs")
-    docs.mkdir(exist_ok=True)
-    write_file(docs / "objects.json", (json.dumps(record, indent=1) + "\n").encode())
-    write_file(docs / "objects.md", page(record).encode())
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+def run(options: MeshContactOptions, log: Callable[[str], None] = print) -> dict[str, Any]:
+    """Measure, write mesh_contact.json and mesh_contact.md, and return the results. Progress goes to `log`."""
+    record = measure(log)
+    options.out.mkdir(parents=True, exist_ok=True)
+    write_file(options.out / "mesh_contact.json", (json.dumps(record, indent=1) + "\n").encode())
+    write_file(options.out / "mesh_contact.md", page(record).encode())
+    return record

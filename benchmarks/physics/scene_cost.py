@@ -1,8 +1,8 @@
-"""What each part of the data-set scene costs, and that it holds no other: `tactip bench parts`.
+"""What each part of the data-set scene costs, and that it holds no other: `tactip bench scene-cost`.
 
 The first contacts of the training sets at `standard`, and right after each the same without one part: what that saves and
 what it does to the pins. Where the time of a contact goes, call by call. What a sample costs beside its contact. And an
-account of all that the compiled scene holds. Writes docs/parts.md and docs/parts.json.
+account of all that the compiled scene holds. Writes docs/scene_cost.md and docs/scene_cost.json.
 """
 
 import json
@@ -260,7 +260,7 @@ def inventory(scene):
 
 
 def run(options):
-    """Measure, and write parts.json and parts.md. options: PartsOptions. Returns the result (dict).
+    """Measure, and write scene_cost.json and scene_cost.md. options: SceneCostOptions. Returns the result (dict).
 
     Raises TactipError and OSError.
     """
@@ -283,8 +283,8 @@ def run(options):
         bar.update()
     result["inventory"] = {task: [list(row) for row in inventory(_player(task).scene)] for task in TASKS}
     options.out.mkdir(parents=True, exist_ok=True)
-    write_file(options.out / "parts.json", (json.dumps(result, indent=1) + "\n").encode())
-    write_file(options.out / "parts.md", page(result).encode())
+    write_file(options.out / "scene_cost.json", (json.dumps(result, indent=1) + "\n").encode())
+    write_file(options.out / "scene_cost.md", page(result).encode())
     return result
 
 
@@ -293,7 +293,7 @@ def page(result):
     lines = [
         "# What a scene does not need",
         "",
-        "Written by `tactip bench parts`; do not edit. The first "
+        "Written by `tactip bench scene-cost`; do not edit. The first "
         f"{result['contacts_a_task']} contacts of each training set of seed 0 at `standard`, 127-pin tip, one core of: "
         + machine_text(result["machine"])
         + ".",

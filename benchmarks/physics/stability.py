@@ -322,8 +322,8 @@ def _done(folder, index, cell):
     return record if {key: record.get(key) for key in expected} == expected else None
 
 
-def run(options, say=print):
-    """Measure the map and write stability.json, .md and .png. options: StabilityOptions. say: called with lines for the
+def run(options, log=print):
+    """Measure the map and write stability.json, .md and .png. options: StabilityOptions. log: called with lines for the
     user.
 
     Returns the result (dict). Raises Interrupted at Ctrl-C (what is done is kept) and OSError.
@@ -343,7 +343,7 @@ def run(options, say=print):
             _write_json(out, records, len(chosen), fidelity)
 
     if todo:
-        WorkerPool(_Judge, (str(folder), fidelity, quick), todo, "cell", say).work(min(workers, len(todo)), report)
+        WorkerPool(_Judge, (str(folder), fidelity, quick), todo, "cell", log).work(min(workers, len(todo)), report)
     records = [_done(folder, i, cell) for i, cell in enumerate(chosen)]
     result = _write_json(out, records, len(chosen), fidelity)
     write_file(out / "stability.md", page(result).encode())
@@ -351,7 +351,7 @@ def run(options, say=print):
     for path in folder.iterdir():
         path.unlink()
     folder.rmdir()
-    say(f"{len(todo)} cells in {time.perf_counter() - start:.0f} s: {_counts_text(records)}")
+    log(f"{len(todo)} cells in {time.perf_counter() - start:.0f} s: {_counts_text(records)}")
     return result
 
 

@@ -1,4 +1,4 @@
-"""MuJoCo's GPU engine on the soft tip, beside MuJoCo itself: `tactip bench speed --groups gpu-engine`.
+"""MuJoCo's GPU engine on the soft tip, beside MuJoCo itself: `tactip bench performance --groups gpu-engine`.
 
 A flat is pressed 3 mm into the tip at `standard`'s steps, by mj_step in double precision and by MuJoCo Warp in single, as
 tight as it goes; on the processor where there is no GPU, which tells what it gets right and nothing of its speed. What our
@@ -13,7 +13,7 @@ import numpy as np
 
 from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.contact.simulator import ContactSimulator
-from tactip_twin.tactip_model.presets import find_design
+from tactip_twin.tactip_model.presets import load_design
 
 TIGHTEST = 1e-6
 """Smallest tolerance of MuJoCo Warp's solver, - (MuJoCo's manual, "MuJoCo Warp", Differences from MuJoCo)."""
@@ -83,7 +83,7 @@ def _off(places, truth):
 
 
 def _model(tolerance):
-    model = ContactSimulator(find_design("tactip-127"), "surface", fidelity_named("standard")).scene.model
+    model = ContactSimulator(load_design("tactip-127"), "surface", fidelity_named("standard")).scene.model
     # MuJoCo Warp refuses this flag; nothing diverges here.
     model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     model.opt.tolerance = tolerance

@@ -1,4 +1,4 @@
-"""What everything costs on one machine, and how it grows: `tactip bench speed` writes docs/performance.md and .json.
+"""What everything costs on one machine, and how it grows: `tactip bench performance` writes docs/performance.md and .json.
 
 Each group is measured alone and kept: the page has what was measured last. Rates of sets are marginal: the time of a set of
 n contacts less that of one of a few, over the difference, so that what is paid once stands by itself.
@@ -25,13 +25,13 @@ from tactip_twin.benchmarks.hardware import machine, machine_text
 from tactip_twin.benchmarks.scale import mujoco_warp as gpu_engine
 from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.contact.simulator import ContactSimulator
-from tactip_twin.sim.dataset.format import Configuration
+from tactip_twin.sim.dataset.configuration import Configuration
 from tactip_twin.sim.dataset.generate import Job, make
 from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES
 from tactip_twin.sim.dataset.symmetry import SYMMETRIES
 from tactip_twin.tactip_model.errors import TactipError, lookup
 from tactip_twin.tactip_model.files import write_file
-from tactip_twin.tactip_model.presets import find_design
+from tactip_twin.tactip_model.presets import load_design
 
 _LOOKS = 20
 """Looks at a contact, where there is more than one."""
@@ -59,7 +59,7 @@ COMMANDS = (
 
 
 def run(options, say=print):
-    """Measure. options: benchmarks.options.SpeedOptions. Returns the record (dict). say: called with lines for the user.
+    """Measure. options: benchmarks.options.PerformanceOptions. Returns the record (dict). say: called with lines for the user.
 
     Raises TactipError.
     """
@@ -110,7 +110,7 @@ def made_set(folder, samples, workers, task, fidelity, renderer, symmetric, desi
         samples=samples,
         seed=0,
         renderer=renderer,
-        design=find_design(design),
+        design=load_design(design),
         fidelity=fidelity_named(fidelity),
         pose=POSE_RANGES[task],
         shear=SHEAR_RANGES,
@@ -211,7 +211,7 @@ def _images(options):
 
     rows = []
     for name in ("tactip-127", "nominal-331"):
-        design = find_design(name)
+        design = load_design(name)
         pins = neutral_pins(design)
         for renderer in ("pyrender", "raster"):
             render = renderer_named(renderer, design)
@@ -240,7 +240,7 @@ def _learning(options):
 
     from tactip_twin.learning.data import read_samples
     from tactip_twin.learning.device import one_thread
-    from tactip_twin.learning.model import find_model
+    from tactip_twin.learning.model import load_network
     from tactip_twin.learning.recipes import recipe_named
     from tactip_twin.learning.train import Training
 
@@ -260,7 +260,7 @@ def _learning(options):
                     "threads": torch.get_num_threads(),
                 })  # fmt: skip
         for name in ("surface-tactip-127", "edge-tactip-127"):
-            model = find_model(name)
+            model = load_network(name)
             image = samples.images[:1]
             one = _median(lambda m=model, i=image: m.predict(i), 50)
             with one_thread():
@@ -308,12 +308,12 @@ def _faces(options):
         solid = SignedDistanceMesh(np.asarray(ball.vertices), np.asarray(ball.faces))
         built = time.perf_counter() - start
         finger = MountedTip(
-            find_design("tactip-127"), solid, fidelity_named("standard"), arm_model_named("none"), np.eye(4)
+            load_design("tactip-127"), solid, fidelity_named("standard"), arm_model_named("none"), np.eye(4)
         )  # fmt: skip
         facing = np.diag([1.0, -1, -1, 1])
         pose = facing.copy()
         pose[2, 3] = 0.05
-        finger.put(pose)
+        finger.reset_to(pose)
         pose = pose.copy()
         pose[2, 3] = 0.037
         finger.go(pose)
@@ -340,7 +340,7 @@ _SHEARED_M = (2e-3, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 def _played_contacts(count):
     """Time (s) of `count` contacts by a player of its own, the first left out."""
-    player = ContactSimulator(find_design("tactip-127"), "surface", fidelity_named("standard"))
+    player = ContactSimulator(load_design("tactip-127"), "surface", fidelity_named("standard"))
     player.play(_PRESSED_M, _SHEARED_M)
     start = time.perf_counter()
     for _ in range(count):
@@ -360,7 +360,7 @@ def _threads(options):
     with ThreadPoolExecutor(cores) as pool:
         seconds = max(pool.map(_played_contacts, [count] * cores))
     rows.append({"what": "contacts, threads of one process", "workers": cores, "contacts/s": cores * count / seconds})
-    player = ContactSimulator(find_design("tactip-127"), "surface", fidelity_named("standard"))
+    player = ContactSimulator(load_design("tactip-127"), "surface", fidelity_named("standard"))
     player.play(_PRESSED_M, _SHEARED_M)
     model, data, steps = player.scene.model, player.scene.data, 25 * count
     size = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_INTEGRATION)
@@ -462,7 +462,7 @@ def page(record):
     lines = [
         "# What it costs",
         "",
-        "Written by `tactip bench speed`; do not edit. Times on shared machines differ from day to day by a tenth and more: "
+        "Written by `tactip bench performance`; do not edit. Times on shared machines differ from day to day by a tenth and more: "
         "ratios of rows of one table hold. Errors stand beside costs in [fidelity.md](fidelity.md), "
         "[learning.md](learning.md) and [servo.md](servo.md).",
     ]

@@ -12,7 +12,8 @@ from importlib.util import find_spec
 from tactip_twin.benchmarks.hardware import machine, machine_text
 from tactip_twin.benchmarks.scale.performance import made_set, set_seconds
 from tactip_twin.learning.data import read_samples
-from tactip_twin.sim.dataset.format import PARTIAL, Configuration, checksum, read_configuration, read_meta
+from tactip_twin.sim.dataset.configuration import Configuration
+from tactip_twin.sim.dataset.format import PARTIAL, checksum, read_configuration, read_meta
 from tactip_twin.sim.dataset.generate import Job, make
 from tactip_twin.sim.dataset.partial_record import unpack_finished_set
 from tactip_twin.sim.dataset.symmetry import SYMMETRIES
@@ -123,7 +124,7 @@ def _dispatch(options):
 class _Single(RayPool):
     """Gives its workers one task at a time."""
 
-    most_held = 1
+    max_held = 1
 
 
 def _rate(crew, options):

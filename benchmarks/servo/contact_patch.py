@@ -1,4 +1,6 @@
-"""Which normal is felt: that of the surface where it is nearest, or its mean over the patch that is touched."""
+"""Comparison of predicted normals with the surface's normal at the nearest point and with its mean over a patch."""
+
+from os import PathLike
 
 import numpy as np
 
@@ -7,10 +9,10 @@ from tactip_twin.sim.robot.recording import read_recording
 from tactip_twin.sim.view.geometry import felt_frames
 
 RADII_MM = (0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0)
-"""Radii of the discs over which normals are averaged, mm; 0 is the place itself."""
+"""Radii of the discs over which normals are averaged, mm; 0 is the nearest point itself."""
 
 _ACROSS = 15
-"""Places across a disc."""
+"""Points across a disc."""
 
 
 def contact_patch_normal(folder, thing):

@@ -21,7 +21,7 @@ from tactip_twin.control.options import Options as ServoOptions
 from tactip_twin.control.options import RouteOptions, Settings
 from tactip_twin.control.servo_run import SCORE
 from tactip_twin.control.servo_run import run as follow
-from tactip_twin.learning.model import find_model, weights_sha256
+from tactip_twin.learning.model import load_network, weights_sha256
 from tactip_twin.sim.parallel.worker_pool import WorkerPool, worker_count
 from tactip_twin.sim.robot.objects import load_object
 from tactip_twin.sim.view.plot import pyplot
@@ -225,7 +225,7 @@ def _made(machine, workers):
 
 def _learned(name):
     """What a network (str, its name or folder) has learned from, in words."""
-    told = find_model(name).provenance
+    told = load_network(name).provenance
     made, count, looks = (
         told["train"]["configuration"],
         told["train"]["samples"],
