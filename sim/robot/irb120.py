@@ -1,12 +1,13 @@
-"""The arm: an ABB IRB 120 that carries the sensor; its kinematics, and its limits.
+"""The robot arm, an ABB IRB 120: its kinematics and limits.
 
-T_base_tcp is the sensor frame (sim/pose.py) in the frame of the arm's base: origin at the tip's apex, z out of it. The
-sensor sits on the flange, its z the flange's, its x the flange's too.
+T_base_tcp is the sensor frame (sim/pose.py) in the frame of the arm's base, with its origin at the tip's apex and z out of
+the tip. The sensor sits on the flange; its x and z are parallel to the flange's.
 """
 
 import mink
 import mujoco
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from tactip_twin.assets import ARM
@@ -15,8 +16,8 @@ from tactip_twin.tactip_model.errors import TactipError
 JOINTS = tuple(f"joint_{k}" for k in range(1, 7))
 """Names of the joints, from the base."""
 
-SPEEDS_RAD_S = np.radians([250.0, 250.0, 250.0, 320.0, 320.0, 420.0])
-"""Greatest speeds of the joints, rad/s: ABB's data, by ros-industrial's abb_irb120_support."""
+MAX_SPEEDS_RAD_S = np.radians([250.0, 250.0, 250.0, 320.0, 320.0, 420.0])
+"""Maximum speeds of the joints, rad/s: ABB's data, from ros-industrial's abb_irb120_support."""
 
 APEX_FROM_FLANGE_M = 89.1e-3
 """Distance of the tip's apex from the flange, m: of a rig with this arm (85 to 89 mm elsewhere)."""
@@ -27,138 +28,167 @@ TOOL_KG = 0.2
 READY_RAD = np.radians([0.0, 20.0, 10.0, 0.0, 60.0, 0.0])
 """Joint angles with the sensor pointing down in front of the arm, rad."""
 
-LEAST_SINGULAR = 0.03
-"""Least singular value of the Jacobian, lengths in units of LEVER_M: below it the arm can hardly move one way, and joints
-race. It is 0.25 or so where the arm works well."""
+MIN_SINGULAR_VALUE = 0.03
+"""Lower limit of the Jacobian's least singular value, lengths in units of LEVER_M. Below it the arm can hardly move in one
+direction, and its joints race. Where the arm works well, the value is about 0.25."""
 
 LEVER_M = 0.3
-"""Length that makes a translation comparable to a turn, m: half the arm's reach."""
+"""Length that makes a translation comparable to a rotation, m: half the arm's reach."""
 
-_POSITION_M, _TURN_RAD = 1e-6, 1e-5
-"""How closely a pose is met, m and rad: a tenth of the arm's repeatability."""
+_POSITION_TOLERANCE_M, _ANGLE_TOLERANCE_RAD = 1e-6, 1e-5
+"""Tolerances of the inverse kinematics, m and rad: a tenth of the arm's repeatability."""
 
-_TRIES = 8
+_STARTS = 8
 _ITERATIONS = 150
 
 
 class Unreachable(TactipError):
-    """A pose that the arm cannot take, or not by going on from where it is."""
+    """A pose that the arm cannot take, or not by moving on from where it is."""
 
 
 class Arm:
-    """Kinematics of the arm and the sensor it carries."""
+    """Kinematics of the arm with the sensor on its flange."""
 
-    def __init__(self):
-        self.model = arm_spec().compile()
-        """mujoco.MjModel of the arm alone."""
+    def __init__(self) -> None:
+        self.model: mujoco.MjModel = arm_spec().compile()
+        """The arm alone."""
         self._data = mujoco.MjData(self.model)
         self._site = self.model.site("tcp").id
-        self.limits = self.model.jnt_range.copy()
-        """Lowest and highest angle of each joint, (6, 2) rad."""
+        self.limits: np.ndarray = self.model.jnt_range.copy()
+        """Lower and upper limit of each joint, (6, 2) rad."""
         self._task = mink.FrameTask("tcp", "site", position_cost=1.0, orientation_cost=1.0, lm_damping=1e-6)
-        self._limits = [mink.ConfigurationLimit(self.model)]
+        self._limits: list[mink.Limit] = [mink.ConfigurationLimit(self.model)]
 
-    def forward(self, angles):
-        """T_base_tcp (4, 4) at joint angles (6,), rad."""
-        self._at(angles)
+    def forward(self, angles: ArrayLike) -> np.ndarray:
+        """Return T_base_tcp (4, 4) at joint angles (6,), rad."""
+        self._set_joints(angles)
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = self._data.site_xmat[self._site].reshape(3, 3), self._data.site_xpos[self._site]
         return T
 
-    def jacobian(self, angles):
-        """(6, 6): velocity of the apex, m/s, and turning of the sensor, rad/s, both in the base frame, by joint speeds."""
-        self._at(angles)
+    def jacobian(self, angles: ArrayLike) -> np.ndarray:
+        """Return the Jacobian at joint angles (6,), rad.
+
+        Returns:
+            (6, 6): rows are the apex's velocity, m/s, and the sensor's angular velocity, rad/s, both in the base frame, per
+            rad/s of each joint.
+        """
+        self._set_joints(angles)
         out = np.zeros((6, 6))
         mujoco.mj_jacSite(self.model, self._data, out[:3], out[3:], self._site)
         return out
 
-    def manoeuvrability(self, angles):
-        """Least singular value of the Jacobian (-), lengths in units of LEVER_M: nothing where the arm is singular."""
+    def min_singular_value(self, angles: ArrayLike) -> float:
+        """Return the Jacobian's least singular value, lengths in units of LEVER_M; 0 where the arm is singular."""
         jacobian = self.jacobian(angles)
         jacobian[:3] /= LEVER_M
         return float(np.linalg.svd(jacobian, compute_uv=False)[-1])
 
-    def near(self, T_base_tcp, angles):
-        """Joint angles (6,), rad, of a pose (4, 4), by going on from `angles` (6,).
+    def solve_near(self, T_base_tcp: np.ndarray, angles: np.ndarray) -> np.ndarray:
+        """Solve the inverse kinematics close to given joint angles.
 
-        Raises Unreachable where it is out of reach, beyond a joint's limit or singular.
+        Args:
+            T_base_tcp: (4, 4).
+            angles: (6,) rad, to start from.
+
+        Returns:
+            Joint angles (6,), rad.
+
+        Raises:
+            Unreachable: If the pose is out of reach, beyond a joint's limit or singular.
         """
-        found, apart = self._solve(T_base_tcp, angles)
+        found, residual = self._iterate(T_base_tcp, angles)
         if found is None:
-            raise Unreachable(self._why(apart))
-        value = self.manoeuvrability(found)
-        if value < LEAST_SINGULAR:
-            raise Unreachable(f"the arm is singular there: it can move {value:.3f} as far as it should, {LEAST_SINGULAR}")
+            raise Unreachable(_unreachable_message(residual))
+        value = self.min_singular_value(found)
+        if value < MIN_SINGULAR_VALUE:
+            raise Unreachable(
+                f"the arm is singular there: it can move {value:.3f} as far as it should, {MIN_SINGULAR_VALUE}"
+            )
         return found
 
-    def find(self, T_base_tcp, wrist_rad=0.0):
-        """Joint angles (6,), rad, of a pose (4, 4), from wherever the arm is: those with the most room.
+    def solve(self, T_base_tcp: np.ndarray, wrist_rad: float = 0.0) -> np.ndarray:
+        """Solve the inverse kinematics from several starts, and take the solution farthest from limits and singularities.
 
-        wrist_rad: float, where joint 6, which can turn more than once round, is to be, as near as a whole turn allows.
-        Raises Unreachable where there are none.
+        Args:
+            T_base_tcp: (4, 4).
+            wrist_rad: Desired angle of joint 6, rad. It can turn more than once round; the nearest whole turn is taken.
+
+        Returns:
+            Joint angles (6,), rad.
+
+        Raises:
+            Unreachable: If there is no solution.
         """
-        best, most, apart = None, -np.inf, []
+        best, best_score, residuals = None, -np.inf, []
         shoulder = np.arctan2(T_base_tcp[1, 3], T_base_tcp[0, 3])
-        draw = np.random.default_rng(0)
-        for k in range(_TRIES):
-            start = READY_RAD + (draw.normal(0, 0.4, 6) if k else 0)
+        rng = np.random.default_rng(0)
+        for k in range(_STARTS):
+            start = READY_RAD + (rng.normal(0, 0.4, 6) if k else 0)
             start[0] += shoulder
-            found, missed = self._solve(T_base_tcp, np.clip(start, *self.limits.T))
+            found, residual = self._iterate(T_base_tcp, np.clip(start, *self.limits.T))
             if found is None:
-                apart.append(missed)
+                residuals.append(residual)
                 continue
             found[5] += 2 * np.pi * np.round((wrist_rad - found[5]) / (2 * np.pi))
             found[5] -= 2 * np.pi * np.sign(found[5]) * (abs(found[5]) > self.limits[5, 1])
-            room = min(self.manoeuvrability(found) / LEAST_SINGULAR, self.room(found[:5]) / np.radians(10))
-            room -= abs(found[5] - wrist_rad) / 10
-            if room > most:
-                best, most = found, room
+            score = min(self.min_singular_value(found) / MIN_SINGULAR_VALUE, self.limit_margin(found[:5]) / np.radians(10))
+            score -= abs(found[5] - wrist_rad) / 10
+            if score > best_score:
+                best, best_score = found, score
         if best is None:
-            raise Unreachable(self._why(min(apart)))
-        if self.manoeuvrability(best) < LEAST_SINGULAR:
+            raise Unreachable(_unreachable_message(min(residuals)))
+        if self.min_singular_value(best) < MIN_SINGULAR_VALUE:
             raise Unreachable("the arm can only be singular there")
         return best
 
-    def room(self, angles):
-        """Angle (rad) from the nearest limit of a joint; negative beyond it. angles: (6,) rad, or of the first joints."""
+    def limit_margin(self, angles: np.ndarray) -> float:
+        """Return the angle, rad, to the nearest joint limit; negative beyond it. angles: (6,) rad, or the first joints'."""
         low, high = self.limits[: len(angles)].T
         return float(np.minimum(angles - low, high - angles).min())
 
-    def _at(self, angles):
+    def _set_joints(self, angles: ArrayLike) -> None:
         self._data.qpos[:] = angles
         mujoco.mj_kinematics(self.model, self._data)
         mujoco.mj_comPos(self.model, self._data)
 
-    def _solve(self, T_base_tcp, start):
-        """Angles (6,) or None, and what was missed in the end (m, rad)."""
+    def _iterate(self, T_base_tcp: np.ndarray, start: np.ndarray) -> tuple[np.ndarray | None, tuple[float, float]]:
+        """Return joint angles (6,), or None without convergence, and the last residual, m and rad."""
         configuration = mink.Configuration(self.model, q=np.array(start, float))
         self._task.set_target(mink.SE3.from_matrix(np.asarray(T_base_tcp, float)))
-        missed = (np.inf, np.inf)
+        residual = (np.inf, np.inf)
         for _ in range(_ITERATIONS):
             error = self._task.compute_error(configuration)
-            missed = float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
-            if missed[0] < _POSITION_M and missed[1] < _TURN_RAD:
-                return configuration.q.copy(), missed
+            residual = float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
+            if residual[0] < _POSITION_TOLERANCE_M and residual[1] < _ANGLE_TOLERANCE_RAD:
+                return configuration.q.copy(), residual
             step = mink.solve_ik(configuration, [self._task], 1.0, "daqp", limits=self._limits)
             length = np.abs(step).max()
             configuration.integrate_inplace(step * min(1.0, 0.5 / max(length, 1e-12)), 1.0)
-        return None, missed
+        return None, residual
 
-    def _why(self, missed):
-        return (
-            f"the arm cannot take that pose: with every joint in its limits it stays {1e3 * missed[0]:.1f} mm and "
-            f"{np.degrees(missed[1]):.1f} degrees away"
-        )
+
+def _unreachable_message(residual: tuple[float, float]) -> str:
+    return (
+        f"the arm cannot take that pose: with every joint in its limits it stays {1e3 * residual[0]:.1f} mm and "
+        f"{np.degrees(residual[1]):.1f} degrees away"
+    )
 
 
 _HOUSING_WIDER_M = 2e-3
-"""Radius of the sensor's housing over the tip's, m."""
+"""Radius of the sensor's housing minus the tip's, m."""
 
 
-def housing_points(radius_m=20e-3, rings=4, sides=24):
-    """Points (rings * sides, 3) m, sensor frame, on the sensor's housing from its edge behind the tip to the flange.
+def housing_points(radius_m: float = 20e-3, rings: int = 4, sides: int = 24) -> np.ndarray:
+    """Return points on the sensor's housing, from its edge behind the tip to the flange.
 
-    radius_m: of the tip, m.
+    Args:
+        radius_m: Radius of the tip, m.
+        rings: Number of rings of points along the axis.
+        sides: Number of points per ring.
+
+    Returns:
+        (rings * sides, 3) m, sensor frame.
     """
     turn = 2 * np.pi * np.arange(sides) / sides
     ring = (radius_m + _HOUSING_WIDER_M) * np.stack([np.cos(turn), np.sin(turn), 0 * turn], 1)
@@ -166,11 +196,13 @@ def housing_points(radius_m=20e-3, rings=4, sides=24):
     return (ring - back[:, None, None] * [0, 0, 1.0]).reshape(-1, 3)
 
 
-def arm_spec(radius_m=20e-3):
-    """The MjSpec of the arm with the sensor's housing on its flange, and the site `tcp` at its apex.
+def arm_spec(radius_m: float = 20e-3) -> mujoco.MjSpec:
+    """Return the spec of the arm with the sensor's housing on its flange and the site `tcp` at the apex.
 
-    radius_m: of the tip, m. The housing is there to be seen and weighed; the soft tip is another model's
-    (sim/contact/scene.py).
+    The housing is for rendering and for its mass; the soft tip is in a model of its own (sim/contact/scene.py).
+
+    Args:
+        radius_m: Radius of the tip, m.
     """
     spec = mujoco.MjSpec.from_file(str(ARM))
     sensor, axis = spec.body("link_6").add_body(name="sensor", gravcomp=1), np.array([1.0, 0, 0])

@@ -1,6 +1,8 @@
-"""Things to follow: the project's own by name, and any mesh from a file, looked over before it is used."""
+"""Objects to follow: the project's own by name, and any mesh from a file or from memory, validated before use."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from os import PathLike
 from pathlib import Path
 
 import igl
@@ -14,27 +16,27 @@ from tactip_twin.sim.pose import matrix
 from tactip_twin.tactip_model.errors import TactipError, lookup
 
 FORMATS = ("stl", "obj", "ply", "glb")
-"""Endings of the files that are read."""
+"""File formats that can be read, by ending."""
 
 UNITS_M = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
-"""What a file's numbers may be in, m."""
+"""Units of a file's coordinates, m."""
 
-SMALLEST_M, LARGEST_M = 5e-3, 2.0
-"""Least and greatest size of an object, m: between a quarter of the tip and four times the arm's reach."""
+MIN_SIZE_M, MAX_SIZE_M = 5e-3, 2.0
+"""Limits of an object's size, m: from a quarter of the tip to four times the arm's reach."""
 
-MOST_TRIANGLES = 2_000_000
+MAX_TRIANGLES = 2_000_000
 
-_LEAST_M3 = 1e-12
-"""Volume below which a closed surface has no inside, m^3: a cubic millimetre is a thousand times more."""
+_MIN_VOLUME_M3 = 1e-12
+"""Volume below which a closed surface counts as having no inside, m^3: a cubic millimetre is a thousand times more."""
 
-_FLAT = 0.02
-"""How far from flat, in its width, a hole may be that is closed with a lid, -."""
+_MAX_HOLE_UNEVENNESS = 0.02
+"""Height of a hole's border over its width up to which the hole is closed with a flat lid, -."""
 
 _FOOT_M = (0.38, 0.0, 0.0)
-"""Where the middle of an object's underside stands before the arm, base frame, m."""
+"""Default position of the middle of an object's underside, base frame, m."""
 
 _FEET_M = {"bust": (0.40, 0.0, 0.07)}
-"""The same where it is elsewhere: on the table, the bust's face brings the wrist to where the arm is singular."""
+"""The same for objects that need another: on the table, the bust's face would bring the wrist close to singular."""
 
 
 @dataclass(frozen=True)
@@ -42,93 +44,117 @@ class Edge:
     """An edge to follow, in the object's frame."""
 
     points: np.ndarray
-    """(n, 3) m, along it."""
+    """(n, 3) m, along the edge."""
     normals: np.ndarray
-    """(n, 3), unit: outward of the top."""
+    """(n, 3), unit, outward normals of the top surface."""
     closed: bool
-    """Whether it comes back to its start."""
+    """Whether the edge is a loop."""
 
 
 @dataclass(frozen=True)
 class SceneObject:
-    """An object where it stands."""
+    """An object and its pose."""
 
     name: str
-    """The project's, or its file's without the ending."""
+    """The project's name, the file's name without its ending, or `mesh` for a mesh in memory."""
     solid: SignedDistanceMesh
-    """Its shape, in its own frame."""
+    """Shape, in the object's frame."""
     T_base_object: np.ndarray
     """(4, 4)."""
     edge: Edge | None
-    """Its edge, if that is known."""
+    """Edge, if it is known."""
     middle_m: np.ndarray
-    """(3,) m, in the base frame: over what part of it a route goes, if nothing else is said."""
+    """(3,) m, base frame: the default middle of a route."""
     notes: tuple[str, ...] = ()
     """What was repaired."""
 
 
-_TURNS = {"bust": Rotation.from_matrix(np.array([[0, 0, -1], [0, 1, 0], [1, 0, 0]], float))}
-"""How the project's own lie, where it is not as they are: the bust on its back, its face up, its crown towards the arm."""
+_ROTATIONS = {"bust": Rotation.from_matrix(np.array([[0, 0, -1], [0, 1, 0], [1, 0, 0]], float))}
+"""Default rotations of the project's own objects, where there is one: the bust lies on its back, face up, with its crown
+towards the arm."""
 
 
 _MIDDLES_M = {"bust": (80e-3, 0.0, 55e-3)}
-"""What is in the middle of a route, where it is not the middle of the object, in its own frame, m: the bust's face."""
+"""Middle of a route where it is not the middle of the object, in the object's frame, m: the bust's face."""
 
 
-def object_names():
-    """Names (list of str) of the project's own objects."""
+def object_names() -> list[str]:
+    """Return the names of the project's own objects."""
     return sorted(path.stem for path in MESHES.glob("*.ply"))
 
 
-def load_object(name, unit=None, scale=1.0, place_mm=None, turn_deg=None):
-    """The Thing of one of the project's names, or in a file.
+def load_object(
+    source: str | PathLike[str] | trimesh.Trimesh,
+    unit: str | None = None,
+    scale: float = 1.0,
+    place_mm: Sequence[float] | None = None,
+    turn_deg: Sequence[float] | None = None,
+) -> SceneObject:
+    """Load an object, validate its mesh and place it before the arm.
 
-    name: str or Path. unit: str of UNITS_M, what the file's numbers are in; mm if None. scale: float. place_mm: (3,), where
-    the middle of its underside is in the arm's base frame; in front of the arm if None. turn_deg: (3,), rotation vector
-    before that.
-    Raises TactipError on what cannot be used, with the reason.
+    Args:
+        source: One of the project's names, a mesh file, or a mesh in memory (which is left as it is).
+        unit: Unit of the coordinates, of UNITS_M. By default mm for a file, and m for a mesh in memory.
+        scale: Scale factor.
+        place_mm: (3,) mm, position of the middle of the object's underside, base frame; in front of the arm if None.
+        turn_deg: (3,) degrees, rotation vector, applied before that.
+
+    Returns:
+        The object.
+
+    Raises:
+        TactipError: If the object cannot be used, with the reason.
     """
-    own = str(name) in object_names()
+    in_memory = isinstance(source, trimesh.Trimesh)
+    name = "mesh" if in_memory else str(source)
+    own = not in_memory and name in object_names()
     path = MESHES / f"{name}.ply" if own else Path(name)
-    if not own and not path.is_file():
-        raise TactipError(f"there is no object {str(name)!r}: choose one of {', '.join(object_names())}, or name a file")
+    if not in_memory and not own and not path.is_file():
+        raise TactipError(f"there is no object {name!r}: choose one of {', '.join(object_names())}, or name a file")
     if own and unit is not None:
-        raise TactipError(f"the object {str(name)!r} comes with its size, and --unit {unit} is of files: leave it out")
-    size = (1.0 if own else lookup("unit", unit or "mm", UNITS_M)) * scale
+        raise TactipError(f"the object {name!r} comes with its size, and --unit {unit} is of files: leave it out")
+    size = (1.0 if own else lookup("unit", unit or ("m" if in_memory else "mm"), UNITS_M)) * scale
     if not np.isfinite(size) or size <= 0:
         raise TactipError(f"the scale is {scale}: it must be above 0")
-    mesh = _read(path)
+    mesh = source.copy() if in_memory else _read(path)
     mesh.apply_scale(size)
-    mesh, notes = checked(mesh, str(name))
-    turn = Rotation.from_rotvec(np.radians(turn_deg)) if turn_deg is not None else _TURNS.get(str(name), Rotation.identity())
+    mesh, notes = validate_mesh(mesh, name)
+    turn = Rotation.from_rotvec(np.radians(turn_deg)) if turn_deg is not None else _ROTATIONS.get(name, Rotation.identity())
     low, high = (f(mesh.vertices @ turn.as_matrix().T, axis=0) for f in (np.min, np.max))
-    foot = np.array(_FEET_M.get(str(name), _FOOT_M)) if place_mm is None else np.array(place_mm, float) / 1e3
+    foot = np.array(_FEET_M.get(name, _FOOT_M)) if place_mm is None else np.array(place_mm, float) / 1e3
     T = matrix(foot - [*(low + high)[:2] / 2, low[2]], turn)
-    edge = _edge(MESHES / f"{name}.edge.csv", scale) if own else None
+    edge = _read_edge(MESHES / f"{name}.edge.csv", scale) if own else None
     middle = (mesh.vertices.min(0) + mesh.vertices.max(0)) / 2
     if own and name in _MIDDLES_M:
         middle = scale * np.array(_MIDDLES_M[name])
-    return SceneObject(
-        Path(name).stem, SignedDistanceMesh(mesh.vertices, mesh.faces), T, edge, (T @ [*middle, 1])[:3], tuple(notes)
-    )
+    solid = SignedDistanceMesh(mesh.vertices, mesh.faces)
+    return SceneObject(path.stem, solid, T, edge, (T @ [*middle, 1])[:3], tuple(notes))
 
 
-def checked(mesh, name):
-    """A trimesh.Trimesh, in metres, made fit for use, and a list of notes (str) of what was repaired.
+def validate_mesh(mesh: trimesh.Trimesh, name: str) -> tuple[trimesh.Trimesh, list[str]]:
+    """Repair a mesh where that is safe, and check that it bounds a volume.
 
-    Raises TactipError where it is empty, not finite, far too large or fine, open beyond repair, or has no inside.
+    Args:
+        mesh: The mesh, in m. It is left as it is.
+        name: Name of the object, for messages.
+
+    Returns:
+        The repaired mesh, and notes on what was repaired.
+
+    Raises:
+        TactipError: If the mesh is empty, not finite, far too large or fine, open beyond repair, or has no inside.
     """
-    notes = []
+    notes: list[str] = []
     if not len(mesh.faces):
         raise TactipError(f"{name} has no triangles")
     if not np.isfinite(mesh.vertices).all():
         raise TactipError(f"{name} has vertices that are not finite")
-    if len(mesh.faces) > MOST_TRIANGLES:
-        raise TactipError(f"{name} has {len(mesh.faces)} triangles: at most {MOST_TRIANGLES} are taken; simplify it first")
+    if len(mesh.faces) > MAX_TRIANGLES:
+        raise TactipError(f"{name} has {len(mesh.faces)} triangles: at most {MAX_TRIANGLES} are taken; simplify it first")
     size = float(mesh.extents.max())
-    if not SMALLEST_M <= size <= LARGEST_M:
+    if not MIN_SIZE_M <= size <= MAX_SIZE_M:
         raise TactipError(
-            f"{name} is {1e3 * size:g} mm large: it must be {1e3 * SMALLEST_M:g} to {1e3 * LARGEST_M:g} mm; "
+            f"{name} is {1e3 * size:g} mm large: it must be {1e3 * MIN_SIZE_M:g} to {1e3 * MAX_SIZE_M:g} mm; "
             f"is the unit right (one of {', '.join(UNITS_M)})?"
         )
     mesh = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
@@ -139,7 +165,7 @@ def checked(mesh, name):
     if len(mesh.faces) < before:
         notes.append(f"{before - len(mesh.faces)} triangles without an area, or doubled, were left out")
     if not mesh.is_watertight:
-        notes += _close(mesh, name)
+        notes += _fill_holes(mesh, name)
     if not mesh.is_winding_consistent:
         mesh.faces = np.asarray(igl.bfs_orient(np.ascontiguousarray(mesh.faces, np.int64))[0])
         notes.append("triangles that were wound the wrong way were turned over")
@@ -149,19 +175,19 @@ def checked(mesh, name):
     if volume < 0:
         mesh.invert()
         notes.append("its triangles faced inward and were turned over")
-    if abs(volume) < _LEAST_M3:
+    if abs(volume) < _MIN_VOLUME_M3:
         raise TactipError(f"{name} has no inside: its volume is {1e9 * abs(volume):g} mm^3")
     return mesh, notes
 
 
-def _volume(mesh):
-    """Volume (m^3) inside of a closed mesh; negative where it is inside out."""
+def _volume(mesh: trimesh.Trimesh) -> float:
+    """Return the volume, m^3, inside a closed mesh; negative where it is inside out."""
     a, b, c = (mesh.vertices - mesh.vertices.mean(0))[mesh.faces].transpose(1, 0, 2)
     return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
 
 
-def _close(mesh, name):
-    """Close the flat holes of a mesh with lids. Returns notes."""
+def _fill_holes(mesh: trimesh.Trimesh, name: str) -> list[str]:
+    """Fill the flat holes of a mesh, in place. Returns notes; raises TactipError where a hole is not flat."""
     sides = mesh.edges_sorted
     order = np.lexsort(sides.T)
     _, first, count = np.unique(sides[order], axis=0, return_index=True, return_counts=True)
@@ -172,25 +198,25 @@ def _close(mesh, name):
     open_sides = mesh.edges[order[first[count == 1]]]
     if not len(open_sides):
         return []
-    follows = dict(open_sides.tolist())
-    if len(follows) < len(open_sides):
+    following = dict(open_sides.tolist())
+    if len(following) < len(open_sides):
         raise TactipError(f"{name} is open, and its holes touch each other: close it first")
     lids, vertices = [], [mesh.vertices]
     new, holes = len(mesh.vertices), 0
-    while follows:
-        start, here = next(iter(follows.items()))
+    while following:
+        start, here = next(iter(following.items()))
         loop = [start]
-        del follows[start]
+        del following[start]
         while here != start:
             loop.append(here)
-            here = follows.pop(here, None)
+            here = following.pop(here, None)
             if here is None:
                 raise TactipError(
                     f"{name} is open, and the border of a hole does not come back to its start: close it first"
                 )
         points = mesh.vertices[loop]
         spread = np.linalg.svd(points - points.mean(0), compute_uv=False) / np.sqrt(len(points))
-        if spread[2] > _FLAT * spread[0]:
+        if spread[2] > _MAX_HOLE_UNEVENNESS * spread[0]:
             raise TactipError(
                 f"{name} is open: a hole of {len(loop)} sides, {1e3 * np.ptp(points, axis=0).max():.0f} mm wide, is not "
                 "flat, and how it goes on there cannot be guessed; close it first"
@@ -202,8 +228,8 @@ def _close(mesh, name):
     return [f"{holes} flat hole(s) were closed with a lid"]
 
 
-def _read(path):
-    """A trimesh.Trimesh of a file."""
+def _read(path: Path) -> trimesh.Trimesh:
+    """Return the mesh in a file, unchecked. Raises TactipError where there is none."""
     if path.suffix.lower().lstrip(".") not in FORMATS:
         raise TactipError(f"{path} cannot be read: an object's file ends in one of {', '.join(FORMATS)}")
     try:
@@ -216,8 +242,8 @@ def _read(path):
     return mesh
 
 
-def _edge(path, scale):
-    """The Edge in a file of the project's own; None if there is none."""
+def _read_edge(path: Path, scale: float) -> Edge | None:
+    """Return the edge of one of the project's own objects; None if there is none."""
     if not path.exists():
         return None
     rows = np.loadtxt(path, delimiter=",", skiprows=1)

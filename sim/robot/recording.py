@@ -1,9 +1,9 @@
-"""A trajectory on disk: what a servo did, step by step, and all that is needed to look at it without playing it again.
+"""Recordings on disk: what a servo run or a contact did, step by step, to be replayed without simulating it again.
 
-recording.json    what was asked for and with what; once it is complete, also events and why it stopped
-scenery.npz       what stands there: the object, the skin's triangles (see RecordedScene)
-steps.npz         an array a quantity, a row a control step (see ARRAYS); images are packed, eight pixels a byte
-steps.log         the same while it is not complete, a frame a step: what a kill leaves can be read to its last whole frame
+recording.json    settings and versions; once the recording is complete, also events and why the run stopped
+scenery.npz       the object and the skin's triangles (see RecordedScene)
+steps.npz         one array per quantity, one row per control step (see ARRAYS); images are packed, eight pixels per byte
+steps.log         the same while the recording is incomplete, one frame per step: after a kill, whole frames can be read
 """
 
 import contextlib
@@ -12,8 +12,11 @@ import json
 import struct
 import zipfile
 import zlib
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -28,12 +31,12 @@ RECORDING, SCENERY, STEPS, LOG = "recording.json", "scenery.npz", "steps.npz", "
 _LOCK = ".lock"
 
 _FRAME = struct.Struct("<QI")
-"""Before each frame of the log: its length and its checksum."""
+"""Header of a frame of the log: length in bytes and checksum."""
 
-_LONGEST = 2**28
-"""Bytes above which a frame's length is none."""
+_MAX_FRAME_BYTES = 2**28
+"""Length above which a frame's header counts as damaged, bytes."""
 
-ARRAYS = {
+ARRAYS: dict[str, tuple[int | None, ...]] = {
     "T_base_tcp": (4, 4),
     "T_told": (4, 4),
     "angles_rad": (6,),
@@ -51,91 +54,112 @@ ARRAYS = {
     "seconds": (4,),
     "images": (None, None),
 }
-"""Quantities and their shapes: the sensor's true pose and where its joints say it is, joint angles, pins and skin in the
-sensor's frame, force on the tip in the sensor's frame, labels as they are felt and as they are (m, rad), how far the image
-is from that of a tip in the air, penetration, phase (of PHASES), part of the route, time steps, time for simulation,
-image, network and control, and packed images."""
+"""Quantities and their shapes per step:
+
+T_base_tcp       the sensor's true pose
+T_told           the sensor's pose as measured by the joints
+angles_rad       joint angles, rad; NaN without an arm
+tips_m           pin tips, sensor frame, m
+directions       directions of the pins, sensor frame
+skin_m           vertices of the skin, sensor frame, m
+force_n          force on the tip, sensor frame, N
+felt             predicted label, m and rad
+true             true label, m and rad
+touching         difference of the image from that of a tip in the air
+penetration_m    penetration, m
+phase            index into PHASES
+part             part of the route
+sim_steps        number of time steps
+seconds          time for simulation, image, network and control, s
+images           packed tactile image
+"""
 
 PHASES = ("search", "centre", "follow", "approach", "shear", "settle")
-"""Phases of a servo run, and of a contact. New ones go to the end: a recording has their numbers."""
+"""Phases of a servo run, and of a contact. A recording has their indices, so new ones are appended."""
 
 
 @dataclass(frozen=True)
 class RecordedScene:
-    """What stands where a recording is made."""
+    """The object, the skin and the arm of a recording."""
 
     object_vertices: np.ndarray
-    """(n, 3) m, the object's own frame."""
+    """(n, 3) m, object's frame."""
     object_triangles: np.ndarray
     """(k, 3) int."""
     T_base_object: np.ndarray
     """(4, 4)."""
     skin_triangles: np.ndarray
-    """(t, 3) int, of the rows of skin_m."""
+    """(t, 3) int, indices into the rows of skin_m."""
     tip_radius_m: float
     """Radius of the tip, m."""
     with_arm: bool
-    """Whether an arm carries it."""
+    """Whether the sensor is on an arm."""
 
 
 class Recorder:
-    """Writes a recording as it grows."""
+    """A recording that is being written."""
 
-    def __init__(self, folder, description, scenery):
-        """folder: path. description: dict, JSON: what was asked for. scenery: RecordedScene.
+    def __init__(self, folder: str | PathLike[str], description: dict[str, Any], scenery: RecordedScene) -> None:
+        """Start a recording.
 
-        Raises TactipError where the folder holds something else than an unfinished recording, and where another command
-        records into it.
+        Args:
+            folder: Folder to write into. An unfinished recording in it is replaced.
+            description: Settings of the run, as JSON values.
+            scenery: The scene.
+
+        Raises:
+            TactipError: If the folder holds anything but an unfinished recording, or another command records into it.
         """
         self.folder = Path(folder)
         if self.folder.exists() and not _unfinished(self.folder):
             raise TactipError(f"the folder {folder} is not empty: name another one, or remove this one")
         self.folder.mkdir(parents=True, exist_ok=True)
-        with contextlib.ExitStack() as held:
-            held.enter_context(locked(self.folder / _LOCK, f"recording into {folder}"))
-            self._description, self._rows, self._events = description, [], []
+        with contextlib.ExitStack() as stack:
+            stack.enter_context(locked(self.folder / _LOCK, f"recording into {folder}"))
+            self._description = description
+            self._rows: list[dict[str, np.ndarray]] = []
+            self._events: list[dict[str, Any]] = []
             self.size_px = 0
             """Width of the images, px; 0 without."""
-            self._log = held.enter_context(open(self.folder / LOG, "wb"))
-            places = {"object_vertices": np.float32, "object_triangles": np.int32, "skin_triangles": np.int32}
-            kept = {name: np.asarray(value, places.get(name)) for name, value in asdict(scenery).items()}
-            write_file(self.folder / SCENERY, _bytes(kept, compressed=True))
+            self._log = stack.enter_context(open(self.folder / LOG, "wb"))
+            dtypes = {"object_vertices": np.float32, "object_triangles": np.int32, "skin_triangles": np.int32}
+            fields = {name: np.asarray(value, dtypes.get(name)) for name, value in asdict(scenery).items()}
+            write_file(self.folder / SCENERY, _bytes(fields, compressed=True))
             self._write_record(complete=False)
-            self._held = held.pop_all()
+            self._open_files = stack.pop_all()
 
-    def add(self, row):
-        """Keep a step: a dict of ARRAYS; `images` an image (size, size) uint8 or None."""
-        row = dict(row)
-        image = row.pop("images")
+    def add(self, row: Mapping[str, Any]) -> None:
+        """Add a step: a value for each name in ARRAYS, with `phase` as a name, and `images` (size, size) uint8 or None."""
+        image = row["images"]
         if image is not None:
             self.size_px = len(image)
-        row["images"] = np.packbits(image > 127, axis=-1) if image is not None else np.zeros((0, 0), np.uint8)
-        row["phase"] = PHASES.index(row["phase"])
-        row = {name: _array(name, row[name]) for name in ARRAYS}
-        self._rows.append(row)
-        self._append(row)
+        packed = np.packbits(image > 127, axis=-1) if image is not None else np.zeros((0, 0), np.uint8)
+        values = {**row, "images": packed, "phase": PHASES.index(row["phase"])}
+        arrays = {name: np.asarray(values[name], _dtype(name)) for name in ARRAYS}
+        self._rows.append(arrays)
+        self._append(arrays)
 
-    def note(self, event):
-        """Keep an event: a dict, JSON."""
+    def note(self, event: dict[str, Any]) -> None:
+        """Add an event, of JSON values: step, kind and what."""
         self._events.append(event)
         self._append({"event": np.frombuffer(json.dumps(event).encode(), np.uint8)})
 
-    def finish(self, outcome):
-        """Complete the recording. outcome: dict, JSON. Returns record and arrays, as read_recording does."""
+    def finish(self, outcome: dict[str, Any]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+        """Complete the recording with its outcome, of JSON values. Return record and arrays, as read_recording does."""
         arrays = _stacked(self._rows)
         write_file(self.folder / STEPS, _bytes(arrays, compressed=True))
         self._description = {**self._description, **outcome}
         record = self._write_record(complete=True)
-        self._held.close()
+        self._open_files.close()
         (self.folder / LOG).unlink()
         return record, _unpacked(arrays, self.size_px)
 
-    def _append(self, arrays):
+    def _append(self, arrays: Mapping[str, np.ndarray]) -> None:
         data = _bytes(arrays, compressed=False)
         self._log.write(_FRAME.pack(len(data), zlib.crc32(data)) + data)
         self._log.flush()
 
-    def _write_record(self, complete):
+    def _write_record(self, complete: bool) -> dict[str, Any]:
         head = {
             "format": FORMAT,
             "version": VERSION,
@@ -148,11 +172,15 @@ class Recorder:
         return record
 
 
-def read_recording(folder):
-    """The record (dict) and arrays (dict, see ARRAYS) of a recording; images (n, size, size) uint8, 0 and 255.
+def read_recording(folder: str | PathLike[str]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """Read a recording. An incomplete one is read up to its last whole step, and its record has `complete` False.
 
-    One that was not completed (`complete` in its record) has what was done to its last whole step. Raises TactipError where
-    there is none, one of another version, or a damaged one.
+    Returns:
+        The record (the content of recording.json), and the arrays (see ARRAYS), with images (n, size, size) uint8, 0 and
+        255.
+
+    Raises:
+        TactipError: If there is no recording, or it is damaged or of another version.
     """
     folder = Path(folder)
     record = _read_record(folder)
@@ -171,18 +199,18 @@ def read_recording(folder):
     return record, _unpacked(arrays, record["size_px"])
 
 
-def read_recorded_scene(folder):
-    """The RecordedScene of a recording. Raises TactipError where it cannot be read."""
+def read_recorded_scene(folder: str | PathLike[str]) -> RecordedScene:
+    """Read the scene of a recording. Raises TactipError where it cannot be read."""
     path = Path(folder) / SCENERY
     try:
         with np.load(path, allow_pickle=False) as file:
-            kept = {name: file[name] for name in RecordedScene.__dataclass_fields__}
+            values = {name: file[name] for name in RecordedScene.__dataclass_fields__}
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
         raise TactipError(f"{path} cannot be read: {error!r}") from error
-    return RecordedScene(**kept | {"tip_radius_m": float(kept["tip_radius_m"]), "with_arm": bool(kept["with_arm"])})
+    return RecordedScene(**values | {"tip_radius_m": float(values["tip_radius_m"]), "with_arm": bool(values["with_arm"])})
 
 
-def _read_record(folder):
+def _read_record(folder: Path) -> dict[str, Any]:
     path = folder / RECORDING
     if not path.exists():
         raise TactipError(f"there is no recording in {folder}: it has no {RECORDING}")
@@ -200,14 +228,14 @@ def _read_record(folder):
     return record
 
 
-def _read_log(path):
-    """Rows (list of dict) and events (list of dict) of a log, to its last whole frame."""
+def _read_log(path: Path) -> tuple[list[dict[str, np.ndarray]], list[dict[str, Any]]]:
+    """Return rows and events of a log, up to its last whole frame."""
     rows, events = [], []
     try:
         with open(path, "rb") as file:
             while len(head := file.read(_FRAME.size)) == _FRAME.size:
                 length, checksum = _FRAME.unpack(head)
-                data = file.read(length) if length < _LONGEST else b""
+                data = file.read(length) if length < _MAX_FRAME_BYTES else b""
                 if len(data) < length or zlib.crc32(data) != checksum:
                     break
                 with np.load(io.BytesIO(data), allow_pickle=False) as frame:
@@ -220,38 +248,35 @@ def _read_log(path):
     return rows, events
 
 
-def _unfinished(folder):
-    """Whether a folder holds nothing, or a recording that was not completed and nothing else."""
+def _unfinished(folder: Path) -> bool:
+    """Return whether a folder is empty, or holds an incomplete recording and nothing else."""
     names = {p.name for p in folder.iterdir()}
     if not names <= {RECORDING, SCENERY, STEPS, LOG, _LOCK}:
         return False
     return RECORDING not in names or not _read_record(folder)["complete"]
 
 
-def _stacked(rows):
-    """Arrays (dict) of rows."""
+def _stacked(rows: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    """Return one array per quantity, with the rows stacked."""
     if not rows:
-        return {name: np.zeros((0, *(n or 0 for n in shape)), _kind(name)) for name, shape in ARRAYS.items()}
+        return {name: np.zeros((0, *(n or 0 for n in shape)), _dtype(name)) for name, shape in ARRAYS.items()}
     return {name: np.stack([row[name] for row in rows]) for name in ARRAYS}
 
 
-def _unpacked(arrays, size_px):
-    """Arrays with images (n, size, size) uint8, 0 and 255."""
+def _unpacked(arrays: dict[str, np.ndarray], size_px: int) -> dict[str, np.ndarray]:
+    """Return the arrays with unpacked images (n, size, size) uint8, 0 and 255."""
     packed = arrays["images"]
     return arrays | {"images": 255 * np.unpackbits(packed, axis=-1)[..., :size_px] if size_px else packed}
 
 
-def _kind(name):
-    kinds = {"phase": np.uint8, "part": np.int32, "sim_steps": np.int32, "images": np.uint8}
-    small = name in ("tips_m", "directions", "skin_m")
-    return kinds.get(name, np.float32 if small else np.float64)
+def _dtype(name: str) -> type[np.generic]:
+    dtypes = {"phase": np.uint8, "part": np.int32, "sim_steps": np.int32, "images": np.uint8}
+    large = name in ("tips_m", "directions", "skin_m")
+    return dtypes.get(name, np.float32 if large else np.float64)
 
 
-def _array(name, value):
-    return np.asarray(value, _kind(name))
-
-
-def _bytes(arrays, compressed):
+def _bytes(arrays: Mapping[str, Any], compressed: bool) -> bytes:
+    """Return arrays as an .npz file. Their type is Any because numpy mixes them with keyword arguments of its own."""
     data = io.BytesIO()
     (np.savez_compressed if compressed else np.savez)(data, **arrays)
     return data.getvalue()

@@ -1,4 +1,6 @@
-"""The arm against its chain of joints, and what it says of poses that it cannot take."""
+"""Kinematics of the arm against its chain of joints, poses that are refused, and the arm models."""
+
+from typing import get_args
 
 import mujoco
 import numpy as np
@@ -7,7 +9,15 @@ from scipy.spatial.transform import Rotation
 
 from tactip_twin.sim.pose import interpolate, matrix
 from tactip_twin.sim.robot.arm_models import ARM_MODELS, DynamicArm, KinematicArm, arm_model_named
-from tactip_twin.sim.robot.irb120 import APEX_FROM_FLANGE_M, LEAST_SINGULAR, READY_RAD, SPEEDS_RAD_S, Arm, Unreachable
+from tactip_twin.sim.robot.arm_names import ArmName
+from tactip_twin.sim.robot.irb120 import (
+    APEX_FROM_FLANGE_M,
+    MAX_SPEEDS_RAD_S,
+    MIN_SINGULAR_VALUE,
+    READY_RAD,
+    Arm,
+    Unreachable,
+)
 from tactip_twin.tactip_model.errors import TactipError
 
 DOWN = Rotation.from_rotvec([0, np.pi, 0])
@@ -46,18 +56,18 @@ def test_the_jacobian_is_the_slope_of_forward_kinematics(arm):
 
 
 def test_inverse_kinematics_come_back_to_the_pose_within_all_limits(arm):
-    draw = np.random.default_rng(2)
+    rng = np.random.default_rng(2)
     for _ in range(20):
-        angles = READY_RAD + draw.uniform(-0.6, 0.6, 6)
-        found = arm.near(arm.forward(angles), np.clip(angles + draw.normal(0, 0.1, 6), *arm.limits.T))
+        angles = READY_RAD + rng.uniform(-0.6, 0.6, 6)
+        found = arm.solve_near(arm.forward(angles), np.clip(angles + rng.normal(0, 0.1, 6), *arm.limits.T))
         assert np.allclose(arm.forward(found), arm.forward(angles), atol=2e-5)
-        assert arm.room(found) >= -1e-9
+        assert arm.limit_margin(found) >= -1e-9
 
 
 def test_a_pose_is_found_from_anywhere(arm):
     for place in ([0.38, 0, 0.05], [0.3, 0.2, 0.1], [0.45, -0.2, 0.02]):
         T = matrix(place, DOWN)
-        assert np.allclose(arm.forward(arm.find(T)), T, atol=2e-5)
+        assert np.allclose(arm.forward(arm.solve(T)), T, atol=2e-5)
 
 
 @pytest.mark.parametrize("wrist_deg", [-180, 0, 180])
@@ -65,71 +75,71 @@ def test_joint_6_begins_where_it_has_room_to_turn(arm, wrist_deg):
     """The loop of a rim takes it once round: from within half a turn of where it is asked to be, and in its limits."""
     for yaw in np.radians([0, 100, 179, -90]):
         T = matrix([0.38, 0, 0.1], DOWN * Rotation.from_euler("z", yaw))
-        found = arm.find(T, np.radians(wrist_deg))
+        found = arm.solve(T, np.radians(wrist_deg))
         assert np.allclose(arm.forward(found), T, atol=2e-5)
         assert abs(found[5] - np.radians(wrist_deg)) <= np.pi + 0.1
-        assert arm.room(found) > 0
+        assert arm.limit_margin(found) > 0
 
 
 def test_what_cannot_be_reached_is_said_before_moving(arm):
     with pytest.raises(Unreachable, match="stays 1"):
-        arm.find(matrix([0.7, 0, 0.1], DOWN))
-    carrier = KinematicArm()
-    carrier.put(matrix([0.4, 0, 0.1], DOWN))
-    before = carrier.pose.copy()
+        arm.solve(matrix([0.7, 0, 0.1], DOWN))
+    model = KinematicArm()
+    model.reset_to(matrix([0.4, 0, 0.1], DOWN))
+    before = model.pose.copy()
     with pytest.raises(Unreachable):
-        carrier.aim(matrix([0.9, 0, 0.1], DOWN), 10, 0.007)
-    assert np.array_equal(carrier.pose, before)
+        model.set_target(matrix([0.9, 0, 0.1], DOWN), 10, 0.007)
+    assert np.array_equal(model.pose, before)
 
 
 def test_singular_poses_are_refused(arm):
     """With the wrist straight, joints 4 and 6 turn about one axis."""
     straight = READY_RAD * [1, 1, 1, 1, 0, 1]
-    assert arm.manoeuvrability(straight) < 1e-6 < LEAST_SINGULAR < arm.manoeuvrability(READY_RAD)
+    assert arm.min_singular_value(straight) < 1e-6 < MIN_SINGULAR_VALUE < arm.min_singular_value(READY_RAD)
     with pytest.raises(Unreachable, match="singular"):
-        arm.near(arm.forward(straight), straight)
+        arm.solve_near(arm.forward(straight), straight)
 
 
 def test_joints_keep_their_speeds(arm):
     """Past a singular wrist a small motion is a large one of the joints: it is given the time."""
-    carrier = KinematicArm()
-    carrier._be(np.radians([0.0, 30, 10, 0, 12, 0]))
-    T = carrier.pose @ matrix([0, 0, 0], Rotation.from_rotvec([0.15, 0, 0]))
-    steps, before = carrier.aim(T, 3, 0.007), carrier.angles.copy()
+    model = KinematicArm()
+    model._set_angles(np.radians([0.0, 30, 10, 0, 12, 0]))
+    T = model.pose @ matrix([0, 0, 0], Rotation.from_rotvec([0.15, 0, 0]))
+    steps, before = model.set_target(T, 3, 0.007), model.angles.copy()
     assert steps > 3
-    mean = np.abs(carrier._to - before) / (steps * 0.007)
-    assert (mean <= SPEEDS_RAD_S).all()
+    mean = np.abs(model._to - before) / (steps * 0.007)
+    assert (mean <= MAX_SPEEDS_RAD_S).all()
 
 
 @pytest.mark.parametrize("name", ARM_MODELS)
-def test_every_carrier_ends_where_it_is_sent(name):
-    carrier = arm_model_named(name)
+def test_every_arm_model_ends_at_its_target(name):
+    model = arm_model_named(name)
     start, end = matrix([0.38, 0, 0.1], DOWN), matrix([0.385, 0.003, 0.098], DOWN * Rotation.from_rotvec([0.03, 0, 0.02]))
-    carrier.put(start)
-    count = carrier.aim(end, 8, 0.007)
+    model.reset_to(start)
+    count = model.set_target(end, 8, 0.007)
     for k in range(1, count + 1):
-        carrier.advance(k / count, 0.007, np.zeros(3), np.zeros(3))
+        model.advance(k / count, 0.007, np.zeros(3), np.zeros(3))
     for _ in range(15):
-        carrier.advance(1.0, 0.007, np.zeros(3), np.zeros(3))
-    assert np.allclose(carrier.pose, end, atol=2e-5)
-    assert np.allclose(carrier.told(), carrier.pose)
+        model.advance(1.0, 0.007, np.zeros(3), np.zeros(3))
+    assert np.allclose(model.pose, end, atol=2e-5)
+    assert np.allclose(model.measured_pose(), model.pose)
 
 
 def test_the_dynamic_arm_gives_way_to_a_force_as_its_stiffness_says():
     """At rest, joints turn by torque over stiffness: the sensor moves by J K^-1 J^T F. Gravity is made up for."""
-    carrier = DynamicArm()
+    model = DynamicArm()
     T = matrix([0.38, 0, 0.1], DOWN)
-    carrier.put(T)
+    model.reset_to(T)
     for _ in range(60):
-        carrier.advance(1.0, 0.007, np.zeros(3), np.zeros(3))
-    rest = carrier.pose[:3, 3].copy()
+        model.advance(1.0, 0.007, np.zeros(3), np.zeros(3))
+    rest = model.pose[:3, 3].copy()
     assert np.linalg.norm(rest - T[:3, 3]) < 0.2e-3  # the sensor's own weight is not
     force = np.array([1.0, -2.0, 5.0])
-    jacobian = carrier.arm.jacobian(carrier.angles)[:3]
+    jacobian = model.arm.jacobian(model.angles)[:3]
     for _ in range(60):
-        carrier.advance(1.0, 0.007, force, np.zeros(3))
-    expected = jacobian / carrier.model.actuator_gainprm[:, 0] @ jacobian.T @ force
-    assert np.allclose(carrier.pose[:3, 3] - rest, expected, atol=0.02 * np.linalg.norm(expected))
+        model.advance(1.0, 0.007, force, np.zeros(3))
+    expected = jacobian / model.model.actuator_gainprm[:, 0] @ jacobian.T @ force
+    assert np.allclose(model.pose[:3, 3] - rest, expected, atol=0.02 * np.linalg.norm(expected))
     assert 1e-6 < np.linalg.norm(expected) < 0.1e-3
 
 
@@ -154,3 +164,7 @@ def test_half_way_between_two_poses():
 def test_an_unknown_arm_is_refused():
     with pytest.raises(TactipError, match="none, kinematic, dynamic"):
         arm_model_named("left")
+
+
+def test_arm_names_are_those_of_the_models():
+    assert get_args(ArmName) == tuple(ARM_MODELS)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from tactip_twin.sim.robot.objects import MOST_TRIANGLES, load_object
+from tactip_twin.sim.robot.objects import MAX_TRIANGLES, load_object
 from tactip_twin.tactip_model.errors import TactipError
 
 
@@ -98,7 +98,17 @@ def test_wrong_input_is_one_sentence(tmp_path, ball):
 
 
 def test_too_fine_a_mesh_is_refused_before_anything_is_built(monkeypatch, ball, tmp_path):
-    monkeypatch.setattr("tactip_twin.sim.robot.objects.MOST_TRIANGLES", 100)
+    monkeypatch.setattr("tactip_twin.sim.robot.objects.MAX_TRIANGLES", 100)
     with pytest.raises(TactipError, match="simplify"):
         load_object(written(tmp_path / "ball.stl", ball))
-    assert MOST_TRIANGLES > 1e6
+    assert MAX_TRIANGLES > 1e6
+
+
+def test_a_mesh_in_memory_is_taken_in_metres_and_left_as_it_is(ball):
+    mesh = ball.copy().apply_scale(1e-3)
+    before = mesh.vertices.copy()
+    thing = load_object(mesh, scale=2.0)
+    assert thing.name == "mesh"
+    assert thing.solid.distance(np.zeros(3)) == pytest.approx(-0.08, abs=5e-4)
+    assert np.array_equal(mesh.vertices, before)
+    assert load_object(ball, unit="mm").solid.distance(np.zeros(3)) == pytest.approx(-0.04, abs=5e-4)

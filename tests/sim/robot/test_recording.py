@@ -95,7 +95,7 @@ def test_a_kill_leaves_all_whole_steps(tmp_path):
 
 @pytest.mark.parametrize("cut", [1, 50, 4000])
 def test_a_log_that_is_cut_short_is_read_to_its_last_whole_step(tmp_path, cut):
-    _record(tmp_path / "run", 6, finish=False)._held.close()
+    _record(tmp_path / "run", 6, finish=False)._open_files.close()
     path = tmp_path / "run" / LOG
     whole = path.read_bytes()
     path.write_bytes(whole[:-cut])
