@@ -1,12 +1,12 @@
-"""What comes with the package and is not code."""
+"""Data files of the package."""
 
 from pathlib import Path
 
 MODELS = Path(__file__).parent / "models"
-"""Folder of the shipped networks, a folder each (learning/model.py, benchmarks/learning/release_models.py)."""
+"""Folder of the released networks, with one folder each (learning/model.py, benchmarks/learning/release_models.py)."""
 
 MESHES = Path(__file__).parent / "meshes"
-"""Folder of the things to follow: NAME.ply in metres, and NAME.edge.csv where there is an edge (meshes/make.py)."""
+"""Folder of the objects to follow: NAME.ply in metres, and NAME.edge.csv for an object with an edge (meshes/make.py)."""
 
 ARM = Path(__file__).parent / "irb120" / "irb120.xml"
-"""The ABB IRB 120."""
+"""MuJoCo model of the ABB IRB 120."""

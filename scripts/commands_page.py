@@ -1,4 +1,4 @@
-"""The reference of commands, written from what each says of itself: python scripts/commands_page.py docs/commands.md"""
+"""Write the command reference from the commands' help texts: python scripts/commands_page.py docs/commands.md"""
 
 import contextlib
 import io
@@ -10,25 +10,32 @@ from pathlib import Path
 from tactip_twin.commands import main as tactip
 
 _WIDE = "100"
-"""Columns of the terminal that help is written for: wider, and its boxes stand side by side."""
+"""Terminal columns for the help texts; in a wider terminal the boxes stand side by side."""
 
 _ENTRY = re.compile(r"(?P<name>(-|[A-Z]).*?)(\s{2,}(?P<rest>\S.*))?$")
 _ENDS = re.compile(r"\s*\((default: (?P<default>.*)|(?P<required>required)|(?P<repeat>repeatable))\)$")
 
 
-def help_of(words):
-    """What a command (list of str) says of itself: (str)."""
-    said = io.TextIOWrapper(io.BytesIO(), encoding="utf-8")  # boxes are drawn in lines, as on a terminal
-    with contextlib.redirect_stdout(said), contextlib.suppress(SystemExit):
+def help_text(words: list[str]) -> str:
+    """Return the help text of a command, given as the words after `tactip`."""
+    stream = io.BytesIO()
+    output = io.TextIOWrapper(stream, encoding="utf-8")  # with utf-8, boxes have lines as on a terminal
+    with contextlib.redirect_stdout(output), contextlib.suppress(SystemExit):
         tactip.main([*words, "--help"])
-    said.flush()
-    return re.sub(r"\x1b\[[0-9;]*m", "", said.buffer.getvalue().decode())
+    output.flush()
+    return re.sub(r"\x1b\[[0-9;]*m", "", stream.getvalue().decode())
 
 
-def shard_dirs(text):
-    """What a help text says: description (str), subcommands (list of str), and groups (dict of title to entries): lists of
-    name and words (str)."""
-    description, subcommands, groups, group = [], [], {}, None
+def parse_help(text: str) -> tuple[str, list[str], dict[str, list[list[str]]]]:
+    """Parse a help text.
+
+    Returns:
+        The description, the names of subcommands, and the options by group, each as a list of its name and its help.
+    """
+    description: list[str] = []
+    subcommands: list[str] = []
+    groups: dict[str, list[list[str]]] = {}
+    group: str | None = None
     for line in text.splitlines():
         if line.startswith("╭─"):
             group = line.strip("╭─╮ ")
@@ -38,47 +45,48 @@ def shard_dirs(text):
         elif group is None:
             description.append(line)
         else:
-            told = line.strip("│").rstrip()
+            content = line.strip("│").rstrip()
             if group == "subcommands":
-                if named := re.match(r"\s*• (\S+)", told):
+                if named := re.match(r"\s*• (\S+)", content):
                     subcommands.append(named[1])
-            elif set(told.strip()) == {"─"}:
-                groups[group].clear()  # what was before is of the group, not of an option
-            elif not told.startswith(" " * 3) and (entry := _ENTRY.match(told.strip())):
+            elif set(content.strip()) == {"─"}:
+                groups[group].clear()  # the lines above describe the group, not an option
+            elif not content.startswith(" " * 3) and (entry := _ENTRY.match(content.strip())):
                 groups[group].append([entry["name"], entry["rest"] or ""])
             elif groups[group]:
-                groups[group][-1][1] += " " + told.strip()
+                groups[group][-1][1] += " " + content.strip()
     groups.pop("subcommands", None)
     words = " ".join(line for line in description if not line.startswith("usage:")).split()
     return " ".join(words), subcommands, groups
 
 
-def _cell(text):
+def _cell(text: str) -> str:
+    """Return text escaped for a cell of a Markdown table."""
     return text.replace("|", "\\|").strip()
 
 
-def lines_of(words):
-    """Lines (list of str) of the page, on a command (list of str) and those under it."""
-    about, subcommands, groups = shard_dirs(help_of(words))
+def command_lines(words: list[str]) -> list[str]:
+    """Return the lines of the page about a command and its subcommands."""
+    about, subcommands, groups = parse_help(help_text(words))
     lines = ["", f"{'#' * min(len(words) + 1, 4)} tactip {' '.join(words)}", "", about] if words else []
     rows = []
     for entries in groups.values():
-        for name, told in entries:
+        for name, help_line in entries:
             if name.startswith("-h,"):
                 continue
-            end = _ENDS.search(told)
+            end = _ENDS.search(help_line)
             default = "" if end is None else end["default"] or end["required"] or ""
             shown = "" if not default else "*required*" if default == "required" else f"`{default}`"
-            rows.append(f"| `{_cell(name)}` | {_cell(shown)} | {_cell(_ENDS.sub('', told))} |")
+            rows.append(f"| `{_cell(name)}` | {_cell(shown)} | {_cell(_ENDS.sub('', help_line))} |")
     if rows:
         lines += ["", "| option | default | |", "|---|---|---|", *rows]
     for name in subcommands:
-        lines += lines_of([*words, name])
+        lines += command_lines([*words, name])
     return lines
 
 
-def page():
-    """The page (str)."""
+def markdown_page() -> str:
+    """Return the reference as Markdown."""
     os.environ["COLUMNS"] = _WIDE
     lines = [
         "# Commands",
@@ -88,10 +96,10 @@ def page():
         "if the work was done, 1 if it was refused or failed (a sentence says why), 2 for options that there are not, and",
         "130 after Ctrl-C and 143 after SIGTERM: then the same command goes on from there, but for a servo run, which keeps",
         "what it recorded and wants another folder. Pages and cameras are ended by Ctrl-C, with 0.",
-        *lines_of([]),
+        *command_lines([]),
     ]
     return "\n".join(lines) + "\n"
 
 
 if __name__ == "__main__":
-    Path(sys.argv[1]).write_text(page())
+    Path(sys.argv[1]).write_text(markdown_page())

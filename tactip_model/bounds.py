@@ -1,8 +1,8 @@
-"""What the numbers of a configuration may be: the range stands beside the field, and what breaks it is refused by name.
+"""Allowed ranges of configuration values: each range stands beside its field, and an error names the field.
 
     thickness_m: float = within(0.3e-3, 3e-3, default=1e-3)
 
-A configuration calls `check(self)` as it is made: one that exists can be used.
+A configuration calls `check(self)` in `__post_init__`, so every configuration that exists is valid.
 """
 
 from dataclasses import field, fields
@@ -10,66 +10,114 @@ from functools import cache
 from math import isfinite
 from numbers import Integral, Real
 from types import NoneType, UnionType
-from typing import Any, Union, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, NamedTuple, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from tactip_twin.tactip_model.errors import TactipError
 
+if TYPE_CHECKING:
+    import numpy as np
+    from _typeshed import DataclassInstance
 
-def within(low, high, *, default) -> Any:
-    """A dataclass field whose number, or each of whose numbers, lies from low to high, both allowed.
+T = TypeVar("T")
 
-    low, high: numbers, or tuples of them with one a number of the field. default: the field's default.
-    The field's type says what it takes: float, int, or a tuple of a fixed number of them, each also with None.
+
+def within(low: float | tuple[float, ...], high: float | tuple[float, ...], *, default: T) -> T:
+    """Return a dataclass field whose number, or each of whose numbers, lies between two limits.
+
+    The field's type must be float, int, or a tuple of a fixed number of them; each may also be None.
+
+    Args:
+        low: Smallest allowed value; for a tuple field, optionally one value per number.
+        high: Largest allowed value, likewise.
+        default: Default value of the field.
     """
     return field(default=default, metadata={"low": low, "high": high})
 
 
-def check(configuration):
-    """Raise TactipError where a number of a configuration (a dataclass) is none, not finite, or out of its bounds, and where
-    a field has another number of them than its type. None is for fields whose type or default has it."""
-    for name, optional, many, numbers in _bounded(type(configuration)):
+def check(configuration: "DataclassInstance") -> None:
+    """Check every bounded field of a configuration.
+
+    A field may be None where its type or its default is None.
+
+    Raises:
+        TactipError: A value is not a number, not finite or out of bounds, or a tuple has the wrong length.
+    """
+    for name, optional, is_tuple, ranges in _bounded_fields(type(configuration)):
         value = getattr(configuration, name)
         if value is None and optional:
             continue
-        if isinstance(value, tuple | list) != many or (many and len(value) != len(numbers)):
-            allowed = list(dict.fromkeys(_allowed(*number) for number in numbers))
-            many_of = f"{len(numbers)} numbers, {'each ' if len(allowed) == 1 else ''}" if many else ""
-            raise TactipError(f"{name} must be {many_of}{' and '.join(allowed)}, got {value}")
-        for number, (kind, low, high) in zip(value if many else (value,), numbers, strict=True):
-            if not isinstance(number, kind) or not isfinite(number) or not low <= number <= high:
-                raise TactipError(f"{name} must be {_allowed(kind, low, high)}, got {value}")
+        numbers = value if isinstance(value, tuple | list) else (value,)
+        if isinstance(value, tuple | list) != is_tuple or len(numbers) != len(ranges):
+            allowed = list(dict.fromkeys(_allowed(number) for number in ranges))
+            count = f"{len(ranges)} numbers, {'each ' if len(allowed) == 1 else ''}" if is_tuple else ""
+            raise TactipError(f"{name} must be {count}{' and '.join(allowed)}, got {value}")
+        for number, limits in zip(numbers, ranges, strict=True):
+            if not _in_range(number, limits):
+                raise TactipError(f"{name} must be {_allowed(limits)}, got {value}")
+
+
+def require(condition: "bool | np.bool", name: str, value: object, allowed: str) -> None:
+    """Raise TactipError unless a condition holds.
+
+    Args:
+        condition: What must be true.
+        name: Name of the field or quantity, for the message.
+        value: Its value.
+        allowed: The allowed values in words; completes "NAME must be …".
+    """
+    if not condition:
+        raise TactipError(f"{name} must be {allowed}, got {value}")
+
+
+class _Range(NamedTuple):
+    """Kind and inclusive limits of one number."""
+
+    kind: type[Integral] | type[Real]
+    low: float
+    high: float
+
+
+class _BoundedField(NamedTuple):
+    """A field with bounds."""
+
+    name: str
+    optional: bool
+    is_tuple: bool
+    ranges: list[_Range]
 
 
 @cache
-def _bounded(configuration):
-    """The fields of a configuration's class that have bounds, list of: name, whether it may be None, whether it is a tuple,
-    and kind, least and greatest value of each of its numbers (list)."""
+def _bounded_fields(configuration: "type[DataclassInstance]") -> list[_BoundedField]:
+    """Return the fields of a configuration's class that have bounds."""
     hints, out = get_type_hints(configuration), []
     for f in fields(configuration):
         if "low" not in f.metadata:
             continue
         hint = hints[f.name]
-        either = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
-        (kind,) = (one for one in either if one is not NoneType)
-        many = get_origin(kind) is tuple
-        kinds = [Integral if one is int else Real for one in (get_args(kind) if many else (kind,))]
-        lows, highs = (_each(f.metadata[end], len(kinds)) for end in ("low", "high"))
-        optional = NoneType in either or f.default is None
-        out.append((f.name, optional, many, list(zip(kinds, lows, highs, strict=True))))
+        options = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
+        (own,) = (option for option in options if option is not NoneType)
+        is_tuple = get_origin(own) is tuple
+        kinds = [Integral if one is int else Real for one in (get_args(own) if is_tuple else (own,))]
+        lows, highs = (_per_number(f.metadata[end], len(kinds)) for end in ("low", "high"))
+        ranges = [_Range(*limits) for limits in zip(kinds, lows, highs, strict=True)]
+        out.append(_BoundedField(f.name, NoneType in options or f.default is None, is_tuple, ranges))
     return out
 
 
-def _allowed(kind, low, high):
-    """What a number may be, as text."""
-    return f"{'a whole number' if kind is Integral else 'a finite number'} from {low:g} to {high:g}"
+def _in_range(number: object, limits: _Range) -> bool:
+    """Return whether a value is a number of the right kind, finite and within the limits."""
+    if not isinstance(number, limits.kind):
+        return False
+    value = float(number)
+    return isfinite(value) and limits.low <= value <= limits.high
 
 
-def require(holds, name, value, what):
-    """Raise TactipError, naming a field's name and value and `what` is allowed (str), where `holds` is False."""
-    if not holds:
-        raise TactipError(f"{name} must be {what}, got {value}")
+def _allowed(limits: _Range) -> str:
+    """Return the allowed values of a number in words."""
+    kind = "a whole number" if limits.kind is Integral else "a finite number"
+    return f"{kind} from {limits.low:g} to {limits.high:g}"
 
 
-def _each(bound, count):
-    """A bound for each of `count` numbers."""
+def _per_number(bound: float | tuple[float, ...], count: int) -> tuple[float, ...]:
+    """Return a bound for each of `count` numbers."""
     return bound if isinstance(bound, tuple) else (bound,) * count

@@ -1,41 +1,53 @@
-"""Designs as JSON files: what a calibration writes and every command takes in place of a preset's name."""
+"""Designs as JSON files: calibration writes them, and every command accepts them instead of a preset's name."""
 
 import json
 from dataclasses import MISSING, asdict, fields, is_dataclass, replace
 from pathlib import Path
-from typing import get_type_hints
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_origin, get_type_hints
 
 from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.files import write_file
 
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+T = TypeVar("T", bound="DataclassInstance")
+
 FORMAT = "tactip-design 1"
 
 
-def write_design(path, design, provenance):
-    """Write a Design to a JSON file. provenance: dict, how it came about; kept for people and not read back.
+def write_design(path: str | Path, design: Design, provenance: dict[str, Any]) -> None:
+    """Write a design to a JSON file.
 
-    Raises OSError.
+    Args:
+        path: File to write.
+        design: The design.
+        provenance: How the design was obtained, for people; it is not read back.
+
+    Raises:
+        OSError: The file cannot be written.
     """
     content = {"format": FORMAT, "provenance": provenance, "design": asdict(design)}
     write_file(Path(path), (json.dumps(content, indent=1) + "\n").encode())
 
 
-def write_fitted(path, design, provenance):
-    """Write a Design that was fitted to frames, with the camera as it was when the neutral image was taken.
+def write_fitted(path: str | Path, design: Design, provenance: dict[str, Any]) -> None:
+    """Write a design that was fitted to frames, with the camera as it was when the neutral image was taken.
 
-    How the camera had changed when the frames were (Optics.zoom, drift) belongs to the recording and not to the sensor: it
-    goes into the provenance, where `read_in_use` finds it.
+    The camera's change between that image and the frames (Optics.zoom, drift) belongs to the recording and not to the
+    sensor, so it is written to the provenance, from which `read_in_use` reads it.
     """
-    with_camera_drift = {"zoom": design.optics.zoom, "drift": design.optics.drift}
+    camera_drift = {"zoom": design.optics.zoom, "drift": design.optics.drift}
     neutral = replace(design, optics=replace(design.optics, zoom=1.0, drift=(0.0, 0.0)))
-    write_design(path, neutral, provenance | {"camera_in_use": with_camera_drift})
+    write_design(path, neutral, provenance | {"camera_in_use": camera_drift})
 
 
-def read_in_use(path):
-    """The Design in a JSON file with its camera as it was when the frames were taken that it was fitted to.
+def read_in_use(path: str | Path) -> Design:
+    """Return the design in a JSON file with the camera as it was when the frames of the fit were taken.
 
-    Raises TactipError as read_design does, and where the file is not of a fitted design.
+    Raises:
+        TactipError: `read_design` fails, or the design was not fitted to frames.
     """
     design, content = read_design(path), json.loads(Path(path).read_text())
     camera = content["provenance"].get("camera_in_use")
@@ -44,8 +56,8 @@ def read_in_use(path):
     return replace(design, optics=replace(design.optics, zoom=camera["zoom"], drift=_tuples(camera["drift"])))
 
 
-def read_design(path):
-    """The Design in a JSON file. Raises TactipError where it is missing, no JSON, or not a design."""
+def read_design(path: str | Path) -> Design:
+    """Return the design in a JSON file; raise TactipError if the file is missing, not JSON or not a design."""
     path = Path(path)
     try:
         content = json.loads(path.read_text())
@@ -58,13 +70,22 @@ def read_design(path):
     return design_from(content.get("design"), f"{path}: design")
 
 
-def design_from(value, where):
-    """The Design of a dict as JSON has it. where: str, what it is of. Raises TactipError where it is not a design."""
-    return built(Design, value, where)
+def design_from(value: object, where: str) -> Design:
+    """Return the design of a JSON object; `where` is its origin, for the message of a TactipError if it is not a design."""
+    return from_dict(Design, value, where)
 
 
-def built(kind, value, where):
-    """A dataclass of type `kind` from a dict; TactipError names a field that is unknown, missing or of the wrong type."""
+def from_dict(kind: type[T], value: object, where: str) -> T:
+    """Return a dataclass made from a JSON object.
+
+    Args:
+        kind: The dataclass.
+        value: The object's fields by name; objects and lists become dataclasses and tuples.
+        where: Origin of the object, for the message.
+
+    Raises:
+        TactipError: A field is unknown, missing or of the wrong type; the message names it.
+    """
     if not isinstance(value, dict):
         raise TactipError(f"{where} must be an object with the fields {', '.join(f.name for f in fields(kind))}")
     known = {f.name: f for f in fields(kind)}
@@ -78,14 +99,15 @@ def built(kind, value, where):
     given = {}
     for name, item in value.items():
         if is_dataclass(hints[name]):
-            given[name] = built(hints[name], item, f"{where}.{name}")
+            given[name] = from_dict(hints[name], item, f"{where}.{name}")
         else:
             given[name] = _tuples(item)
-            text = hints[name] is str
+            text = hints[name] is str or get_origin(hints[name]) is Literal
             if text != isinstance(item, str) or isinstance(item, dict):
                 raise TactipError(f"{where}.{name} is {item!r}: it must be {'a text' if text else 'a number or numbers'}")
     return kind(**given)
 
 
-def _tuples(item):
+def _tuples(item: Any) -> Any:
+    """Return a JSON value with tuples instead of lists."""
     return tuple(_tuples(i) for i in item) if isinstance(item, list) else item

@@ -1,17 +1,32 @@
-"""What can go wrong by the user's doing or the machine's, as one sentence a user can act on."""
+"""Errors whose message is one sentence that the user can act on."""
+
+from collections.abc import Mapping
+from typing import TypeVar
+
+K = TypeVar("K")
+V = TypeVar("V")
 
 
 class TactipError(Exception):
-    """An error with a message for the user: what was wrong, the value, what is allowed. Shown without a traceback."""
+    """An error shown to the user without a traceback; its message gives what is wrong, the value and what is allowed."""
 
 
 class Interrupted(Exception):
-    """The user stopped a long work. The message says what is kept and how to go on."""
+    """An interrupt by the user. The message says what is kept and how to resume."""
 
 
-def lookup(kind, name, table):
-    """Return `table[name]`; raise TactipError that lists the valid names where there is none."""
-    try:
-        return table[name]
-    except KeyError:
-        raise TactipError(f"unknown {kind} {name!r}: choose one of {', '.join(map(str, table))}") from None
+def lookup(kind: str, name: object, table: Mapping[K, V]) -> V:
+    """Return the value that a table has under a name.
+
+    Args:
+        kind: What the name stands for, for the message.
+        name: The name to look up.
+        table: Values by name.
+
+    Raises:
+        TactipError: The table lacks the name; the message lists the valid ones.
+    """
+    for key, value in table.items():
+        if key == name:
+            return value
+    raise TactipError(f"unknown {kind} {name!r}: choose one of {', '.join(map(str, table))}")

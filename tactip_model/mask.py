@@ -1,4 +1,6 @@
-"""Where in a frame the pins can be: outside of it, light at the rim of a real sensor is left out of the image."""
+"""The part of a frame in which pins can appear. Outside it, reflections at the rim of a real sensor are masked."""
+
+from collections.abc import Iterable
 
 import cv2
 import numpy as np
@@ -7,25 +9,30 @@ from scipy.spatial import cKDTree
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.pin_detection import find_blobs
 
-_FEWEST = 20
-"""Blobs below which an image does not tell where the pins are."""
+_MIN_PINS = 20
+"""Smallest number of pins that locates the pattern in an image."""
 
-_LONELY = 2.2
-"""A blob whose third neighbour is farther off than this, in medians of such distances, is no pin: a speck at the rim."""
+_MAX_ISOLATION = 2.2
+"""Largest distance of a pin's third neighbour, in medians of such distances; a more isolated blob is a speck at the rim."""
 
 
-def pin_area(images, margin=1.0):
-    """Part of the frame (h, w) bool in which the pins of some binary images lie, pressed or not.
+def pin_area(images: Iterable[np.ndarray], margin: float = 1.0) -> np.ndarray:
+    """Return the part of the frame (h, w) bool in which the pins of some binary images lie, pressed or not.
 
-    images: iterable of (h, w) uint8, pins white. margin: float, spacings of the outermost pins by which their convex
-    hull is grown: they go outward by a third of one when the tip is pressed [M]. Raises TactipError where pins are not seen.
+    Args:
+        images: Binary images (h, w) uint8, pins white.
+        margin: Growth of the pins' convex hull, in spacings of the outermost pins. These move outward by a third of a
+            spacing when the tip is pressed [M].
+
+    Raises:
+        TactipError: No image shows enough pins.
     """
-    area, most = None, 0
+    area, max_pins = None, 0
     for image in images:
         area = np.zeros(image.shape[:2], np.uint8) if area is None else area
         points = _pins(find_blobs(image).centres)
-        most = max(most, len(points))
-        if len(points) < _FEWEST:
+        max_pins = max(max_pins, len(points))
+        if len(points) < _MIN_PINS:
             continue
         hull = cv2.convexHull(points.astype(np.float32))[:, 0]
         spacing = np.median(cKDTree(points).query(hull, 2)[0][:, 1])
@@ -35,21 +42,23 @@ def pin_area(images, margin=1.0):
         disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
         area = np.maximum(area, cv2.dilate(grown, disc))
     if area is None or not area.any():
-        raise TactipError(f"at most {most} pins are seen in an image: at least {_FEWEST} are needed to tell where they are")
+        raise TactipError(
+            f"at most {max_pins} pins are seen in an image: at least {_MIN_PINS} are needed to tell where they are"
+        )
     return area.astype(bool)
 
 
-def pins_of(image):
-    """Where the pins of a binary image (h, w) uint8 are: (n, 2) px. Raises TactipError where they are too few to tell."""
+def pins_of(image: np.ndarray) -> np.ndarray:
+    """Return the positions (n, 2) px of the pins in a binary image (h, w) uint8; raise TactipError if there are too few."""
     points = _pins(find_blobs(image).centres)
-    if len(points) < _FEWEST:
-        raise TactipError(f"{len(points)} pins are seen: at least {_FEWEST} are needed")
+    if len(points) < _MIN_PINS:
+        raise TactipError(f"{len(points)} pins are seen: at least {_MIN_PINS} are needed")
     return points
 
 
-def _pins(centres):
-    """Those of centres (n, 2) that have neighbours."""
-    if len(centres) < _FEWEST:
+def _pins(centres: np.ndarray) -> np.ndarray:
+    """Return those of the blob centres (n, 2) that have neighbours."""
+    if len(centres) < _MIN_PINS:
         return centres
     third = cKDTree(centres).query(centres, 4)[0][:, 3]
-    return centres[third < _LONELY * np.median(third)]
+    return centres[third < _MAX_ISOLATION * np.median(third)]

@@ -1,11 +1,12 @@
 """The finite-element mesh of the soft tip: gel in tetrahedra, skin in triangles on the gel's surface vertices.
 
-Surface points lie on a golden-angle spiral, so that no two of them share a height: a pressed plate meets them one by
-one and the force does not go up in stairs, as it does with rings. Inner points lie on spirals of their own whose
-spacing grows inward, where less happens. The body is convex, so that a Delaunay triangulation fills it; a few rounds of
+Surface points lie on a golden-angle spiral, so no two of them have the same height: a pressed plate touches them one
+by one, and the force does not rise in steps as it does with rings. Inner points lie on spirals of their own whose spacing
+grows inward, where strains are smaller. The body is convex, so a Delaunay triangulation fills it; a few rounds of
 averaging even out its elements.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -13,23 +14,24 @@ import numpy as np
 from scipy.spatial import Delaunay
 
 from tactip_twin.tactip_model.bounds import check, within
+from tactip_twin.tactip_model.design import TipGeometry
 
 GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
 
 CONTACT_RADIUS_M = 0.25e-3
-"""Roundness of the skin in contact, m: the mesh's surface lies this much inside the skin's outer one."""
+"""Contact radius of the skin, m: the mesh's surface lies this far inside the skin's outer surface."""
 
 
 @dataclass(frozen=True)
 class Resolution:
-    """How finely the tip is meshed. Lengths in m, spacing being the edge of an equilateral triangle."""
+    """Spacings of the mesh, m; a spacing is the edge length of an equilateral triangle."""
 
     surface_m: float = within(0.5e-3, 5e-3, default=1.9e-3)
-    """Spacing on the surface where contact is made, m."""
+    """Spacing on the surface around the apex, where contact occurs, m."""
     rim_m: float = within(0.5e-3, 10e-3, default=5e-3)
     """Spacing at the rim, m."""
     fine_angle_deg: float = within(5, 90, default=25.0)
-    """Polar angle up to which the surface is at its finest, degrees; from there to the rim it coarsens evenly."""
+    """Polar angle up to which the surface spacing is finest, degrees; from there it coarsens linearly to the rim."""
     growth: float = within(1, 3, default=1.2)
     """Ratio of the spacing of one inner layer to that of the layer outside it, -."""
     coarsest_m: float = within(0.5e-3, 20e-3, default=7e-3)
@@ -37,15 +39,15 @@ class Resolution:
     smoothing: int = within(0, 200, default=30)
     """Rounds of averaging of the inner points."""
     poisson_limit: float = within(0, 0.5, default=0.47)
-    """Largest Poisson's ratio that the elements are given, -. Linear tetrahedra lock near incompressibility: a gel of
-    0.49 meshed as 0.49 is 30 to 60 % too stiff, as 0.47 it is best in shape (tests hold it to a code that does not
-    lock). Not a property of the material."""
+    """Largest Poisson's ratio of the elements, -. Linear tetrahedra lock near incompressibility: a gel of 0.49 meshed as
+    0.49 is 30 to 60 % too stiff; 0.47 gives the best deformed shape (tests compare it with a code that does not lock). Not a
+    property of the material."""
     locked_stiffness: float = within(0.1, 1, default=0.90)
-    """Factor on the modulus of a gel that locks, -: takes back the rest of the locking's excess force. It belongs to the
-    mesh: 0.87 for a surface_m of 3.2 mm, 0.90 for 1.9 mm, 0.97 for 1.5 mm and 1 for 1.2 mm with a rim_m of 3 mm. It comes
-    in evenly between Poisson's ratios of 0.35 and 0.45."""
+    """Factor on the modulus of a gel that locks, -, which removes the remaining excess force of locking. It depends on the
+    mesh: 0.87 for a surface_m of 3.2 mm, 0.90 for 1.9 mm, 0.97 for 1.5 mm and 1 for 1.2 mm with a rim_m of 3 mm. It takes
+    effect linearly between Poisson's ratios of 0.35 and 0.45."""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         check(self)
 
 
@@ -59,39 +61,44 @@ class Mesh:
     vertices: np.ndarray
     """(n, 3) float, m."""
     surface_count: int
-    """Vertices of the skin, the first of all."""
+    """Number of skin vertices, which come first."""
     tetrahedra: np.ndarray
     """(m, 4) int; positive volume."""
     triangles: np.ndarray
     """(k, 3) int, all below `surface_count`; counter-clockwise seen from outside."""
     bonded: np.ndarray
-    """(n,) bool: vertices held by the housing (base disc and rim)."""
+    """(n,) bool: vertices fixed to the housing (base disc and rim)."""
     centre: np.ndarray
     """(3,) float: centre of the dome, m."""
 
     @cached_property
-    def volumes(self):
+    def volumes(self) -> np.ndarray:
         """(m,) float: volume of each tetrahedron, m^3."""
         return tetrahedron_volumes(self.vertices, self.tetrahedra)
 
 
-def tetrahedron_volumes(vertices, tetrahedra):
-    """Signed volumes (m,) of tetrahedra (m, 4) over vertices (n, 3)."""
+def tetrahedron_volumes(vertices: np.ndarray, tetrahedra: np.ndarray) -> np.ndarray:
+    """Return signed volumes (m,) of tetrahedra (m, 4) over vertices (n, 3)."""
     a, b, c, d = (vertices[tetrahedra[:, i]] for i in range(4))
     return np.einsum("ij,ij->i", np.cross(b - a, c - a), d - a) / 6
 
 
-def tetrahedron_quality(vertices, tetrahedra):
-    """Mean-ratio quality (m,) of tetrahedra: 1 for a regular one, 0 for a flat one (Liu & Joe 1994)."""
+def tetrahedron_quality(vertices: np.ndarray, tetrahedra: np.ndarray) -> np.ndarray:
+    """Return the mean-ratio quality (m,) of tetrahedra: 1 for a regular one, 0 for a flat one (Liu & Joe 1994)."""
     corners = vertices[tetrahedra]
     edges = sum(((corners[:, i] - corners[:, j]) ** 2).sum(1) for i in range(4) for j in range(i))
     return 12 * np.cbrt(3 * np.abs(tetrahedron_volumes(vertices, tetrahedra))) ** 2 / edges
 
 
-def _spiral(radius, spacing, polar_limit):
-    """Points (n, 3) on a dome about the origin, apex +z, from the apex to `polar_limit` (rad).
+def _spiral(
+    radius: Callable[[np.ndarray], np.ndarray], spacing: Callable[[np.ndarray], np.ndarray], polar_limit: float
+) -> np.ndarray:
+    """Return points (n, 3) on a dome around the origin, apex +z.
 
-    `radius` and `spacing` are functions of the polar angle (arrays of rad to m).
+    Args:
+        radius: Radius, m, as a function of the polar angle, rad.
+        spacing: Spacing of the points, m, likewise.
+        polar_limit: Polar angle at which the spiral ends, rad.
     """
     polar = np.linspace(0, polar_limit, 4001)
     per_angle = 2 * np.pi * np.sin(polar) * radius(polar) ** 2 / (spacing(polar) ** 2 * np.sqrt(3) / 2)
@@ -102,34 +109,34 @@ def _spiral(radius, spacing, polar_limit):
     return np.stack([r * np.sin(t) * np.cos(azimuth), r * np.sin(t) * np.sin(azimuth), r * np.cos(t)], 1)
 
 
-def _circle(radius, spacing, z, turned):
-    """Points (n, 3) on a circle about the z axis, n at least 6; `turned` by half a spacing or not."""
+def _circle(radius: float, spacing: float, z: float, rotated: int) -> np.ndarray:
+    """Return points (n, 3) on a circle around the z axis, n at least 6, rotated by half a spacing if `rotated` is 1."""
     n = max(6, round(2 * np.pi * radius / spacing))
-    azimuth = 2 * np.pi * (np.arange(n) + 0.5 * turned) / n
+    azimuth = 2 * np.pi * (np.arange(n) + 0.5 * rotated) / n
     return np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), np.full(n, z)], 1)
 
 
-def _layers(radius, resolution):
-    """Point sets (list of (n, 3)) of the hemisphere, the surface first, then inner layers of growing spacing."""
+def _layers(radius: float, resolution: Resolution) -> list[np.ndarray]:
+    """Return point sets (n, 3) of the hemisphere: the surface, then inner layers of growing spacing."""
     rim = np.array([np.pi / 2])
     fine = np.radians(resolution.fine_angle_deg)
 
-    def spacing_at(layer, polar):
+    def spacing_at(layer: int, polar: np.ndarray) -> np.ndarray:
         ramp = np.clip((polar - fine) / (np.pi / 2 - fine), 0, 1)
         surface = resolution.surface_m + (resolution.rim_m - resolution.surface_m) * ramp
         return np.minimum(surface * resolution.growth**layer, max(resolution.coarsest_m, resolution.rim_m))
 
-    def depth_at(layer, polar):
+    def depth_at(layer: int, polar: np.ndarray) -> np.ndarray:
         # A layer of regular tetrahedra is 0.82 of an edge high.
         return sum(0.41 * (spacing_at(k, polar) + spacing_at(k + 1, polar)) for k in range(layer)) + 0 * polar
 
     sets = []
     for layer in range(100):
 
-        def spacing(polar, layer=layer):
+        def spacing(polar: np.ndarray, layer: int = layer) -> np.ndarray:
             return spacing_at(layer, polar)
 
-        def layer_radius(polar, layer=layer):
+        def layer_radius(polar: np.ndarray, layer: int = layer) -> np.ndarray:
             return radius - depth_at(layer, polar)
 
         r, h = layer_radius(rim)[0], spacing(rim)[0]
@@ -141,16 +148,16 @@ def _layers(radius, resolution):
     return sets
 
 
-def _tetrahedralise(points):
-    """Delaunay tetrahedra (m, 4) of points (n, 3) in convex position, positively oriented, without flat ones."""
+def _tetrahedralise(points: np.ndarray) -> np.ndarray:
+    """Return Delaunay tetrahedra (m, 4) of points (n, 3) in convex position, positively oriented, without flat ones."""
     tetrahedra = Delaunay(points).simplices.astype(np.int64)
     volume = tetrahedron_volumes(points, tetrahedra)
     tetrahedra[volume < 0] = tetrahedra[volume < 0][:, [0, 1, 3, 2]]
     return tetrahedra[np.abs(volume) > 1e-6 * np.abs(volume).max()]
 
 
-def _skin_triangles(points, tetrahedra, surface_count, bonded):
-    """Outer faces (k, 3) of the tetrahedra whose corners are all skin vertices and not all bonded."""
+def _skin_triangles(points: np.ndarray, tetrahedra: np.ndarray, surface_count: int, bonded: np.ndarray) -> np.ndarray:
+    """Return the outer faces (k, 3) of the tetrahedra whose corners are all skin vertices and not all bonded."""
     faces = np.concatenate([tetrahedra[:, list(c)] for c in ((1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1))])
     _, first, count = np.unique(np.sort(faces, 1), axis=0, return_index=True, return_counts=True)
     faces = faces[np.sort(first[count == 1])]
@@ -161,28 +168,28 @@ def _skin_triangles(points, tetrahedra, surface_count, bonded):
     return faces
 
 
-def in_order(elements):
-    """Elements (m, c) of vertex indices with the same orientation, c at least 3, put in order: the corners of each ascend,
-    but for the last two where orientation asks for it, and elements ascend by their corners.
+def in_order(elements: np.ndarray) -> np.ndarray:
+    """Sort elements (m, c) of vertex indices, c at least 3, and keep their orientation.
 
-    MuJoCo notes for each vertex the corners of its elements as they come and sorts them by insertion, twice a step: of
-    elements as Delaunay's triangulation leaves them, that is a fifth of a contact's time; in order, half of it [M].
+    The corners of each element ascend, except for the last two where the orientation requires it, and the elements ascend
+    by their corners. MuJoCo collects the corners of each vertex's elements and sorts them by insertion, twice per step.
+    With elements as the Delaunay triangulation leaves them this takes a fifth of a contact's time, sorted half of that [M].
     """
     order = np.argsort(elements, axis=1)
     ascending = np.take_along_axis(elements, order, axis=1)
     a, b = np.triu_indices(elements.shape[1], 1)
     odd = (order[:, a] > order[:, b]).sum(1) % 2 == 1
-    turned = ascending.copy()
-    turned[odd, -2:] = ascending[odd, :-3:-1]
-    return turned[np.lexsort(ascending.T[::-1])]
+    oriented = ascending.copy()
+    oriented[odd, -2:] = ascending[odd, :-3:-1]
+    return oriented[np.lexsort(ascending.T[::-1])]
 
 
 @lru_cache(maxsize=4)
-def build_mesh(shape, resolution):
-    """Mesh the tip. Meshes are kept, and not to be written to: tips of other mechanics stand on the same one.
+def build_mesh(shape: TipGeometry, resolution: Resolution) -> Mesh:
+    """Mesh the tip. Meshes are cached and read-only, because tips with other mechanics share them.
 
-    shape: design.Shape. resolution: Resolution. Returns a Mesh.
-    Raises ValueError where a spacing does not suit the shape.
+    Raises:
+        ValueError: A spacing does not suit the shape.
     """
     for name in ("surface_m", "rim_m"):
         spacing = getattr(resolution, name)

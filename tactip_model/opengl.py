@@ -1,6 +1,7 @@
-"""The one place that chooses how OpenGL is reached.
+"""The one place that chooses the OpenGL platform.
 
-EGL needs no display and is used wherever it is found; a user who has set PYOPENGL_PLATFORM or MUJOCO_GL is left alone.
+EGL needs no display and is used wherever it is found. Values of PYOPENGL_PLATFORM and MUJOCO_GL that the user has set
+stay as they are.
 """
 
 import ctypes
@@ -8,19 +9,19 @@ import os
 import sys
 
 DEBIAN_PACKAGES = ("libegl1", "libegl-mesa0", "libgl1", "libgl1-mesa-dri")
-"""Debian's packages that give a headless OpenGL without a graphics card."""
+"""Debian packages that provide headless OpenGL without a graphics card."""
 
 
-def choose_platform():
-    """Ask PyOpenGL and MuJoCo for EGL, unless the user has chosen. Call before either is imported."""
+def choose_platform() -> None:
+    """Select EGL for PyOpenGL and MuJoCo unless the user has chosen. Call this before either is imported."""
     if sys.platform != "linux":
         return
     os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
-    # MuJoCo itself is imported by every job, drawing or not: it must not look for an EGL that is not there.
+    # Every job imports MuJoCo, whether it renders or not, so MuJoCo must not look for a missing EGL.
     os.environ.setdefault("MUJOCO_GL", "egl" if _egl_loads() else "disable")
 
 
-def _egl_loads():
+def _egl_loads() -> bool:
     try:
         ctypes.CDLL("libEGL.so.1")
     except OSError:
@@ -28,6 +29,6 @@ def _egl_loads():
     return True
 
 
-def install_hint():
-    """The command (str) that gives a Debian machine a headless OpenGL."""
+def install_hint() -> str:
+    """Return the command that installs headless OpenGL on Debian."""
     return f"apt-get install -y {' '.join(DEBIAN_PACKAGES)}"

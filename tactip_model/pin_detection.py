@@ -1,48 +1,54 @@
-"""Pins in a binary image: the white blobs, and which pin each of them is.
+"""Detection of pins in a binary image and their identification.
 
-A pressed and sheared tip moves its pins by more than their spacing, so that the nearest blob is often the next pin's. But
-neighbours move alike: from one pin that is known, its neighbours are where an affine map of what is known so far puts them,
-and the hexagon or disc fits whole in one way only. All blobs near the middle are tried as the first pin's.
+A pressed and sheared tip moves its pins by more than their spacing, so the blob nearest to a pin's rest position is often
+another pin's. But neighbours move alike: starting from one identified pin, an affine map of the pins identified so far
+predicts their neighbours, and the whole hexagon or disc fits in one way only. Every blob near the middle is tried as the
+first pin.
 """
 
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial import Delaunay, cKDTree
 
 _GATE = 0.42
-"""Distance from where a pin is expected at which a blob may still be it, in spacings of the undeformed pins there."""
+"""Largest distance of a pin's blob from its expected position, in spacings of the undeformed pins there."""
 
 _LOCAL = 9
-"""Pins from which the affine map of the next one is fitted."""
+"""Number of pins to which the affine map for the next one is fitted."""
 
 
 @dataclass(frozen=True)
 class Blobs:
-    """White blobs of an image that may be pins."""
+    """White blobs of an image that can be pins."""
 
     centres: np.ndarray
     """(n, 2) float, px: x to the right, y down; the centre of the top left pixel is (0, 0)."""
 
 
-def find_blobs(image, largest=2.6, smallest=0.15):
-    """Blobs of a binary image that are round enough and of a size with the others.
+def find_blobs(image: np.ndarray, max_area: float = 2.6, min_area: float = 0.15) -> Blobs:
+    """Return the blobs of a binary image that are round enough and similar in size.
 
-    image: (h, w) uint8, pins white. largest, smallest: allowed area, in medians of the roundish blobs' areas. Returns
-    Blobs. Crescents of light at the rim are long and go; two pins that touch are one long blob and go as well.
+    Crescents of light at the rim are left out because they are long, and so are two pins that touch.
+
+    Args:
+        image: (h, w) uint8, pins white.
+        max_area: Largest area, in medians of the roundish blobs' areas.
+        min_area: Smallest area, likewise.
     """
     _, centres, area, roundish = _components(image)
     if not roundish.any():
         return Blobs(np.zeros((0, 2)))
     middle = np.median(area[roundish])
-    keep = roundish & (area < largest * middle) & (area > smallest * middle)
+    keep = roundish & (area < max_area * middle) & (area > min_area * middle)
     return Blobs(centres[keep])
 
 
-def find_reflections(image):
-    """Pixels (h, w) bool of the long white patches of a binary image: light at the rim, that is fixed to the housing."""
+def find_reflections(image: np.ndarray) -> np.ndarray:
+    """Return the pixels (h, w) bool of the long white patches in a binary image: reflections at the rim of the housing."""
     labels, _, area, roundish = _components(image)
     if not roundish.any():
         return np.zeros(np.shape(image), bool)
@@ -50,10 +56,15 @@ def find_reflections(image):
     return np.concatenate([[False], long])[labels]
 
 
-def _components(image):
-    """White patches of a binary image: labels (h, w), from 1; centres (n, 2), areas (n,) and whether each is round (n,)."""
+def _components(image: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Find the white patches of a binary image.
+
+    Returns:
+        Labels (h, w), from 1; centres (n, 2), px; areas (n,), px; whether each patch is roundish (n,).
+    """
     white = (np.asarray(image) > 127).astype(np.uint8)
     count, labels, stats, centres = cv2.connectedComponentsWithStats(white, connectivity=8)
+    labels = np.asarray(labels, np.int32)
     area = stats[1:, cv2.CC_STAT_AREA].astype(float)
     width, height = stats[1:, cv2.CC_STAT_WIDTH], stats[1:, cv2.CC_STAT_HEIGHT]
     x, y = np.meshgrid(np.arange(labels.shape[1]), np.arange(labels.shape[0]))
@@ -74,14 +85,14 @@ def _components(image):
 
 
 class PinMatcher:
-    """Tells which blob is which pin, from where the pins are in the undeformed image."""
+    """Identifies pins among blobs from the pins' positions in the undeformed image."""
 
-    def __init__(self, neutral):
-        """neutral: (p, 2) float, px, pins of the undeformed image."""
+    def __init__(self, neutral: ArrayLike) -> None:
+        """Prepare for the pins (p, 2), px, of an undeformed image."""
         self.neutral = np.asarray(neutral, float)
         self._middle = int(np.linalg.norm(self.neutral - self.neutral.mean(0), axis=1).argmin())
         triangles = Delaunay(self.neutral).simplices
-        self._neighbours = [set() for _ in self.neutral]
+        self._neighbours: list[set[int]] = [set() for _ in self.neutral]
         for triangle in triangles:
             for a in triangle:
                 self._neighbours[a].update(int(b) for b in triangle if b != a)
@@ -89,8 +100,8 @@ class PinMatcher:
         self._gate = _GATE * spacing
         self._reach = 2.2 * float(np.median(spacing)) + 0.03 * float(np.ptp(self.neutral))
 
-    def match(self, blobs):
-        """Positions (p, 2) px of the pins among Blobs; NaN where a pin is not seen. All NaN if none can be told."""
+    def match(self, blobs: Blobs) -> np.ndarray:
+        """Return the positions (p, 2), px, of the pins; NaN where a pin is not seen, all NaN if none can be identified."""
         positions = np.full_like(self.neutral, np.nan)
         if len(blobs.centres) < 3:
             return positions
@@ -107,8 +118,15 @@ class PinMatcher:
         positions[known] = blobs.centres[best[known]]
         return positions
 
-    def _expected(self, known, found, centres, pins):
-        """Where `pins` (k,) are (k, 2) by the affine map of the nearest known pins, each left out of its own."""
+    def _expected(self, known: np.ndarray, found: np.ndarray, centres: np.ndarray, pins: np.ndarray) -> np.ndarray:
+        """Predict the positions (k, 2) of `pins` (k,) by an affine map of the nearest known pins other than itself.
+
+        Args:
+            known: Indices of the known pins.
+            found: Blob of each pin (p,), -1 if unknown.
+            centres: Centres of the blobs (n, 2), px.
+            pins: Indices of the pins to predict.
+        """
         tree = cKDTree(self.neutral[known])
         _, near = tree.query(self.neutral[pins], min(_LOCAL + 1, len(known)))
         out = np.empty((len(pins), 2))
@@ -117,15 +135,19 @@ class PinMatcher:
             sources = sources[sources != pin][:_LOCAL]
             offset = self.neutral[sources] - self.neutral[pin]
             moved = centres[found[sources]] - self.neutral[sources]
-            # A little ridge on the gradient: few or collinear pins say where, not how it changes.
+            # A small ridge on the gradient: few or collinear pins determine the position but not its gradient.
             a = np.concatenate([np.ones((len(sources), 1)), offset], 1)
             ridge = np.diag([0.0, 1.0, 1.0]) * 0.05 * (offset**2).sum() / 2
             out[row] = self.neutral[pin] + np.linalg.solve(a.T @ a + ridge + 1e-9 * np.eye(3), a.T @ moved)[0]
         return out
 
-    def _grow(self, tree, first):
-        """Blob of each pin (p,) int, -1 unknown, grown from the first pin being blob `first`; and how well it fits."""
-        centres = tree.data
+    def _grow(self, tree: cKDTree, first: int) -> tuple[np.ndarray, float]:
+        """Identify the pins, starting from the middle pin being blob `first`.
+
+        Returns:
+            Blob of each pin (p,) int, -1 if unknown, and the score of the fit.
+        """
+        centres = np.asarray(tree.data)
         found = np.full(len(self.neutral), -1)
         found[self._middle] = first
         taken = {int(first)}
@@ -137,7 +159,7 @@ class PinMatcher:
             order = np.argsort(distance / self._gate[ring])
             for k in order:
                 pin = ring[k]
-                # Around the first pin alone nothing is known of the stretch: the gate is wider there.
+                # Around the first pin the stretch is still unknown, so the gate is wider there.
                 gate = self._gate[pin] * (1.6 if len(known) == 1 else 1.0)
                 if distance[k] < gate and int(nearest[k]) not in taken:
                     found[pin] = nearest[k]
@@ -147,8 +169,8 @@ class PinMatcher:
             ring = sorted({n for pin in tried if found[pin] >= 0 for n in self._neighbours[pin]} - tried)
         return found, (found >= 0).sum() - 0.5 * misfit
 
-    def _settle(self, tree, found):
-        """Give each pin the blob nearest to where its neighbours expect it, until nothing changes."""
+    def _settle(self, tree: cKDTree, found: np.ndarray) -> np.ndarray:
+        """Reassign each pin the blob nearest to its expected position until nothing changes."""
         centres = np.asarray(tree.data)
         for _ in range(10):
             known = np.flatnonzero(found >= 0)

@@ -1,22 +1,26 @@
 """The pins: rigid, rooted in the skin, moving with it and tilting with its normal."""
 
+from collections.abc import Callable
+
 import numpy as np
-from scipy.sparse import coo_matrix
+from numpy.typing import ArrayLike
+from scipy.sparse import coo_array, csr_array
 
 from tactip_twin.tactip_model.bounds import require
+from tactip_twin.tactip_model.design import Design, PinLayout, Pins
 from tactip_twin.tactip_model.errors import lookup
-from tactip_twin.tactip_model.mesh import CONTACT_RADIUS_M
+from tactip_twin.tactip_model.mesh import CONTACT_RADIUS_M, Mesh
 
 
-def hexagonal(rings):
-    """Triangular lattice in a hexagon, (3 rings² + 3 rings + 1, 2) float in units of the pitch, first neighbour on +x."""
+def hexagonal(rings: int) -> np.ndarray:
+    """Return a hexagonal lattice, (3 rings² + 3 rings + 1, 2), in units of the pitch, first neighbour on +x."""
     span = range(-rings, rings + 1)
     lattice = np.array([(i, j) for i in span for j in span if abs(i + j) <= rings], float)
     return np.stack([lattice[:, 0] + lattice[:, 1] / 2, np.sqrt(3) / 2 * lattice[:, 1]], 1)
 
 
-def circular(rings):
-    """Rings of 6k points about a centre point, same count and units as `hexagonal`."""
+def circular(rings: int) -> np.ndarray:
+    """Return rings of 6k points around a centre point, with the count and units of `hexagonal`."""
     points = [np.zeros((1, 2))]
     for k in range(1, rings + 1):
         azimuth = 2 * np.pi * np.arange(6 * k) / (6 * k)
@@ -24,13 +28,15 @@ def circular(rings):
     return np.concatenate(points)
 
 
-LAYOUTS = {"hexagonal": hexagonal, "circular": circular}
+LAYOUTS: dict[PinLayout, Callable[[int], np.ndarray]] = {"hexagonal": hexagonal, "circular": circular}
+"""Functions of the number of rings to plan positions in pitches, by layout."""
 
 
-def plan_positions(pins):
-    """Plan positions of the pins, (p, 2) float, m, x and y of the sensor frame. pins: design.Pins.
+def plan_positions(pins: Pins) -> np.ndarray:
+    """Return the pins' plan positions (p, 2), m, x and y of the sensor frame.
 
-    Raises TactipError on an unknown layout, and where `as_built_m` has not one offset a pin.
+    Raises:
+        TactipError: The layout is unknown, or `as_built_m` does not have one offset per pin.
     """
     points = pins.pitch_m * lookup("pin layout", pins.layout, LAYOUTS)(pins.rings)
     c, s = np.cos(np.radians(pins.rotation_deg)), np.sin(np.radians(pins.rotation_deg))
@@ -40,8 +46,8 @@ def plan_positions(pins):
     return points + np.reshape(pins.as_built_m, (-1, 2)) if count else points
 
 
-def neutral_pins(design):
-    """Tips (p, 3) m and directions (p, 3), unit, root to tip, of the undeformed design's pins in the sensor frame."""
+def neutral_pins(design: Design) -> tuple[np.ndarray, np.ndarray]:
+    """Return the undeformed pins in the sensor frame: pin tips (p, 3), m, and directions (p, 3), unit, from root to tip."""
     plan = plan_positions(design.pins)
     radius = design.shape.radius_m
     outer = np.concatenate([plan, np.sqrt(radius**2 - (plan**2).sum(1, keepdims=True))], 1)
@@ -50,14 +56,14 @@ def neutral_pins(design):
 
 
 class PinReader:
-    """Reads pins off a deformed skin.
+    """Computes the pins' positions from a deformed skin.
 
-    A pin's root moves with its triangle, and its tip by the root's displacement plus the lever arm's turn with the
-    skin's normal. Displacements are added to the exact undeformed position: the mesh's facets do not show at rest.
+    A pin's root moves with its triangle. Its tip moves by the root's displacement plus the rotation of the lever arm with
+    the skin's normal. Displacements are added to the exact undeformed position, so the mesh's facets have no effect at rest.
     """
 
-    def __init__(self, design, mesh):
-        """design: Design. mesh: mesh.Mesh of that design."""
+    def __init__(self, design: Design, mesh: Mesh) -> None:
+        """Prepare the interpolation for a design and its mesh."""
         self.tips, self.directions = neutral_pins(design)
         self._triangles = mesh.triangles
         self._rest = mesh.vertices[: mesh.surface_count]
@@ -65,11 +71,11 @@ class PinReader:
         self._weights = _interpolation(self._rest - mesh.centre, mesh.triangles, -self.directions)
         rows, columns = mesh.triangles.ravel(), np.repeat(np.arange(len(mesh.triangles)), 3)
         shape = (mesh.surface_count, len(mesh.triangles))
-        self._gather = coo_matrix((np.ones(rows.size), (rows, columns)), shape).tocsr()
+        self._gather = coo_array((np.ones(rows.size), (rows, columns)), shape).tocsr()
         self._rest_normals = self._normals(self._rest)
 
-    def read(self, skin):
-        """Tips (..., p, 3) m and directions (..., p, 3) for skin vertices (..., s, 3), m, all in the sensor frame."""
+    def read(self, skin: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+        """Return pin tips (..., p, 3), m, and directions (..., p, 3) for skin vertices (..., s, 3), m; sensor frame."""
         skin = np.asarray(skin, float)
         moved = self._at_roots(skin - self._rest)
         turned = self._normals(skin) - self._rest_normals
@@ -78,17 +84,17 @@ class PinReader:
         return self.tips + moved - self._lever * turned, directions
 
     @staticmethod
-    def _spread(values, matrix):
-        """A sparse matrix (b, a) times values (..., a, 3): (..., b, 3)."""
+    def _spread(values: np.ndarray, matrix: csr_array) -> np.ndarray:
+        """Return a sparse matrix (b, a) times values (..., a, 3): (..., b, 3)."""
         flat = values.reshape(-1, values.shape[-2], 3)
         return np.stack([matrix @ v for v in flat]).reshape(*values.shape[:-2], -1, 3)
 
-    def _at_roots(self, values):
-        """Values (..., s, 3) at vertices to values (..., p, 3) at the pins' roots."""
+    def _at_roots(self, values: np.ndarray) -> np.ndarray:
+        """Interpolate values (..., s, 3) at vertices to the pins' roots, (..., p, 3)."""
         return self._spread(values, self._weights)
 
-    def _normals(self, skin):
-        """Outward unit normals (..., p, 3) at the roots: area-weighted at the vertices, interpolated."""
+    def _normals(self, skin: np.ndarray) -> np.ndarray:
+        """Return outward unit normals (..., p, 3) at the roots: area-weighted at the vertices, interpolated."""
         corners = skin[..., self._triangles, :]
         face = np.cross(corners[..., 1, :] - corners[..., 0, :], corners[..., 2, :] - corners[..., 0, :])
         vertex = self._spread(face, self._gather)
@@ -97,12 +103,12 @@ class PinReader:
         return normals / np.linalg.norm(normals, axis=-1, keepdims=True)
 
 
-def _interpolation(vertices, triangles, rays):
-    """Sparse (p, s): barycentric weights of the triangle that each ray (p, 3) from the origin meets."""
+def _interpolation(vertices: np.ndarray, triangles: np.ndarray, rays: np.ndarray) -> csr_array:
+    """Return barycentric weights, sparse (p, s), of the triangle that each ray (p, 3) from the origin intersects."""
     inverse = np.linalg.inv(np.swapaxes(vertices[triangles], 1, 2))
     weights = np.einsum("tij,pj->pti", inverse, rays)
-    met = weights.min(2).argmax(1)
-    weights = weights[np.arange(len(rays)), met]
+    hit = weights.min(2).argmax(1)
+    weights = weights[np.arange(len(rays)), hit]
     weights /= weights.sum(1, keepdims=True)
     rows = np.repeat(np.arange(len(rays)), 3)
-    return coo_matrix((weights.ravel(), (rows, triangles[met].ravel())), (len(rays), len(vertices))).tocsr()
+    return coo_array((weights.ravel(), (rows, triangles[hit].ravel())), (len(rays), len(vertices))).tocsr()

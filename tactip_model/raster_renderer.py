@@ -1,16 +1,17 @@
-"""The pins' grey image without OpenGL: discs drawn as ellipses with soft edges, many images at a time."""
+"""Grey image of the pins without OpenGL: discs become ellipses with soft edges, and many images render in one call."""
 
 import cv2
 import numpy as np
+from numpy.typing import ArrayLike
 
+from tactip_twin.tactip_model.design import Design, Optics
 from tactip_twin.tactip_model.optics import LedRing, Lens, backdrop, perpendicular_axes, tip_radii
 
 
 class Raster:
-    """Draws the grey frame of a design from pin records, by numpy alone. Held against camera.py in the tests."""
+    """Renderer of a design's grey frame with numpy and OpenCV. Tests compare it with pyrender_renderer.py."""
 
-    def __init__(self, design):
-        """design: Design."""
+    def __init__(self, design: Design) -> None:
         self._design = design
         self._lens = Lens(design)
         self._leds = LedRing(design)
@@ -18,24 +19,30 @@ class Raster:
         self._backdrop = backdrop(design, self._lens, self._leds).ravel()
         self._blank = self._backdrop.astype(np.float32)
 
-    def render(self, tips, directions):
-        """Grey frames (..., h, w) uint8 of pins with tips (..., p, 3) m and directions (..., p, 3), sensor frame."""
-        tips, directions = np.asarray(tips, float), np.asarray(directions, float)
-        batch = tips.shape[:-2]
-        tips, directions = tips.reshape(-1, *tips.shape[-2:]), directions.reshape(-1, *directions.shape[-2:])
-        frames = np.stack([self._one(t, d) for t, d in zip(tips, directions, strict=True)])
+    def render(self, pin_tips: ArrayLike, directions: ArrayLike) -> np.ndarray:
+        """Return the grey frames (..., h, w) uint8 of pins.
+
+        Args:
+            pin_tips: (..., p, 3), m, sensor frame.
+            directions: (..., p, 3), unit, sensor frame.
+        """
+        pin_tips, directions = np.asarray(pin_tips, float), np.asarray(directions, float)
+        batch = pin_tips.shape[:-2]
+        pin_tips, directions = pin_tips.reshape(-1, *pin_tips.shape[-2:]), directions.reshape(-1, *directions.shape[-2:])
+        frames = np.stack([self._render_one(t, d) for t, d in zip(pin_tips, directions, strict=True)])
         return frames.reshape(*batch, *frames.shape[1:])
 
-    def _one(self, tips, directions):
-        centre, axes = self.ellipses(tips, directions)
-        grey = self._leds.grey(tips, directions, self._design.optics.pin_albedo)
-        # An ellipse of half-axes p and q is as wide as sqrt(px² + qx²) to a side; half a pixel is soft, half is rounding.
+    def _render_one(self, pin_tips: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """Return the grey frame (h, w) uint8 of pins with tips (p, 3) and directions (p, 3)."""
+        centre, axes = self.ellipses(pin_tips, directions)
+        grey = self._leds.grey(pin_tips, directions, self._design.optics.pin_albedo)
+        # An ellipse with half-axes p and q reaches sqrt(px² + qx²) to a side; the edge and rounding add half a pixel each.
         reach = int(np.ceil(np.sqrt((axes**2).sum(2)).max())) + 1
         span, width = np.arange(-reach, reach + 1), self._lens.width
         nearest = np.rint(centre).astype(int)
         x, y = nearest[:, :1] + span, nearest[:, 1:] + span
-        # A pixel's place in the unit disc, and its distance to the disc's edge in pixels along the gradient. Entry by entry:
-        # these are small matrices and many pixels.
+        # A pixel's position in the unit disc, and its distance from the disc's edge in pixels along the gradient. Entry by
+        # entry is faster here, with small matrices and many pixels.
         (p, q), (r, s) = axes.transpose(1, 2, 0)[..., None, None]
         size = p * s - q * r
         a, b, c, d = s / size, -q / size, -r / size, p / size
@@ -51,27 +58,32 @@ class Raster:
         paint, shade = np.zeros(width * width), np.zeros(width * width)
         np.maximum.at(paint, index, cover)
         np.maximum.at(shade, index, grey[pin])
-        # Most of the frame is backdrop. Where two pins meet, a pixel stands here twice, with the same grey.
+        # Most of the frame is backdrop. Where two pins overlap, a pixel is listed twice, with the same grey.
         frame, paint = self._blank.copy(), paint[index]
         frame[index] = (1 - paint) * self._backdrop[index] + paint * shade[index]
         return blur_and_quantize(frame.reshape(width, width), self._design.optics)
 
-    def ellipses(self, tips, directions):
-        """Middles (..., p, 2) and half-axes (..., p, 2, 2), columns, of the pins' discs, px of the frame.
+    def ellipses(self, pin_tips: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the image of the pins' discs.
 
-        tips, directions: (..., p, 3), m and -, sensor frame.
+        Args:
+            pin_tips: (..., p, 3), m, sensor frame.
+            directions: (..., p, 3), unit, sensor frame.
+
+        Returns:
+            Centres (..., p, 2) and half-axes (..., p, 2, 2), as columns, px of the frame.
         """
-        shape = tips.shape[:-1]
+        shape = pin_tips.shape[:-1]
         r = np.broadcast_to(self._radii, shape).reshape(-1, 1)
-        tips, directions = tips.reshape(-1, 3), directions.reshape(-1, 3)
+        pin_tips, directions = pin_tips.reshape(-1, 3), directions.reshape(-1, 3)
         u, v = r * perpendicular_axes(directions)
-        edge = self._lens.project(tips + np.stack([u, -u, v, -v]))
+        edge = self._lens.project(pin_tips + np.stack([u, -u, v, -v]))
         axes = np.stack([(edge[0] - edge[1]) / 2, (edge[2] - edge[3]) / 2], -1)
         return edge.mean(0).reshape(*shape, 2), axes.reshape(*shape, 2, 2)
 
 
-def blur_and_quantize(frame, optics):
-    """The lens's blur and the camera's 8 bits: frame (h, w) float, 0 to 255, to uint8."""
+def blur_and_quantize(frame: np.ndarray, optics: Optics) -> np.ndarray:
+    """Apply the lens's blur and the camera's 8 bits: convert a frame (h, w) float, 0 to 255, to uint8."""
     if optics.blur_px > 0:
         frame = cv2.GaussianBlur(frame.astype(np.float32, copy=False), (0, 0), optics.blur_px)
-    return cv2.convertScaleAbs(frame)  # rounded to the nearest, and cut at 255
+    return cv2.convertScaleAbs(frame)  # rounds to the nearest and saturates at 255

@@ -1,26 +1,27 @@
-"""The soft body: a design and its mesh become flexes of a MuJoCo model.
+"""The soft body: flexes of a MuJoCo model made from a design and its mesh.
 
 The gel is a 3D flex of stable neo-Hookean tetrahedra, the skin a 2D flex (stretching and bending) over the gel's surface
-vertices: they share bodies, so that the skin costs no degree of freedom.
+vertices. They share bodies, so the skin adds no degrees of freedom.
 
-Only the skin touches things, in two ways. Its vertices are small spheres, and what is flat on the scale of a facet meets
-these: one contact a vertex, with the right normal at corners too. Its facets meet what can pass between the vertices,
-such as an edge. (A facet against a box gives each of its corners a contact: six on a vertex, and beside an edge of the
-box, contacts where there is no box, that drag the tip along by a millimetre.)
+Only the skin makes contact, in two ways. Its vertices are small spheres that collide with whatever is flat on the scale of
+a facet: one contact per vertex, with the right normal at corners too. Its facets collide with what fits between the
+vertices, such as an edge. (A facet against a box gives each of its corners a contact: six on a vertex and, beside an edge
+of the box, contacts where there is no box, which drag the tip along by a millimetre.)
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
 
 from tactip_twin.tactip_model.bounds import check, within
-from tactip_twin.tactip_model.design import Materials
-from tactip_twin.tactip_model.mesh import CONTACT_RADIUS_M
+from tactip_twin.tactip_model.design import Design, Materials
+from tactip_twin.tactip_model.mesh import CONTACT_RADIUS_M, Mesh, Resolution
 
 STABLE_NEO_HOOKEAN = 1
-"""MjsFlex.elastic3d. The default law, St Venant-Kirchhoff, softens under compression: a third of the force is missing
-at 3 mm of depth, and it collapses near 4 mm."""
+"""MjsFlex.elastic3d. The default law, St Venant-Kirchhoff, softens under compression: its force is a third too low at a
+depth of 3 mm, and it collapses near 4 mm."""
 
 STRETCHING_AND_BENDING = 3
 """MjsFlex.elastic2d."""
@@ -28,60 +29,71 @@ STRETCHING_AND_BENDING = 3
 
 TOUCHES_VERTICES = 2
 TOUCHES_FACETS = 4
-"""Contact bits: `contype` of the skin's vertices and of its facets, `conaffinity` of what is to meet them. The skin has no
-affinity of its own, so that it never meets itself."""
+"""Contact bits: `contype` of the skin's vertices and of its facets, `conaffinity` of what collides with them. The skin has
+no affinity of its own, so it never collides with itself."""
 
 
 _REFERENCE = Materials()
 """The materials for which the contact model's numbers are chosen."""
 
-_SKIN_SHARE = 0.46
-"""Force of the default skin over that of the default gel, pressed 3 mm deep, -."""
+_SKIN_FORCE_RATIO = 0.46
+"""Ratio of the default skin's force to the default gel's at a depth of 3 mm, -."""
 
 
-STIFFEST = (1e9, 1e7)
-"""Stiffest contact, 1/s^2 and 1/s: beyond it the solver's conditioning is its own."""
+_MAX_CONTACT = (1e9, 1e7)
+"""Largest stiffness, 1/s^2, and damping, 1/s, of contact; above them the solver is badly conditioned."""
 
 
 STEP_OF_RESTING_S = 7e-3
-"""Time step for which `ContactModel.resting` is chosen, s: it is as stiff as that step resolves."""
+"""Time step for which `ContactModel.resting` is chosen, s; its stiffness is the largest that this step resolves."""
 
 _LOCKING = (0.35, 0.45)
-"""Poisson's ratios from which, and from which fully, `mesh.Resolution.locked_stiffness` acts, -."""
+"""Poisson's ratios at which `mesh.Resolution.locked_stiffness` starts to act and acts fully, -."""
 
 STIFFENED = 4.0
-"""Most by which a shorter step's contact is stiffer (its square) and more damped, -."""
+"""Largest factor on contact damping for a shorter step, -; stiffness is raised by up to its square."""
 
 
 @dataclass(frozen=True)
 class ContactModel:
-    """How contact is enforced. Numerical: none of it is a property of the tip."""
+    """Numerical parameters of contact; none is a property of the tip."""
 
-    moving: tuple[float, float] = within((1e4, 1e2), STIFFEST, default=(2e6, 4e3))
-    """Direct `solref` while the stimulus moves: stiffness, 1/s^2, and damping, 1/s. The default contact scales with the
-    vertices' tiny masses and lets objects through the skin. Ten times stiffer costs a third more iterations for the same
-    pins; ten times less damping lets a skin that sticks creep."""
-    resting: tuple[float, float] = within((1e4, 1e2), STIFFEST, default=(3e7, 1e5))
-    """The same while the tip comes to rest: stiff enough to leave less than 0.05 mm of penetration."""
+    moving: tuple[float, float] = within((1e4, 1e2), _MAX_CONTACT, default=(2e6, 4e3))
+    """Direct `solref` while the stimulus moves: stiffness, 1/s^2, and damping, 1/s. MuJoCo's default scales
+    with the vertices' tiny masses and lets objects through the skin. Ten times the stiffness costs a third more iterations
+    for the same pins; a tenth of the damping lets a sticking skin creep."""
+    resting: tuple[float, float] = within((1e4, 1e2), _MAX_CONTACT, default=(3e7, 1e5))
+    """Direct `solref` while the tip comes to rest: stiff enough for a penetration below 0.05 mm."""
     margin_m: float = within(0, 2e-3, default=0.4e-3)
     """Gap at which a vertex becomes a row of the solver, m; its force still begins at the surface (scene.Scene.step).
-    Without it, a vertex that friction lifts off is missed at the next step, and a slide chatters."""
+    Without it, the solver misses a vertex that friction has lifted off at the next step, and sliding chatters."""
     impedance: float = within(0.1, 0.9999, default=0.95)
     """`solimp`: constant impedance, -."""
     vertex_mass_kg: float = within(1e-7, 1e-2, default=3e-5)
-    """Mass of a skin vertex, kg. Contact pushes against it: half of it leaves twice the penetration, twice of it costs
-    more iterations. Motions are quasi-static, so that mass does not change where the tip comes to rest."""
+    """Mass of a skin vertex, kg. Contact acts on it: half the mass doubles the penetration, twice the mass costs more
+    iterations. Motions are quasi-static, so the mass does not change where the tip comes to rest."""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         check(self)
 
 
-def add_soft_tip(spec, parent, design, mesh, resolution, contact):
-    """Add the soft tip to a model.
+def add_soft_tip(
+    spec: mujoco.MjSpec,
+    parent: mujoco.MjsBody,
+    design: Design,
+    mesh: Mesh,
+    resolution: Resolution,
+    contact: ContactModel,
+) -> None:
+    """Add the soft tip to a model, whose integrator must be `discrete` (see sim/contact/scene.py).
 
-    spec: mujoco.MjSpec. parent: MjsBody whose frame is the sensor frame; bonded vertices move with it. design: Design.
-    mesh: mesh.Mesh. resolution: mesh.Resolution, that the mesh was built with. contact: ContactModel.
-    The integrator must be `discrete` (see sim/contact/scene.py).
+    Args:
+        spec: The model.
+        parent: Body whose frame is the sensor frame; bonded vertices move with it.
+        design: Design of the tip.
+        mesh: Mesh of the tip.
+        resolution: Resolution the mesh was built with.
+        contact: Numerical parameters of contact.
     """
     materials = design.materials
     mass = np.zeros(len(mesh.vertices))
@@ -138,19 +150,16 @@ def add_soft_tip(spec, parent, design, mesh, resolution, contact):
     )
 
 
-def relative_stiffness(materials):
-    """Force (-) of a tip of materials (design.Materials) over that of the default ones, about, at the same depth."""
+def relative_stiffness(materials: Materials) -> float:
+    """Return the approximate ratio of a tip's force to that of a tip of the default materials at the same depth, -."""
     gel = materials.gel_young_pa / _REFERENCE.gel_young_pa
     skin = materials.skin_young_pa * materials.skin_thickness_m
     skin /= _REFERENCE.skin_young_pa * _REFERENCE.skin_thickness_m
-    return (gel + _SKIN_SHARE * skin) / (1 + _SKIN_SHARE)
+    return (gel + _SKIN_FORCE_RATIO * skin) / (1 + _SKIN_FORCE_RATIO)
 
 
-def gel_attributes(materials, resolution):
-    """Attributes (dict) of the gel's flex that make its material.
-
-    materials: design.Materials. resolution: mesh.Resolution.
-    """
+def gel_attributes(materials: Materials, resolution: Resolution) -> dict[str, Any]:
+    """Return the attributes of the gel's flex that define its material."""
     locked = np.clip((materials.gel_poisson - _LOCKING[0]) / (_LOCKING[1] - _LOCKING[0]), 0.0, 1.0)
     return {
         "young": materials.gel_young_pa * float(1 - (1 - resolution.locked_stiffness) * locked),
@@ -161,8 +170,8 @@ def gel_attributes(materials, resolution):
     }
 
 
-def skin_attributes(materials):
-    """Material of the skin's flex, a dict of attributes. materials: design.Materials."""
+def skin_attributes(materials: Materials) -> dict[str, Any]:
+    """Return the attributes of the skin's flex that define its material."""
     return {
         "young": materials.skin_young_pa,
         "poisson": materials.skin_poisson,
@@ -173,10 +182,10 @@ def skin_attributes(materials):
     }
 
 
-def contact_attributes(friction, contact):
-    """Attributes (dict) of a flex or geom that touches, as while moving: friction (-) and a ContactModel."""
+def contact_attributes(friction: float, contact: ContactModel) -> dict[str, Any]:
+    """Return the attributes of a flex or geom in contact, as while the stimulus moves, for a friction coefficient."""
     return {
-        # Without friction the contact must have one dimension: three with zero friction turned the dome inside out.
+        # Without friction the contact must have one dimension: with three and zero friction the dome turned inside out.
         "condim": 3 if friction > 0 else 1,
         "friction": [friction, 0, 0],
         "solref": [-x for x in contact.moving],

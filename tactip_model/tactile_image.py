@@ -1,16 +1,22 @@
-"""A grey frame, simulated or real, to the binary tactile image that the network sees."""
+"""Conversion of a grey frame, simulated or real, to the binary tactile image that the network receives."""
 
 import cv2
 import numpy as np
+from numpy.typing import ArrayLike
 
+from tactip_twin.tactip_model.design import TactileImage
 from tactip_twin.tactip_model.errors import TactipError
 
 
-def binary_frame(frame, threshold):
-    """A camera's frame with the pins white (h, w) uint8.
+def binary_frame(frame: ArrayLike, threshold: tuple[int, float] | None) -> np.ndarray:
+    """Return a camera frame (h, w) uint8 with the pins white.
 
-    frame: (h, w) uint8 grey, or (h, w, 3) uint8 BGR. threshold: block and constant as in design.TactileImage, or None: the
-    frame is only made grey. Raises TactipError on a frame of another type or shape, and a block that does not do.
+    Args:
+        frame: (h, w) uint8 grey, or (h, w, 3) uint8 BGR.
+        threshold: Block and constant as in design.TactileImage; None converts the frame to grey only.
+
+    Raises:
+        TactipError: The frame has another type or shape, or the block is even or below 3.
     """
     frame = np.asarray(frame)
     if frame.dtype != np.uint8 or frame.ndim not in (2, 3) or (frame.ndim == 3 and frame.shape[2] != 3):
@@ -28,23 +34,29 @@ def binary_frame(frame, threshold):
     return frame
 
 
-def tactile_image(frame, settings):
+def tactile_image(frame: ArrayLike, settings: TactileImage) -> np.ndarray:
     """Threshold, crop and subsample a frame.
 
-    frame: (h, w) uint8 grey, or (h, w, 3) uint8 BGR. settings: design.TactileImage.
-    Returns (size_px, size_px) uint8, values 0 and 255 only, pins white.
-    Raises TactipError on a frame of another type or shape, and on a crop or threshold that does not fit it.
+    Args:
+        frame: (h, w) uint8 grey, or (h, w, 3) uint8 BGR.
+        settings: Threshold, crop and size.
+
+    Returns:
+        The tactile image (size_px, size_px) uint8, values 0 and 255 only, pins white.
+
+    Raises:
+        TactipError: The frame has another type or shape, or the crop or threshold does not fit it.
     """
-    frame = binary_frame(frame, settings.threshold)
+    binary = binary_frame(frame, settings.threshold)
     if settings.crop is not None:
         left, top, right, bottom = settings.crop
-        height, width = frame.shape
+        height, width = binary.shape
         if not (0 <= left < right <= width and 0 <= top < bottom <= height):
             raise TactipError(
                 f"a crop of left, top, right, bottom {settings.crop} does not fit a frame of {width} by {height} px"
             )
-        frame = frame[top:bottom, left:right]
-    shrink = settings.size_px <= min(frame.shape)
+        binary = binary[top:bottom, left:right]
+    shrink = settings.size_px <= min(binary.shape)
     size = (settings.size_px, settings.size_px)
-    small = cv2.resize(frame, size, interpolation=cv2.INTER_AREA if shrink else cv2.INTER_LINEAR)
+    small = cv2.resize(binary, size, interpolation=cv2.INTER_AREA if shrink else cv2.INTER_LINEAR)
     return np.where(small > 127, 255, 0).astype(np.uint8)

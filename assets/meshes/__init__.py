@@ -1,1 +1,1 @@
-"""Things to follow, and the script that makes them."""
+"""Objects to follow, and the script that makes them."""

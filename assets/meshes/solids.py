@@ -1,49 +1,55 @@
-"""Solids by their signed distance: what the meshes in this folder are made from.
+"""Signed distances of the solids from which the meshes in this folder are made.
 
-A solid is a function of points (..., 3) in mm; it is negative inside. Distances are true near the surface, to first order.
+A solid is a function of points (..., 3), mm, to distances (...), mm, negative inside. Distances are correct to first order
+near the surface.
 """
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 
-def ball(points, centre, radius):
-    """Distance to a sphere."""
+def ball(points: np.ndarray, centre: ArrayLike, radius: float) -> np.ndarray:
+    """Return the distance to a sphere."""
     return np.linalg.norm(points - np.asarray(centre, float), axis=-1) - radius
 
 
-def ellipsoid(points, centre, radii):
-    """Distance to an ellipsoid, to first order."""
+def ellipsoid(points: np.ndarray, centre: ArrayLike, radii: ArrayLike) -> np.ndarray:
+    """Return the distance to an ellipsoid, to first order."""
     own, radii = points - np.asarray(centre, float), np.asarray(radii, float)
     size = np.linalg.norm(own / radii, axis=-1)
     return size * (size - 1) / np.maximum(np.linalg.norm(own / radii**2, axis=-1), 1e-9)
 
 
-def limb(points, start, end, radius, end_radius):
-    """Distance to a rod with round ends whose radius changes along it."""
+def limb(points: np.ndarray, start: ArrayLike, end: ArrayLike, radius: float, end_radius: float) -> np.ndarray:
+    """Return the distance to a rod with round ends whose radius changes along it."""
     start = np.asarray(start, float)
     along = np.asarray(end, float) - start
-    share = np.clip(((points - start) @ along) / (along @ along), 0, 1)
-    return np.linalg.norm(points - start - share[..., None] * along, axis=-1) - (radius + (end_radius - radius) * share)
+    fraction = np.clip(((points - start) @ along) / (along @ along), 0, 1)
+    return np.linalg.norm(points - start - fraction[..., None] * along, axis=-1) - (
+        radius + (end_radius - radius) * fraction
+    )
 
 
-def joined(one, other, blend):
-    """Distance to two solids together, blended over `blend` mm."""
-    share = np.clip(0.5 + 0.5 * (other - one) / blend, 0, 1)
-    return other + (one - other) * share - blend * share * (1 - share)
+def joined(one: np.ndarray, other: np.ndarray, blend: float) -> np.ndarray:
+    """Return the distance to the union of two solids, blended over `blend` mm."""
+    fraction = np.clip(0.5 + 0.5 * (other - one) / blend, 0, 1)
+    return other + (one - other) * fraction - blend * fraction * (1 - fraction)
 
 
-def without(one, other, blend):
-    """Distance to one solid less another."""
+def without(one: np.ndarray, other: np.ndarray, blend: float) -> np.ndarray:
+    """Return the distance to one solid minus another, blended over `blend` mm."""
     return -joined(-one, other, blend)
 
 
 BUST_SCALE = 1.5
-"""Size of the bust over that of the numbers in `bust`, which are of a head 130 mm tall."""
+"""Scale of the bust relative to the numbers in `bust`, which describe a head 130 mm tall."""
 
 
-def bust(points_mm):
-    """A bust with a face: nose, eye sockets, lips, cheeks, neck, shoulders. x out of the face, y to its left, z up; the
-    origin between the jaws."""
+def bust(points_mm: np.ndarray) -> np.ndarray:
+    """Return the distance to a bust with a face: nose, eye sockets, lips, cheeks, neck, shoulders.
+
+    x points out of the face, y to its left, z up; the origin is between the jaws.
+    """
     p = points_mm / BUST_SCALE
     m = np.concatenate([p[..., :1], np.abs(p[..., 1:2]), p[..., 2:]], -1)  # both sides alike
     d = joined(ellipsoid(p, [-12, 0, 62], [62, 50, 56]), ellipsoid(p, [8, 0, 35], [42, 40, 52]), 18)  # skull, face
@@ -66,11 +72,11 @@ def bust(points_mm):
 
 
 SADDLE_RADII_MM = (120.0, 150.0)
-"""Radii of curvature of the saddle at its middle: of the ridge along x, and of the valley along y."""
+"""Radii of curvature of the saddle at its middle, mm: of the ridge along x and of the valley along y."""
 
 
-def saddle(points_mm):
-    """A block 140 mm wide whose top is a saddle; its middle is the origin."""
+def saddle(points_mm: np.ndarray) -> np.ndarray:
+    """Return the distance to a block 140 mm wide whose top is a saddle with its middle at the origin."""
     x, y, z = np.moveaxis(points_mm, -1, 0)
     ridge, valley = SADDLE_RADII_MM
     top = -(x**2) / (2 * ridge) + y**2 / (2 * valley)

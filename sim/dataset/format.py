@@ -13,28 +13,22 @@ readers take as one.
 
 import bisect
 import csv
-import dataclasses
 import hashlib
 import io
 import json
 import platform
 import zipfile
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from tactip_twin.sim.contact.fidelity import Fidelity
-from tactip_twin.sim.contact.record import QualityLimits
-from tactip_twin.sim.dataset.mechanics_randomization import MechanicsRandomization
-from tactip_twin.sim.dataset.sampling import Ranges
-from tactip_twin.sim.dataset.symmetry import SYMMETRIES
+from tactip_twin.sim.dataset.configuration import Configuration
 from tactip_twin.sim.labels import LABELS, SHEARS
 from tactip_twin.sim.pose import to_mm_deg
-from tactip_twin.tactip_model.design import Design
-from tactip_twin.tactip_model.design_file import built
+from tactip_twin.tactip_model.design_file import from_dict
 from tactip_twin.tactip_model.errors import TactipError
 
 FORMAT = "tactip-twin data set"
@@ -55,94 +49,6 @@ COLUMNS = ("sensor_image", *LABELS, *SHEARS, *MEASURES, "index", "seed")
 
 PARTIAL = ".partial"
 """Folder inside an unfinished set that holds what is made so far."""
-
-
-@dataclass(frozen=True)
-class Configuration:
-    """Everything that decides what a set's bytes are, beside the versions of the libraries."""
-
-    task: str
-    """`surface` or `edge`."""
-    split: str
-    """`train`, `val` or `test`."""
-    samples: int
-    """Samples to make: contacts, times the symmetries and the looks of each."""
-    seed: int
-    """Seed of the set; each sample spawns its own generator from it (sim/dataset/sampling.py)."""
-    renderer: str
-    """`pyrender` or `raster`."""
-    design: Design
-    """The sensor."""
-    fidelity: Fidelity
-    """What trades the contacts' error for time."""
-    pose: Ranges
-    """Labelled poses."""
-    shear: Ranges
-    """Unlabelled perturbations."""
-    bounds: QualityLimits = field(default_factory=QualityLimits)
-    """What a record must keep to be trusted."""
-    symmetric: bool = False
-    """Whether each contact is a sample for every symmetry of its task (sim/dataset/symmetry.py), or one alone."""
-    curvature_per_m: tuple[float, float] = (0.0, 0.0)
-    """Range of both principal curvatures of the surface that is touched, 1/m, positive where it bulges out; flat if both are
-    0. Not a label."""
-    uneven: float = 0.0
-    """Share of surfaces along which these curvatures change (sim/contact/curved_surface.py), 0 to 1. Not a label."""
-    shard_samples: int = 10_000
-    """Samples of a shard: a set of more is a folder of shards (sim/dataset/shards.py)."""
-    first: int = 0
-    """Index of its first sample, where it is a shard of a larger set."""
-    looks: int = 1
-    """Times that a contact is looked at: at its pose, and then on a walk from there (sim/dataset/sliding.py), after each
-    stride."""
-    mechanics: MechanicsRandomization = field(default_factory=MechanicsRandomization)
-    """How far the tip's mechanics differ from contact to contact (sim/dataset/mechanics_randomization.py); the optics do
-    not."""
-
-    @property
-    def bent(self):
-        """Whether the surface is not flat."""
-        return any(self.curvature_per_m)
-
-    @property
-    def symmetries(self):
-        """The symmetries (tuple of Symmetry) that make samples of each contact."""
-        return SYMMETRIES[self.task][: None if self.symmetric else 1]
-
-    @property
-    def each(self):
-        """Samples (int) that a contact makes."""
-        return len(self.symmetries) * self.looks
-
-    def as_json(self):
-        """The configuration as a dict of JSON types. What came to it later is named where it is used alone: what was made
-        before keeps its digest."""
-        fields = dataclasses.asdict(self)
-        if not self.bent:
-            del fields["curvature_per_m"]
-        if not self.uneven:
-            del fields["uneven"]
-        for name in ("shard_samples", "first", "looks"):
-            if fields[name] == type(self).__dataclass_fields__[name].default:
-                del fields[name]
-        if self.mechanics.still:
-            del fields["mechanics"]
-        return json.loads(json.dumps(fields))
-
-    def digest(self):
-        """A checksum (hex str) of the configuration."""
-        return digest_of(self.as_json())
-
-
-def samples_each(configuration):
-    """Samples (int) that a contact makes, by a configuration as dict of JSON types."""
-    turned = len(SYMMETRIES[configuration["task"]]) if configuration.get("symmetric") else 1
-    return turned * configuration.get("looks", 1)
-
-
-def digest_of(configuration):
-    """Checksum (hex str) of a configuration (dict of JSON types)."""
-    return checksum(json.dumps(configuration, sort_keys=True).encode())
 
 
 def checksum(data):
@@ -279,7 +185,7 @@ def read_configuration(meta, folder):
     """
     if not isinstance(meta.get("configuration"), dict) or "fidelity" not in meta["configuration"]:
         raise TactipError(f"the set in {folder} was not simulated: it has no configuration to play its contacts by")
-    return built(Configuration, meta["configuration"], f"{folder}: configuration")
+    return from_dict(Configuration, meta["configuration"], f"{folder}: configuration")
 
 
 def read_targets(folder):

@@ -1,12 +1,13 @@
-"""What a calibration fits: a sensor on a rig, and the numbers of both that frames tell."""
+"""The parameters of a calibration: numbers of a sensor and of its rig that frames determine."""
 
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Literal
 
 import numpy as np
 
 from tactip_twin.sim2real.calibration.rig import Rig
-from tactip_twin.tactip_model.design import WIDEST_LAYOUT, Design
+from tactip_twin.tactip_model.design import MAX_LAYOUT_RADIUS, Design, Materials, Optics, Pins
 
 
 @dataclass(frozen=True)
@@ -16,87 +17,89 @@ class SensorOnRig:
     design: Design
     """The sensor."""
     rig: Rig
-    """How it hangs on the arm that took the frames."""
+    """Rig that took its frames."""
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """Something that is fitted."""
+    """A number that is fitted."""
 
     name: str
-    """What it is called in reports and in the state of a run."""
+    """Name in reports and in the state of a run."""
     unit: str
     """Of its value: m, Pa, deg, widths (of the image), or - for none."""
     low: float
-    """Least value that it is held at, in its unit."""
+    """Min. value, in its unit."""
     high: float
-    """Greatest value, in its unit."""
+    """Max. value, in its unit."""
     step: float
     """Change for the difference quotients; of the value's logarithm if `logarithmic`."""
-    believed: tuple[float, float] | None
-    """Value and standard deviation before any frame is seen (of the logarithm, for the latter); None if nothing is known."""
-    part: str
-    """What it belongs to: rig, optics, pins, materials."""
+    prior: tuple[float, float] | None
+    """Mean and standard deviation before any frame is seen (the latter of the logarithm if `logarithmic`); None without one."""
+    part: Literal["rig", "optics", "pins", "materials"]
+    """Part of the SensorOnRig that it belongs to."""
     attribute: str
     """Field of that part."""
     item: int | None = None
-    """Place in the field, where it is a tuple."""
+    """Index in the field, where it is a tuple."""
     logarithmic: bool = False
-    """Whether steps and beliefs are of the value's logarithm: for what is known to a factor."""
+    """Whether step and prior are of the value's logarithm: for what is known to a factor."""
     mechanical: bool = True
-    """Whether a contact must be played anew when it changes."""
+    """Whether a contact must be simulated anew when it changes."""
     searched: bool = False
-    """Whether it is found by trying: skin sticks or slips, and a frame's share then jumps, so that slopes lead astray."""
+    """Whether it is found by trying: skin sticks or slips, and a frame's fraction then jumps, so slopes mislead."""
 
-    def read(self, twin):
-        """Its value (float) in a SensorOnRig."""
-        value = getattr(self._of(twin), self.attribute)
+    def read(self, twin: SensorOnRig) -> float:
+        """Return its value in a SensorOnRig."""
+        value = getattr(self._part_of(twin), self.attribute)
         return float(value if self.item is None else value[self.item])
 
-    def write(self, twin, value):
-        """The SensorOnRig with this value (float), held within the bounds."""
+    def write(self, twin: SensorOnRig, value: float) -> SensorOnRig:
+        """Return the SensorOnRig with this value, clipped to the bounds."""
         value = float(np.clip(value, self.low, self.high))
         if self.item is not None:
-            whole = list(getattr(self._of(twin), self.attribute))
+            whole = list(getattr(self._part_of(twin), self.attribute))
             whole[self.item] = value
             value = tuple(whole)
-        part = replace(self._of(twin), **{self.attribute: value})
+        part = replace(self._part_of(twin), **{self.attribute: value})
         if self.part == "rig":
             return replace(twin, rig=part)
         return replace(twin, design=replace(twin.design, **{self.part: part}))
 
-    def moved(self, twin, amount):
-        """The SensorOnRig with this parameter moved by `amount` of its steps."""
+    def moved(self, twin: SensorOnRig, amount: float) -> SensorOnRig:
+        """Return the SensorOnRig with this parameter moved by `amount` of its steps."""
         value = self.read(twin)
         return self.write(twin, value * np.exp(amount * self.step) if self.logarithmic else value + amount * self.step)
 
-    def surprise(self, twin):
-        """How far (standard deviations) the value is from what is believed; 0 if nothing is."""
-        if self.believed is None:
+    def prior_residual(self, twin: SensorOnRig) -> float:
+        """Return how far the value is from its prior, in standard deviations; 0 without a prior."""
+        if self.prior is None:
             return 0.0
-        value, (mean, deviation) = self.read(twin), self.believed
+        value, (mean, deviation) = self.read(twin), self.prior
         return (np.log(value / mean) if self.logarithmic else value - mean) / deviation
 
-    def _of(self, twin):
+    def _part_of(self, twin: SensorOnRig) -> Rig | Optics | Pins | Materials:
         return twin.rig if self.part == "rig" else getattr(twin.design, self.part)
 
 
 UNKNOWN_CAMERA = np.array([1.0, 0.0, 0.0]), np.array([0.01, 0.004, 0.004])
-"""Zoom and drift, and their standard deviations, where reflections do not tell them."""
+"""Zoom and drift (3,), and their standard deviations (3,), where reflections do not show."""
 
 
-def parameters(design, camera=UNKNOWN_CAMERA):
-    """The Parameters that pressed frames tell.
+def parameters(design: Design, camera: tuple[np.ndarray, np.ndarray] = UNKNOWN_CAMERA) -> tuple[Parameter, ...]:
+    """Return the parameters that pressed frames determine.
 
-    design: Design to start from. camera: what is believed of zoom and drift and its deviation, (3,) each.
+    Args:
+        design: Design to start from.
+        camera: Prior of zoom and drift: mean and standard deviation, (3,) each.
     """
-    # Where a frame lags, its lag explains what friction would: frames alone hardly tell the three numbers of friction. They
-    # are believed from a load cell (0.55 to 0.7) and from the mean shifts of 25 kinds of shear of a real tip, to which a
-    # share of 0.5 to 0.6 after 1 mm comes nearest (benchmarks/learning/real_comparison.py).
+    # Where a frame lags, its lag explains what friction would: frames alone hardly determine the three numbers of friction.
+    # Their priors are from a load cell (0.55 to 0.7) and from the mean shifts of 25 kinds of shear of a real tip, to which a
+    # kinetic share of 0.5 to 0.6 after 1 mm comes nearest (benchmarks/learning/real_comparison.py).
     searched = partial(Parameter, logarithmic=True, searched=True)
     zoom, x, y = zip(*camera, strict=True)
     pitch = design.pins.pitch_m
-    widest = WIDEST_LAYOUT * design.shape.radius_m / design.pins.rings
+    widest = MAX_LAYOUT_RADIUS * design.shape.radius_m / design.pins.rings
     return (
         Parameter("azimuth", "deg", -360, 360, 2.0, None, "rig", "azimuth_deg"),
         Parameter("depth_zero", "m", -2e-3, 2e-3, 0.1e-3, (0.0, 0.5e-3), "rig", "depth_zero_m"),
