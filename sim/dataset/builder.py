@@ -1,4 +1,4 @@
-"""The folder of a set while it is made: whose it is, what is done, and the step from records to a finished set."""
+"""The folder of a data set while it is made: who may write in it, what is done, and how records become a finished set."""
 
 import contextlib
 import io
@@ -6,156 +6,195 @@ import json
 import os
 import platform
 import shutil
+from collections.abc import Iterable
 from datetime import datetime, timezone
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
+from tactip_twin.sim.dataset.configuration import Configuration
 from tactip_twin.sim.dataset.format import PARTIAL, checksum, image_name, meta_json, read_meta, targets_csv, versions
-from tactip_twin.sim.dataset.partial_record import numbers_of, read_record, record_path, samples_of, unpack_finished_set
+from tactip_twin.sim.dataset.partial_record import (
+    contact_numbers,
+    read_record,
+    record_path,
+    sample_indices,
+    unpack_finished_set,
+)
 from tactip_twin.sim.parallel.file_lock import locked
+from tactip_twin.sim.parallel.resume import check_resumable, first_difference
 from tactip_twin.sim.parallel.worker_pool import disk_error
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.files import write_file
 from tactip_twin.tactip_model.pins import neutral_pins
 
+if TYPE_CHECKING:
+    from tactip_twin.sim.dataset.shards import ShardFinalizer
+
+_KIND = "data set"
 _SAMPLES = "configuration.samples"
 
 
 class DatasetBuilder:
-    """A set's folder while it is made; held for a `with` block, in which no other command makes this set."""
+    """The folder of a data set while it is made. In its `with` block no other command can make this set."""
 
-    def __init__(self, configuration, path, alone=True):
-        """configuration: Configuration. path: Path. alone: bool, no part of another folder, which is held already."""
+    def __init__(self, configuration: Configuration, path: Path, alone: bool = True) -> None:
+        """Prepare to make a set; nothing is written yet.
+
+        Args:
+            configuration: Configuration of the set.
+            path: Folder of the set.
+            alone: Whether the folder has a lock of its own; False for a part of another folder, which is locked already.
+        """
         self._configuration, self._path, self._alone = configuration, path, alone
         self._partial = path / PARTIAL
-        self._held = contextlib.ExitStack()
-        self._left = set()
-        self._samples = None
-        """The counts (dict) in meta.json, once there is one."""
-        self.costs = []
-        """(seconds, peak memory of the worker in MiB) of each contact made now."""
+        self._open_contexts = contextlib.ExitStack()
+        self._missing: set[int] = set()
+        self._samples: dict[str, int] | None = None
+        """The counts in meta.json, once there is one."""
+        self.costs: list[tuple[float, float]] = []
+        """Seconds, and peak memory of the worker in MiB, of each contact made by this command."""
 
-    def __enter__(self):
-        with contextlib.ExitStack() as held:
+    def __enter__(self) -> Self:
+        with contextlib.ExitStack() as stack:
             try:
-                self._open(held)
+                self._open(stack)
             except OSError as error:
                 raise TactipError(f"cannot write to the folder {self._path}: {error.strerror or error}") from error
-            self._held = held.pop_all()
+            self._open_contexts = stack.pop_all()
         return self
 
-    def __exit__(self, *_):
-        self._held.close()
+    def __exit__(self, *_: object) -> None:
+        self._open_contexts.close()
 
-    def _open(self, held):
+    def _open(self, stack: contextlib.ExitStack) -> None:
         identity = {"configuration": self._configuration.as_json(), "versions": versions()}
-        meta = self._there(identity)
+        meta = self._existing_meta(identity)
         if not self._partial.exists():
-            if self._is_whole(meta):
+            if self._is_complete(meta):
                 return
-            if not meta and self._path.exists() and any(self._path.iterdir()):
-                raise TactipError(f"the folder {self._path} is not empty and holds no data set: name another one")
-        # First of all what makes the folder ours, so that a kill before the next line does not make it a stranger's.
+            if not meta:
+                check_resumable(self._path, _KIND, None, identity)
+        # This folder marks the set as begun. It comes first, so a kill before the next line leaves a resumable set.
         self._partial.mkdir(parents=True, exist_ok=True)
         if self._alone:
-            held.enter_context(locked(self._partial / "lock", f"making the set in {self._path}"))
-        meta = self._there(identity)  # another command may have come to its end
-        if self._is_whole(meta):
+            stack.enter_context(locked(self._partial / "lock", f"making the set in {self._path}"))
+        meta = self._existing_meta(identity)  # another command may have finished it
+        if self._is_complete(meta):
             shutil.rmtree(self._partial, ignore_errors=True)  # a kill came between the last two steps
             return
-        known = self._partial / "configuration.json"
-        if known.exists() and not meta:
-            self._refuse_other(json.loads(known.read_text()), identity)
+        begun = self._partial / "configuration.json"
+        if begun.exists() and not meta:
+            self._check_same(json.loads(begun.read_text()), identity)
         else:
-            write_file(known, json.dumps(identity, indent=1).encode())
-        for place in (self._path, self._partial, self._path / "images"):
-            for leftover in place.glob(".*.tmp"):
+            write_file(begun, json.dumps(identity, indent=1).encode())
+        for folder in (self._path, self._partial, self._path / "images"):
+            for leftover in folder.glob(".*.tmp"):
                 leftover.unlink(missing_ok=True)  # a worker that outlived its command may just have renamed it
-        self._begin(held, meta)
+        self._begin(stack, meta)
 
-    def _there(self, identity):
-        """The meta.json (dict) of a finished set of an `identity`, of as many samples or fewer; None where there is none.
+    def _existing_meta(self, identity: dict[str, Any]) -> dict[str, Any] | None:
+        """Return the meta.json of a finished set of this identity with as many samples or fewer; None if there is none.
 
-        Raises TactipError where it is one of another identity.
+        Raises:
+            TactipError: The folder holds a set of another identity, or a larger one.
         """
         if not (self._path / "meta.json").exists():
             return None
         meta = read_meta(self._path)
-        self._refuse_other({k: meta.get(k) for k in identity}, _of_size(identity, meta))
+        self._check_same({key: meta.get(key) for key in identity}, _with_size_of(identity, meta))
         return meta
 
-    def _is_whole(self, meta):
-        """Whether a `meta` (dict or None) is of all samples that are asked for (bool); it is noted if so."""
+    def _is_complete(self, meta: dict[str, Any] | None) -> bool:
+        """Return whether a finished set has all the requested samples, and note its counts if so."""
         if not meta or meta["configuration"]["samples"] != self._configuration.samples:
             return False
         self._samples = meta["samples"]
         return True
 
-    def _begin(self, held, meta):
-        """Make what samples need. held: ExitStack, closed at the end. meta: dict of a finished set that grows, or None."""
+    def _begin(self, stack: contextlib.ExitStack, meta: dict[str, Any] | None) -> None:
+        """Make what samples need.
+
+        Args:
+            stack: Contexts that are closed at the end.
+            meta: The meta.json of a finished set that grows; None for a new or unfinished one.
+        """
         (self._path / "images").mkdir(exist_ok=True)
         if meta:
             unpack_finished_set(self._path)
 
-    def _refuse_other(self, there, asked):
-        difference = _first_difference(there, asked, "")
-        if not difference:
-            return
-        name, old, new = difference
-        if name == _SAMPLES and not _first_difference(there, _of_samples(asked, json.loads(old)), ""):
-            finished = (self._path / "meta.json").exists()
-            unfinished = f"an unfinished set of {old} samples: ask for {old} to finish it, and for more after that"
-            holds = f"a set of {old} samples: ask for more of them" if finished else unfinished
-            raise TactipError(
-                f"{new} samples are asked for, and the folder {self._path} holds {holds}, or name another folder"
-            )
-        raise TactipError(
-            f"the folder {self._path} holds a set of another configuration: {name} is {old} there and {new} here; "
-            "name another folder, or remove this one"
-        )
+    def _check_same(self, recorded: dict[str, Any], requested: dict[str, Any]) -> None:
+        """Raise TactipError where the folder holds a set of another identity."""
+        difference = first_difference(recorded, requested)
+        if difference and difference[0] == _SAMPLES:
+            _, old, new = difference
+            if not first_difference(recorded, _with_samples(requested, json.loads(old))):
+                finished = (self._path / "meta.json").exists()
+                unfinished = f"an unfinished set of {old} samples: ask for {old} to finish it, and for more after that"
+                holds = f"a set of {old} samples: ask for more of them" if finished else unfinished
+                raise TactipError(
+                    f"{new} samples are asked for, and the folder {self._path} holds {holds}, or name another folder"
+                )
+        check_resumable(self._path, _KIND, recorded, requested)
 
-    def missing(self):
-        """Numbers (list of int) of the contacts that are still to be made."""
+    def missing(self) -> list[int]:
+        """Return the numbers of the contacts that are still to be made."""
         if not self.finished:
-            self._left = {n for n in numbers_of(self._configuration) if not self._is_there(n)}
-        return sorted(self._left)
+            self._missing = {n for n in contact_numbers(self._configuration) if not self._is_done(n)}
+        return sorted(self._missing)
 
-    def done(self, number, cost, workers, seconds):
-        """Note that contact `number` is made, and finish the set if it was the last.
+    def done(self, number: int, cost: tuple[float, float], workers: int, seconds: float) -> "list[ShardFinalizer]":
+        """Note that a contact is made, and finish the set if it was the last.
 
-        cost: of `costs`. workers, seconds: see finish. Returns a list of Closings that a worker is to do.
+        Args:
+            number: Number of the contact.
+            cost: Seconds, and peak memory of the worker in MiB.
+            workers: Number of workers.
+            seconds: Time since the command began, s.
+
+        Returns:
+            Tasks for a worker that finish shards.
         """
         if self.last(number, cost, workers, seconds):
             self.finish(workers, seconds)
         return []
 
-    def last(self, number, cost, workers, seconds):
-        """Note that contact `number` is made. Returns the bytes of run.json if it was the last, else None."""
+    def last(self, number: int, cost: tuple[float, float], workers: int, seconds: float) -> bytes | None:
+        """Note that a contact is made, as `done` does; return the bytes of run.json if it was the last, else None."""
         self.costs.append(cost)
-        self._left.discard(number)
-        return None if self._left else self._run_json(workers, seconds)
+        self._missing.discard(number)
+        return None if self._missing else self._run_json(workers, seconds)
 
-    def closed_elsewhere(self):
+    def closed_elsewhere(self) -> None:
         """Note that a worker has finished the set."""
         self._samples = read_meta(self._path)["samples"]
 
     @property
-    def finished(self):
-        """Whether it is a finished set."""
+    def finished(self) -> bool:
+        """Whether the set is finished."""
         return self._samples is not None
 
-    def _is_there(self, number):
+    def _is_done(self, number: int) -> bool:
         record = record_path(self._path, number)
-        names = [image_name(i) for i in samples_of(self._configuration, number)]
-        return record.exists() and (self._are_there(names) or self._are_there(read_record(record)["images"]))
+        names = [image_name(i) for i in sample_indices(self._configuration, number)]
+        return record.exists() and (self._have_images(names) or self._have_images(read_record(record)["images"]))
 
-    def _are_there(self, names):
+    def _have_images(self, names: Iterable[str]) -> bool:
         return all((self._path / "images" / name).exists() for name in names)
 
-    def finish(self, workers, seconds):
-        """Turn records into a finished set, if it is not one. Returns a dict: folder, asked, kept, failed, made, seconds.
+    def finish(self, workers: int, seconds: float) -> dict[str, Any]:
+        """Turn records into a finished set, if it is not one yet.
 
-        seconds: float, since the command began. workers: int. Raises TactipError where the disk is full.
+        Args:
+            workers: Number of workers.
+            seconds: Time since the command began, s.
+
+        Returns:
+            A result with folder, asked, kept, failed, made and seconds.
+
+        Raises:
+            TactipError: The disk is full.
         """
         if self._samples is None:
             try:
@@ -164,32 +203,39 @@ class DatasetBuilder:
                 raise TactipError(disk_error(error)) from error
         return {"folder": str(self._path), **self._samples, "made": self._made(), "seconds": seconds}
 
-    def _made(self):
-        """Samples made now; the last contact of a set may have been cut short."""
-        return min(len(self.costs) * self._configuration.each, self._configuration.samples)
+    def _made(self) -> int:
+        """Return the number of samples made by this command; the last contact of a set may make fewer than the others."""
+        return min(len(self.costs) * self._configuration.samples_per_contact, self._configuration.samples)
 
-    def assemble(self, run_json):
-        """Write what makes the set whole. run_json: bytes. Returns the counts (dict) in meta.json."""
-        rows, failures, images, tips, directions = [], [], {}, [], []
-        for number in numbers_of(self._configuration):
+    def assemble(self, run_json: bytes) -> dict[str, int]:
+        """Write the tables of the set and meta.json, from the records.
+
+        Args:
+            run_json: Content of run.json.
+
+        Returns:
+            The counts in meta.json.
+        """
+        rows, failures, images, pin_tips, directions = [], [], {}, [], []
+        for number in contact_numbers(self._configuration):
             with np.load(record_path(self._path, number), allow_pickle=False) as data:
                 record = json.loads(str(data["record"]))
                 if record["failed"]:
-                    for index in samples_of(self._configuration, number):
+                    for index in sample_indices(self._configuration, number):
                         seed = record["rows"][0]["seed"]
                         failures.append({"index": index, "seed": seed, "tries": record["faults"]})
                     continue
                 failures += record.get("missed", [])
                 rows += record["rows"]
                 images |= record["images"]
-                tips += list(data["tips"])
+                pin_tips += list(data["tips"])
                 directions += list(data["directions"])
         neutral_tips, neutral_directions = neutral_pins(self._configuration.design)
         pins = io.BytesIO()
         shape = (-1, len(neutral_tips), 3)
         np.savez(
             pins,
-            tips=np.array(tips, np.float32).reshape(shape),
+            tips=np.array(pin_tips, np.float32).reshape(shape),
             directions=np.array(directions, np.float32).reshape(shape),
             neutral_tips=neutral_tips.astype(np.float32),
             neutral_directions=neutral_directions.astype(np.float32),
@@ -206,8 +252,8 @@ class DatasetBuilder:
         shutil.rmtree(self._partial)
         return samples
 
-    def _run_json(self, workers, seconds):
-        """The facts of this very run, which are not the same in the next."""
+    def _run_json(self, workers: int, seconds: float) -> bytes:
+        """Return the content of run.json: facts of this run, which differ between runs."""
         run = {
             "finished": datetime.now(timezone.utc).isoformat(timespec="seconds"),
             "machine": {"system": platform.platform(), "processor": platform.machine(), "cores": os.cpu_count()},
@@ -221,24 +267,12 @@ class DatasetBuilder:
         return (json.dumps(run, indent=1) + "\n").encode()
 
 
-def _of_size(identity, meta):
-    """An `identity` with the samples of a finished set's `meta` where these are fewer: such a set can grow."""
-    there, asked = meta.get("configuration", {}).get("samples"), identity["configuration"]["samples"]
-    small = there if isinstance(there, int) and there < asked else asked
-    return _of_samples(identity, small)
+def _with_size_of(identity: dict[str, Any], meta: dict[str, Any]) -> dict[str, Any]:
+    """Return an identity with the number of samples of a finished set if that is smaller: such a set can grow."""
+    existing, requested = meta.get("configuration", {}).get("samples"), identity["configuration"]["samples"]
+    return _with_samples(identity, existing if isinstance(existing, int) and existing < requested else requested)
 
 
-def _of_samples(identity, samples):
-    """An `identity` with so many samples (int) in the place of its own."""
+def _with_samples(identity: dict[str, Any], samples: int) -> dict[str, Any]:
+    """Return an identity with another number of samples."""
     return {**identity, "configuration": {**identity["configuration"], "samples": samples}}
-
-
-def _first_difference(there, asked, name):
-    """The first (name, value there, value asked) in which two JSON values differ, or None."""
-    if isinstance(there, dict) and isinstance(asked, dict):
-        for key in sorted(set(there) | set(asked)):
-            difference = _first_difference(there.get(key), asked.get(key), f"{name}.{key}" if name else key)
-            if difference:
-                return difference
-        return None
-    return None if there == asked else (name, json.dumps(there), json.dumps(asked))

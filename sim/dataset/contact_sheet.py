@@ -1,4 +1,6 @@
-"""A contact sheet: a data set's images beside their labels."""
+"""Contact sheet: images of a data set with their labels."""
+
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -11,11 +13,18 @@ _MARGIN = 6
 _TEXT = 34
 
 
-def contact_sheet(folder, count=24, columns=6):
-    """Image (h, w) uint8 of `count` samples spread over the set in `folder`, `columns` a line, each over its label.
+def contact_sheet(folder: str | Path, count: int = 24, columns: int = 6) -> np.ndarray:
+    """Return an image (h, w) uint8 of samples spread over a set, each above its label.
 
     The first line of a caption has x, y and depth in mm, the second roll, pitch and yaw in degrees.
-    Raises TactipError where the set or an image cannot be read, or count or columns are below 1.
+
+    Args:
+        folder: Folder of the set.
+        count: Maximum number of samples.
+        columns: Maximum number of samples per row.
+
+    Raises:
+        TactipError: The set or an image cannot be read, or `count` or `columns` is below 1.
     """
     if count < 1 or columns < 1:
         raise TactipError(f"a sheet of {count} images in {columns} columns cannot be drawn: both must be at least 1")
@@ -35,8 +44,8 @@ def contact_sheet(folder, count=24, columns=6):
     return sheet
 
 
-def write_sheet(folder, out, count=24, columns=6):
-    """Write `contact_sheet` of `folder` to `out` (Path, .png). Raises TactipError and OSError."""
+def write_sheet(folder: str | Path, out: Path, count: int = 24, columns: int = 6) -> None:
+    """Write `contact_sheet` to a PNG file. Raises TactipError and OSError."""
     if out.suffix.lower() != ".png":
         raise TactipError(f"the sheet is written as PNG: {out} must end in .png")
     sheet = contact_sheet(folder, count, columns)
@@ -44,8 +53,8 @@ def write_sheet(folder, out, count=24, columns=6):
     write_file(out, encode_image(sheet))
 
 
-def _tile(image, pose):
-    """An image over its caption. image (size, size) uint8; pose (6,) mm and degrees."""
+def _tile(image: np.ndarray, pose: np.ndarray) -> np.ndarray:
+    """Return an image (size, size) uint8 above its caption. pose: (6,) mm and degrees."""
     width = max(image.shape[1], 128)
     tile = np.full((image.shape[0] + _TEXT, width), 255, np.uint8)
     tile[: image.shape[0], : image.shape[1]] = image

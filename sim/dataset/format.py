@@ -1,14 +1,13 @@
-"""The data-set format, of simulated and real sets alike: a folder.
+"""Data-set format, the same for simulated and real sets: a folder.
 
     images/image_00000.png …   binary tactile images
-    targets.csv                a row an image: labels and shears in mm and degrees, and what the simulator measured
-    pins.npz                   simulated sets: every pin's tip and direction (m, sensor frame), rows as in targets.csv
+    targets.csv                one row per image: labels and shears in mm and degrees, and measures of the simulation
+    pins.npz                   simulated sets: tip and direction of every pin (m, sensor frame), rows as in targets.csv
     meta.json                  configuration, versions, seed, failures, and a checksum of every file above
-    run.json                   simulated sets: when, where and how fast it was made; alone not the same in two runs
+    run.json                   simulated sets: when, where and how fast it was made; the only file that differs between runs
 
-meta.json is written last: a folder that has one is complete. Large sets are folders of such folders
-(sim/dataset/shards.py), which
-readers take as one.
+meta.json is written last, so a folder with one is complete. Large sets are folders of such folders (sim/dataset/shards.py),
+which readers take as one.
 """
 
 import bisect
@@ -18,13 +17,16 @@ import io
 import json
 import platform
 import zipfile
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 
+from tactip_twin.sim.contact.record import Contact
 from tactip_twin.sim.dataset.configuration import Configuration
 from tactip_twin.sim.labels import LABELS, SHEARS
 from tactip_twin.sim.pose import to_mm_deg
@@ -45,19 +47,19 @@ MEASURES = (
     "tries",
 )
 COLUMNS = ("sensor_image", *LABELS, *SHEARS, *MEASURES, "index", "seed")
-"""Columns of a simulated set's targets.csv; the first thirteen are those of every set."""
+"""Columns of targets.csv of a simulated set; every set has the first thirteen."""
 
 PARTIAL = ".partial"
-"""Folder inside an unfinished set that holds what is made so far."""
+"""Folder inside an unfinished set with what is made so far."""
 
 
-def checksum(data):
-    """SHA-256 (hex str) of bytes."""
+def checksum(data: bytes) -> str:
+    """Return the SHA-256 of bytes, in hex."""
     return hashlib.sha256(data).hexdigest()
 
 
-def versions():
-    """Versions (dict) of what decides a set's bytes."""
+def versions() -> dict[str, str]:
+    """Return the versions of the software that decides a set's bytes."""
     packages = ("mujoco", "numpy", "scipy", "opencv-contrib-python-headless", "scikit-robot-pyrender")
     return {
         "python": platform.python_version(),
@@ -66,22 +68,29 @@ def versions():
     }
 
 
-def image_name(index):
-    """File name of sample `index`."""
+def image_name(index: int) -> str:
+    """Return the file name of the image of sample `index`."""
     return f"image_{index:05d}.png"
 
 
-def encode_image(image):
-    """PNG bytes of a uint8 image."""
+def encode_image(image: np.ndarray) -> bytes:
+    """Return a uint8 image as PNG. Raises TactipError where it has no such format."""
     ok, data = cv2.imencode(".png", image)
     if not ok:
         raise TactipError(f"an image of {image.dtype} {image.shape} cannot be written as PNG")
     return data.tobytes()
 
 
-def row_of(contact, index, tries, seed):
-    """A row (dict by COLUMNS, str and numbers) of a tactip_twin.sim.contact.simulator.Contact."""
-    values = {"sensor_image": image_name(index)}
+def row_of(contact: Contact, index: int, tries: int, seed: str) -> dict[str, Any]:
+    """Return a row of targets.csv, by COLUMNS.
+
+    Args:
+        contact: Record of the contact.
+        index: Index of the sample.
+        tries: Number of tries that the contact took.
+        seed: Seed of the contact.
+    """
+    values: dict[str, Any] = {"sensor_image": image_name(index)}
     values.update(zip(LABELS, to_mm_deg(contact.pose).tolist(), strict=True))
     values.update(zip(SHEARS, to_mm_deg(contact.shear).tolist(), strict=True))
     measures = (
@@ -98,8 +107,8 @@ def row_of(contact, index, tries, seed):
     return {**values, "index": index, "seed": seed}
 
 
-def targets_csv(rows):
-    """The bytes of targets.csv from rows (list of dict by COLUMNS). Six decimals: nanometres and microdegrees."""
+def targets_csv(rows: Sequence[dict[str, Any]]) -> bytes:
+    """Return targets.csv from rows by COLUMNS. Numbers have six decimals: nanometres and microdegrees."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(COLUMNS)
@@ -108,11 +117,16 @@ def targets_csv(rows):
     return text.getvalue().encode()
 
 
-def meta_json(configuration, samples, checksums, more):
-    """The bytes of meta.json.
+def meta_json(
+    configuration: Configuration, samples: dict[str, int], checksums: dict[str, str], more: dict[str, Any]
+) -> bytes:
+    """Return meta.json.
 
-    configuration: Configuration. samples: dict of how many were asked, kept and failed. checksums: dict of file name to
-    checksum. more: dict of what this set has besides.
+    Args:
+        configuration: Configuration of the set.
+        samples: Numbers of samples asked, kept and failed.
+        checksums: Checksums by file name.
+        more: Further keys of this set.
     """
     meta = {
         "format": FORMAT,
@@ -130,38 +144,38 @@ def meta_json(configuration, samples, checksums, more):
 
 @dataclass(frozen=True)
 class Dataset:
-    """A finished set, real or simulated, as read from its folder. n images."""
+    """A finished set of n images, real or simulated, as read from its folder."""
 
     folder: Path
-    """Where it was read from."""
-    meta: dict
+    """Folder of the set."""
+    meta: dict[str, Any]
     """Its meta.json."""
     images: tuple[str, ...]
-    """(n) file names inside `images/`, of the folder or of its shards."""
+    """(n) file names in `images/` of the folder or of its shards."""
     poses: np.ndarray
     """(n, 6) labels, mm and degrees."""
     shears: np.ndarray
     """(n, 6), mm and degrees."""
     ends: tuple[int, ...]
-    """Where in the rows its shards end, or the set itself, which is then its only one."""
+    """Row after the last of each shard; a set without shards counts as one."""
 
     @property
-    def simulated(self):
-        """Whether it was simulated, so that where its pins are is known."""
+    def simulated(self) -> bool:
+        """Whether the set was simulated, so the positions of its pins are known."""
         return all((part / "pins.npz").exists() for part in shard_dirs(self.folder, self.meta))
 
-    def image(self, i):
-        """Image i, (size, size) uint8. Raises TactipError where it cannot be read."""
-        place = shard_dirs(self.folder, self.meta)[bisect.bisect_right(self.ends, i)]
-        path = place / "images" / self.images[i]
+    def image(self, i: int) -> np.ndarray:
+        """Return image i, (size, size) uint8. Raises TactipError where it cannot be read."""
+        part = shard_dirs(self.folder, self.meta)[bisect.bisect_right(self.ends, i)]
+        path = part / "images" / self.images[i]
         image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) if path.exists() else None
         if image is None:
             raise TactipError(f"the image {path} cannot be read: the set is damaged, see `tactip dataset verify`")
         return image
 
 
-def read_meta(folder):
-    """The meta.json of a finished set as a dict. Raises TactipError where there is none, or one of something else."""
+def read_meta(folder: str | Path) -> dict[str, Any]:
+    """Return the meta.json of a finished set. Raises TactipError where there is none, or one of something else."""
     path = Path(folder) / "meta.json"
     if not path.exists():
         if (Path(folder) / PARTIAL).exists():
@@ -178,18 +192,23 @@ def read_meta(folder):
     return meta
 
 
-def read_configuration(meta, folder):
-    """The Configuration of a set that was simulated, from its meta.json (dict). folder: whose it is.
+def read_configuration(meta: dict[str, Any], folder: str | Path) -> Configuration:
+    """Return the configuration of a simulated set.
 
-    Raises TactipError where it has none, or one of another version of the project.
+    Args:
+        meta: Its meta.json.
+        folder: Its folder, for messages.
+
+    Raises:
+        TactipError: It has no configuration, or one of another version of the project.
     """
     if not isinstance(meta.get("configuration"), dict) or "fidelity" not in meta["configuration"]:
         raise TactipError(f"the set in {folder} was not simulated: it has no configuration to play its contacts by")
     return from_dict(Configuration, meta["configuration"], f"{folder}: configuration")
 
 
-def read_targets(folder):
-    """Rows (list of dict of str) of targets.csv. Raises TactipError where it is missing or lacks a needed column."""
+def read_targets(folder: str | Path) -> list[dict[str, str]]:
+    """Return the rows of targets.csv, by column. Raises TactipError where it is missing or lacks a needed column."""
     path = Path(folder) / "targets.csv"
     try:
         with path.open(newline="") as file:
@@ -204,18 +223,18 @@ def read_targets(folder):
     return rows
 
 
-def shard_dirs(folder, meta):
-    """Folders (list of Path) in which a set's images and tables are: its shards, or its own. meta: dict, its meta.json."""
+def shard_dirs(folder: str | Path, meta: dict[str, Any]) -> list[Path]:
+    """Return the folders that hold a set's images and tables: its shards, or its own. meta: its meta.json."""
     return [Path(folder) / name for name in meta["shards"]] if "shards" in meta else [Path(folder)]
 
 
-def read_rows(folder, meta):
-    """Rows (list of dict of str) of a finished set, of all its shards. Raises TactipError as read_targets does."""
+def read_rows(folder: str | Path, meta: dict[str, Any]) -> list[dict[str, str]]:
+    """Return the rows of a finished set, those of all its shards. Raises TactipError as `read_targets` does."""
     return [row for part in shard_dirs(folder, meta) for row in read_targets(part)]
 
 
-def read_dataset(folder):
-    """Read a finished set's labels and names. Raises TactipError where it is damaged beyond reading."""
+def read_dataset(folder: str | Path) -> Dataset:
+    """Read the labels and image names of a finished set. Raises TactipError where it cannot be read."""
     folder = Path(folder)
     meta = read_meta(folder)
     names, poses, shears, ends = [], [], [], []
@@ -231,29 +250,37 @@ def read_dataset(folder):
     return Dataset(folder, meta, tuple(names), np.concatenate(poses), np.concatenate(shears), tuple(ends))
 
 
-def read_pins(folder, meta):
-    """Tips and directions of all pins of a simulated set, (n, p, 3) float32 each; rows as of read_dataset.
+def read_pins(folder: str | Path, meta: dict[str, Any]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the pin tips and directions of a simulated set; rows as of `read_dataset`.
 
-    meta: dict, its meta.json. Raises TactipError where it has none, or they cannot be read.
+    Args:
+        folder: Folder of the set.
+        meta: Its meta.json.
+
+    Returns:
+        Pin tips (n, p, 3), m, and unit directions (n, p, 3), float32, sensor frame.
+
+    Raises:
+        TactipError: The set has no pins, or they cannot be read.
     """
-    tips, directions = [], []
+    pin_tips, directions = [], []
     for part in shard_dirs(folder, meta):
         path = part / "pins.npz"
         try:
             with path.open("rb") as file, np.load(file, allow_pickle=False) as pins:
-                tips.append(pins["tips"])
+                pin_tips.append(pins["tips"])
                 directions.append(pins["directions"])
         except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile) as error:
             raise TactipError(
                 f"{path} cannot be read ({error}): only simulated sets, which have pins, can do this"
             ) from error
-    return np.concatenate(tips), np.concatenate(directions)
+    return np.concatenate(pin_tips), np.concatenate(directions)
 
 
-def labels_sha256(meta):
-    """Checksum (hex str) of a set's labels, None where it has none. meta: dict, its meta.json.
+def labels_sha256(meta: dict[str, Any]) -> str | None:
+    """Return a checksum, in hex, of the labels of a set; None where meta.json has none.
 
-    Of shards, it is a checksum of theirs, which cover everything.
+    For a set of shards it is a checksum of their meta.json files, which cover everything.
     """
     files = meta.get("files", {})
     return checksum(json.dumps(files, sort_keys=True).encode()) if "shards" in meta else files.get("targets.csv")

@@ -1,15 +1,17 @@
-"""Makes data sets: contacts on worker processes, images, and files that survive a kill at any moment.
+"""Generation of data sets: contacts on worker processes, images, and files that survive a kill at any moment.
 
-A contact, with the sample or the samples that it makes, is done when its record is in the set's `.partial` folder, after its
-images. Resuming makes what has no record; the same bytes come out, because a contact depends on nothing but the
-configuration and its number. When all are done the records become targets.csv, pins.npz and, last, meta.json. A finished
-set grows in the same way: it becomes records again, and those that it lacks are made.
+A contact and its samples are done once its record is in the set's `.partial` folder; its images are written before. Resuming
+makes the contacts without a record, and the bytes are the same, because a contact depends only on the configuration and its
+number. When all are done, the records become targets.csv, pins.npz and, last, meta.json. A finished set grows in the same
+way: it becomes records again, and the missing ones are made.
 """
 
 import contextlib
 import time
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -20,14 +22,16 @@ from tactip_twin.sim.contact.curved_surface import (
     sample_curved_surface,
 )
 from tactip_twin.sim.contact.limits import MAX_TILT_RAD, check_ranges, exceeds_max_tilt
+from tactip_twin.sim.contact.record import Contact
 from tactip_twin.sim.contact.signed_distance import SignedDistanceMesh
 from tactip_twin.sim.contact.simulator import RetryingSimulator
 from tactip_twin.sim.contact.solid_stimulus import SolidStimulus
-from tactip_twin.sim.dataset.format import Configuration, checksum, encode_image, image_name, row_of
-from tactip_twin.sim.dataset.partial_record import pack_record, record_path, samples_of
+from tactip_twin.sim.dataset.configuration import Configuration
+from tactip_twin.sim.dataset.format import checksum, encode_image, image_name, row_of
+from tactip_twin.sim.dataset.partial_record import pack_record, record_path, sample_indices
 from tactip_twin.sim.dataset.sampling import generator, seed_text
 from tactip_twin.sim.dataset.shards import ShardFinalizer, open_builder, shard_dir
-from tactip_twin.sim.dataset.sliding import MOST_LOOKS, SlidingPath
+from tactip_twin.sim.dataset.sliding import MAX_LOOKS, SlidingPath
 from tactip_twin.sim.dataset.symmetry import SymmetricReader, ranges_are_symmetric
 from tactip_twin.sim.parallel.ray_pool import RayPool, joined, ray_here
 from tactip_twin.sim.parallel.worker_pool import WorkerPool
@@ -35,11 +39,14 @@ from tactip_twin.sim.pose import to_mm_deg
 from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.errors import TactipError, lookup
 from tactip_twin.tactip_model.files import write_file
-from tactip_twin.tactip_model.renderer import RENDERERS, renderer_named
+from tactip_twin.tactip_model.renderer import RENDERERS
 from tactip_twin.tactip_model.tactile_image import tactile_image
 
-_ROUND = 1e-9
-"""A label may lie this far outside of its range, mm or degrees: rounding."""
+_ROUNDING = 1e-9
+"""Distance that a label may lie outside its range, because of rounding, mm or degrees."""
+
+_Task = tuple[int, int | ShardFinalizer]
+"""A worker task: the number of the job, and the number of a contact or the end of a shard."""
 
 
 @dataclass(frozen=True)
@@ -47,26 +54,26 @@ class Job:
     """A set to make and where."""
 
     configuration: Configuration
-    """What it is to hold."""
+    """Configuration of the set."""
     folder: Path
-    """Where it is written."""
+    """Folder of the set."""
 
 
-def check(configuration):
-    """Raise TactipError where a configuration (Configuration) cannot be made."""
+def check(configuration: Configuration) -> None:
+    """Raise TactipError where no set of a configuration can be made."""
     if configuration.samples < 1:
         raise TactipError(f"a set of {configuration.samples} samples cannot be made: ask for at least 1")
     if configuration.seed < 0:
         raise TactipError(f"the seed {configuration.seed} does not do: it must be 0 or more")
     lookup("renderer", configuration.renderer, dict.fromkeys(RENDERERS))
-    first = generator(configuration.seed, configuration.task, configuration.split, 0)
+    rng = generator(configuration.seed, configuration.task, configuration.split, 0)
     configuration.pose.check("pose")
     configuration.shear.check("shear")
-    deep = configuration.pose.depth_mm
-    if deep[1] > 0:
-        raise TactipError(f"the range pose.depth_mm is {deep}: depth is negative into the object, and it must be at most 0")
+    depth = configuration.pose.depth_mm
+    if depth[1] > 0:
+        raise TactipError(f"the range pose.depth_mm is {depth}: depth is negative into the object, and it must be at most 0")
     check_ranges(configuration.pose, configuration.shear)
-    _motion(configuration, first)
+    _sample_motion(configuration, rng)
     _check_looks(configuration)
     _check_curvature(configuration)
     for name in ("pose", "shear"):
@@ -77,12 +84,14 @@ def check(configuration):
             )
 
 
-def _check_looks(configuration):
+def _check_looks(configuration: Configuration) -> None:
     c = configuration
-    if not 1 <= c.looks <= MOST_LOOKS:
-        raise TactipError(f"{c.looks} looks at a contact cannot be had: it must be 1 to {MOST_LOOKS}")
-    if c.shard_samples < c.each:
-        raise TactipError(f"shards of {c.shard_samples} samples cannot be made: it must be {c.each}, of a contact, or more")
+    if not 1 <= c.looks <= MAX_LOOKS:
+        raise TactipError(f"{c.looks} looks at a contact cannot be had: it must be 1 to {MAX_LOOKS}")
+    if c.shard_samples < c.samples_per_contact:
+        raise TactipError(
+            f"shards of {c.shard_samples} samples cannot be made: it must be {c.samples_per_contact}, of a contact, or more"
+        )
     names = ("x_mm", "y_mm", "yaw_deg") if c.task == "surface" else ("y_mm",)
     for name in names if c.looks > 1 else ():
         low, high = getattr(c.pose, name)
@@ -93,13 +102,13 @@ def _check_looks(configuration):
             )
 
 
-def _check_curvature(configuration):
+def _check_curvature(configuration: Configuration) -> None:
     low, high = configuration.curvature_per_m
-    if configuration.bent and configuration.task != "surface":
+    if configuration.is_curved and configuration.task != "surface":
         raise TactipError(f"a curvature is asked for with the task {configuration.task!r}: only a surface can be bent")
     if not 0 <= configuration.uneven <= 1:
         raise TactipError(f"the share of uneven surfaces is {configuration.uneven}: it must be from 0 to 1")
-    if configuration.uneven and not configuration.bent:
+    if configuration.uneven and not configuration.is_curved:
         raise TactipError("an unevenly bent surface is asked for without a range of curvature: give --curvature-per-m, too")
     if not -MAX_HOLLOW_PER_M <= low <= high <= MAX_CURVATURE_PER_M:
         raise TactipError(
@@ -108,109 +117,128 @@ def _check_curvature(configuration):
         )
 
 
-def make(jobs, workers, say=print, cluster=""):
-    """Make the sets of `jobs` (list of Job), or finish them where they were left.
+def make(jobs: list[Job], workers: int, say: Callable[[str], None] = print, cluster: str = "") -> list[dict[str, Any]]:
+    """Make sets, or finish them where they were interrupted.
 
-    workers: int; 0 for as many as there is room for. say: called with each line for the user. cluster: str, address of a Ray
-    cluster (sim/parallel/ray_pool.py) whose workers make them, in folders that all of its machines see; none if empty.
-    Returns a list
-    of dict, one a job: samples kept, failed, made now, and the seconds this took. Raises TactipError (wrong configuration,
-    unwritable folder, no OpenGL, no cluster, a set of another configuration in the folder) and Interrupted (Ctrl-C). Nothing
-    that was done is lost by either.
+    What is done is kept whatever is raised.
+
+    Args:
+        jobs: Sets to make.
+        workers: Number of workers; 0 for as many as there is room for.
+        say: Function that takes messages for the user.
+        cluster: Address of a Ray cluster (sim/parallel/ray_pool.py) whose workers make the sets, in folders that all of its
+            machines see; empty for none.
+
+    Returns:
+        A result per job, with the samples asked, kept, failed and made by this command, and the seconds this took.
+
+    Raises:
+        TactipError: A wrong configuration, an unwritable folder, a set of another configuration in the folder, no OpenGL, or
+            no cluster.
+        Interrupted: Ctrl-C.
     """
     if cluster:
         ray_here()
     for job in jobs:
         check(job.configuration)
     with contextlib.ExitStack() as stack:
-        folders = [stack.enter_context(open_builder(job.configuration, job.folder)) for job in jobs]
-        todo = [(k, number) for k, folder in enumerate(folders) for number in folder.missing()]
+        builders = [stack.enter_context(open_builder(job.configuration, job.folder)) for job in jobs]
+        contacts = [(k, number) for k, builder in enumerate(builders) for number in builder.missing()]
+        todo: list[_Task] = [*contacts]
         total = sum(job.configuration.samples for job in jobs)
-        left = sum(len(samples_of(jobs[k].configuration, number)) for k, number in todo)
-        if todo and left < total:
-            say(f"{total - left} of {total} samples are there already")
+        missing = sum(len(sample_indices(jobs[k].configuration, number)) for k, number in contacts)
+        if todo and missing < total:
+            say(f"{total - missing} of {total} samples are there already")
         start = time.perf_counter()
 
-        def done(task, *cost):
-            job, what = task
-            if isinstance(what, ShardFinalizer):
-                folders[job].closed(what.name)
-                return None
-            return [(job, closing) for closing in folders[job].done(what, cost, workers, time.perf_counter() - start)]
+        def done(task: _Task, seconds: float, peak_mib: float) -> list[_Task]:
+            job, item = task
+            if isinstance(item, ShardFinalizer):
+                builders[job].closed(item.name)
+                return []
+            finalizers = builders[job].done(item, (seconds, peak_mib), workers, time.perf_counter() - start)
+            return [(job, finalizer) for finalizer in finalizers]
 
-        unit = "contact" if any(job.configuration.each > 1 for job in jobs) else "sample"
+        unit = "contact" if any(job.configuration.samples_per_contact > 1 for job in jobs) else "sample"
 
-        def named(task):
-            job, what = task
-            own = what if isinstance(what, ShardFinalizer) else f"{unit} {what}"
-            return f"{own} of {jobs[job].folder}"
+        def name_of(task: _Task) -> str:
+            job, item = task
+            name = item if isinstance(item, ShardFinalizer) else f"{unit} {item}"
+            return f"{name} of {jobs[job].folder}"
 
         if todo:
             arguments = [job.configuration for job in jobs], [str(job.folder.resolve()) for job in jobs]
-            given = _Makers, arguments, todo, unit, say, named
-            crew = RayPool(stack.enter_context(joined(cluster)), *given) if cluster else WorkerPool(*given)
-            workers = min(workers or crew.places(), len(todo))
-            crew.work(workers, done)
-        return [folder.finish(workers, time.perf_counter() - start) for folder in folders]
+            given = _SampleMakers, arguments, todo, unit, say, name_of
+            pool = RayPool(stack.enter_context(joined(cluster)), *given) if cluster else WorkerPool(*given)
+            workers = min(workers or pool.places(), len(todo))
+            pool.work(workers, done)
+        return [builder.finish(workers, time.perf_counter() - start) for builder in builders]
 
 
-class _Makers:
-    """The sample makers of a worker, made as they are needed."""
+class _SampleMakers:
+    """The sample makers of a worker, created when they are needed."""
 
-    def __init__(self, configurations, folders):
-        """configurations: list of Configuration. folders: list of str, theirs."""
-        self._configurations, self._folders, self._makers = configurations, folders, {}
+    def __init__(self, configurations: list[Configuration], folders: list[str]) -> None:
+        """Take the configurations of the jobs, and their folders."""
+        self._configurations, self._folders = configurations, folders
+        self._makers: dict[int, _SampleMaker] = {}
 
-    def __call__(self, task):
-        """Make the samples of a `task` (job number, contact number), or close a shard (job number, ShardFinalizer)."""
-        job, number = task
-        if isinstance(number, ShardFinalizer):
-            number(self._configurations[job], Path(self._folders[job]))
+    def __call__(self, task: _Task) -> None:
+        """Make the samples of a contact, or finish a shard."""
+        job, item = task
+        if isinstance(item, ShardFinalizer):
+            item(self._configurations[job], Path(self._folders[job]))
             return
         if job not in self._makers:
             folder = Path(self._folders[job])
             self._makers[job] = _SampleMaker(self._configurations[job], folder, self._makers.values())
-        self._makers[job].make(number)
+        self._makers[job].make(item)
 
 
 class _SampleMaker:
-    """Makes the samples of one set, in a worker."""
+    """Maker of the samples of one set, in a worker."""
 
-    def __init__(self, configuration, folder, others):
-        """others: makers of this process whose scene and renderer can be shared, where theirs are the same."""
+    def __init__(self, configuration: Configuration, folder: Path, others: "Iterable[_SampleMaker]") -> None:
+        """Prepare a renderer and a simulator.
+
+        Args:
+            configuration: Configuration of the set.
+            folder: Folder of the set.
+            others: Makers of this process, whose renderer and simulator are shared where theirs are the same.
+        """
         self._configuration, self._folder = configuration, folder
         c = configuration
         alike = [m for m in others if m._configuration.design == c.design and m._configuration.renderer == c.renderer]
-        self._render = alike[0]._render if alike else renderer_named(c.renderer, c.design)
-        played = [m for m in alike if _physics(m._configuration) == _physics(c)]
-        self._player = played[0]._player if played else simulator_for(c, c.design)
-        self._reader = SymmetricReader(c.design, self._player.skin()[1], c.symmetries) if c.symmetric else None
+        self._render = alike[0]._render if alike else lookup("renderer", c.renderer, RENDERERS)(c.design)
+        same = [m for m in alike if _physics(m._configuration) == _physics(c)]
+        self._simulator = same[0]._simulator if same else simulator_for(c, c.design)
+        self._reader = SymmetricReader(c.design, self._simulator.skin()[1], c.symmetries) if c.symmetric else None
 
-    def make(self, number):
+    def make(self, number: int) -> None:
         """Write the images and the record of contact `number`. Raises OSError."""
         c = self._configuration
         given = sample_contact(c, number)
-        player, reader = self._player, self._reader
-        if not c.mechanics.still:
-            player = simulator_for(c, given.design)
-            reader = SymmetricReader(given.design, player.skin()[1], c.symmetries) if c.symmetric else None
+        simulator, reader = self._simulator, self._reader
+        if not c.mechanics.is_identity:
+            simulator = simulator_for(c, given.design)
+            reader = SymmetricReader(given.design, simulator.skin()[1], c.symmetries) if c.symmetric else None
         if given.solid is not None:
-            player.stimulus.solid = given.solid
-        indices, folder = samples_of(c, number), shard_dir(c, self._folder, number)
+            simulator.stimulus.solid = given.solid
+        indices, folder = sample_indices(c, number), shard_dir(c, self._folder, number)
         seed = seed_text(c.seed, c.task, c.split, number)
-        contact, faults = player.play(given.pose, given.shear)
-        tries, failed = len(faults) + 1, len(faults) == player.tries
+        contact, faults = simulator.play(given.pose, given.shear)
+        tries, failed = len(faults) + 1, len(faults) == simulator.tries
         kept, rows, images, missed = [], [], {}, []
         if failed:
             kept, rows = [contact], [row_of(contact, indices[0], tries, seed)]
         each = len(c.symmetries)
-        for look, (seen, wrong) in enumerate([] if failed else self._looks(player, contact, given)):
-            mine = indices[look * each : (look + 1) * each]
+        for k, (seen, wrong) in enumerate([] if failed else self._looks(simulator, contact, given)):
+            own = indices[k * each : (k + 1) * each]
             if wrong:
-                missed += [{"index": index, "seed": seed, "tries": [wrong]} for index in mine]
+                missed += [{"index": index, "seed": seed, "tries": [wrong]} for index in own]
                 continue
-            contacts = reader.read(seen, player.skin()[0]) if reader else [seen]
-            for index, one in zip(mine, contacts, strict=False):
+            contacts = reader.read(seen, simulator.skin()[0]) if reader else [seen]
+            for index, one in zip(own, contacts, strict=False):
                 kept.append(one)
                 rows.append(row_of(one, index, tries, seed))
                 data = encode_image(tactile_image(self._render(one.tips, one.directions), c.design.image))
@@ -220,73 +248,82 @@ class _SampleMaker:
         pins = ([getattr(one, k) for one in kept] for k in ("tips", "directions"))
         write_file(record_path(folder, number), pack_record(record, *pins))
 
-    def _looks(self, player, contact, given):
-        """The Contact of each look, and what is wrong with it (list of str): of `contact`, and of the walk from there."""
+    def _looks(
+        self, simulator: RetryingSimulator, contact: Contact, given: "ContactSample"
+    ) -> Iterator[tuple[Contact, list[str]]]:
+        """Yield the state at each image, and what is wrong with it: `contact`, then those on a sliding path from there."""
         c = self._configuration
         yield contact, []
         if c.looks == 1:
             return
-        walk = SlidingPath(c.task, given.solid, c.pose, given.pose, given.draw)
+        path = SlidingPath(c.task, given.solid, c.pose, given.pose, given.rng)
         low, high = c.pose.bounds().T
         for _ in range(c.looks - 1):
-            contact = player.slide(walk.stride(), walk.label())
+            contact = simulator.slide(path.stride(), path.label())
             label, wrong = to_mm_deg(contact.pose), contact.faults(c.bounds.while_sliding())
-            if not ((label > low - _ROUND) & (label < high + _ROUND)).all():
+            if not ((label > low - _ROUNDING) & (label < high + _ROUNDING)).all():
                 wrong = [*wrong, "on the bent surface, its label is out of the ranges"]
             yield contact, wrong
 
 
-def _physics(configuration):
-    return configuration.task, configuration.bent, configuration.fidelity, configuration.bounds
+def _physics(configuration: Configuration) -> tuple[object, ...]:
+    """Return what decides a simulator, besides the design."""
+    return configuration.task, configuration.is_curved, configuration.fidelity, configuration.bounds
 
 
 @dataclass(frozen=True)
 class ContactSample:
-    """What is drawn for a contact."""
+    """A contact sampled from the ranges of a set."""
 
     pose: np.ndarray
     """(6,) m and rad."""
     shear: np.ndarray
     """(6,) m and rad."""
     solid: SignedDistanceMesh | None
-    """What is pressed on, where it is bent anew for each contact."""
+    """Curved surface of this contact; None where the set's surface or edge is straight."""
     design: Design
-    """The tip, with the mechanics of this contact."""
-    draw: np.random.Generator
-    """What the rest of the contact is drawn by."""
+    """Tip with the mechanics of this contact."""
+    rng: np.random.Generator
+    """Generator of the rest of the contact."""
 
 
-_MOST_DRAWS = 1000
-"""Draws of a motion before ranges are given up: of the corners of ±25 degrees every other one is too steep."""
+_MAX_MOTIONS = 1000
+"""Number of motions sampled before ranges are rejected: at the corners of ±25 degrees every other one is too steep."""
 
 
-def _motion(configuration, generator):
-    """A pose and a shear (6,), m and rad: the first draw that is not too steep to be played.
+def _sample_motion(configuration: Configuration, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Return a pose and a shear (6,), m and rad: the first sample that is not too steep to simulate.
 
-    Raises TactipError where there is none, or next to none.
+    Raises TactipError where there is none among _MAX_MOTIONS.
     """
-    for _ in range(_MOST_DRAWS):
-        pose, shear = configuration.pose.draw(generator), configuration.shear.draw(generator)
+    for _ in range(_MAX_MOTIONS):
+        pose, shear = configuration.pose.sample(rng), configuration.shear.sample(rng)
         if not exceeds_max_tilt(pose, shear):
             return pose, shear
     raise TactipError(
-        f"of {_MOST_DRAWS} poses and shears drawn from the ranges all are steeper than {np.degrees(MAX_TILT_RAD):g} "
+        f"of {_MAX_MOTIONS} poses and shears drawn from the ranges all are steeper than {np.degrees(MAX_TILT_RAD):g} "
         "degrees: tilts nearer to 0 are needed"
     )
 
 
-def sample_contact(configuration, number):
-    """What is drawn (Drawn) for contact `number` of a Configuration. Poses and shears are the same whatever else is."""
+def sample_contact(configuration: Configuration, number: int) -> ContactSample:
+    """Return the sample of contact `number`. Poses and shears do not depend on what else varies."""
     c = configuration
-    draw = generator(c.seed, c.task, c.split, number)
-    pose, shear = _motion(c, draw)
-    solid = sample_curved_surface(draw, *c.curvature_per_m, c.uneven) if c.bent else None
-    return ContactSample(pose, shear, solid, c.design if c.mechanics.still else c.mechanics.draw(c.design, draw), draw)
+    rng = generator(c.seed, c.task, c.split, number)
+    pose, shear = _sample_motion(c, rng)
+    solid = sample_curved_surface(rng, *c.curvature_per_m, c.uneven) if c.is_curved else None
+    design = c.design if c.mechanics.is_identity else c.mechanics.sample(c.design, rng)
+    return ContactSample(pose, shear, solid, design, rng)
 
 
-def simulator_for(configuration, design):
-    """The RetryingSimulator of the contacts of a Configuration, by a Design: its own, or one of other mechanics. On a bent
-    surface, its stimulus is to be given the solid of each contact."""
+def simulator_for(configuration: Configuration, design: Design) -> RetryingSimulator:
+    """Return a simulator of the contacts of a set.
+
+    Args:
+        configuration: Configuration of the set. If its surface is curved, the solid of each contact must be assigned to the
+            simulator's stimulus.
+        design: The set's design, or one with other mechanics.
+    """
     c = configuration
-    bent = SolidStimulus(curved_surface(0.0, 0.0, 0.0), sharpest_m=1 / MAX_CURVATURE_PER_M) if c.bent else None
-    return RetryingSimulator(design, bent or c.task, c.fidelity, c.bounds)
+    curved = SolidStimulus(curved_surface(0.0, 0.0, 0.0), sharpest_m=1 / MAX_CURVATURE_PER_M) if c.is_curved else None
+    return RetryingSimulator(design, curved or c.task, c.fidelity, c.bounds)

@@ -1,14 +1,20 @@
-"""Table 1 of the paper: labelled poses and unlabelled perturbations, uniform and independent."""
+"""Ranges and random samples of labelled poses and unlabelled shears, uniform and independent, as in Table 1 of the paper.
+
+Importing this file loads nothing heavier than numpy: the command line takes its options and defaults from here.
+"""
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
 from tactip_twin.sim.labels import TASKS
-from tactip_twin.sim.pose import from_mm_deg
 from tactip_twin.tactip_model.errors import TactipError, lookup
 
-SPLITS = ("train", "val", "test")
+Split = Literal["train", "val", "test"]
+"""Name of one of the three independent sets of a task."""
+
+SPLITS: tuple[Split, ...] = ("train", "val", "test")
 """The three independent sets of a task. Their order is part of what a seed means."""
 
 
@@ -29,22 +35,24 @@ class Ranges:
     yaw_deg: tuple[float, float] = (0.0, 0.0)
     """Rotation vector about the outward normal."""
 
-    def bounds(self):
-        """(6, 2) float: low and high of each component, mm and degrees."""
+    def bounds(self) -> np.ndarray:
+        """Return the low and high of each component, (6, 2), mm and degrees."""
         return np.array([self.x_mm, self.y_mm, self.depth_mm, self.roll_deg, self.pitch_deg, self.yaw_deg], float)
 
-    def check(self, what):
-        """Raise TactipError, naming `what`, where a low is above its high or not a number."""
-        for name, (low, high) in vars(self).items():
+    def check(self, name: str) -> None:
+        """Raise TactipError where a low is above its high or not finite; `name` is what the message calls the ranges."""
+        for component, (low, high) in vars(self).items():
             if not (np.isfinite(low) and np.isfinite(high)):
-                raise TactipError(f"the range {what}.{name} is ({low}, {high}): both ends must be finite numbers")
+                raise TactipError(f"the range {name}.{component} is ({low}, {high}): both ends must be finite numbers")
             if low > high:
-                raise TactipError(f"the range {what}.{name} is ({low}, {high}): its low must not be above its high")
+                raise TactipError(f"the range {name}.{component} is ({low}, {high}): its low must not be above its high")
 
-    def draw(self, generator):
-        """One uniform draw (6,), m and rad, from a numpy Generator. Every component takes one number, fixed or not."""
+    def sample(self, rng: np.random.Generator) -> np.ndarray:
+        """Return one uniform sample (6,), m and rad. Every component takes one number of `rng`, fixed or not."""
+        from tactip_twin.sim.pose import from_mm_deg
+
         low, high = self.bounds().T
-        return from_mm_deg(low + (high - low) * generator.random(6))
+        return from_mm_deg(low + (high - low) * rng.random(6))
 
 
 POSE_RANGES = {
@@ -57,11 +65,11 @@ SHEAR_RANGES = Ranges(x_mm=(-5, 5), y_mm=(-5, 5), roll_deg=(-5, 5), pitch_deg=(-
 """Unlabelled perturbations [P, Table 1]."""
 
 
-def generator(seed, task, split, index):
-    """The numpy Generator of sample `index`, spawned from the set's seed.
+def generator(seed: int, task: str, split: str, index: int) -> np.random.Generator:
+    """Return the random generator of contact `index`, spawned from the set's seed.
 
-    The same whichever worker makes the sample and whichever were made before; independent over tasks and splits.
-    Raises TactipError on an unknown task or split.
+    It does not depend on which worker makes the contact or on which contacts were made before, and is independent over tasks
+    and splits. Raises TactipError on an unknown task or split.
     """
     lookup("task", task, dict.fromkeys(TASKS))
     lookup("split", split, dict.fromkeys(SPLITS))
@@ -69,6 +77,6 @@ def generator(seed, task, split, index):
     return np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=key)))
 
 
-def seed_text(seed, task, split, index):
-    """The seed (str) of a sample as its row names it: the arguments of `generator`."""
+def seed_text(seed: int, task: str, split: str, index: int) -> str:
+    """Return the seed of a contact as its rows name it: the arguments of `generator`."""
     return f"{seed}:{task}:{split}:{index}"

@@ -1,137 +1,146 @@
-"""A contact that goes on: the tip slides over what it touches, and is looked at again after each stride.
+"""Sliding paths: the tip slides on after a contact, and an image is taken after each stride.
 
-A servo's images are of a tip that has slid for long, this way and that, and has never been lifted: no single press and shear
-leads to them. And a stride costs a fraction of a contact of its own, which begins in the air.
+In servoing, the tip has slid for long in varying directions without being lifted, a state that no single press and shear
+reaches. And a stride costs a fraction of a new contact, which begins in the air.
 """
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from tactip_twin.sim.contact.limits import MAX_TILT_RAD, tilt
-from tactip_twin.sim.contact.signed_distance import Nearest
-from tactip_twin.sim.ground_truth import SurfaceGroundTruth
+from tactip_twin.sim.contact.signed_distance import DistanceField, Nearest
+from tactip_twin.sim.dataset.sampling import Ranges
+from tactip_twin.sim.ground_truth import GroundTruth, SurfaceGroundTruth
 from tactip_twin.sim.pose import label_of, matrix, sensor_in_contact
 
-MOST_LOOKS = 1000
-"""Most looks at one contact."""
+MAX_LOOKS = 1000
+"""Maximum number of images of one contact."""
 
 _STRIDE_M = (0.2e-3, 2e-3)
-"""Shortest and longest stride, m, drawn evenly in its logarithm: a servo's is 1 mm, and less where it slows down."""
+"""Minimum and maximum stride, m, sampled uniformly in its logarithm: a servo's is 1 mm, and less where it slows down."""
 
-_FARTHEST_M = 16e-3
-"""How far from where it began a walk goes before it turns back, m: within the piece of a bent surface
+_MAX_DISTANCE_M = 16e-3
+"""Distance from its start at which a path turns back, m: within the patch of a curved surface
 (sim/contact/curved_surface.py)."""
 
-_NEARER = 0.5
-"""Greatest share of what lies between its pose and the one that it makes for that a stride takes, -: a servo's poses differ
-little from one to the next [?]."""
+_MAX_APPROACH = 0.5
+"""Maximum fraction of the difference to its target pose that a stride covers, -: successive poses of a servo differ little
+[?]."""
 
 _NEW_POSE, _NEW_HEADING = 0.3, 0.15
-"""Chances that a stride makes for another pose than the one before, and that it takes another heading, - [?]."""
+"""Probabilities that a stride gets a new target pose, and a new heading, - [?]."""
 
 _SWAY_RAD, _YAW_RAD = 0.15, 0.02
-"""How far heading and yaw go astray in a stride, rad, standard deviations [?]."""
+"""Standard deviations of the change of heading and yaw in a stride, rad [?]."""
 
-
-_ALONG = {"surface": [0, 1, 5], "edge": [1]}
-"""Components of a pose, by task, that only say where on the object a sensor is: a stride changes them, and no label has
+_POSITION_ON_OBJECT = {"surface": [0, 1, 5], "edge": [1]}
+"""Components of a pose, by task, that only give the sensor's position on the object: strides change them, labels lack
 them."""
 
 
-class _Flat:
-    """The plane z = 0, asked as a Solid is."""
+class _Plane:
+    """The plane z = 0, as a DistanceField."""
 
-    def nearest(self, points):
-        """Nearest of points (n, 3) m."""
+    def nearest(self, points: np.ndarray) -> Nearest:
+        """Return the points of the plane nearest to `points` (n, 3), m."""
         place = points * [1.0, 1.0, 0.0]
         return Nearest(points[:, 2], place, self.smooth_normal(points))
 
-    def distance(self, points):
-        """Signed distance (...) m of points (..., 3) m."""
+    def distance(self, points: ArrayLike) -> np.ndarray:
+        """Return the signed distance (...), m, of points (..., 3), m."""
         return np.asarray(points)[..., 2]
 
-    def smooth_normal(self, points):
-        """Normals (n, 3), unit, below points (n, 3) m."""
+    def smooth_normal(self, points: np.ndarray) -> np.ndarray:
+        """Return the unit normals (n, 3) below points (n, 3), m."""
         return np.tile([0.0, 0.0, 1.0], (len(points), 1))
 
 
-class _StraightTruth:
-    """Labels on the edge along y, as sim/ground_truth.py has them on others."""
+class _StraightEdgeGroundTruth:
+    """Labels on the edge along y, with the methods of the classes in sim/ground_truth.py."""
 
-    def frame(self, T_edge_sensor):
-        """T_edge_contact (4, 4) of a sensor."""
-        return matrix([0.0, T_edge_sensor[1, 3], 0.0], Rotation.identity())
+    def frame(self, T_object_sensor: np.ndarray) -> np.ndarray:
+        """Return T_object_contact (4, 4) for a sensor."""
+        return matrix([0.0, T_object_sensor[1, 3], 0.0], Rotation.identity())
 
-    def label(self, T_edge_sensor):
-        """The label (6,), m and rad, of a sensor."""
-        return label_of(np.linalg.inv(self.frame(T_edge_sensor)) @ T_edge_sensor)
+    def label(self, T_object_sensor: np.ndarray) -> np.ndarray:
+        """Return the label (6,), m and rad, of a sensor."""
+        return label_of(np.linalg.inv(self.frame(T_object_sensor)) @ T_object_sensor)
 
 
 class SlidingPath:
-    """Where a contact goes on to, stride by stride."""
+    """A random path on which a contact slides on, stride by stride."""
 
-    def __init__(self, task, solid, ranges, pose, draw):
-        """task: surface or edge. solid: Solid that is touched; None for the flat and the straight edge. ranges:
-        sampling.Ranges of labelled poses, which are kept to. pose: (6,) m and rad, where the contact is now. draw: numpy
-        Generator."""
-        self._along = task == "edge"
-        self.truth = _StraightTruth() if self._along else SurfaceGroundTruth(solid or _Flat())
-        """Tells the label of a sensor, as of sim/ground_truth.py."""
-        self._ranges, self._draw, self._anywhere = ranges, draw, _ALONG[task]
+    def __init__(
+        self, task: str, solid: DistanceField | None, ranges: Ranges, pose: ArrayLike, rng: np.random.Generator
+    ) -> None:
+        """Begin at the pose of a contact.
+
+        Args:
+            task: `surface` or `edge`.
+            solid: Object that is touched; None for the flat surface and the straight edge.
+            ranges: Ranges of the labelled poses, which the path keeps to.
+            pose: (6,), m and rad, current pose of the contact.
+            rng: Generator of the path.
+        """
+        self._on_edge = task == "edge"
+        self.truth: GroundTruth = _StraightEdgeGroundTruth() if self._on_edge else SurfaceGroundTruth(solid or _Plane())
+        """Ground truth of labels on the object."""
+        self._ranges, self._rng, self._free = ranges, rng, _POSITION_ON_OBJECT[task]
         self._T, self._label = sensor_in_contact(pose), self._local(pose)
-        self._heading, self._target = self._any_heading(), self._any_pose()
+        self._heading, self._target = self._random_heading(), self._random_label()
 
-    def stride(self):
-        """Go on. Returns the pose (6,) of the sensor in the stimulus' frame to slide to, m and rad."""
-        self._label = self._label + self._draw.uniform(0, _NEARER) * (self._aim() - self._label)
-        length = np.exp(self._draw.uniform(*np.log(_STRIDE_M)))
+    def stride(self) -> np.ndarray:
+        """Take a stride; return the pose (6,), m and rad, of the sensor in the stimulus frame to slide to."""
+        self._label = self._label + self._rng.uniform(0, _MAX_APPROACH) * (self._next_target() - self._label)
+        length = np.exp(self._rng.uniform(*np.log(_STRIDE_M)))
         frame = self.truth.frame(self._T)
-        ahead = matrix(length * self._way(frame), Rotation.from_rotvec([0, 0, self._turn()]))
+        ahead = matrix(length * self._direction(frame), Rotation.from_rotvec([0, 0, self._yaw_change()]))
         beside = frame @ ahead @ np.linalg.inv(frame) @ self._T
         self._T = self.truth.frame(beside) @ sensor_in_contact(self._label)
         return label_of(self._T)
 
-    def label(self):
-        """The true label (6,), m and rad, of where the last stride leads to."""
+    def label(self) -> np.ndarray:
+        """Return the true label (6,), m and rad, after the last stride."""
         return self.truth.label(self._T)
 
-    def _aim(self):
-        """The label (6,) that is made for."""
-        if self._draw.uniform() < _NEW_POSE:
-            self._target = self._any_pose()
+    def _next_target(self) -> np.ndarray:
+        """Return the label (6,) that a stride approaches."""
+        if self._rng.uniform() < _NEW_POSE:
+            self._target = self._random_label()
         return self._target
 
-    def _any_pose(self):
-        """A label (6,) in the ranges that can be played, of which `tactip_twin.sim.dataset.generate.check` has seen that
-        there are."""
+    def _random_label(self) -> np.ndarray:
+        """Return a label (6,) in the ranges that is not too steep; `tactip_twin.sim.dataset.generate.check` ensures that
+        there are some."""
         while True:
-            label = self._ranges.draw(self._draw)
+            label = self._ranges.sample(self._rng)
             if tilt(label) <= MAX_TILT_RAD:
                 return self._local(label)
 
-    def _local(self, pose):
-        """A pose (6,) without what only says where on the object it is."""
+    def _local(self, pose: ArrayLike) -> np.ndarray:
+        """Return a pose (6,) without its position on the object."""
         label = np.array(pose, float)
-        label[self._anywhere] = 0.0
+        label[self._free] = 0.0
         return label
 
-    def _any_heading(self):
-        return self._draw.uniform(-np.pi, np.pi)
+    def _random_heading(self) -> float:
+        return self._rng.uniform(-np.pi, np.pi)
 
-    def _turn(self):
-        """Yaw of a stride, rad; on an edge it is of the label."""
-        return 0.0 if self._along else self._draw.normal(0, _YAW_RAD)
+    def _yaw_change(self) -> float:
+        """Return the yaw of a stride, rad; on an edge yaw belongs to the label."""
+        return 0.0 if self._on_edge else self._rng.normal(0, _YAW_RAD)
 
-    def _way(self, frame):
-        """Unit vector (3,) of a stride in a contact frame (4, 4)."""
-        self._heading = self._any_heading() if self._draw.uniform() < _NEW_HEADING else self._heading
-        self._heading += self._draw.normal(0, _SWAY_RAD)
-        if self._along:
+    def _direction(self, frame: np.ndarray) -> np.ndarray:
+        """Return the unit direction (3,) of a stride in a contact frame (4, 4)."""
+        self._heading = self._random_heading() if self._rng.uniform() < _NEW_HEADING else self._heading
+        self._heading += self._rng.normal(0, _SWAY_RAD)
+        if self._on_edge:
             outward = frame[1, 3] * np.sin(self._heading) > 0
-            if abs(frame[1, 3]) > _FARTHEST_M and outward:
+            if abs(frame[1, 3]) > _MAX_DISTANCE_M and outward:
                 self._heading = -self._heading
             return np.array([0.0, np.sign(np.sin(self._heading)), 0.0])
-        if np.linalg.norm(frame[:2, 3]) > _FARTHEST_M:
+        if np.linalg.norm(frame[:2, 3]) > _MAX_DISTANCE_M:
             back = -frame[:3, :3].T @ [*frame[:2, 3], 0.0]
-            self._heading = np.arctan2(back[1], back[0]) + self._draw.normal(0, _SWAY_RAD)
+            self._heading = np.arctan2(back[1], back[0]) + self._rng.normal(0, _SWAY_RAD)
         return np.array([np.cos(self._heading), np.sin(self._heading), 0.0])

@@ -1,22 +1,15 @@
-"""Is a data set whole? Every promise of its format, checked; every breach, a sentence."""
+"""Verification of data sets: every property that the format promises is checked, every violation is a sentence."""
 
 import zipfile
 from collections import Counter
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 
-from tactip_twin.sim.dataset.format import (
-    COLUMNS,
-    checksum,
-    digest_of,
-    image_name,
-    read_configuration,
-    read_meta,
-    read_targets,
-    samples_each,
-)
+from tactip_twin.sim.dataset.configuration import digest_of, samples_per_contact
+from tactip_twin.sim.dataset.format import COLUMNS, checksum, image_name, read_configuration, read_meta, read_targets
 from tactip_twin.sim.dataset.sampling import seed_text
 from tactip_twin.sim.dataset.shards import shards_of
 from tactip_twin.sim.labels import LABELS, SHEARS
@@ -26,50 +19,48 @@ _ROUNDING = 1e-6
 """A cell may lie this far outside its range: the table has six decimals."""
 
 
-def verify(folder):
-    """Check a finished set. Returns what is wrong with it: a list of sentences, empty if nothing is.
-
-    Raises TactipError where there is no set to check.
-    """
+def verify(folder: str | Path) -> list[str]:
+    """Return what is wrong with a finished set, as sentences. Raises TactipError where there is no set to check."""
     folder = Path(folder)
     meta = read_meta(folder)
-    return _shards(folder, meta) if "shards" in meta else _whole(folder, meta)
+    return _shards(folder, meta) if "shards" in meta else _single(folder, meta)
 
 
-def _shards(folder, meta):
-    """What is wrong with a set of shards: with its manifest, or with one of them."""
-    problems, found = _files(folder, meta) + _altered(meta), {"asked": 0, "kept": 0, "failed": 0}
+def _shards(folder: Path, meta: dict[str, Any]) -> list[str]:
+    """Return the problems of a set of shards: those of its manifest, and those of each shard."""
+    problems, counts = _files(folder, meta) + _altered(meta), {"asked": 0, "kept": 0, "failed": 0}
     try:
-        wanted = shards_of(read_configuration(meta, folder))
+        expected = shards_of(read_configuration(meta, folder))
     except TactipError as error:
         return [*problems, str(error)]
-    if meta["shards"] != list(wanted):
-        problems.append(f"meta.json: its shards are {meta['shards']} instead of {list(wanted)}")
-    for name in sorted({path.name for path in folder.glob("shard-*")} - set(wanted)):
+    if meta["shards"] != list(expected):
+        problems.append(f"meta.json: its shards are {meta['shards']} instead of {list(expected)}")
+    for name in sorted({path.name for path in folder.glob("shard-*")} - set(expected)):
         problems.append(f"{name}: it is no shard of this set")
-    for name, configuration in wanted.items():
+    for name, configuration in expected.items():
         try:
             own = read_meta(folder / name)
-            for key in found:
-                found[key] += own["samples"][key]
+            for key in counts:
+                counts[key] += own["samples"][key]
             if own.get("configuration") != configuration.as_json():
                 problems.append(f"{name}: it is of another configuration")
             problems += [f"{name}/{problem}" for problem in verify(folder / name)]
         except (TactipError, KeyError) as error:
             problems.append(f"{name}: {error}")
-    if found != meta.get("samples"):
-        problems.append(f"meta.json: it promises samples {meta.get('samples')}, its shards have {found}")
+    if counts != meta.get("samples"):
+        problems.append(f"meta.json: it promises samples {meta.get('samples')}, its shards have {counts}")
     return problems
 
 
-def _altered(meta):
+def _altered(meta: dict[str, Any]) -> list[str]:
     configuration = meta.get("configuration")
     if configuration is not None and digest_of(configuration) != meta.get("digest"):
         return ["meta.json: its configuration was altered: it does not have the digest that it was made with"]
     return []
 
 
-def _whole(folder, meta):
+def _single(folder: Path, meta: dict[str, Any]) -> list[str]:
+    """Return the problems of a set without shards, or of a shard."""
     configuration = meta.get("configuration")
     problems = _altered(meta)
     try:
@@ -82,7 +73,7 @@ def _whole(folder, meta):
     return problems
 
 
-def _files(folder, meta):
+def _files(folder: Path, meta: dict[str, Any]) -> list[str]:
     problems = []
     for name, expected in meta.get("files", {}).items():
         path = folder / name
@@ -93,15 +84,15 @@ def _files(folder, meta):
     return problems
 
 
-def _images(folder, meta, rows):
+def _images(folder: Path, meta: dict[str, Any], rows: list[dict[str, str]]) -> list[str]:
     named = [row["sensor_image"] for row in rows]
     problems = [f"targets.csv: the image {n} has more than one row" for n, k in sorted(Counter(named).items()) if k > 1]
-    there = {path.name for path in (folder / "images").glob("*")}
-    problems += [f"images/{name}: missing" for name in sorted(set(named) - there)]
-    problems += [f"images/{name}: has no row in targets.csv" for name in sorted(there - set(named))]
+    existing = {path.name for path in (folder / "images").glob("*")}
+    problems += [f"images/{name}: missing" for name in sorted(set(named) - existing)]
+    problems += [f"images/{name}: has no row in targets.csv" for name in sorted(existing - set(named))]
     expected = meta.get("images", {})
     size = (meta.get("configuration") or {}).get("design", {}).get("image", {}).get("size_px")
-    for name in sorted(set(named) & there):
+    for name in sorted(set(named) & existing):
         data = (folder / "images" / name).read_bytes()
         if name in expected and checksum(data) == expected[name]:
             continue
@@ -117,7 +108,7 @@ def _images(folder, meta, rows):
     return problems
 
 
-def _rows(rows, meta):
+def _rows(rows: list[dict[str, str]], meta: dict[str, Any]) -> list[str]:
     problems = []
     configuration = meta.get("configuration")
     kept = meta.get("samples", {}).get("kept")
@@ -125,9 +116,9 @@ def _rows(rows, meta):
         problems.append(f"targets.csv: it has {len(rows)} rows, meta.json promises {kept}")
     ranges = {}
     if configuration is not None:
-        # The shear of a look on a walk is the whole way since the first touch.
-        walked = configuration.get("looks", 1) > 1
-        for columns, key in ((LABELS, "pose"), *(() if walked else ((SHEARS, "shear"),))):
+        # On a sliding path the shear is the whole motion since the first contact, which no range limits.
+        slides = configuration.get("looks", 1) > 1
+        for columns, key in ((LABELS, "pose"), *(() if slides else ((SHEARS, "shear"),))):
             ranges.update(zip(columns, configuration[key].values(), strict=True))
     for number, row in enumerate(rows, start=2):
         where = f"targets.csv, line {number}"
@@ -147,28 +138,28 @@ def _rows(rows, meta):
                     f"{where}: {column} is {row[column]}, outside the set's range {ranges[column]}: "
                     "a row of another configuration"
                 )
-        if _simulated(configuration) and not _belongs(row, configuration):
+        if configuration is not None and _simulated(configuration) and not _belongs(row, configuration):
             problems.append(f"{where}: its seed {row.get('seed')!r} or its image is not of this set: a mixed configuration")
     return problems
 
 
-def _simulated(configuration):
-    """Whether a set with a configuration (dict or None) was simulated, and not imported."""
+def _simulated(configuration: dict[str, Any] | None) -> bool:
+    """Return whether a set with this configuration was simulated, not imported."""
     return configuration is not None and "fidelity" in configuration
 
 
-def _belongs(row, configuration):
-    """Whether a row's index, seed and image fit each other and the set."""
+def _belongs(row: dict[str, str], configuration: dict[str, Any]) -> bool:
+    """Return whether the index, seed and image of a row match each other and the set."""
     if any(row.get(c) is None for c in COLUMNS) or not row["index"].isdigit():
         return False
     index = int(row["index"])
-    number = index // samples_each(configuration)
+    number = index // samples_per_contact(configuration)
     seed = seed_text(configuration["seed"], configuration["task"], configuration["split"], number)
     inside = 0 <= index - configuration.get("first", 0) < configuration["samples"]
     return inside and row["seed"] == seed and row["sensor_image"] == image_name(index)
 
 
-def _pins(folder, meta, rows):
+def _pins(folder: Path, meta: dict[str, Any], rows: list[dict[str, str]]) -> list[str]:
     path = folder / "pins.npz"
     if not path.exists():
         return []  # reported by its checksum

@@ -1,27 +1,29 @@
-"""A crew whose workers live on the machines of a Ray cluster.
+"""A worker pool on the machines of a Ray cluster.
 
 Needs the extra `cluster`. The folders of the sets must be visible to every machine under the same path, as on a shared disk,
-and the package must be installed there. A worker holds a second's work at a time, so that nothing piles up and few messages
-keep many workers busy; the tasks of one that is lost with its machine are played again by another.
+and the package must be installed there. A worker gets about a second's work at a time, so few messages keep many workers
+busy and little is lost with one; the tasks of a lost worker are done again by another.
 """
 
 import contextlib
 import statistics
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from types import ModuleType
 from typing import Any
 
-from tactip_twin.sim.parallel.worker_pool import THREADS, WorkerPool, attempt
+from tactip_twin.sim.parallel.worker_pool import THREADS, Reply, Task, WorkerPool, attempt
 from tactip_twin.tactip_model.errors import TactipError
 
 HELD_S = 1.0
-"""Work that a worker holds, s: a driver passes about a thousand messages a second (docs/scale.md)."""
+"""Work that a worker gets at a time, s: a driver passes about a thousand messages per second (docs/scale.md)."""
 
-_LEAVE_S = 10
-"""How long workers may take to finish what they hold, s."""
+_SHUTDOWN_S = 10
+"""Time that workers have to finish their tasks at the end, s."""
 
 
-def ray_here():
-    """The module ray. Raises TactipError where it is not installed."""
+def ray_here() -> ModuleType:
+    """Return the module ray. Raises TactipError where it is not installed."""
     try:
         import ray  # pyright: ignore[reportMissingImports]
     except ImportError as error:
@@ -30,9 +32,15 @@ def ray_here():
 
 
 @contextlib.contextmanager
-def joined(address):
-    """The module ray, joined to the cluster at `address` (str; auto: that of this machine; local: one of this machine
-    alone), and left at the end. Raises TactipError where Ray is missing or cannot be reached."""
+def joined(address: str) -> Iterator[ModuleType]:
+    """Join a Ray cluster for a `with` block, which gets the module ray.
+
+    Args:
+        address: Address of the cluster; `auto` for that of this machine, `local` for one of this machine alone.
+
+    Raises:
+        TactipError: Ray is missing or the cluster cannot be reached.
+    """
     ray = ray_here()
     try:
         # Without an address Ray would join whatever cluster this machine last started.
@@ -45,98 +53,112 @@ def joined(address):
         ray.shutdown()
 
 
-class _Remote:
+class _Actor:
     """A worker, in a process of the cluster."""
 
-    def __init__(self, begin, arguments):
+    def __init__(self, begin: Callable[..., Callable[[Any], object]], arguments: tuple[object, ...]) -> None:
         self._do = begin(*arguments)
 
-    def attempt(self, tasks):
-        """Do tasks, up to the first that cannot be done: a list of replies as of crew.attempt."""
+    def attempt(self, tasks: Sequence[Any]) -> list[Reply]:
+        """Do tasks, up to the first that cannot be done; return the outcomes."""
         replies = []
         for task in tasks:
             replies.append(attempt(self._do, task))
-            if replies[-1]["error"]:
+            if replies[-1].error:
                 break
         return replies
 
 
 @dataclass
-class _Hand:
+class _RayWorker:
     actor: Any
-    tasks: tuple = ()
+    tasks: tuple[Any, ...] = ()
     done: int = 0
     seconds: float = HELD_S
-    """What a task of the last ones took."""
+    """Mean time of its last tasks, s."""
 
 
-class RayPool(WorkerPool):
-    """Does a list of tasks on a cluster: as a WorkerPool does, to the same files."""
+class RayPool(WorkerPool[Task]):
+    """A worker pool on a cluster; it writes the same files as a WorkerPool."""
 
-    most_held = 256
-    """Tasks that a worker holds at most, however short they are."""
+    max_held = 256
+    """Maximum number of tasks that a worker gets at a time, however short they are."""
 
-    def __init__(self, ray, begin, arguments, tasks, unit, say, named=None):
-        """ray: the module, joined. The rest: as of WorkerPool."""
+    def __init__(
+        self,
+        ray: Any,
+        begin: Callable[..., Callable[[Task], object]],
+        arguments: tuple[object, ...],
+        tasks: Sequence[Task],
+        unit: str,
+        say: Callable[[str], None],
+        named: Callable[[Task], str] | None = None,
+    ) -> None:
+        """Prepare the pool; no worker starts yet.
+
+        Args:
+            ray: The module ray, joined to a cluster.
+            begin: As of WorkerPool, and so are the rest.
+        """
         super().__init__(begin, arguments, tasks, unit, say, named)
         self._ray = ray
         variables = {"env_vars": dict.fromkeys(THREADS, "1")}
-        self._actor = ray.remote(num_cpus=1, max_restarts=0, runtime_env=variables)(_Remote)
+        self._actor = ray.remote(num_cpus=1, max_restarts=0, runtime_env=variables)(_Actor)
 
-    def places(self):
-        """Workers (int) that the cluster has room for. Raises TactipError where it has none."""
+    def places(self) -> int:
+        """Return the number of workers that the cluster has room for. Raises TactipError where it has none."""
         count = int(self._ray.cluster_resources().get("CPU", 0))
         if count < 1:
             raise TactipError("the cluster has no processor to work on")
         return count
 
-    def _hire(self):
+    def _start_worker(self) -> None:
         if self._queue:
-            self._give(_Hand(self._actor.remote(self._begin, self._arguments)))
+            self._assign_tasks(_RayWorker(self._actor.remote(self._begin, self._arguments)))
 
-    def _give(self, hand):
-        """Give a worker its next tasks: as many as it does in HELD_S, but towards the end no more than its share.
+    def _assign_tasks(self, worker: _RayWorker) -> None:
+        """Give a worker its next tasks: as many as it does in HELD_S, but fewer towards the end, so that all end together.
 
-        One that a worker was lost with goes alone, so that it is known if it ends another.
+        A task that a worker was lost with goes alone, which shows whether it ends another.
         """
-        share = len(self._queue) // (2 * len(self._workers) + 2)
-        many = max(1, min(round(HELD_S / max(hand.seconds, 1e-6)), share, self.most_held))
+        fair = len(self._queue) // (2 * len(self._workers) + 2)
+        count = max(1, min(round(HELD_S / max(worker.seconds, 1e-6)), fair, self.max_held))
         tasks = [self._queue.pop()]
-        while len(tasks) < many and not self._killed.keys() & {tasks[0], self._queue[-1]}:
+        while len(tasks) < count and not self._deaths.keys() & {tasks[0], self._queue[-1]}:
             tasks.append(self._queue.pop())
-        hand.tasks = tuple(tasks)
-        self._workers[hand.actor.attempt.remote(hand.tasks)] = hand
+        worker.tasks = tuple(tasks)
+        self._workers[worker.actor.attempt.remote(worker.tasks)] = worker
 
-    def _replies(self):
+    def _replies(self) -> Iterator[tuple[Task, Reply, bool]]:
         self._ray.wait(list(self._workers), num_returns=1)
         ready, _ = self._ray.wait(list(self._workers), num_returns=len(self._workers), timeout=0)
         for reference in ready:
-            yield from self._answered(self._workers.pop(reference), reference)
+            yield from self._replies_of(self._workers.pop(reference), reference)
 
-    def _answered(self, hand, reference):
-        """What a worker did, as of _replies."""
+    def _replies_of(self, worker: _RayWorker, reference: Any) -> Iterator[tuple[Task, Reply, bool]]:
+        """Yield what a worker did, as `_replies` does, and give it its next tasks."""
         try:
-            replies = self._ray.get(reference)
+            replies: list[Reply] = self._ray.get(reference)
         except self._ray.exceptions.RayActorError:
-            self._lost(hand.tasks, "with its process or its machine")
-            self._hire()
+            self._requeue(worker.tasks, "with its process or its machine")
+            self._start_worker()
             return
-        for task, reply in zip(hand.tasks, replies, strict=False):
-            if reply["error"]:
-                self._ray.kill(hand.actor)
-                raise TactipError(reply["error"])
-            hand.done += 1
-            yield task, reply["seconds"], reply["peak_mib"], hand.done > 1
-        # The first task was slowed by its worker's start.
-        hand.seconds = statistics.fmean(reply["seconds"] for reply in replies)
+        for task, reply in zip(worker.tasks, replies, strict=False):
+            if reply.error:
+                self._ray.kill(worker.actor)
+                raise TactipError(reply.error)
+            worker.done += 1
+            yield task, reply, worker.done > 1
+        # Its first task was slowed by its start.
+        worker.seconds = statistics.fmean(reply.seconds for reply in replies)
         if self._queue:
-            self._give(hand)
+            self._assign_tasks(worker)
         else:
-            self._ray.kill(hand.actor)
+            self._ray.kill(worker.actor)
 
-    def _dismiss(self):
+    def _shut_down(self) -> None:
         if self._workers:
-            self._ray.wait(list(self._workers), num_returns=len(self._workers), timeout=_LEAVE_S)
-        for hand in self._workers.values():
-            self._ray.kill(hand.actor)
+            self._ray.wait(list(self._workers), num_returns=len(self._workers), timeout=_SHUTDOWN_S)
+        for worker in self._workers.values():
+            self._ray.kill(worker.actor)
         self._workers.clear()

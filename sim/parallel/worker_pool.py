@@ -1,7 +1,7 @@
-"""Worker processes that do tasks one at a time, outlive each other, and leave nothing behind.
+"""Worker processes that do tasks one at a time, are replaced when they die, and leave nothing behind.
 
-Each worker has a pipe of its own. A worker that dies is seen by its pipe, its task goes to another; a worker whose parent
-dies sees its pipe close and ends. Ctrl-C is the parent's to answer: it lets workers finish what they hold.
+Each worker has a pipe of its own. The death of a worker closes its pipe, and its task goes to another; the death of the
+parent closes the other end, and the worker ends. Only the parent answers Ctrl-C: it lets workers finish their tasks.
 """
 
 import contextlib
@@ -11,33 +11,55 @@ import signal
 import statistics
 import sys
 import time
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from multiprocessing import connection, get_context, resource_tracker
 from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 from tqdm import tqdm
 
 from tactip_twin.tactip_model.errors import Interrupted, TactipError
 
-_TELLING, _TELLING_S = 8, 20.0
-"""Tasks, or seconds of a worker's, after which it is told how long all will take."""
+Task = TypeVar("Task", bound=Hashable)
+"""A task: anything that can be hashed and pickled."""
+
+_ESTIMATE_TASKS, _ESTIMATE_S = 8, 20.0
+"""Number of tasks, or seconds of work, after which the total time is estimated."""
+
+_SHUTDOWN_S = 10
+"""Time that a worker has to finish its task at the end, s."""
 
 RESUME_HINT = "what is done so far is kept, and the same command goes on from there"
 
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "LP_NUM_THREADS", "IGL_NUM_THREADS")
+"""Environment variables that set the number of threads of numerics and software OpenGL."""
 
-def worker_count(asked):
-    """Number of workers (int) for `auto` or a number as str or int. Raises TactipError on anything else."""
-    if asked == "auto":
+
+def worker_count(requested: str | int) -> int:
+    """Return the number of workers for `auto` or a number. Raises TactipError on anything else."""
+    if requested == "auto":
         return len(os.sched_getaffinity(0))
     try:
-        count = int(asked)
+        count = int(requested)
     except ValueError:
         count = 0
     if count < 1:
-        raise TactipError(f"{asked!r} workers cannot work: ask for a number of at least 1, or auto")
+        raise TactipError(f"{requested!r} workers cannot work: ask for a number of at least 1, or auto")
     return count
+
+
+@dataclass(frozen=True)
+class Reply:
+    """Outcome of a task."""
+
+    error: str | None
+    """What went wrong, as a sentence; None if nothing did."""
+    seconds: float
+    """Time that the task took, s."""
+    peak_mib: float
+    """Peak memory of the process so far, MiB."""
 
 
 @dataclass
@@ -47,60 +69,84 @@ class _Worker:
     done: int = 0
 
 
-class WorkerPool:
-    """Does a list of tasks on worker processes."""
+class WorkerPool(Generic[Task]):
+    """A pool of worker processes for a list of tasks."""
 
-    def __init__(self, begin, arguments, tasks, unit, say, named=None):
-        """begin: module-level function that a worker calls with `arguments` (tuple) and that returns the function to
-        call with each task. tasks: list of picklable things, done in order. unit: str, what a task makes. say: called
-        with lines for the user. named: function of a task to what it is called (str); the unit and the task if None.
+    def __init__(
+        self,
+        begin: Callable[..., Callable[[Task], object]],
+        arguments: tuple[object, ...],
+        tasks: Sequence[Task],
+        unit: str,
+        say: Callable[[str], None],
+        named: Callable[[Task], str] | None = None,
+    ) -> None:
+        """Prepare the pool; no process starts yet.
+
+        Args:
+            begin: Module-level function; each worker calls it once, with `arguments`, for the function that does a task.
+            arguments: Arguments of `begin`, which can be pickled.
+            tasks: Tasks, done in this order.
+            unit: What a task makes, as a singular noun.
+            say: Function that takes messages for the user.
+            named: Function from a task to its name in messages; the unit and the task if None.
         """
         self._named = named or (lambda task: f"{unit} {task}")
         self._begin, self._arguments, self._unit, self._say = begin, arguments, unit, say
         self._queue, self._count = list(reversed(tasks)), len(tasks)
-        self._workers, self._killed, self._further = {}, {}, set()
+        self._workers: dict[Any, Any] = {}
+        """Workers by what is waited for: pipes here, references of Ray in RayPool."""
+        self._deaths: dict[Task, int] = {}
+        """Number of workers that died during a task, by task."""
+        self._extra: set[Task] = set()
+        """Tasks that were added by `done`; they are not counted."""
 
-    def work(self, workers, done):
-        """Do all tasks with `workers` processes; call done(task, seconds, peak memory of the worker in MiB)
-        after each, in the order they end. What it returns, if anything, is a list of further tasks, which are done next and
-        not counted.
+    def work(self, workers: int, done: Callable[[Task, float, float], Iterable[Task] | None]) -> None:
+        """Do all tasks with a number of worker processes.
 
-        Raises TactipError where a task cannot be done, and Interrupted at Ctrl-C.
+        Args:
+            workers: Number of processes.
+            done: Function called after each task, in the order they end, with the task, the seconds it took and the peak
+                memory of the worker in MiB. It may return further tasks, which are done next and not counted.
+
+        Raises:
+            TactipError: A task cannot be done.
+            Interrupted: Ctrl-C.
         """
-        # On a terminal the bar is redrawn at leisure; a log file gets a line now and then.
+        # A terminal's bar is redrawn often; a log file gets a line now and then.
         interval = 0.5 if sys.stderr.isatty() else 15
         with tqdm(total=self._count, unit=self._unit, file=sys.stderr, mininterval=interval) as bar:
             try:
                 for _ in range(workers):
-                    self._hire()
-                known, told = [], False
+                    self._start_worker()
+                timings, estimated = [], False
                 while self._workers:
-                    for task, seconds, peak_mib, repeated in self._replies():
-                        further = done(task, seconds, peak_mib) or []
-                        self._queue += further
-                        self._further.update(further)
-                        if task in self._further:
+                    for task, reply, warm in self._replies():
+                        extra = list(done(task, reply.seconds, reply.peak_mib) or [])
+                        self._queue += extra
+                        self._extra.update(extra)
+                        if task in self._extra:
                             continue
                         bar.update()
-                        if repeated:  # a worker's first task was slowed by its start
-                            known.append(seconds)
-                        # One alone may be one that is tried again and again.
-                        if not told and (len(known) == _TELLING or sum(known) > _TELLING_S):
-                            told = True
-                            about = _duration(statistics.fmean(known) * self._count / workers)
+                        if warm:  # the first task of a worker is slowed by its start
+                            timings.append(reply.seconds)
+                        # A single task may be one that needs many tries.
+                        if not estimated and (len(timings) == _ESTIMATE_TASKS or sum(timings) > _ESTIMATE_S):
+                            estimated = True
+                            about = _duration(statistics.fmean(timings) * self._count / workers)
                             text = f"{self._count} {self._unit}s on {workers} worker(s): about {about} in all"
                             bar.write(text, file=sys.stderr)
             except KeyboardInterrupt:
                 raise Interrupted(f"{bar.n} of {self._count} {self._unit}s made: {RESUME_HINT}") from None
             finally:
-                self._dismiss()
+                self._shut_down()
 
-    def places(self):
-        """Workers (int) that this machine has room for: a core each."""
+    def places(self) -> int:
+        """Return the number of workers that this machine has room for: one per core."""
         return worker_count("auto")
 
-    def _replies(self):
-        """Wait for workers; yield (task, seconds, the worker's peak memory in MiB, whether it had done one before)."""
+    def _replies(self) -> Iterator[tuple[Task, Reply, bool]]:
+        """Wait for workers; yield each task done, its reply, and whether its worker had done one before."""
         ready = connection.wait([*self._workers, *(w.process.sentinel for w in self._workers.values())])
         for pipe, worker in list(self._workers.items()):
             if pipe not in ready and worker.process.sentinel not in ready:
@@ -108,48 +154,56 @@ class WorkerPool:
             try:
                 reply = pipe.recv()
             except (EOFError, ConnectionResetError):
-                self._bury(pipe)
+                self._replace_dead_worker(pipe)
                 continue
-            if reply["error"]:
-                raise TactipError(reply["error"])
+            if reply.error:
+                raise TactipError(reply.error)
             worker.done += 1
-            yield worker.task, reply["seconds"], reply["peak_mib"], worker.done > 1
+            yield worker.task, reply, worker.done > 1
             self._assign(pipe)
 
-    def _hire(self):
+    def _start_worker(self) -> None:
         context = get_context("spawn")
         ours, theirs = context.Pipe()
         process = context.Process(target=_serve, args=(theirs, self._begin, self._arguments))
-        with _for_children():
+        with _child_environment():
             process.start()
-        theirs.close()  # so that the worker's end is the worker's alone, and its death closes it
+        theirs.close()  # only the worker has its end then, so its death closes it
         self._workers[ours] = _Worker(process)
         self._assign(ours)
 
-    def _assign(self, pipe):
-        """Give a worker the next task, or its notice where there is none."""
+    def _assign(self, pipe: connection.Connection) -> None:
+        """Give a worker the next task; end it if there is none."""
         if not self._queue:
             pipe.close()
             self._workers.pop(pipe).process.join()
             return
         self._workers[pipe].task = self._queue.pop()
-        with contextlib.suppress(BrokenPipeError):  # then it is dead, and the next wait says so
+        with contextlib.suppress(BrokenPipeError):  # the worker is dead, and the next wait finds out
             pipe.send(self._workers[pipe].task)
 
-    def _bury(self, pipe):
-        """A worker died: give its task to a new one, unless that task has ended one before."""
+    def _replace_dead_worker(self, pipe: connection.Connection) -> None:
+        """Give the task of a dead worker to a new one, unless a worker died of that task before."""
         worker = self._workers.pop(pipe)
         pipe.close()
         worker.process.join()
         code = worker.process.exitcode or 0
-        self._lost((worker.task,), f"by signal {signal.Signals(-code).name}" if code < 0 else f"with exit code {code}")
-        self._hire()
+        self._requeue((worker.task,), f"by signal {signal.Signals(-code).name}" if code < 0 else f"with exit code {code}")
+        self._start_worker()
 
-    def _lost(self, tasks, how):
-        """Put tasks back whose worker ended `how` (str). Raises TactipError where one of them has ended another before."""
+    def _requeue(self, tasks: Sequence[Task], how: str) -> None:
+        """Put back the tasks of a worker that died.
+
+        Args:
+            tasks: The tasks that the worker had.
+            how: How it ended, for the message.
+
+        Raises:
+            TactipError: A worker died of one of the tasks before.
+        """
         for task in tasks:
-            self._killed[task] = self._killed.get(task, 0) + 1
-            if self._killed[task] > 1:
+            self._deaths[task] = self._deaths.get(task, 0) + 1
+            if self._deaths[task] > 1:
                 raise TactipError(
                     f"{self._named(task)} has ended two workers (the last {how}): is memory short? {RESUME_HINT}"
                 )
@@ -157,30 +211,32 @@ class WorkerPool:
         self._say(f"a worker ended {how} at {self._named(tasks[0])}{more}: another takes over")
         self._queue += reversed(tasks)
 
-    def _dismiss(self):
-        """Let workers finish what they hold, then make sure that they are gone."""
+    def _shut_down(self) -> None:
+        """Let workers finish their tasks, then kill those that are left."""
         for pipe in self._workers:
             pipe.close()
         for worker in self._workers.values():
-            worker.process.join(timeout=10)
+            worker.process.join(timeout=_SHUTDOWN_S)
             if worker.process.is_alive():
                 worker.process.kill()
                 worker.process.join()
         self._workers.clear()
 
 
-def disk_error(error):
-    """An OSError in writing as a sentence for the user."""
+def disk_error(error: OSError) -> str:
+    """Return an error in writing as a sentence for the user."""
     return f"cannot write {error.filename or 'the set'}: {error.strerror or error}; {RESUME_HINT}"
 
 
-def _serve(pipe, begin, arguments):
-    """A worker's life: tasks in, replies out, until the other end of the pipe is closed."""
+def _serve(
+    pipe: connection.Connection, begin: Callable[..., Callable[[Task], object]], arguments: tuple[object, ...]
+) -> None:
+    """Do tasks from a pipe and send replies, until its other end is closed: the main function of a worker."""
     do = begin(*arguments)
     while True:
         try:
             task = pipe.recv()
-        except (EOFError, ConnectionError):  # the latter where the last reply was not read any more
+        except (EOFError, ConnectionError):  # the latter where the last reply was never read
             return
         reply = attempt(do, task)
         try:
@@ -189,22 +245,22 @@ def _serve(pipe, begin, arguments):
             return
 
 
-def attempt(do, task):
-    """Do a task; returns a dict: error (str or None), seconds, and peak_mib, the process's greatest memory in MiB."""
+def attempt(do: Callable[[Task], object], task: Task) -> Reply:
+    """Do a task; return its outcome."""
     start, error = time.perf_counter(), None
     try:
         do(task)
-    except TactipError as wrong:
-        error = str(wrong)
-    except OSError as wrong:
-        error = disk_error(wrong)
-    return {"error": error, "seconds": time.perf_counter() - start, "peak_mib": peak_mib()}
+    except TactipError as failure:
+        error = str(failure)
+    except OSError as failure:
+        error = disk_error(failure)
+    return Reply(error, time.perf_counter() - start, peak_mib())
 
 
-def peak_mib():
-    """Greatest memory of this process so far, MiB.
+def peak_mib() -> float:
+    """Return the peak memory of this process so far, MiB.
 
-    Linux hands `ru_maxrss` down from the process that started this one, whatever its own is: its own is asked for first.
+    Linux passes `ru_maxrss` from a process to those it starts, so the process's own peak is read first.
     """
     status = Path("/proc/self/status")
     if status.exists():
@@ -213,30 +269,28 @@ def peak_mib():
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
-THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "LP_NUM_THREADS", "IGL_NUM_THREADS")
-"""Variables that say how many threads numerics and software OpenGL take."""
-
-
 @contextlib.contextmanager
-def _for_children():
-    """What processes started here inherit: one thread each for numerics and for software OpenGL, since workers fill the
-    cores; and deafness to Ctrl-C from their first instant, while this process hears it a moment later.
+def _child_environment() -> Iterator[None]:
+    """Set what processes started in a `with` block inherit.
+
+    Numerics and software OpenGL take one thread each, since workers fill the cores. Ctrl-C is blocked from their first
+    instant; this process receives it after the block.
     """
     before = {name: os.environ.get(name) for name in THREADS}
     for name in THREADS:
         os.environ.setdefault(name, "1")
-    resource_tracker.ensure_running()  # its own start, left to the first process, would lift the mask
-    heard = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    resource_tracker.ensure_running()  # the first process would start it otherwise, and that lifts the mask
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, heard)
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
         for name, value in before.items():
             if value is None:
                 os.environ.pop(name, None)
 
 
-def _duration(seconds):
-    """Seconds as text for people."""
-    minutes, seconds = divmod(round(seconds), 60)
-    return f"{minutes // 60} h {minutes % 60} min" if minutes >= 60 else f"{minutes} min {seconds} s"
+def _duration(seconds: float) -> str:
+    """Return a duration as text for people."""
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes // 60} h {minutes % 60} min" if minutes >= 60 else f"{minutes} min {rest} s"

@@ -8,11 +8,11 @@ from tactip_twin.sim.robot.irb120 import READY_RAD, Arm
 from tactip_twin.sim.robot.objects import load_object
 from tactip_twin.sim.robot.recording import PHASES, RecordedScene
 from tactip_twin.tactip_model.mesh import build_mesh
-from tactip_twin.tactip_model.presets import find_design
+from tactip_twin.tactip_model.presets import load_design
 
 
 def tip_mesh():
-    return build_mesh(find_design("tactip-127").shape, fidelity_named("draft").mesh)
+    return build_mesh(load_design("tactip-127").shape, fidelity_named("draft").mesh)
 
 
 def scenery(with_arm=True):

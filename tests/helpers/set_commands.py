@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 
 from tactip_twin.sim.contact.fidelity import fidelity_named
-from tactip_twin.sim.dataset.format import Configuration
+from tactip_twin.sim.dataset.configuration import Configuration
 from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES
 
 TACTIP = [str(Path(sys.executable).parent / "tactip"), "dataset"]

@@ -39,8 +39,8 @@ def test_files_of_a_set(whole):
 def test_labels_are_the_draws(whole):
     dataset = read_dataset(whole)
     draw = generator(0, "edge", "train", 3)
-    assert np.allclose(from_mm_deg(dataset.poses[3]), POSE_RANGES["edge"].draw(draw), atol=1e-7)
-    assert np.allclose(from_mm_deg(dataset.shears[3]), SHEAR_RANGES.draw(draw), atol=1e-7)
+    assert np.allclose(from_mm_deg(dataset.poses[3]), POSE_RANGES["edge"].sample(draw), atol=1e-7)
+    assert np.allclose(from_mm_deg(dataset.shears[3]), SHEAR_RANGES.sample(draw), atol=1e-7)
 
 
 def test_images_are_a_function_of_the_pins(whole, design):
@@ -164,15 +164,15 @@ def test_a_folder_of_another_configuration_is_refused_and_left_alone(copy, capsy
     options = ["--task", "edge", "--samples", "6", "--fidelity", "draft", "--renderer", "raster"]
     assert tactip.main(["dataset", "make", "--out", str(copy), *options, "--design", "nominal-127", "--seed", "1"]) == 1
     told = capsys.readouterr().err
-    assert "another configuration" in told
-    assert "seed is 0 there and 1 here" in told
+    assert f"the folder {copy} holds a data set with other settings" in told
+    assert "(configuration.seed is 0 there, 1 here): choose another folder" in told
     assert contents(copy) == before
 
 
 def test_a_folder_of_something_else_is_refused_and_left_alone(tmp_path, capsys):
     (tmp_path / "thesis.tex").write_text("years of work")
     assert tactip.main(["dataset", "make", "--out", str(tmp_path)]) == 1
-    assert "not empty" in capsys.readouterr().err
+    assert "is not empty and holds no data set: choose another folder" in capsys.readouterr().err
     assert [p.name for p in tmp_path.iterdir()] == ["thesis.tex"]
 
 

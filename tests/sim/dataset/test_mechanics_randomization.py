@@ -8,7 +8,8 @@ import pytest
 from tactip_twin.commands import main as tactip
 from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.contact.simulator import ContactSimulator
-from tactip_twin.sim.dataset.format import Configuration, read_dataset
+from tactip_twin.sim.dataset.configuration import Configuration
+from tactip_twin.sim.dataset.format import read_dataset
 from tactip_twin.sim.dataset.generate import sample_contact
 from tactip_twin.sim.dataset.mechanics_randomization import MECHANICS_RANDOMIZATIONS, MechanicsRandomization
 from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES
@@ -28,7 +29,7 @@ def value(design, name):
 
 
 def test_draws_lie_within_the_factors_and_fill_them(design):
-    draws = [REAL.draw(design, np.random.default_rng(seed)) for seed in range(400)]
+    draws = [REAL.sample(design, np.random.default_rng(seed)) for seed in range(400)]
     for f in fields(MechanicsRandomization):
         most = getattr(REAL, f.name)
         factors = np.array([value(d, f.name) for d in draws]) / value(design, f.name)
@@ -40,8 +41,8 @@ def test_draws_lie_within_the_factors_and_fill_them(design):
 
 
 def test_a_still_one_changes_nothing_and_others_are_refused(design):
-    assert MechanicsRandomization().still and not REAL.still
-    same = MechanicsRandomization().draw(design, np.random.default_rng(0))
+    assert MechanicsRandomization().is_identity and not REAL.is_identity
+    same = MechanicsRandomization().sample(design, np.random.default_rng(0))
     assert same == design
     with pytest.raises(TactipError, match=r"friction must be .*, got 0.5"):
         MechanicsRandomization(friction=0.5)

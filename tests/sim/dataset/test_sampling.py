@@ -15,7 +15,7 @@ def draws(task, split, n=2000, seed=0):
     out = []
     for i in range(n):
         g = generator(seed, task, split, i)
-        out.append(np.concatenate([POSE_RANGES[task].draw(g), SHEAR_RANGES.draw(g)]))
+        out.append(np.concatenate([POSE_RANGES[task].sample(g), SHEAR_RANGES.sample(g)]))
     return np.array(out)
 
 
@@ -50,8 +50,8 @@ def test_a_sample_does_not_depend_on_others():
 
 
 def test_a_fixed_component_leaves_the_others_where_they_are():
-    whole = POSE_RANGES["edge"].draw(generator(3, "edge", "train", 5))
-    fixed = replace(POSE_RANGES["edge"], x_mm=(2, 2)).draw(generator(3, "edge", "train", 5))
+    whole = POSE_RANGES["edge"].sample(generator(3, "edge", "train", 5))
+    fixed = replace(POSE_RANGES["edge"], x_mm=(2, 2)).sample(generator(3, "edge", "train", 5))
     assert (whole[1:] == fixed[1:]).all()
     assert fixed[0] == pytest.approx(2e-3)
 

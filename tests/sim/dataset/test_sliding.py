@@ -135,7 +135,7 @@ def test_looks_turn_and_mirror_as_contacts_do(design, tmp_path):
     given, result = made(
         tmp_path / "set", design, task="edge", symmetric=True, samples=12, looks=3, pose=POSE_RANGES["edge"]
     )
-    assert given.each == 6 and result["kept"] + result["failed"] == 12 and verify(tmp_path / "set") == []
+    assert given.samples_per_contact == 6 and result["kept"] + result["failed"] == 12 and verify(tmp_path / "set") == []
     rows = table(tmp_path / "set")
     assert len(rows) >= 8 and len(rows) % 2 == 0
     for one, other in zip(rows[::2], rows[1::2], strict=True):

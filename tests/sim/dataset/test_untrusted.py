@@ -145,7 +145,7 @@ def test_what_is_too_steep_is_drawn_again(design):
     for number in range(400):
         draw, given = generator(0, "surface", "train", number), generation.sample_contact(c, number)
         assert not exceeds_max_tilt(given.pose, given.shear)
-        pose, shear = wide.draw(draw), SHEAR_RANGES.draw(draw)
+        pose, shear = wide.sample(draw), SHEAR_RANGES.sample(draw)
         again += exceeds_max_tilt(pose, shear)
         assert exceeds_max_tilt(pose, shear) or ((given.pose == pose).all() and (given.shear == shear).all())
     assert 0 < again < 20

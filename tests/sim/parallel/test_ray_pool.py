@@ -9,7 +9,7 @@ import pytest
 from helpers.set_commands import contents
 from tactip_twin.commands import main as tactip
 from tactip_twin.sim.contact.fidelity import fidelity_named
-from tactip_twin.sim.dataset.format import Configuration
+from tactip_twin.sim.dataset.configuration import Configuration
 from tactip_twin.sim.dataset.generate import Job, make
 from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES
 from tactip_twin.sim.parallel.ray_pool import RayPool
