@@ -13,7 +13,7 @@ from tactip_twin.tactip_model.neutral_image import fit_neutral, neutral_px
 from tactip_twin.tactip_model.optics import Lens
 from tactip_twin.tactip_model.pin_detection import find_blobs
 from tactip_twin.tactip_model.pins import neutral_pins
-from tactip_twin.tactip_model.presets import design_named, find_design
+from tactip_twin.tactip_model.presets import design_named, load_design
 from tactip_twin.tactip_model.raster_renderer import Raster
 from tactip_twin.tactip_model.tactile_image import tactile_image
 
@@ -77,8 +77,8 @@ def test_zoom_and_drift_move_the_image_and_nothing_else(hidden):
 
 def test_a_design_survives_its_file(hidden, tmp_path):
     write_design(tmp_path / "d.json", hidden, {"by": "a test"})
-    assert read_design(tmp_path / "d.json") == hidden == find_design(tmp_path / "d.json")
-    assert find_design("tactip-331") == design_named("tactip-331")
+    assert read_design(tmp_path / "d.json") == hidden == load_design(tmp_path / "d.json")
+    assert load_design("tactip-331") == design_named("tactip-331")
 
 
 def test_a_fitted_design_is_as_at_rest_and_knows_its_camera_in_use(hidden, tmp_path):
@@ -114,7 +114,7 @@ def test_a_broken_design_file_is_refused_by_name(tmp_path, old, new, words):
 
 def test_a_missing_design_file_lists_the_presets(tmp_path):
     with pytest.raises(TactipError, match="presets are tactip-127, tactip-331, nominal-127, nominal-331"):
-        find_design(tmp_path / "none.json")
+        load_design(tmp_path / "none.json")
 
 
 def test_as_built_pins_are_one_a_pin():
