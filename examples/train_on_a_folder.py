@@ -1,27 +1,25 @@
-"""Train a small network on a folder of sets, DATA/train and DATA/val, and hold it against DATA/test."""
+"""Train a small network on a folder of sets, DATA/train and DATA/val, and evaluate it on DATA/test."""
 
 from dataclasses import replace
 from pathlib import Path
 
 import tyro
 
-from tactip_twin.learning.data import read_samples, read_splits
-from tactip_twin.learning.evaluate import evaluate
-from tactip_twin.learning.model import load_model
+import tactip_twin as tt
+from tactip_twin.learning.data import read_splits
 from tactip_twin.learning.recipes import recipe_named
 from tactip_twin.learning.train import train
 
 
-def main(data: Path, out: Path = Path("runs/example"), epochs: int = 20, filters: int = 8):
+def main(data: Path, out: Path = Path("runs/example"), epochs: int = 20, filters: int = 8) -> None:
     """data: folder of the sets. out: folder of the training. epochs: at least. filters: of the first layer."""
     train_samples, val_samples = read_splits(data)
     recipe = recipe_named("laptop", train_samples.labels.task)
-    network = replace(recipe.network, filters=filters)
-    # Images can be drawn anew, as the recipe does, where it is known where the pins are.
-    drawn = recipe.settings.drawn if train_samples.dataset.simulated else 0.0
-    settings = replace(recipe.settings, epochs=epochs, least_steps=0, drawn=drawn)
-    train(train_samples, val_samples, network, settings, out)
-    figures = evaluate(load_model(out), read_samples(data / "test")).figures
+    # Images can be rendered anew during training, as the recipe does, where the pins are known.
+    fraction = recipe.settings.drawn if train_samples.dataset.simulated else 0.0
+    settings = replace(recipe.settings, epochs=epochs, least_steps=0, drawn=fraction)
+    train(train_samples, val_samples, replace(recipe.network, filters=filters), settings, out)
+    figures = tt.evaluate(tt.load_network(str(out)), tt.read_samples(data / "test")).figures
     for name, error in figures["mae"].items():
         print(f"{name}: {error:.3f} {'°' if '_R' in name else 'mm'}")
 

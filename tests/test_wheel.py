@@ -5,6 +5,7 @@ import shutil
 import subprocess
 import sys
 import tomllib
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -41,6 +42,38 @@ def wheel(tmp_path_factory):
     return next(out.glob("*.whl"))
 
 
+def test_wheel_holds_nothing_outside_tactip_twin(wheel):
+    with zipfile.ZipFile(wheel) as archive:
+        names = archive.namelist()
+    folders = {name.split("/")[0] for name in names}
+    assert {f for f in folders if not f.endswith(".dist-info")} == {"tactip_twin"}
+    inside = {name.split("/")[1] for name in names if name.startswith("tactip_twin/")}
+    assert {"__init__.py", "py.typed", "assets", "tactip_model", "sim", "learning", "control", "sim2real"} <= inside
+    assert "benchmarks" not in inside
+
+
+@pytest.mark.slow
+def test_wheel_works_beside_python_control(wheel, tmp_path):
+    """python-control's import name is `control`: neither package may write over the other's files."""
+    site = tmp_path / "site"
+    pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--target"]
+    for number, package in enumerate(("control==0.10.2", str(wheel))):
+        subprocess.run([*pip, str(tmp_path / str(number)), package], check=True)
+    first, second = ({p.relative_to(root) for p in root.rglob("*.py")} for root in (tmp_path / "0", tmp_path / "1"))
+    assert first and second and not first & second
+    for root in (tmp_path / "0", tmp_path / "1"):
+        shutil.copytree(root, site, dirs_exist_ok=True)
+    code = (
+        "import control, tactip_twin as tt, tactip_twin.control.servo as servo;"
+        "assert control.__file__.startswith(site) and servo.__file__.startswith(site);"
+        "assert abs(control.dcgain(control.tf([2], [1, 1])) - 2) < 1e-9;"
+        "print(tt.TacTip(fidelity='draft', renderer='raster').press(depth_mm=2).image.shape)"
+    )
+    words = [sys.executable, "-c", f"import sys; site = {str(site)!r}; sys.path.insert(0, site); {code}"]
+    ended = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True)
+    assert ended.stdout.strip() == "(128, 128)", ended.stderr
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("version", VERSIONS)
 def test_it_works_where_there_is_no_checkout(wheel, tmp_path, version):
@@ -57,16 +90,12 @@ def test_it_works_where_there_is_no_checkout(wheel, tmp_path, version):
         return ended.stdout
 
     subprocess.run(
-        [
-            bin_ / "python",
-            "-W",
-            "error",
-            "-c",
-            "import tactip_twin.tactip_model, tactip_twin.sim, tactip_twin.learning, tactip_twin.control, hyperopt",
-        ],
+        [bin_ / "python", "-W", "error", "-c", "import hyperopt, tactip_twin as tt; [getattr(tt, n) for n in tt.__all__]"],
         cwd=tmp_path,
         check=True,
     )
+    bench = subprocess.run([bin_ / "tactip", "bench", "fidelity"], cwd=tmp_path, capture_output=True, text=True)
+    assert bench.returncode == 1 and len(bench.stderr.splitlines()) == 1 and "git clone" in bench.stderr
     run("dataset", "make", "--samples", "4", "--fidelity", "draft", "--out", "set")
     assert "whole; 4 samples" in run("dataset", "verify", "set")
     assert json.loads(run("evaluate", "--model", "surface-tactip-127", "--data", "set", "--json"))["mae"]["pose_z"] < 0.5
