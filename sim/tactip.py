@@ -5,7 +5,7 @@ Every press is checked, and repeated with finer steps where a check fails: no re
 
 from collections.abc import Callable, Sequence
 from functools import cached_property
-from os import PathLike
+from os import PathLike, fspath
 from pathlib import Path
 
 import numpy as np
@@ -18,13 +18,14 @@ from tactip_twin.sim.contact.signed_distance import SignedDistanceMesh
 from tactip_twin.sim.contact.simulator import RetryingSimulator
 from tactip_twin.sim.contact.solid_stimulus import SolidStimulus
 from tactip_twin.sim.contact.stimuli import STIMULI, Stimulus, stimulus_named
+from tactip_twin.sim.labels import FidelityName
 from tactip_twin.sim.pose import from_mm_deg, sensor_in_contact
-from tactip_twin.sim.robot.objects import SceneObject, load_object, validate_mesh
+from tactip_twin.sim.robot.objects import SceneObject, load_object
 from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.pins import neutral_pins
 from tactip_twin.tactip_model.presets import load_design
-from tactip_twin.tactip_model.renderer import renderer_named
+from tactip_twin.tactip_model.renderer import RendererName, renderer_named
 from tactip_twin.tactip_model.tactile_image import tactile_image
 
 Pressable = str | PathLike[str] | Stimulus | SceneObject | trimesh.Trimesh
@@ -77,8 +78,8 @@ class TacTip:
     def __init__(
         self,
         design: str | PathLike[str] | Design = "tactip-127",
-        fidelity: str | Fidelity = "standard",
-        renderer: str = "pyrender",
+        fidelity: FidelityName | Fidelity = "standard",
+        renderer: RendererName = "pyrender",
         limits: QualityLimits | None = None,
     ) -> None:
         """Args:
@@ -90,9 +91,10 @@ class TacTip:
         Raises:
             TactipError: On unknown names, and on a file that is no design.
         """
-        self.design = design if isinstance(design, Design) else load_design(design)
+        self.design = design if isinstance(design, Design) else load_design(fspath(design))
         self.fidelity = fidelity if isinstance(fidelity, Fidelity) else fidelity_named(fidelity)
-        self._renderer, self._limits = renderer, limits or QualityLimits()
+        self._renderer: RendererName = renderer
+        self._limits = limits or QualityLimits()
         self._key: tuple[object, ...] | None = None
         self._pressed_on: Pressable | None = None
         self._simulator: RetryingSimulator | None = None
@@ -180,22 +182,18 @@ def _stimulus_of(stimulus: Pressable, at_mm: tuple[float, float] | None) -> Stim
         if at_mm is not None:
             raise TactipError(f"at_mm is for meshes, got {at_mm} with a stimulus: give x_mm and y_mm")
         return stimulus if isinstance(stimulus, Stimulus) else stimulus_named(stimulus)
-    if isinstance(stimulus, str | PathLike):
-        if not Path(stimulus).is_file():
-            raise TactipError(f"unknown stimulus {str(stimulus)!r}: choose one of {', '.join(STIMULI)}, or a mesh file")
-        solid = load_object(Path(stimulus)).solid
-        vertices, triangles, middle = solid.vertices, solid.triangles, None
-    elif isinstance(stimulus, SceneObject):
+    if isinstance(stimulus, str | PathLike) and not Path(stimulus).is_file():
+        raise TactipError(f"unknown stimulus {str(stimulus)!r}: choose one of {', '.join(STIMULI)}, or a mesh file")
+    if isinstance(stimulus, SceneObject):
         T, solid = stimulus.T_base_object, stimulus.solid
-        vertices, triangles, middle = solid.vertices @ T[:3, :3].T + T[:3, 3], solid.triangles, stimulus.middle_m[:2]
+        vertices, middle = solid.vertices @ T[:3, :3].T + T[:3, 3], stimulus.middle_m[:2]
     else:
-        mesh, _ = validate_mesh(stimulus, "the mesh")
-        vertices, triangles, middle = np.asarray(mesh.vertices), np.asarray(mesh.faces), None
+        source = stimulus if isinstance(stimulus, trimesh.Trimesh) else Path(stimulus)
+        solid = load_object(source).solid
+        vertices, middle = solid.vertices, (solid.vertices.min(0) + solid.vertices.max(0))[:2] / 2
     if at_mm is not None:
         middle = np.array(at_mm) / 1e3
-    elif middle is None:
-        middle = (vertices.min(0) + vertices.max(0))[:2] / 2
-    return _from_above(SignedDistanceMesh(vertices, triangles), middle)
+    return _from_above(SignedDistanceMesh(vertices, solid.triangles), middle)
 
 
 def _from_above(solid: SignedDistanceMesh, at: np.ndarray) -> SolidStimulus:
@@ -207,5 +205,5 @@ def _from_above(solid: SignedDistanceMesh, at: np.ndarray) -> SolidStimulus:
     place = top - [0, 0, gap]
     normal = solid.smooth_normal(place[None])[0]
     # The shortest turn from the vertical: x stays as near to the mesh's x as it can.
-    turn, _ = Rotation.align_vectors([normal], [[0.0, 0.0, 1.0]])
+    turn = Rotation.align_vectors([normal], [[0.0, 0.0, 1.0]])[0]
     return SolidStimulus(SignedDistanceMesh((solid.vertices - place) @ turn.as_matrix(), solid.triangles))
