@@ -1,1 +1,1 @@
-"""What people look at: geometry, pages in a browser, windows, videos, figures."""
+"""Visualization: scene geometry, browser pages, windows, videos and figures."""

@@ -1,209 +1,242 @@
-"""The live scene in a browser: a stimulus that is dragged, or moved by six sliders, and what the tip feels of it."""
+"""A live simulation in a browser: drag the stimulus or move it by six sliders, and see the tip's skin, pins and image."""
 
 import threading
 import time
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
+import viser
 from scipy.spatial.transform import Rotation
 
+from tactip_twin.sim.contact.fidelity import Fidelity
 from tactip_twin.sim.contact.interactive import InteractiveContact
 from tactip_twin.sim.contact.simulator import Diverged
+from tactip_twin.sim.contact.tip_state import TipState
 from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES
 from tactip_twin.sim.labels import COMPONENTS
 from tactip_twin.sim.pose import from_mm_deg, inverse, label_of, matrix, sensor_in_contact, to_mm_deg
-from tactip_twin.sim.view.geometry import PORCELAIN, SKIN, body_props, sensor_props
-from tactip_twin.sim.view.viser_utils import LOCAL, grey, mesh, pin_lines, place, rgb, serve, stop
+from tactip_twin.sim.view.geometry import OBJECT_COLOR, SKIN_COLOR, body_meshes, sensor_meshes
+from tactip_twin.sim.view.viser_utils import LOCAL, add_mesh, grey, pin_lines, rgb, serve, set_pose, stop
+from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.tactile_image import tactile_image
 
-_STEPS = 3
-"""Time steps between two pictures."""
+_STEPS_PER_UPDATE = 3
+"""Time steps between two updates of the page."""
 
 _IDLE_S = 0.03
-"""How often a tip at rest looks whether it is to move, s."""
+"""Interval at which a tip at rest checks for input, s."""
 
-_CLEAR_MM = 3.0
-"""How far off the stimulus can be asked to be, mm."""
+_MAX_CLEARANCE_MM = 3.0
+"""Largest distance from the stimulus on the slider, mm."""
 
-_NAMES = ("x, mm", "y, mm", "depth, mm", "roll, deg", "pitch, deg", "yaw, deg")
+_SLIDER_NAMES = ("x, mm", "y, mm", "depth, mm", "roll, deg", "pitch, deg", "yaw, deg")
 
 _START_MM_DEG = (0.0, 0.0, -2.0, 0.0, 0.0, 0.0)
 
 _T_WORLD_SENSOR = sensor_in_contact(np.zeros(6))
-"""The sensor looks down, and its apex is the middle of the world."""
+"""The sensor points down, and its apex is the origin of the world."""
 
 
-def ranges_of(name):
-    """Lowest and highest label (2, 6), mm and degrees, that can be asked for on a stimulus: a task's poses and shears."""
+def ranges_of(name: str) -> np.ndarray:
+    """Return the lowest and highest label (2, 6), mm and degrees, on the sliders: a task's poses and shears added up."""
     pose, shear = (ranges.bounds().T for ranges in (POSE_RANGES.get(name, POSE_RANGES["edge"]), SHEAR_RANGES))
     both = pose + shear
-    both[1, 2] = _CLEAR_MM
+    both[1, 2] = _MAX_CLEARANCE_MM
     return both
 
 
 class LivePage:
-    """A page that shows a tip and a stimulus, and lets one move it."""
+    """A page that shows a tip and a stimulus that can be moved."""
 
-    def __init__(self, design, name, fidelity, render, read=None, host=LOCAL, port=8080):
-        """design: Design. name: of stimulus.STIMULI. fidelity: Fidelity. render: function of tips and directions (p, 3) to
-        a grey frame. read: function of a tactile image to a dict of what is felt by component (mm and degrees), or None.
-        host: str. port: int, or the next that is free.
+    def __init__(
+        self,
+        design: Design,
+        name: str,
+        fidelity: Fidelity,
+        render: Callable[[np.ndarray, np.ndarray], np.ndarray],
+        read: Callable[[np.ndarray], Mapping[str, float]] | None = None,
+        host: str = LOCAL,
+        port: int = 8080,
+    ) -> None:
+        """Build the simulation and serve the page.
 
-        Raises TactipError on what cannot be built or served.
+        Args:
+            design: Design of the tip.
+            name: Name of the stimulus, of stimuli.STIMULI.
+            fidelity: Fidelity of the simulation.
+            render: Function of pin tips and directions, (p, 3) each, to a grey frame.
+            read: Function of a tactile image to the predicted label by component, mm and degrees; None without a network.
+            host: Address to serve at.
+            port: Port; the next free one is taken if it is in use.
+
+        Raises:
+            TactipError: If the simulation cannot be built or the page cannot be served.
         """
-        self._press = InteractiveContact(design, name, fidelity, from_mm_deg(_START_MM_DEG))
+        self._contact = InteractiveContact(design, name, fidelity, from_mm_deg(_START_MM_DEG))
         self._design, self._name, self._render, self._read = design, name, render, read
         self._lock = threading.RLock()
-        self._wanted, self._lift, self._moved, self._said = None, False, True, ""
+        self._requested: np.ndarray | None = None
+        self._lift_requested, self._changed, self._message = False, True, ""
         self._server = serve(host, port)
         self.address = f"http://{host}:{self._server.get_port()}"
-        """Where the page is."""
+        """Address of the page."""
         self._build_scene()
         self._build_panel()
-        self._show(self._press.touch(), 0.0)
+        self._show(self._contact.touch(), 0.0)
 
-    def run(self, seconds=None):
-        """Serve until Ctrl-C, or for some seconds."""
+    def run(self, seconds: float | None = None) -> None:
+        """Simulate and serve until Ctrl-C, or for some seconds."""
         end = None if seconds is None else time.monotonic() + seconds
         while end is None or time.monotonic() < end:
-            self._heed()
-            if self._press.at_rest and not self._moved:
+            self._on_input()
+            if self._contact.at_rest and not self._changed:
                 time.sleep(_IDLE_S)
                 continue
-            self._moved, began = False, time.perf_counter()
+            self._changed, began = False, time.perf_counter()
             try:
-                touch = self._press.advance(_STEPS)
+                state = self._contact.advance(_STEPS_PER_UPDATE)
             except Diverged as error:
-                self._said, self._moved = f"{error}: it was lifted", True
-                self._press.lift()
-                touch = self._press.touch()
-            self._show(touch, time.perf_counter() - began)
+                self._message, self._changed = f"{error}: it was lifted", True
+                self._contact.lift()
+                state = self._contact.touch()
+            self._show(state, time.perf_counter() - began)
 
-    def close(self):
+    def close(self) -> None:
         """Stop serving."""
         stop(self._server)
 
-    def _heed(self):
-        """Do what the page asked for since the last time."""
+    def _on_input(self) -> None:
+        """Apply the requests that came from the page since the last call."""
         with self._lock:
-            wanted, lift = self._wanted, self._lift
-            self._wanted, self._lift = None, False
-        if wanted is not None:
+            requested, lift = self._requested, self._lift_requested
+            self._requested, self._lift_requested = None, False
+        if requested is not None:
             try:
-                self._press.aim(from_mm_deg(wanted))
-                self._said = ""
+                self._contact.aim(from_mm_deg(requested))
+                self._message = ""
             except TactipError as error:
-                self._said = str(error)
-            self._moved = True
+                self._message = str(error)
+            self._changed = True
         if lift:
-            self._press.lift()
-            self._moved = True
+            self._contact.lift()
+            self._changed = True
 
-    def _show(self, touch, seconds):
-        """Show a touch.TipState; the simulation of its steps took so many seconds."""
-        image = tactile_image(self._render(touch.tips, touch.directions), self._design.image)
-        felt = self._read(image) if self._read else {}
+    def _show(self, state: TipState, seconds: float) -> None:
+        """Show a state of the tip, whose simulation took a number of seconds."""
+        image = tactile_image(self._render(state.tips, state.directions), self._design.image)
+        predicted = self._read(image) if self._read else {}
         with self._server.atomic():
-            place(self._stimulus, _T_WORLD_SENSOR @ inverse(sensor_in_contact(self._press.label)))
-            self._skin.vertices = touch.skin.astype(np.float32)
-            self._pins.points = pin_lines(touch.tips, touch.directions)
+            set_pose(self._stimulus, _T_WORLD_SENSOR @ inverse(sensor_in_contact(self._contact.label)))
+            self._skin.vertices = state.skin.astype(np.float32)
+            self._pins.points = pin_lines(state.tips, state.directions)
             self._image.image = grey(image)
-            self._told.content = self._words(touch, felt, seconds)
+            self._status.content = self._status_text(state, predicted, seconds)
 
-    def _words(self, touch, felt, seconds):
-        """What is told, Markdown."""
-        now = dict(zip(COMPONENTS, zip(_NAMES, to_mm_deg(self._press.label), strict=True), strict=True))
+    def _status_text(self, state: TipState, predicted: Mapping[str, float], seconds: float) -> str:
+        """Return the text beside the scene, Markdown."""
+        label = zip(_SLIDER_NAMES, to_mm_deg(self._contact.label), strict=True)
+        now: dict[str, tuple[str, float]] = dict(zip(COMPONENTS, label, strict=True))
         lines = [
-            f"force {np.linalg.norm(touch.force):.2f} N, of it along the axis {-touch.force[2]:.2f} N; "
-            f"penetration {1e3 * touch.penetration_m:.3f} mm",
-            "at rest" if self._press.at_rest else f"{1e3 * seconds / _STEPS:.0f} ms a time step",
+            f"force {np.linalg.norm(state.force):.2f} N, of it along the axis {-state.force[2]:.2f} N; "
+            f"penetration {1e3 * state.penetration_m:.3f} mm",
+            "at rest" if self._contact.at_rest else f"{1e3 * seconds / _STEPS_PER_UPDATE:.0f} ms a time step",
         ]
-        if felt:
-            rows = [f"| {now[c][0]} | {now[c][1]:.2f} | {value:.2f} |" for c, value in felt.items()]
+        if predicted:
+            rows = [f"| {now[c][0]} | {now[c][1]:.2f} | {value:.2f} |" for c, value in predicted.items()]
             lines.append("\n".join(["| | is | felt |", "|---|---|---|", *rows]))
-        return "\n\n".join([*lines, f"**{self._said}**" if self._said else ""])
+        return "\n\n".join([*lines, f"**{self._message}**" if self._message else ""])
 
-    def _build_scene(self):
-        scene, touch = self._server.scene, self._press.touch()
+    def _build_scene(self) -> None:
+        scene, state = self._server.scene, self._contact.touch()
         scene.set_up_direction("+z")
         scene.add_light_ambient("/lights/ambient", intensity=0.6)
         self._stimulus = scene.add_frame("/stimulus", show_axes=False)
-        for n, prop in enumerate(body_props(self._press.scene.model, "stimulus", PORCELAIN)):
-            mesh(scene, f"/stimulus/{n}", prop)
+        for n, mesh in enumerate(body_meshes(self._contact.scene.model, "stimulus", OBJECT_COLOR)):
+            add_mesh(scene, f"/stimulus/{n}", mesh)
         tip = scene.add_frame("/tip", show_axes=False)
-        place(tip, _T_WORLD_SENSOR)
-        for n, prop in enumerate(sensor_props(self._design.shape.radius_m)):
-            mesh(scene, f"/tip/{n}", prop)
-        triangles = self._press.scene.mesh.triangles.astype(np.uint32)
-        skin = touch.skin.astype(np.float32)
-        self._skin = scene.add_mesh_simple("/tip/skin", skin, triangles, color=rgb(SKIN), side="double")
-        pins = pin_lines(touch.tips, touch.directions)
+        set_pose(tip, _T_WORLD_SENSOR)
+        for n, mesh in enumerate(sensor_meshes(self._design.shape.radius_m)):
+            add_mesh(scene, f"/tip/{n}", mesh)
+        triangles = self._contact.scene.mesh.triangles.astype(np.uint32)
+        skin = state.skin.astype(np.float32)
+        self._skin = scene.add_mesh_simple("/tip/skin", skin, triangles, color=rgb(SKIN_COLOR), side="double")
+        pins = pin_lines(state.tips, state.directions)
         self._pins = scene.add_line_segments("/tip/pins", pins, (245, 245, 245), thickness=0.9e-3)
-        # What is dragged is where the stimulus is to be, and it comes after.
+        # The handle is the target of the stimulus, which follows it.
         self._handle = scene.add_transform_controls("/wanted", scale=0.03, depth_test=False)
-        self._handle.on_update(lambda event: self._dragged())
-        self._look("overview", self._server.initial_camera)
+        self._handle.on_update(lambda _: self._on_drag())
+        self._set_view("overview", self._server.initial_camera)
 
-    def _build_panel(self):
+    def _build_panel(self) -> None:
         gui, (low, high) = self._server.gui, ranges_of(self._name)
         gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
         gui.set_panel_label(f"{self._design.name}, {self._name}")
         self._sliders = []
-        for name, least, most, start in zip(_NAMES, low, high, _START_MM_DEG, strict=True):
-            slider = gui.add_slider(name, float(least), float(most), 0.1, start)
-            slider.on_update(lambda event: event.client is not None and self._slid())
+
+        def on_update(event: viser.GuiEvent) -> None:
+            if event.client is not None:  # moved by hand, and not by the handle
+                self._on_slider()
+
+        for name, minimum, maximum, start in zip(_SLIDER_NAMES, low, high, _START_MM_DEG, strict=True):
+            slider = gui.add_slider(name, float(minimum), float(maximum), 0.1, start)
+            slider.on_update(on_update)
             self._sliders.append(slider)
-        self._put_handle()
-        does = gui.add_button_group("do", ["lift and press", "back to the start"])
+        self._place_handle()
+        actions = gui.add_button_group("do", ["lift and press", "back to the start"])
         views = gui.add_button_group("look", ["overview", "close", "inside"])
-        clear = gui.add_checkbox("see through the skin", False)
-        self._told = gui.add_markdown("")
+        see_through = gui.add_checkbox("see through the skin", False)
+        self._status = gui.add_markdown("")
         self._image = gui.add_image(np.zeros((8, 8, 3), np.uint8), label="felt", format="png")
-        acts = {"lift and press": self._lifted, "back to the start": self._back}
-        does.on_click(lambda event: acts[event.target.value]())
-        views.on_click(lambda event: event.client and self._look(event.target.value, event.client.camera))
-        clear.on_update(lambda event: setattr(self._skin, "opacity", 0.35 if clear.value else None))
+        functions = {"lift and press": self._on_lift, "back to the start": self._on_reset}
+        actions.on_click(lambda event: functions[event.target.value]())
+        views.on_click(lambda event: event.client and self._set_view(event.target.value, event.client.camera))
+        see_through.on_update(lambda _: setattr(self._skin, "opacity", 0.35 if see_through.value else None))
 
-    def _want(self, label_mm_deg):
+    def _request(self, label_mm_deg: Sequence[float] | np.ndarray) -> None:
+        """Request a label (6,), mm and degrees."""
         with self._lock:
-            self._wanted = np.array(label_mm_deg, float)
+            self._requested = np.array(label_mm_deg, float)
 
-    def _slid(self):
-        """A slider was moved."""
-        self._want([slider.value for slider in self._sliders])
-        self._put_handle()
+    def _on_slider(self) -> None:
+        """Request the sliders' label, and move the handle there."""
+        self._request([slider.value for slider in self._sliders])
+        self._place_handle()
 
-    def _dragged(self):
-        """The handle was: the sliders follow, as far as they go."""
+    def _on_drag(self) -> None:
+        """Request the handle's label, within the sliders' ranges, and move the sliders there."""
         T = matrix(self._handle.position, Rotation.from_quat(self._handle.wxyz, scalar_first=True))
         low, high = ranges_of(self._name)
         label = np.clip(to_mm_deg(label_of(inverse(inverse(_T_WORLD_SENSOR) @ T))), low, high)
         for slider, value in zip(self._sliders, label, strict=True):
             slider.value = float(value)
-        self._want(label)
+        self._request(label)
 
-    def _lifted(self):
+    def _on_lift(self) -> None:
+        """Request a lift."""
         with self._lock:
-            self._lift = True
+            self._lift_requested = True
 
-    def _back(self):
+    def _on_reset(self) -> None:
+        """Request the initial label and a lift."""
         for slider, value in zip(self._sliders, _START_MM_DEG, strict=True):
             slider.value = value
-        self._slid()
-        self._lifted()
+        self._on_slider()
+        self._on_lift()
 
-    def _put_handle(self):
+    def _place_handle(self) -> None:
+        """Move the handle to the sliders' label."""
         label = from_mm_deg([slider.value for slider in self._sliders])
-        place(self._handle, _T_WORLD_SENSOR @ inverse(sensor_in_contact(label)))
+        set_pose(self._handle, _T_WORLD_SENSOR @ inverse(sensor_in_contact(label)))
 
-    def _look(self, view, camera):
-        """Bring a camera (viser's) to a view: overview, close or inside."""
+    def _set_view(self, view: str, camera: viser.CameraHandle | viser.InitialCameraConfig) -> None:
+        """Move a camera to a view: `overview`, `close` or `inside`."""
         eye, target, field = {
             "overview": ((0.12, -0.3, 0.12), (0, 0, 0.03), 45.0),
             "close": ((0.03, -0.1, -0.015), (0, 0, 0.005), 45.0),
             "inside": ((0, 0, 0.022), (0, 0, 0), 110.0),
         }[view]
         camera.position, camera.look_at, camera.fov = eye, target, float(np.radians(field))
-        if camera is not self._server.initial_camera:
-            # Inside as the tactile image is: x to the right, y down.
+        if isinstance(camera, viser.CameraHandle):
+            # The view from inside is oriented as the tactile image: x to the right, y down.
             camera.up_direction = tuple(-_T_WORLD_SENSOR[:3, 1]) if view == "inside" else (0.0, 0.0, 1.0)

@@ -1,13 +1,18 @@
-"""Pictures of coloured surfaces, off screen, by pyrender."""
+"""Off-screen images of colored meshes, by pyrender."""
+
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from tactip_twin.sim.view.geometry import ColoredMesh
 from tactip_twin.tactip_model.pyrender_renderer import renderer
 
 BACKGROUND = (252, 252, 252)
 
 _LIGHTS = (((0.3, -0.5, 0.8), 0.66), ((-0.7, 0.5, 0.4), 0.3))
-"""Directions of light, and how much of it."""
+"""Directions and strengths of the lights."""
 
 _AMBIENT = 0.2
 
@@ -15,26 +20,43 @@ _NEAR_M, _FAR_M = 0.02, 6.0
 
 
 class SceneRenderer:
-    """A camera among surfaces; cheap to use, dear to make."""
+    """A camera in a scene of meshes. It is slow to build and fast to use."""
 
-    def __init__(self, width, height, still):
-        """width, height: int, px. still: list of stage.Prop that stay. Raises TactipError where OpenGL cannot be used."""
+    def __init__(self, width: int, height: int, static: Sequence[ColoredMesh]) -> None:
+        """Build the scene.
+
+        Args:
+            width: Width of the images, px.
+            height: Height of the images, px.
+            static: Meshes that are in every image.
+
+        Raises:
+            TactipError: If OpenGL cannot be used.
+        """
         self._pyrender, self._renderer = renderer()
         self._size = width, height
         background = [c / 255 for c in BACKGROUND]
         self._scene = self._pyrender.Scene(bg_color=[*background, 1.0], ambient_light=[1.0, 1.0, 1.0])
         self._camera = self._scene.add(self._pyrender.PerspectiveCamera(0.6, _NEAR_M, _FAR_M))
-        if still:
-            self._scene.add(self._mesh(still))
+        if static:
+            self._scene.add(self._mesh(static))
 
-    def picture(self, moving, eye, target, field_deg=35.0):
-        """Image (h, w, 3) uint8 of what stays and `moving`, a list of Prop.
+    def render(
+        self, moving: Sequence[ColoredMesh], eye: ArrayLike, target: ArrayLike, field_deg: float = 35.0
+    ) -> np.ndarray:
+        """Render the static meshes together with others.
 
-        eye, target: (3,) m, where the camera is and what is in its middle. field_deg: float, from its lower to its upper
-        border.
+        Args:
+            moving: Meshes of this image only.
+            eye: (3,) m, position of the camera.
+            target: (3,) m, point in the middle of the image.
+            field_deg: Vertical field of view, degrees.
+
+        Returns:
+            Image (h, w, 3) uint8.
         """
         self._camera.camera.yfov = np.radians(field_deg)
-        self._scene.set_pose(self._camera, looking(eye, target))
+        self._scene.set_pose(self._camera, look_at(eye, target))
         node = self._scene.add(self._mesh(moving)) if moving else None
         self._renderer.viewport_width, self._renderer.viewport_height = self._size
         flags = self._pyrender.RenderFlags.FLAT | self._pyrender.RenderFlags.SKIP_CULL_FACES
@@ -43,21 +65,21 @@ class SceneRenderer:
             self._scene.remove_node(node)
         return image
 
-    def _mesh(self, props):
-        """One pyrender mesh of props, with the light in its colours."""
-        counts = np.cumsum([0] + [len(p.vertices) for p in props])
-        colour = np.concatenate([shade(p.normals) * (np.array(p.colour) / 255) for p in props])
+    def _mesh(self, meshes: Sequence[ColoredMesh]) -> Any:  # pyrender has no types
+        """Return meshes as one pyrender mesh, with the light in its colors."""
+        counts = np.cumsum([0] + [len(m.vertices) for m in meshes])
+        color = np.concatenate([shade(m.normals) * (np.array(m.color) / 255) for m in meshes])
         primitive = self._pyrender.Primitive(
-            positions=np.concatenate([p.vertices for p in props]).astype(np.float32),
-            indices=np.concatenate([p.triangles + n for p, n in zip(props, counts[:-1], strict=True)]),
-            color_0=np.column_stack([colour, np.ones(len(colour))]).astype(np.float32),
+            positions=np.concatenate([m.vertices for m in meshes]).astype(np.float32),
+            indices=np.concatenate([m.triangles + n for m, n in zip(meshes, counts[:-1], strict=True)]),
+            color_0=np.column_stack([color, np.ones(len(color))]).astype(np.float32),
             material=self._pyrender.MetallicRoughnessMaterial(doubleSided=True, baseColorFactor=[1.0, 1.0, 1.0, 1.0]),
         )
         return self._pyrender.Mesh([primitive])
 
 
-def looking(eye, target):
-    """Pose (4, 4) of a camera at `eye` (3,) that looks at `target` (3,), upright: x right, y up, z back."""
+def look_at(eye: ArrayLike, target: ArrayLike) -> np.ndarray:
+    """Return the pose (4, 4) of an upright camera at `eye` (3,) that looks at `target` (3,): x right, y up, z back."""
     T, back = np.eye(4), np.asarray(eye, float) - np.asarray(target, float)
     back /= np.linalg.norm(back)
     right = np.cross([0, 0, 1.0], back)
@@ -67,7 +89,10 @@ def looking(eye, target):
     return T
 
 
-def shade(normals):
-    """Light (n, 1), 0 to 1, on normals (n, 3)."""
-    light = _AMBIENT + sum(much * np.maximum(normals @ (np.array(way) / np.linalg.norm(way)), 0) for way, much in _LIGHTS)
+def shade(normals: np.ndarray) -> np.ndarray:
+    """Return the light (n, 1), 0 to 1, on surfaces with normals (n, 3)."""
+    light = _AMBIENT + sum(
+        strength * np.maximum(normals @ (np.array(direction) / np.linalg.norm(direction)), 0)
+        for direction, strength in _LIGHTS
+    )
     return np.clip(light, 0.02, 1)[:, None]

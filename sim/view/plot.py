@@ -1,9 +1,10 @@
-"""Matplotlib that draws into files: nothing here needs a screen."""
+"""Matplotlib for figures in files: nothing here needs a display."""
+
+from types import ModuleType
 
 
-def pyplot():
-    """The module matplotlib.pyplot, with the backend that draws into files whatever screen there is. It is imported here and
-    not with this file, for it takes a while."""
+def pyplot() -> ModuleType:
+    """Return matplotlib.pyplot with the backend for files. It is imported on the first call because that takes a while."""
     import matplotlib
 
     matplotlib.use("Agg")

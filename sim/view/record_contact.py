@@ -1,10 +1,14 @@
-"""A contact of a data set as a recording: played once more, the same to the bit, and kept at every time step."""
+"""A contact of a data set as a recording: simulated again, bit for bit, and recorded at every time step."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from tactip_twin.sim.contact.simulator import ContactSimulator, RetryingSimulator
+from tactip_twin.sim.dataset.configuration import Configuration
 from tactip_twin.sim.dataset.format import read_configuration, read_meta, read_rows, versions
 from tactip_twin.sim.dataset.generate import sample_contact, simulator_for
 from tactip_twin.sim.dataset.sliding import SlidingPath
@@ -12,25 +16,40 @@ from tactip_twin.sim.labels import COMPONENTS
 from tactip_twin.sim.pose import from_mm_deg, sensor_in_contact
 from tactip_twin.sim.robot.recording import RecordedScene, Recorder
 from tactip_twin.sim.view.geometry import body_mesh
-from tactip_twin.tactip_model.errors import TactipError
-from tactip_twin.tactip_model.renderer import renderer_named
+from tactip_twin.tactip_model.errors import TactipError, lookup
+from tactip_twin.tactip_model.renderer import RENDERERS
 from tactip_twin.tactip_model.tactile_image import tactile_image
 
 _PLACE_M = (0.3, 0.0)
-"""Where the stimulus stands, m: in the middle of the table that is drawn."""
+"""Position of the stimulus, m: the middle of the table that is shown."""
 
-_LEAST_N = 0.02
-"""Force from which on there is contact, N."""
+_MIN_CONTACT_N = 0.02
+"""Force above which there is contact, N."""
 
 
-def record_contact(folder, sample, out, read: Callable | None = None):
-    """Play the contact that sample `sample` (int) of the set in a folder is of, and record it into the folder `out`.
+ReadLabel = Callable[[np.ndarray], Mapping[str, float]]
+"""Function of a tactile image to the predicted label by component, mm and degrees."""
 
-    A sample that is a turn or a mirror of a contact is shown as the contact itself; a look on a walk, with the walk to it.
 
-    read: function of a tactile image to a dict of what is felt by component (mm and degrees), or None. Returns the record
-    and arrays, as recording.read_recording. Raises TactipError where the set cannot be read or was not simulated, there is
-    no such sample, or `out` is in use.
+def record_contact(
+    folder: str | Path, sample: int, out: str | PathLike[str], read: ReadLabel | None = None
+) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """Simulate the contact of a sample again and record it.
+
+    A sample that is a rotation or mirror image of a contact is recorded as the contact itself; a sample from a sliding path,
+    with the path up to it.
+
+    Args:
+        folder: Folder of the data set.
+        sample: Index of the sample.
+        out: Folder to record into.
+        read: Predicts labels from images; None without a network.
+
+    Returns:
+        The record and arrays, as recording.read_recording returns them.
+
+    Raises:
+        TactipError: If the set cannot be read or was not simulated, there is no such sample, or `out` is in use.
     """
     meta = read_meta(folder)
     configuration = read_configuration(meta, folder)
@@ -42,60 +61,66 @@ def record_contact(folder, sample, out, read: Callable | None = None):
             if kept
             else f"the set in {folder} has no sample"
         )
-    number = sample // configuration.each
+    number = sample // configuration.samples_per_contact
     given = sample_contact(configuration, number)
-    solid, player = given.solid, simulator_for(configuration, given.design)
+    solid, simulator = given.solid, simulator_for(configuration, given.design)
     if solid is not None:
-        player.stimulus.solid = solid
-    scene = player.last.scene
-    thing = body_mesh(scene.model, "stimulus") if solid is None else (solid.vertices, solid.triangles)
+        simulator.replace_solid(solid)
+    scene = simulator.last.scene
+    vertices, triangles = body_mesh(scene.model, "stimulus") if solid is None else (solid.vertices, solid.triangles)
     T_base_object = np.eye(4)
-    T_base_object[:3, 3] = [*_PLACE_M, -thing[0][:, 2].min()]
-    player.watch = keeper = _Keeper(player, configuration, T_base_object, read)
-    contact, faults = player.play(given.pose, given.shear)
-    walk = SlidingPath(configuration.task, solid, configuration.pose, given.pose, given.draw)
-    keeper.truth = walk.truth
-    for _ in range(sample % configuration.each // len(configuration.symmetries)):
-        contact = player.slide(walk.stride(), walk.label())
+    T_base_object[:3, 3] = [*_PLACE_M, -vertices[:, 2].min()]
+    simulator.watch = steps = _Rows(simulator, configuration, T_base_object, read)
+    contact, failures = simulator.play(given.pose, given.shear)
+    path = SlidingPath(configuration.task, solid, configuration.pose, given.pose, given.rng)
+    steps.true_label = path.truth.label
+    for _ in range(sample % configuration.samples_per_contact // len(configuration.symmetries)):
+        contact = simulator.slide(path.stride(), path.label())
     description = {
         "task": configuration.task,
         "object": f"sample {sample} of {Path(folder).name}",
         "set": {"folder": str(folder), "digest": meta["digest"], "sample": sample, "contact": number},
         "shear": contact.shear.tolist(),
-        "tries": len(faults) + 1,
+        "tries": len(failures) + 1,
         "versions": versions(),
     }
     radius = configuration.design.shape.radius_m
-    recorder = Recorder(out, description, RecordedScene(*thing, T_base_object, scene.mesh.triangles, radius, False))
-    for row in keeper.rows:
+    scenery = RecordedScene(vertices, triangles, T_base_object, scene.mesh.triangles, radius, False)
+    recorder = Recorder(out, description, scenery)
+    for row in steps.accepted:
         recorder.add(row)
     return recorder.finish({"stopped_because": "the tip is at rest", "closed": False})
 
 
-class _Keeper:
-    """Keeps the state after each time step of the last try of a RetryingSimulator."""
+class _Rows:
+    """The state after each time step of every try of a RetryingSimulator, as rows of a recording."""
 
-    def __init__(self, player, configuration, T_base_object, read):
-        self._player, self._design, self._read = player, configuration.design, read
-        self._render = renderer_named(configuration.renderer, configuration.design)
-        self._T_base_object, self._tries = T_base_object, {}
-        self.truth = None
-        """Tells the true label where the contact goes on; until then it is the label that the contact is brought to."""
+    def __init__(
+        self, simulator: RetryingSimulator, configuration: Configuration, T_base_object: np.ndarray, read: ReadLabel | None
+    ) -> None:
+        self._simulator, self._design, self._read = simulator, configuration.design, read
+        self._render = lookup("renderer", configuration.renderer, RENDERERS)(configuration.design)
+        self._T_base_object = T_base_object
+        self._tries: dict[ContactSimulator, list[dict[str, Any]]] = {}
+        self.true_label: Callable[[np.ndarray], np.ndarray] | None = None
+        """Function of T_stimulus_sensor (4, 4) to the true label, set while the contact slides on. Before that, the true
+        label is the commanded one."""
 
     @property
-    def rows(self):
-        """Rows (list of dict) of the try that served, from its approach on."""
-        return self._tries[self._player.last]
+    def accepted(self) -> list[dict[str, Any]]:
+        """Rows of the accepted try, from its approach on."""
+        return self._tries[self._simulator.last]
 
-    def __call__(self, phase, label):
-        player = self._player.last
-        scene = player.scene
+    def __call__(self, phase: str, label: np.ndarray) -> None:
+        """Add the state of a phase at a commanded label (6,), m and rad."""
+        simulator = self._simulator.last
+        scene = simulator.scene
         skin = scene.vertices()[: scene.mesh.surface_count]
-        tips, directions = player.reader.read(skin)
+        tips, directions = simulator.reader.read(skin)
         image = tactile_image(self._render(tips, directions), self._design.image)
         force = scene.contact_force()
         T = self._T_base_object @ sensor_in_contact(label)
-        self._tries.setdefault(player, []).append({
+        self._tries.setdefault(simulator, []).append({
             "T_base_tcp": T,
             "T_told": T,
             "angles_rad": np.full(6, np.nan),
@@ -103,9 +128,9 @@ class _Keeper:
             "directions": directions,
             "skin_m": skin,
             "force_n": force,
-            "felt": self._felt(image),
-            "true": self.truth.label(sensor_in_contact(label)) if self.truth else label,
-            "touching": float(np.linalg.norm(force) > _LEAST_N),
+            "felt": self._predicted(image),
+            "true": self.true_label(sensor_in_contact(label)) if self.true_label else label,
+            "touching": float(np.linalg.norm(force) > _MIN_CONTACT_N),
             "penetration_m": scene.penetration(),
             "phase": phase,
             "part": 0,
@@ -114,7 +139,7 @@ class _Keeper:
             "images": image,
         })  # fmt: skip
 
-    def _felt(self, image):
-        """The label (6,), m and rad, that is felt; not a number where nothing is."""
-        told = self._read(image) if self._read else {}
-        return from_mm_deg([told.get(component, np.nan if not told else 0.0) for component in COMPONENTS])
+    def _predicted(self, image: np.ndarray) -> np.ndarray:
+        """Return the predicted label (6,), m and rad; NaN without a prediction."""
+        predicted = self._read(image) if self._read else {}
+        return from_mm_deg([predicted.get(component, np.nan if not predicted else 0.0) for component in COMPONENTS])

@@ -1,58 +1,75 @@
-"""A replay in a browser: arm, object, skin and pins, the tactile image, what is felt against what is true. By viser."""
+"""A replay in a browser, by viser: arm, object, skin and pins, the tactile image, and predictions against ground truth."""
 
 import threading
 import time
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
+import viser
 from viser import uplot
 
 from tactip_twin.sim.labels import COMPONENTS, LEARNED
 from tactip_twin.sim.pose import to_mm_deg
-from tactip_twin.sim.robot.recording import PHASES
-from tactip_twin.sim.view.geometry import COLOURS, PORCELAIN, SKIN, TABLE, SceneGeometry, way_lines
+from tactip_twin.sim.robot.recording import PHASES, RecordedScene
+from tactip_twin.sim.view.geometry import PATH_COLORS, SKIN_COLOR, SceneGeometry, path_lines
 from tactip_twin.sim.view.playback import SPEEDS, Playback
-from tactip_twin.sim.view.viser_utils import LOCAL, grey, mesh, pin_lines, place, rgb, serve, stop
+from tactip_twin.sim.view.viser_utils import LOCAL, add_mesh, grey, pin_lines, rgb, serve, set_pose, stop
 from tactip_twin.tactip_model.errors import TactipError
 
 _PICTURES_HZ = 30.0
-"""How often what moves is sent while it plays."""
+"""Rate at which moving geometry is sent during play."""
 
 _CURVES_HZ = 5.0
-"""How often the mark on the curves is: they are sent whole."""
+"""Rate at which the mark on the curves is sent: lower, because the curves are sent whole."""
 
 _CURVES = (("x", 0, "mm"), ("depth", 2, "mm"), ("Rx", 3, "deg"), ("Ry", 4, "deg"), ("Rz", 5, "deg"))
-"""Components that can be felt: what they are called, place in a label, unit."""
+"""Components that networks predict: name, index in a label, unit."""
 
 
 class ReplayPage:
     """A page that shows one recording."""
 
-    def __init__(self, record, arrays, scenery, host=LOCAL, port=8080):
-        """record, arrays, scenery: of tactip_twin.sim.robot.recording. host: str, address to serve at. port: int; the
-        next that is free.
+    def __init__(
+        self,
+        record: Mapping[str, Any],
+        arrays: Mapping[str, np.ndarray],
+        scenery: RecordedScene,
+        host: str = LOCAL,
+        port: int = 8080,
+    ) -> None:
+        """Serve the page.
 
-        Raises TactipError where there is nothing to show, or it cannot be served.
+        Args:
+            record: Record of the recording (tactip_twin.sim.robot.recording.read_recording).
+            arrays: Its arrays.
+            scenery: Its scene.
+            host: Address to serve at.
+            port: Port; the next free one is taken if it is in use.
+
+        Raises:
+            TactipError: If there is no step to show, or the page cannot be served.
         """
         if not record["steps"]:
             raise TactipError("there is nothing to be seen in the recording: no step was made")
-        self._record, self._arrays, self._stage = record, arrays, SceneGeometry(scenery)
-        self._felt, self._true = to_mm_deg(arrays["felt"]), to_mm_deg(arrays["true"])
-        self._lines, self._ends = way_lines(arrays)
+        self._record, self._arrays, self._geometry = record, arrays, SceneGeometry(scenery)
+        self._predicted, self._true = to_mm_deg(arrays["felt"]), to_mm_deg(arrays["true"])
+        self._lines, self._line_counts = path_lines(arrays)
         if not len(self._lines):
-            self._lines = np.zeros((1, 2, 3), np.float32)  # viser draws no line of none
+            self._lines = np.zeros((1, 2, 3), np.float32)  # viser needs a line
         self.playback = Playback(record["steps"], [event["step"] for event in record["events"]])
-        """Where the replay is."""
+        """State of the replay."""
         self.pictures = 0
-        """Steps that were shown so far."""
+        """Number of steps shown so far."""
         self._lock, self._shown, self._marked_s = threading.RLock(), -1, 0.0
         self._server = serve(host, port)
         self.address = f"http://{host}:{self._server.get_port()}"
-        """Where the page is."""
+        """Address of the page."""
         self._build_scene()
         self._build_panel()
         self.show()
 
-    def run(self, seconds=None):
+    def run(self, seconds: float | None = None) -> None:
         """Serve until Ctrl-C, or for some seconds."""
         end = None if seconds is None else time.monotonic() + seconds
         while end is None or time.monotonic() < end:
@@ -64,12 +81,12 @@ class ReplayPage:
                     self.show()
             time.sleep(max(0.001, 1 / _PICTURES_HZ - (time.monotonic() - began)))
 
-    def close(self):
+    def close(self) -> None:
         """Stop serving."""
         stop(self._server)
 
-    def show(self):
-        """Show the step that the replay is at."""
+    def show(self) -> None:
+        """Show the current step of the replay."""
         with self._lock, self._server.atomic():
             k, a = self.playback.step, self._arrays
             self._buttons["play"].label = "Pause" if self.playback.playing else "Play"
@@ -77,64 +94,64 @@ class ReplayPage:
                 return
             self._shown, self.pictures = k, self.pictures + 1
             self._slider.value = k
-            place(self._tip, a["T_base_tcp"][k])
+            set_pose(self._tip, a["T_base_tcp"][k])
             self._skin.vertices = a["skin_m"][k].astype(np.float32)
             self._pins.points = pin_lines(a["tips_m"][k], a["directions"][k])
             if np.isfinite(a["angles_rad"][k]).all():
-                poses = self._stage.poses(a["angles_rad"][k])
+                poses = self._geometry.body_poses(a["angles_rad"][k])
                 for body, frame in self._links.items():
-                    place(frame, poses[body])
-            self._way.points = self._lines[: max(1, self._ends[k])]
+                    set_pose(frame, poses[body])
+            self._path.points = self._lines[: max(1, self._line_counts[k])]
             if self._image is not None:
                 self._image.image = grey(a["images"][k])
-            self._told.content = self._words(k)
+            self._status.content = self._status_text(k)
             now = time.monotonic()
             if not self.playback.playing or now - self._marked_s > 1 / _CURVES_HZ:
                 self._marked_s = now
                 for handle, data in self._curves:
                     handle.data = (*data, _mark(data, k))
 
-    def _build_scene(self):
-        scene, stage = self._server.scene, self._stage
+    def _build_scene(self) -> None:
+        scene, geometry = self._server.scene, self._geometry
         scene.set_up_direction("+z")
         scene.add_light_ambient("/lights/ambient", intensity=0.6)
-        for name, prop, colour in zip(("object", "table"), stage.still, (PORCELAIN, TABLE), strict=True):
-            mesh(scene, f"/{name}", prop, colour)
+        for name, mesh in zip(("object", "table"), geometry.static, strict=True):
+            add_mesh(scene, f"/{name}", mesh)
         self._links = {}
-        for body, props in stage.links.items():
+        for body, meshes in geometry.links.items():
             self._links[body] = scene.add_frame(f"/arm/{body}", show_axes=False)
-            for n, prop in enumerate(props):
-                mesh(scene, f"/arm/{body}/{n}", prop, prop.colour)
+            for n, mesh in enumerate(meshes):
+                add_mesh(scene, f"/arm/{body}/{n}", mesh)
         self._tip = scene.add_frame("/tip", show_axes=False)
-        for n, prop in enumerate(stage.sensor):
-            mesh(scene, f"/tip/{n}", prop, prop.colour)
+        for n, mesh in enumerate(geometry.sensor):
+            add_mesh(scene, f"/tip/{n}", mesh)
         skin = self._arrays["skin_m"][0].astype(np.float32)
-        triangles = stage.skin_triangles.astype(np.uint32)
-        self._skin = scene.add_mesh_simple("/tip/skin", skin, triangles, color=rgb(SKIN), side="double")
+        triangles = geometry.skin_triangles.astype(np.uint32)
+        self._skin = scene.add_mesh_simple("/tip/skin", skin, triangles, color=rgb(SKIN_COLOR), side="double")
         pins = pin_lines(self._arrays["tips_m"][0], self._arrays["directions"][0])
         self._pins = scene.add_line_segments("/tip/pins", pins, (245, 245, 245), thickness=0.9e-3)
-        colour = rgb(COLOURS[self._record["task"]])
-        self._way = scene.add_line_segments("/way", self._lines[:1], colour, thickness=0.6e-3)
-        self._look("overview", self._server.initial_camera)
+        color = rgb(PATH_COLORS[self._record["task"]])
+        self._path = scene.add_line_segments("/way", self._lines[:1], color, thickness=0.6e-3)
+        self._set_view("overview", self._server.initial_camera)
 
-    def _build_panel(self):
+    def _build_panel(self) -> None:
         gui, replay = self._server.gui, self.playback
         gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
         gui.set_panel_label(f"{self._record['object']}, {self._record['task']}")
         self._buttons = {"play": gui.add_button("Play")}
         self._slider = gui.add_slider("step", 0, max(1, self._record["steps"] - 1), 1, 0)
         speed = gui.add_dropdown("speed", [f"{s:g}" for s in SPEEDS], initial_value="1")
-        walk = gui.add_button_group("go", ["|<", "<", ">", ">|", "event <", "event >"])
+        steps_group = gui.add_button_group("go", ["|<", "<", ">", ">|", "event <", "event >"])
         views = gui.add_button_group("look", ["overview", "close", "inside"])
-        clear = gui.add_checkbox("see through the skin", False)
-        self._told = gui.add_markdown("")
+        see_through = gui.add_checkbox("see through the skin", False)
+        self._status = gui.add_markdown("")
         has_images = self._arrays["images"].size > 0
         self._image = gui.add_image(grey(self._arrays["images"][0]), label="felt", format="png") if has_images else None
         self._curves = []
         steps = np.arange(self._record["steps"], dtype=float)
         for name, k, unit in _CURVES:
             if COMPONENTS[k] in LEARNED[self._record["task"]]:
-                data = (steps, self._true[:, k].copy(), self._felt[:, k].copy())
+                data = (steps, self._true[:, k].copy(), self._predicted[:, k].copy())
                 series = [uplot.Series(label="step"), uplot.Series(label="true", stroke="black", width=2)]
                 series += [uplot.Series(label="felt", stroke="#c0392b", width=1), _dot()]
                 chart = gui.add_uplot(
@@ -147,15 +164,15 @@ class ReplayPage:
                 )
                 self._curves.append((chart, data))
 
-        def does(change):
-            def act(_=None):
+        def and_show(change: Callable[[], None]) -> Callable[[object], None]:
+            def callback(_: object) -> None:
                 with self._lock:
                     change()
                     self.show()
 
-            return act
+            return callback
 
-        walks = {
+        moves = {
             "|<": lambda: replay.forward(-(10**9)),
             "<": lambda: replay.forward(-1),
             ">": lambda: replay.forward(1),
@@ -163,26 +180,27 @@ class ReplayPage:
             "event <": lambda: replay.jump(-1),
             "event >": lambda: replay.jump(1),
         }
-        self._buttons["play"].on_click(does(replay.toggle))
-        walk.on_click(lambda event: does(walks[event.target.value])())
-        views.on_click(lambda event: event.client and self._look(event.target.value, event.client.camera))
-        speed.on_update(does(lambda: setattr(replay, "speed", float(speed.value))))
-        clear.on_update(does(lambda: setattr(self._skin, "opacity", 0.35 if clear.value else None)))
+        self._buttons["play"].on_click(and_show(replay.toggle))
+        steps_group.on_click(lambda event: and_show(moves[event.target.value])(event))
+        views.on_click(lambda event: event.client and self._set_view(event.target.value, event.client.camera))
+        speed.on_update(and_show(lambda: setattr(replay, "speed", float(speed.value))))
+        see_through.on_update(and_show(lambda: setattr(self._skin, "opacity", 0.35 if see_through.value else None)))
 
         @self._slider.on_update
-        def _(event):
+        def _(event: viser.GuiEvent) -> None:
             if event.client is not None:  # moved by hand, and not by the replay
-                does(lambda: replay.go(int(self._slider.value)))()
+                and_show(lambda: replay.go(self._slider.value))(event)
 
-        keys = {"space": ("Play or pause", replay.toggle), "arrowright": ("Next step", walks[">"])}
-        keys |= {"arrowleft": ("Step before", walks["<"]), "home": ("First step", walks["|<"])}
-        keys |= {"end": ("Last step", walks[">|"]), "N": ("Next event", walks["event >"])}
-        keys |= {"P": ("Event before", walks["event <"])}
-        for key, (label, change) in keys.items():
-            gui.add_command(label, hotkey=key).on_trigger(does(change))
+        gui.add_command("Play or pause", hotkey="space").on_trigger(and_show(replay.toggle))
+        gui.add_command("Next step", hotkey="arrowright").on_trigger(and_show(moves[">"]))
+        gui.add_command("Step before", hotkey="arrowleft").on_trigger(and_show(moves["<"]))
+        gui.add_command("First step", hotkey="home").on_trigger(and_show(moves["|<"]))
+        gui.add_command("Last step", hotkey="end").on_trigger(and_show(moves[">|"]))
+        gui.add_command("Next event", hotkey="N").on_trigger(and_show(moves["event >"]))
+        gui.add_command("Event before", hotkey="P").on_trigger(and_show(moves["event <"]))
 
-    def _look(self, view, camera):
-        """Bring a camera (viser's) to a view: overview, close or inside."""
+    def _set_view(self, view: str, camera: viser.CameraHandle | viser.InitialCameraConfig) -> None:
+        """Move a camera to a view: `overview`, `close` or `inside`."""
         with self._lock:
             T = self._arrays["T_base_tcp"][self.playback.step]
             poses = self._arrays["T_base_tcp"][:, :3, 3]
@@ -194,12 +212,12 @@ class ReplayPage:
         else:
             eye, target, field = T[:3, 3] - 0.022 * T[:3, 2], T[:3, 3], 110.0
         camera.position, camera.look_at, camera.fov = tuple(eye), tuple(target), float(np.radians(field))
-        if camera is not self._server.initial_camera:
-            # Inside as the tactile image is: x to the right, y down.
+        if isinstance(camera, viser.CameraHandle):
+            # The view from inside is oriented as the tactile image: x to the right, y down.
             camera.up_direction = tuple(-T[:3, 1]) if view == "inside" else (0.0, 0.0, 1.0)
 
-    def _words(self, k):
-        """What is told of a step, Markdown."""
+    def _status_text(self, k: int) -> str:
+        """Return the text beside the scene at a step, Markdown."""
         a = self._arrays
         seconds = 1e3 * a["seconds"][k]
         lines = [
@@ -214,19 +232,19 @@ class ReplayPage:
         return "\n\n".join(lines)
 
 
-def _mark(data, k):
-    """The data of a curve's mark: nothing but at step k."""
+def _mark(data: tuple[np.ndarray, ...], k: int) -> np.ndarray:
+    """Return the series of a curve's mark: NaN except at step k."""
     out = np.full(len(data[0]), np.nan)
     out[k] = data[1][k]
     return out
 
 
-def _span(data):
-    """Lowest and highest value of the curves, with some room: what is not a number, as in a mark, has no part in it."""
+def _span(data: tuple[np.ndarray, ...]) -> tuple[float, float]:
+    """Return the lowest and highest value of the curves, with a margin."""
     values = np.concatenate(data[1:])
     low, high = float(np.nanmin(values)), float(np.nanmax(values))
     return low - 0.05 * (high - low) - 1e-3, high + 0.05 * (high - low) + 1e-3
 
 
-def _dot():
+def _dot() -> uplot.Series:
     return uplot.Series(label="now", stroke="#2060c0", points=uplot.Series_Points(show=True, size=9))

@@ -1,12 +1,14 @@
-"""Pictures one after another as a file: a film (.mp4, H.264, by PyAV) or a GIF (by Pillow)."""
+"""Video files: H.264 in .mp4 (by PyAV), or .gif (by Pillow)."""
 
 import itertools
 import os
+from collections.abc import Iterable, Iterator
 from fractions import Fraction
 from pathlib import Path
 
 import av
 import cv2
+import numpy as np
 from PIL import Image
 
 from tactip_twin.tactip_model.errors import TactipError
@@ -14,31 +16,39 @@ from tactip_twin.tactip_model.errors import TactipError
 ENDINGS = (".mp4", ".gif")
 
 _GIF_WIDTH = 560
-"""Width to which a GIF is made smaller, px."""
+"""Maximum width of a GIF, px."""
 
-_GIF_COLOURS = 128
+_GIF_COLORS = 128
 
 
-def write_video(path, pictures, rate=25):
-    """Write pictures, an iterable of (h, w, 3) uint8 of one even size, as a film or, where `path` ends in .gif, a GIF.
+def write_video(path: str | os.PathLike[str], frames: Iterable[np.ndarray], rate: int = 25) -> int:
+    """Write a video. The file appears when it is complete.
 
-    rate: int, pictures a second. Returns how many. The file appears when it is complete. Raises TactipError where its name
-    ends otherwise, there is no picture, or it cannot be written.
+    Args:
+        path: File to write, .mp4 or .gif.
+        frames: Frames (h, w, 3) uint8, of one even size.
+        rate: Frames per second.
+
+    Returns:
+        Number of frames.
+
+    Raises:
+        TactipError: If the file has another ending, there is no frame, or the file cannot be written.
     """
     path = Path(path)
     if path.suffix.lower() not in ENDINGS:
         raise TactipError(f"{path} does not say what it is to be: its name ends in one of {', '.join(ENDINGS)}")
-    if not path.parent.is_dir() or path.is_dir():  # before anything is drawn
+    if not path.parent.is_dir() or path.is_dir():  # before anything is rendered
         what = "it is a folder" if path.is_dir() else f"there is no folder {path.parent}"
         raise TactipError(f"cannot write {path}: {what}")
-    pictures = iter(pictures)
-    first = next(pictures, None)
+    iterator = iter(frames)
+    first = next(iterator, None)
     if first is None:
         raise TactipError(f"there is nothing to be seen in {path}: no step was recorded")
     part = path.with_name(f".{path.name}.part")
     write = _gif if path.suffix.lower() == ".gif" else _mp4
     try:
-        count = write(part, itertools.chain([first], pictures), rate)
+        count = write(part, itertools.chain([first], iterator), rate)
         os.replace(part, path)
     except OSError as error:
         raise TactipError(f"cannot write {path}: {error.strerror or error}") from error
@@ -47,25 +57,25 @@ def write_video(path, pictures, rate=25):
     return count
 
 
-def _mp4(path, pictures, rate):
+def _mp4(path: Path, frames: Iterator[np.ndarray], rate: int) -> int:
     count = 0
     with av.open(str(path), "w", format="mp4") as container:
         stream = container.add_stream("libx264", rate=Fraction(rate))
         stream.pix_fmt, stream.options = "yuv420p", {"crf": "22", "preset": "veryfast"}
-        for picture in pictures:
+        for frame in frames:
             if not count:
-                stream.height, stream.width = picture.shape[:2]
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+                stream.height, stream.width = frame.shape[:2]
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(frame, format="rgb24")))
             count += 1
         container.mux(stream.encode())
     return count
 
 
-def _gif(path, pictures, rate):
-    frames = []
-    for picture in pictures:
-        height = round(picture.shape[0] * min(1.0, _GIF_WIDTH / picture.shape[1]))
-        small = cv2.resize(picture, (min(picture.shape[1], _GIF_WIDTH), height), interpolation=cv2.INTER_AREA)
-        frames.append(Image.fromarray(small).quantize(_GIF_COLOURS, dither=Image.Dither.NONE))
-    frames[0].save(path, "GIF", save_all=True, append_images=frames[1:], duration=round(1000 / rate), loop=0)
-    return len(frames)
+def _gif(path: Path, frames: Iterator[np.ndarray], rate: int) -> int:
+    images = []
+    for frame in frames:
+        height = round(frame.shape[0] * min(1.0, _GIF_WIDTH / frame.shape[1]))
+        small = cv2.resize(frame, (min(frame.shape[1], _GIF_WIDTH), height), interpolation=cv2.INTER_AREA)
+        images.append(Image.fromarray(small).quantize(_GIF_COLORS, dither=Image.Dither.NONE))
+    images[0].save(path, "GIF", save_all=True, append_images=images[1:], duration=round(1000 / rate), loop=0)
+    return len(images)

@@ -1,7 +1,7 @@
-"""Pages in a browser, by viser: how they are served, and how surfaces, pins and images are put on them.
+"""Helpers for browser pages made with viser: serving them, and showing meshes, pins and images.
 
-A page is served to this machine alone unless another address is asked for, and to pages of its own alone: a browser that
-is on another site is not let in.
+A page is served to this machine only unless another address is given, and accepts connections only from pages of its own:
+a browser that shows another site's page is refused.
 """
 
 import contextlib
@@ -16,84 +16,94 @@ import viser
 import websockets.asyncio.server
 from scipy.spatial.transform import Rotation
 
+from tactip_twin.sim.view.geometry import Color, ColoredMesh
 from tactip_twin.tactip_model.bounds import require
 from tactip_twin.tactip_model.errors import TactipError
 
 LOCAL = "127.0.0.1"
 
-_LAST_PORT = 65535
+_MAX_PORT = 65535
 
 _PIN_M = 1.1e-3
-"""Length at which a pin is drawn, m: less than its own, which goes into the skin."""
+"""Length at which a pin is shown, m: shorter than the pin, whose root is within the skin."""
 
 
-def serve(host, port):
-    """A viser server at an address (str) and a port (int), or the next that is free; it lets in pages of its own alone.
+def serve(host: str, port: int) -> viser.ViserServer:
+    """Start a server that accepts connections from its own pages only.
 
-    Raises TactipError where the address cannot be had.
+    Args:
+        host: Address to serve at.
+        port: Port; the next free one is taken if it is in use.
+
+    Returns:
+        The running server.
+
+    Raises:
+        TactipError: If the address cannot be served at.
     """
-    require(1 <= port <= _LAST_PORT, "the port", port, f"a number from 1 to {_LAST_PORT}")
-    pages = re.compile(r"https?://(127\.0\.0\.1|localhost|\[::1\]|" + re.escape(host) + r")(:\d+)?")
+    require(1 <= port <= _MAX_PORT, "the port", port, f"a number from 1 to {_MAX_PORT}")
+    origins = re.compile(r"https?://(127\.0\.0\.1|localhost|\[::1\]|" + re.escape(host) + r")(:\d+)?")
     try:
         # viser waits for ever for an address that is not this machine's.
         with socket.create_server((host, 0)):
             pass
     except OSError as error:
         raise TactipError(f"cannot serve at {host}: {error.strerror or error}") from error
-    plain = websockets.asyncio.server.serve
-    # viser takes no list of origins, and its library does: None is a program that is no browser.
-    websockets.asyncio.server.serve = functools.partial(plain, origins=[pages, None], logger=_logger())
+    unrestricted = websockets.asyncio.server.serve
+    # viser takes no list of origins, but its library does. None stands for programs that are not browsers.
+    websockets.asyncio.server.serve = functools.partial(unrestricted, origins=[origins, None], logger=_logger())
     try:
-        with _unsaid():
+        with _silenced():
             server = viser.ViserServer(host=host, port=port, verbose=False)
     finally:
-        websockets.asyncio.server.serve = plain
-    # Shadows and a mirrored surrounding cost a browser without a GPU five sixths of its pictures.
+        websockets.asyncio.server.serve = unrestricted
+    # In a browser without a GPU, shadows and reflections would take five sixths of the frame rate.
     server.scene.configure_default_lights(cast_shadow=False)
     server.scene.configure_environment_map(None)
     return server
 
 
-def stop(server):
+def stop(server: viser.ViserServer) -> None:
     """Stop a server."""
-    with _unsaid():
+    with _silenced():
         server.stop()
 
 
-def _logger():
-    """A log without what comes of browsers that open a connection to have one, and then do not need it."""
+def _logger() -> logging.Logger:
+    """Return a logger without the failed handshakes of browsers that open a spare connection and drop it."""
     logger = logging.getLogger("tactip.page")
     logger.addFilter(lambda record: not record.getMessage().startswith("opening handshake failed"))
     return logger
 
 
-def _unsaid():
-    """What viser prints, its verbosity aside, is not printed: what is printed is the command's own."""
+def _silenced() -> contextlib.redirect_stdout[io.StringIO]:
+    """Return a context without standard output, because viser prints there even when it is not verbose."""
     return contextlib.redirect_stdout(io.StringIO())
 
 
-def mesh(scene, name, prop, colour=None):
-    """Put a stage.Prop into a scene (viser's) by a name (str), in its own colour or another. Returns viser's handle."""
-    vertices, triangles = prop.vertices.astype(np.float32), prop.triangles.astype(np.uint32)
-    return scene.add_mesh_simple(name, vertices, triangles, color=rgb(colour or prop.colour), side="double")
+def add_mesh(scene: viser.SceneApi, name: str, mesh: ColoredMesh) -> viser.MeshHandle:
+    """Add a mesh to a scene under a name, and return its handle."""
+    vertices, triangles = mesh.vertices.astype(np.float32), mesh.triangles.astype(np.uint32)
+    return scene.add_mesh_simple(name, vertices, triangles, color=rgb(mesh.color), side="double")
 
 
-def place(handle, T):
-    """Put what viser's handle is of at a pose (4, 4)."""
+def set_pose(handle: viser.SceneNodeHandle, T: np.ndarray) -> None:
+    """Place a node of a scene at a pose (4, 4)."""
     handle.position = T[:3, 3]
     handle.wxyz = Rotation.from_matrix(T[:3, :3]).as_quat(scalar_first=True)
 
 
-def pin_lines(tips, directions):
-    """Segments (p, 2, 3) m, float32, of pins: tips and directions (p, 3), sensor frame."""
+def pin_lines(tips: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """Return segments (p, 2, 3) m, float32, that show pins: pin tips and directions (p, 3), sensor frame."""
     return np.stack([tips - _PIN_M * directions, tips], 1).astype(np.float32)
 
 
-def grey(image):
-    """A tactile image (n, n) as viser takes it: (n, n, 3)."""
+def grey(image: np.ndarray) -> np.ndarray:
+    """Return a tactile image (n, n) as (n, n, 3), as viser needs it."""
     return np.repeat(image[..., None], 3, axis=-1)
 
 
-def rgb(colour):
-    """A colour of stage.Prop as viser takes it: a tuple of int."""
-    return tuple(round(c) for c in colour)
+def rgb(color: Color) -> tuple[int, int, int]:
+    """Return a color in whole numbers, as viser needs it."""
+    red, green, blue = color
+    return round(red), round(green), round(blue)

@@ -27,7 +27,7 @@ def _drag(browser, start, end, pieces=6):
     browser.mouse("mouseReleased", end)
 
 
-class Served:
+class PageSession:
     """A page that is served in this process while a test goes on, by turns: nothing here is in a hurry."""
 
     def __init__(self, page):
@@ -53,9 +53,9 @@ class Served:
 
 @pytest.fixture(scope="module")
 def replay():
-    served = Served(ReplayPage(RECORD, arrays_of(), scenery(), port=8451))
-    yield served
-    served.close()
+    session = PageSession(ReplayPage(RECORD, arrays_of(), scenery(), port=8451))
+    yield session
+    session.close()
 
 
 def test_a_replay_is_drawn(replay):
@@ -63,7 +63,7 @@ def test_a_replay_is_drawn(replay):
     replay.browser.click("close")
 
     def drawn():
-        scene = replay.browser.picture()[:, :800].astype(int)
+        scene = replay.browser.screenshot()[:, :800].astype(int)
         grey = np.ptp(scene, axis=2) < 30
         # The skin is nearly black, the object nearly white, and what lies behind them is neither alone.
         return (grey & (scene.max(2) < 80)).mean() > 0.004 and len(np.unique(scene.reshape(-1, 3), axis=0)) > 100
@@ -88,7 +88,7 @@ def test_it_is_scrubbed_by_the_slider(replay):
     replay.page.show()
     find = """(() => { const t = document.querySelector('[role=slider]'), r = t.parentElement.getBoundingClientRect();
         const q = t.getBoundingClientRect(); return [q.x + q.width / 2, q.y + q.height / 2, r.x, r.x + r.width]; })()"""
-    x, y, low, high = replay.until(lambda: replay.browser.ask(find))
+    x, y, low, high = replay.until(lambda: replay.browser.evaluate(find))
     _drag(replay.browser, (x, y), (low + 0.75 * (high - low), y))
     replay.until(lambda: replay.page.playback.step >= STEPS // 2)
     replay.text(f"step {replay.page.playback.step}")
@@ -118,17 +118,17 @@ def test_a_key_steps(replay):
 @pytest.fixture(scope="module")
 def live():
     design = design_named("nominal-127")
-    served = Served(LivePage(design, "surface", fidelity_named("draft"), renderer_named("raster", design), port=8461))
-    yield served
-    served.close()
+    session = PageSession(LivePage(design, "surface", fidelity_named("draft"), renderer_named("raster", design), port=8461))
+    yield session
+    session.close()
 
 
 def test_a_number_that_is_typed_moves_the_stimulus(live):
     live.text("at rest")
     live.browser.write(".mantine-NumberInput-input", "3")
-    live.until(lambda: abs(live.page._press.label[0] - 3e-3) < 1e-9)
+    live.until(lambda: abs(live.page._contact.label[0] - 3e-3) < 1e-9)
     live.text("at rest")
-    assert np.hypot(*live.page._press.touch().force[:2]) > 0.05
+    assert np.hypot(*live.page._contact.touch().force[:2]) > 0.05
 
 
 def _on_screen(point, camera, browser):
@@ -139,7 +139,7 @@ def _on_screen(point, camera, browser):
     right /= np.linalg.norm(right)
     seen = np.array([right, np.cross(right, forward), forward]) @ np.subtract(point, camera.position)
     box = "document.querySelector('canvas').getBoundingClientRect()"
-    x, y, w, h = browser.ask(f"(() => {{ const q = {box}; return [q.x, q.y, q.width, q.height]; }})()")
+    x, y, w, h = browser.evaluate(f"(() => {{ const q = {box}; return [q.x, q.y, q.width, q.height]; }})()")
     scale = h / 2 / np.tan(camera.fov / 2) / seen[2]
     return x + w / 2 + scale * seen[0], y + h / 2 - scale * seen[1]
 
@@ -147,7 +147,7 @@ def _on_screen(point, camera, browser):
 def test_the_handle_is_dragged_and_the_stimulus_follows(live):
     """Along the arrow of the handle's own x: the stimulus goes where the mouse goes, as far as it goes."""
     live.browser.click("back to the start")
-    live.until(lambda: abs(live.page._press.label[0]) < 1e-9)
+    live.until(lambda: abs(live.page._contact.label[0]) < 1e-9)
     live.text("at rest")
     live.browser.frames()
     camera = next(iter(live.page._server.get_clients().values())).camera
@@ -156,7 +156,7 @@ def test_the_handle_is_dragged_and_the_stimulus_follows(live):
     start, end = (_on_screen(origin + d * along, camera, live.browser) for d in (0.022, 0.026))
     _drag(live.browser, start, end, pieces=12)
     live.until(lambda: np.allclose(handle.position, origin + 0.004 * along, atol=1e-3))
-    live.until(lambda: abs(abs(live.page._press.label[0]) - 4e-3) < 1e-3)
-    assert np.allclose(live.page._press.label[3:], 0, atol=1e-3)
-    assert abs(live.page._sliders[0].value - 1e3 * live.page._press.label[0]) < 1e-6
+    live.until(lambda: abs(abs(live.page._contact.label[0]) - 4e-3) < 1e-3)
+    assert np.allclose(live.page._contact.label[3:], 0, atol=1e-3)
+    assert abs(live.page._sliders[0].value - 1e3 * live.page._contact.label[0]) < 1e-6
     live.text("at rest")

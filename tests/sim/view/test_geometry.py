@@ -1,4 +1,4 @@
-"""What is shown of a run: props stand where arm and sensor are, pictures show what is in front, films hold every picture."""
+"""What is shown of a run: meshes stand where arm and sensor are, pictures show what is in front, videos hold every frame."""
 
 import av
 import numpy as np
@@ -10,18 +10,18 @@ from helpers.recordings import scenery, tip_mesh
 from tactip_twin.sim.robot.irb120 import READY_RAD, Arm
 from tactip_twin.sim.robot.objects import load_object
 from tactip_twin.sim.view.geometry import ColoredMesh, SceneGeometry, object_mesh, tube
-from tactip_twin.sim.view.offscreen import BACKGROUND, SceneRenderer, looking, shade
+from tactip_twin.sim.view.offscreen import BACKGROUND, SceneRenderer, look_at, shade
 from tactip_twin.sim.view.video import write_video
 from tactip_twin.tactip_model.errors import TactipError
 
 
-def _ball(centre, radius, colour):
+def _ball(centre, radius, color):
     mesh = trimesh.creation.icosphere(3, radius)
-    return ColoredMesh(mesh.vertices + centre, mesh.faces, mesh.vertices / radius, colour)
+    return ColoredMesh(mesh.vertices + centre, mesh.faces, mesh.vertices / radius, color)
 
 
 @pytest.fixture(scope="module")
-def stage():
+def geometry():
     return SceneGeometry(scenery())
 
 
@@ -30,35 +30,35 @@ def _skin():
     return mesh.vertices[: mesh.surface_count]
 
 
-def test_the_sensor_is_at_the_end_of_the_arm(stage):
+def test_the_sensor_is_at_the_end_of_the_arm(geometry):
     """Its housing, which is put where the tip is, meets the flange of an arm that is put where its angles say."""
     arm, skin = Arm(), _skin()
     for turn in (0.0, 0.4, -0.7):
         angles = READY_RAD + turn * np.array([1, 0.2, -0.3, 0.5, 0.4, 1])
         T = arm.forward(angles)
-        props = stage.moving(angles, T, skin)
-        assert np.allclose(props[0].vertices, skin @ T[:3, :3].T + T[:3, 3])
+        meshes = geometry.moving_meshes(angles, T, skin)
+        assert np.allclose(meshes[0].vertices, skin @ T[:3, :3].T + T[:3, 3])
         flange = T[:3, 3] - 89.1e-3 * T[:3, 2]
-        mount = min(props[1:3], key=lambda p: np.linalg.norm(p.vertices - flange, axis=1).min())
+        mount = min(meshes[1:3], key=lambda p: np.linalg.norm(p.vertices - flange, axis=1).min())
         assert np.isclose(((mount.vertices - flange) @ T[:3, 2]).min(), 0, atol=1e-9)
-        link = min(props[3:], key=lambda p: np.linalg.norm(p.vertices.mean(0) - flange))
+        link = min(meshes[3:], key=lambda p: np.linalg.norm(p.vertices.mean(0) - flange))
         assert np.isclose(((link.vertices - flange) @ T[:3, 2]).max(), 0, atol=1e-6)
 
 
-def test_without_an_arm_there_is_none(stage):
+def test_without_an_arm_there_is_none(geometry):
     without = SceneGeometry(scenery(with_arm=False))
     T, skin = Arm().forward(READY_RAD), _skin()
-    assert len(without.moving(np.full(6, np.nan), T, skin)) == 3 < len(stage.moving(READY_RAD, T, skin))
-    assert len(stage.moving(np.full(6, np.nan), T, skin)) == 3
+    assert len(without.moving_meshes(np.full(6, np.nan), T, skin)) == 3 < len(geometry.moving_meshes(READY_RAD, T, skin))
+    assert len(geometry.moving_meshes(np.full(6, np.nan), T, skin)) == 3
 
 
-def test_props_are_carried_whole(stage):
+def test_meshes_are_moved_whole(geometry):
     T = Arm().forward(READY_RAD)
-    for prop in stage.still + stage.moving(READY_RAD, T, _skin()):
-        assert np.allclose(np.linalg.norm(prop.normals, axis=1), 1, atol=1e-6)
-        corners = prop.vertices[prop.triangles]
+    for mesh in geometry.static + geometry.moving_meshes(READY_RAD, T, _skin()):
+        assert np.allclose(np.linalg.norm(mesh.normals, axis=1), 1, atol=1e-6)
+        corners = mesh.vertices[mesh.triangles]
         faces = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        facing = (faces[:, None] * prop.normals[prop.triangles]).sum(-1)
+        facing = (faces[:, None] * mesh.normals[mesh.triangles]).sum(-1)
         assert (facing > 0).mean() > 0.99
 
 
@@ -71,20 +71,20 @@ def test_a_tube_is_round():
 
 def test_a_picture_shows_what_is_in_front():
     red, blue = _ball([0, 0, 0], 0.1, (255.0, 0, 0)), _ball([0.5, 0, 0], 0.1, (0.0, 0, 255))
-    studio = SceneRenderer(120, 90, [blue])
+    renderer = SceneRenderer(120, 90, [blue])
     for eye, channel in (([-1, 0, 0], 0), ([1.5, 0, 0], 2)):
-        image = studio.picture([red], eye, [0.2, 0, 0])
+        image = renderer.render([red], eye, [0.2, 0, 0])
         assert image.shape == (90, 120, 3)
         middle = image[45, 60].astype(int)
         assert middle[channel] > 20 and middle[[c for c in range(3) if c != channel]].max() == 0
         assert tuple(image[0, 0]) == BACKGROUND
     # What moves is gone from the next picture.
-    assert studio.picture([], [-1, 0, 0], [0.2, 0, 0])[45, 60, 0] == 0
+    assert renderer.render([], [-1, 0, 0], [0.2, 0, 0])[45, 60, 0] == 0
 
 
 def test_a_camera_is_upright_and_looks_at_its_target():
     eye, target = np.array([1.0, 2, 3]), np.array([0.2, 0.1, 0.4])
-    T = looking(eye, target)
+    T = look_at(eye, target)
     assert np.allclose(T[:3, :3].T @ T[:3, :3], np.eye(3))
     assert np.allclose(np.cross(T[:3, 2], eye - target), 0)
     assert T[2, 1] > 0 and np.isclose(T[2, 0], 0)
@@ -95,9 +95,9 @@ def test_light_comes_from_above():
 
 
 def test_an_object_is_shown_where_it_is():
-    thing, prop = load_object("sphere"), object_mesh(scenery())
+    thing, mesh = load_object("sphere"), object_mesh(scenery())
     solid, T = thing.solid, thing.T_base_object
-    assert np.allclose(prop.vertices[prop.triangles], solid.vertices[solid.triangles] @ T[:3, :3].T + T[:3, 3])
+    assert np.allclose(mesh.vertices[mesh.triangles], solid.vertices[solid.triangles] @ T[:3, :3].T + T[:3, 3])
 
 
 def test_a_film_holds_every_picture(tmp_path):

@@ -6,7 +6,8 @@ import pytest
 from tactip_twin.commands import main as tactip
 from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.contact.signed_distance import SignedDistanceMesh
-from tactip_twin.sim.dataset.format import Configuration, read_dataset
+from tactip_twin.sim.dataset.configuration import Configuration
+from tactip_twin.sim.dataset.format import read_dataset
 from tactip_twin.sim.dataset.generate import Job, make
 from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES
 from tactip_twin.sim.pose import to_mm_deg

@@ -9,37 +9,37 @@ import viser
 import websockets
 
 from helpers.recordings import RECORD, STEPS, arrays_of, scenery
-from tactip_twin.sim.view.geometry import way_lines
+from tactip_twin.sim.view.geometry import path_lines
 from tactip_twin.sim.view.replay_page import ReplayPage
 from tactip_twin.tactip_model.errors import TactipError
 
 
 @pytest.fixture(scope="module")
-def viewer():
-    viewer = ReplayPage(RECORD, arrays_of(), scenery(), port=8431)
-    yield viewer
-    viewer.close()
+def page():
+    page = ReplayPage(RECORD, arrays_of(), scenery(), port=8431)
+    yield page
+    page.close()
 
 
-def test_a_step_is_shown_as_it_was_recorded(viewer):
+def test_a_step_is_shown_as_it_was_recorded(page):
     arrays = arrays_of()
     for step in (3, 7, STEPS - 1):
-        viewer.playback.go(step)
-        viewer.show()
-        assert np.allclose(viewer._tip.position, arrays["T_base_tcp"][step, :3, 3])
-        assert np.allclose(viewer._skin.vertices, arrays["skin_m"][step])
-        assert np.allclose(viewer._pins.points[:, 1], arrays["tips_m"][step])
-        poses = viewer._stage.poses(arrays["angles_rad"][step])
-        assert np.allclose(viewer._links["link_4"].position, poses["link_4"][:3, 3])
-        assert viewer._slider.value == step
-        assert f"**step {step}** of {STEPS - 1}" in viewer._told.content
-        assert ("9.0 N on the tip" in viewer._told.content) == (step == 7)
-    assert "ended: the loop is closed" in viewer._told.content
+        page.playback.go(step)
+        page.show()
+        assert np.allclose(page._tip.position, arrays["T_base_tcp"][step, :3, 3])
+        assert np.allclose(page._skin.vertices, arrays["skin_m"][step])
+        assert np.allclose(page._pins.points[:, 1], arrays["tips_m"][step])
+        poses = page._geometry.body_poses(arrays["angles_rad"][step])
+        assert np.allclose(page._links["link_4"].position, poses["link_4"][:3, 3])
+        assert page._slider.value == step
+        assert f"**step {step}** of {STEPS - 1}" in page._status.content
+        assert ("9.0 N on the tip" in page._status.content) == (step == 7)
+    assert "ended: the loop is closed" in page._status.content
 
 
 def test_the_way_grows_with_the_steps():
     arrays = arrays_of()
-    lines, counts = way_lines(arrays)
+    lines, counts = path_lines(arrays)
     assert counts[2] <= 1 and counts[-1] == len(lines)
     assert np.all(np.diff(counts) >= 0)
     pieces = [line for line in lines if abs(line[1, 2] - line[0, 2]) < 1e-6]
@@ -48,23 +48,23 @@ def test_the_way_grows_with_the_steps():
     assert len(normals) == 4  # every 2.5 mm of 9
 
 
-def test_it_plays_by_itself(viewer):
-    viewer.playback.go(0)
-    viewer.playback.speed = 4.0
-    viewer.playback.toggle()
-    viewer.run(seconds=0.6)
-    assert 4 < viewer.playback.step <= STEPS - 1
-    assert viewer._shown == viewer.playback.step
-    viewer.playback.playing = False
+def test_it_plays_by_itself(page):
+    page.playback.go(0)
+    page.playback.speed = 4.0
+    page.playback.toggle()
+    page.run(seconds=0.6)
+    assert 4 < page.playback.step <= STEPS - 1
+    assert page._shown == page.playback.step
+    page.playback.playing = False
 
 
-def test_the_page_is_served_here_alone(viewer):
-    page = http.client.HTTPConnection("127.0.0.1", viewer._server.get_port(), timeout=20)
-    page.request("GET", "/")
-    assert page.getresponse().status == 200
-    page.close()
-    assert viewer.address == f"http://127.0.0.1:{viewer._server.get_port()}"
-    assert viewer._server.get_host() == "127.0.0.1"
+def test_the_page_is_served_here_alone(page):
+    connection = http.client.HTTPConnection("127.0.0.1", page._server.get_port(), timeout=20)
+    connection.request("GET", "/")
+    assert connection.getresponse().status == 200
+    connection.close()
+    assert page.address == f"http://127.0.0.1:{page._server.get_port()}"
+    assert page._server.get_host() == "127.0.0.1"
 
 
 @pytest.mark.parametrize(
@@ -78,11 +78,11 @@ def test_the_page_is_served_here_alone(viewer):
         ("null", False),
     ],
 )
-def test_other_sites_are_not_let_in(viewer, origin, let_in):
+def test_other_sites_are_not_let_in(page, origin, let_in):
     """As browsers have it: a page of any site may open a socket to this machine, and says from where it is."""
 
     async def knock():
-        address, kind = f"ws://127.0.0.1:{viewer._server.get_port()}", f"viser-v{viser.__version__}"
+        address, kind = f"ws://127.0.0.1:{page._server.get_port()}", f"viser-v{viser.__version__}"
         async with websockets.connect(address, origin=origin, subprotocols=[kind], max_size=None) as socket:
             return await asyncio.wait_for(socket.recv(), 20)
 

@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 
 from helpers.recordings import RECORD, STEPS, arrays_of, scenery
-from tactip_twin.sim.view.geometry import way_lines
-from tactip_twin.sim.view.replay_window import Window
+from tactip_twin.sim.view.geometry import path_lines
+from tactip_twin.sim.view.replay_window import ReplayWindow
 from tactip_twin.tactip_model.errors import TactipError
 
 
 @pytest.fixture
 def window(monkeypatch):
     monkeypatch.setenv("DISPLAY", ":0")  # nothing is opened
-    return Window(RECORD, arrays_of(), scenery())
+    return ReplayWindow(RECORD, arrays_of(), scenery())
 
 
 def _skin(window):
@@ -36,7 +36,7 @@ def test_skin_and_links_are_where_the_recording_has_them(window):
         window.show()
         T = arrays["T_base_tcp"][step]
         assert np.allclose(_skin(window), arrays["skin_m"][step] @ T[:3, :3].T + T[:3, 3], atol=1e-6)
-        poses = window._stage.poses(arrays["angles_rad"][step])
+        poses = window._geometry.body_poses(arrays["angles_rad"][step])
         link = window.data.body("link_4")
         assert np.allclose(link.xpos, poses["link_4"][:3, 3])
         assert np.allclose(link.xmat.reshape(3, 3), poses["link_4"][:3, :3])
@@ -51,19 +51,19 @@ def test_normals_of_the_skin_are_outward_and_unit(window):
 
 
 def test_the_way_grows_and_shrinks_with_the_steps(window):
-    lines, counts = way_lines(arrays_of())
+    lines, counts = path_lines(arrays_of())
     scene = mujoco.MjvScene(window.model, maxgeom=100)
     for step in (5, STEPS - 1, 3):
         window.playback.go(step)
         window.show()
-        window.draw_way(scene)
+        window.draw_path(scene)
         assert scene.ngeom == counts[step]
         for geom, (start, end) in zip(scene.geoms[: scene.ngeom], lines, strict=False):
             assert np.allclose(geom.pos, (start + end) / 2, atol=1e-6)
     small = mujoco.MjvScene(window.model, maxgeom=2)
     window.playback.go(STEPS - 1)
     window.show()
-    window.draw_way(small)
+    window.draw_path(small)
     assert small.ngeom == 2
 
 
@@ -88,15 +88,15 @@ def test_without_a_display_it_is_said(monkeypatch):
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     with pytest.raises(TactipError, match="no display"):
-        Window(RECORD, arrays_of(), scenery())
+        ReplayWindow(RECORD, arrays_of(), scenery())
 
 
 _SHOW = """
 import sys
 sys.path.insert(0, {tests!r})
 from helpers.recordings import RECORD, arrays_of, scenery
-from tactip_twin.sim.view.replay_window import Window
-window = Window(RECORD, arrays_of(), scenery())
+from tactip_twin.sim.view.replay_window import ReplayWindow
+window = ReplayWindow(RECORD, arrays_of(), scenery())
 window.playback.toggle()
 window.run(3)
 print("shown", window._shown)
