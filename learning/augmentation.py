@@ -1,20 +1,25 @@
-"""Training images drawn as training runs, from the pins of simulated contacts, under varied cameras and lights.
+"""Augmentation: training images rendered at every step from the pins of simulated contacts, under random optics.
 
-Physics once, optics many: what differs between two sensors of a kind, and between today and tomorrow, is where the camera
-sits, how large its pins appear and where the threshold falls. And a pin of two or three pixels falls among them by chance: a
-network that always sees the same image of a contact learns that chance by heart.
+The mechanics are simulated once and the optics vary, because two sensors of a kind, and one sensor on two days, differ in
+the place of the camera, the size of the pins in the image and the threshold. Also, it is chance which pixels a pin of two or
+three pixels covers, and a network that always gets the same image of a contact memorizes that chance.
 
-A pin is a disc here, and a pixel is white if its middle lies on one; the discs grow by what makes as many pixels white as
-the set's own images have. That is 50 times faster than a frame and its pipeline, and nine of ten white pixels are the same.
+A pin is a disc here, and a pixel is white if its middle lies on one; the radii are corrected so that as many pixels are
+white as in the set's own images. That is 50 times faster than a frame and its pipeline, and nine of ten white pixels are the
+same.
 """
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import ArrayLike
 
-from tactip_twin.learning.optics_ranges import OPTICS
+from tactip_twin.learning.data import Samples
+from tactip_twin.learning.optics_ranges import OPTICS, OpticsRanges
 from tactip_twin.sim.dataset.format import read_pins
+from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.design_file import design_from
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.optics import Lens
@@ -22,23 +27,31 @@ from tactip_twin.tactip_model.pins import neutral_pins
 from tactip_twin.tactip_model.raster_renderer import Raster
 
 _BLOCK = 256
-"""Images whose pins are projected, and compared, at a time."""
-
+"""Number of images whose pins are projected, and compared, at a time."""
 
 _CAMERAS = 64
-"""Cameras of other heights and places that are drawn once, where these vary: each has its own fit of the lens."""
+"""Number of random cameras, where heights and places vary: each has its own fit of the lens."""
 
 _ARC = 24
-"""Discs that make an arc of light."""
+"""Number of discs of an arc of light."""
 
 
 class OpticsAugmentation:
-    """The images of a set's samples, drawn anew whenever they are asked for."""
+    """The images of a set's samples under random optics."""
 
-    def __init__(self, samples, share=1.0, ranges=OPTICS["lens"], device="cpu"):
-        """samples: Samples of a simulated set. share: float, of the ranges (varied.OpticsRanges) that is used. device: str.
+    def __init__(
+        self, samples: Samples, fraction: float = 1.0, ranges: OpticsRanges = OPTICS["lens"], device: str = "cpu"
+    ) -> None:
+        """Project the pins of the samples.
 
-        Raises TactipError where the set has no pins.
+        Args:
+            samples: Samples of a simulated set.
+            fraction: Factor of the ranges.
+            ranges: Ranges of the optics.
+            device: Torch device.
+
+        Raises:
+            TactipError: Where the set has no pins.
         """
         tips, directions = _pins_of(samples)
         design = design_from(samples.dataset.meta["configuration"]["design"], f"{samples.folder}: design")
@@ -46,20 +59,22 @@ class OpticsAugmentation:
         self._size, self._device = samples.size, device
         self._centres, self._radii = torch.from_numpy(centres).to(device), torch.from_numpy(radii).to(device)
         r = ranges
-        widths = share * np.array([r.zoom, r.turn_deg * np.pi / 180, r.drift * self._size, r.pin_size])
+        widths = fraction * np.array([r.zoom, r.turn_deg * np.pi / 180, r.drift * self._size, r.pin_size])
         self._zoom, self._turn, self._drift, self._pin_size = widths.tolist()
-        self._share, self._ranges, self._px = share, ranges, samples.size / 128
-        self._cameras = None
-        if share * max(r.camera_height_m, r.camera_offset_m) > 0:
-            self._cameras = _Cameras(design, share * r.camera_height_m, share * r.camera_offset_m, samples.size, device)
+        self._fraction, self._ranges, self._px = fraction, ranges, samples.size / 128
+        self._cameras: _Cameras | None = None
+        if fraction * max(r.camera_height_m, r.camera_offset_m) > 0:
+            self._cameras = _Cameras(
+                design, fraction * r.camera_height_m, fraction * r.camera_offset_m, samples.size, device
+            )
             self._tips = torch.from_numpy(tips.astype(np.float32)).to(device)
         self._growth = self._fit_growth(samples.images[:_BLOCK])
 
-    def draw(self, chosen):
-        """Images (m, size, size) uint8 of samples `chosen` (m,) int, under optics that torch's generator draws."""
-        zoom, turn, right, down, size = self._either_way(5, len(chosen), 1)
+    def render(self, chosen: torch.Tensor) -> torch.Tensor:
+        """Return images (m, size, size) uint8 of samples `chosen` (m,) int, under optics from torch's random generator."""
+        zoom, turn, right, down, size = self._uniform(5, len(chosen), 1)
         middle = (self._size - 1) / 2
-        places = self._centres[chosen] if self._cameras is None else self._cameras.seen(self._tips[chosen])
+        places = self._centres[chosen] if self._cameras is None else self._cameras.project(self._tips[chosen])
         x, y = self._distorted(places - middle).unbind(-1)
         zoom, turn = 1 + self._zoom * zoom, self._turn * turn
         cos, sin = zoom * torch.cos(turn), zoom * torch.sin(turn)
@@ -68,60 +83,68 @@ class OpticsAugmentation:
         places, radii, soft = self._noisy(torch.stack([x, y], -1) + middle, radii)
         return self._paint(places, radii) if soft is None else self._paint_soft(places, radii, soft)
 
-    def _either_way(self, *shape):
-        """Numbers (shape) from -1 to 1, unpacked along the first axis."""
+    def _uniform(self, *shape: int) -> tuple[torch.Tensor, ...]:
+        """Return random numbers (shape) from -1 to 1, unpacked along the first axis."""
         return (2 * torch.rand(*shape, device=self._device) - 1).unbind()
 
-    def _distorted(self, places):
-        """Places (m, p, 2), px from the middle, stretched and distorted."""
-        r, share = self._ranges, self._share
+    def _distorted(self, places: torch.Tensor) -> torch.Tensor:
+        """Return places (m, p, 2), px from the middle, stretched and distorted at random."""
+        r, fraction = self._ranges, self._fraction
         if r.distortion:
-            (bend,) = self._either_way(1, len(places), 1, 1)
-            places = places * (1 + share * r.distortion * bend * (places / (self._size / 2)).square().sum(-1, keepdim=True))
+            (bend,) = self._uniform(1, len(places), 1, 1)
+            places = places * (
+                1 + fraction * r.distortion * bend * (places / (self._size / 2)).square().sum(-1, keepdim=True)
+            )
         if r.stretch:
-            (wide,) = self._either_way(1, len(places), 1)
-            wide = 0.5 * share * r.stretch * wide
+            (wide,) = self._uniform(1, len(places), 1)
+            wide = 0.5 * fraction * r.stretch * wide
             places = places * torch.stack([1 + wide, 1 - wide], -1)
         return places
 
-    def _noisy(self, places, radii):
-        """Places and radii with what is not the lens's: pins that are off, of another size, missing; light that is no pin.
+    def _noisy(self, places: torch.Tensor, radii: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor | None]:
+        """Add noise that is not the lens's: displaced, resized and missing pins, and lights.
 
-        The third is how far the discs' edges are softened (m, 1, 1), px, or None.
+        Args:
+            places: (m, p, 2), px.
+            radii: (m, p), px.
+
+        Returns:
+            Places and radii, of the pins and lights; and the softness of the discs' edges (m, 1, 1), px, or None.
         """
-        r, share, soft = self._ranges, self._share, None
+        r, fraction, soft = self._ranges, self._fraction, None
         count = len(places)
 
-        def upto(most, *shape):
-            return share * most * torch.rand(count, *shape, device=self._device)
+        def up_to(high: float, *shape: int) -> torch.Tensor:
+            """Return random numbers (m, *shape) from 0 to a fraction of `high`."""
+            return fraction * high * torch.rand(count, *shape, device=self._device)
 
         if r.pin_each:
-            (each,) = self._either_way(1, *radii.shape)
-            radii = radii * (1 + share * r.pin_each * each)
+            (each,) = self._uniform(1, *radii.shape)
+            radii = radii * (1 + fraction * r.pin_each * each)
         if r.jitter_px:
-            places = places + share * r.jitter_px * self._px * torch.randn(places.shape, device=self._device)
+            places = places + fraction * r.jitter_px * self._px * torch.randn(places.shape, device=self._device)
         if r.missing:
-            radii = torch.where(torch.rand(radii.shape, device=self._device) < upto(r.missing, 1), -9.0, radii)
+            radii = torch.where(torch.rand(radii.shape, device=self._device) < up_to(r.missing, 1), -9.0, radii)
         if r.speckles:
-            most = int(np.ceil(r.speckles))
-            there = torch.arange(most, device=self._device) < upto(most + 1, 1).floor()
-            sizes = self._px * (0.5 + torch.rand(count, most, device=self._device))
-            places = torch.cat([places, self._size * torch.rand(count, most, 2, device=self._device)], 1)
-            radii = torch.cat([radii, torch.where(there, sizes, -9.0)], 1)
+            number = int(np.ceil(r.speckles))
+            shown = torch.arange(number, device=self._device) < up_to(number + 1, 1).floor()
+            sizes = self._px * (0.5 + torch.rand(count, number, device=self._device))
+            places = torch.cat([places, self._size * torch.rand(count, number, 2, device=self._device)], 1)
+            radii = torch.cat([radii, torch.where(shown, sizes, -9.0)], 1)
         if r.rim_lights:
-            rim = _rim_lights(count, int(np.ceil(r.rim_lights)), share, self._device)
+            rim = _rim_lights(count, int(np.ceil(r.rim_lights)), fraction, self._device)
             places = torch.cat([places, self._size * (0.5 + rim[0])], 1)
             radii = torch.cat([radii, torch.where(rim[1] > 0, self._size * rim[1], -9.0)], 1)
         if r.merged_px:
-            soft = upto(r.merged_px * self._px, 1, 1) + 1e-3
+            soft = up_to(r.merged_px * self._px, 1, 1) + 1e-3
         return places, radii, soft
 
-    def plain(self, chosen):
-        """Images (m, size, size) uint8 of samples `chosen` under the design's own optics."""
+    def plain(self, chosen: torch.Tensor) -> torch.Tensor:
+        """Return images (m, size, size) uint8 under the design's own optics. chosen: (m,) int, of the samples."""
         return self._paint(self._centres[chosen], self._radii[chosen] + self._growth)
 
-    def _paint(self, centres, radii):
-        """Images (m, size, size) uint8 with discs (m, p, 2) px and radii (m, p) px."""
+    def _paint(self, centres: torch.Tensor, radii: torch.Tensor) -> torch.Tensor:
+        """Return images (m, size, size) uint8 of discs with centres (m, p, 2) and radii (m, p), px."""
         reach = int(np.ceil(float(radii.max()))) if radii.numel() else 1
         span = torch.arange(-reach, reach + 1, device=self._device)
         offsets = torch.stack(torch.meshgrid(span, span, indexing="xy"), -1).reshape(-1, 2)
@@ -136,9 +159,11 @@ class OpticsAugmentation:
         images.view(-1)[(which + pixels[..., 1] * self._size + pixels[..., 0])[white]] = 255
         return images.view(-1, self._size, self._size)
 
-    def _paint_soft(self, centres, radii, soft):
-        """As _paint, with edges that fall off over `soft` (m, 1, 1) px to both sides: two discs nearer to each other than
-        that are one, as a blurred frame has it."""
+    def _paint_soft(self, centres: torch.Tensor, radii: torch.Tensor, soft: torch.Tensor) -> torch.Tensor:
+        """Return images as `_paint` does, with edges that fall off over `soft` (m, 1, 1) px on both sides.
+
+        Two discs nearer to each other than that merge, as in a blurred frame.
+        """
         reach = int(np.ceil(float((radii + soft[..., 0]).max())))
         span = torch.arange(-reach, reach + 1, device=self._device)
         offsets = torch.stack(torch.meshgrid(span, span, indexing="xy"), -1).reshape(-1, 2)
@@ -153,19 +178,23 @@ class OpticsAugmentation:
         field.scatter_add_(1, which, cover.reshape(len(centres), -1))
         return ((field > 0.5).to(torch.uint8) * 255).view(-1, self._size, self._size)
 
-    def _fit_growth(self, images):
-        """What is added to the radii, px, so that as many pixels are white as in plain `images`; by bisection."""
-        wanted, low, high = int((images > 127).sum()), -1.0, 1.5
+    def _fit_growth(self, images: np.ndarray) -> float:
+        """Return the correction of the radii, px, with which as many pixels are white as in plain images, by bisection.
+
+        Args:
+            images: (m, size, size) uint8, of the first samples.
+        """
+        expected, low, high = int((images > 127).sum()), -1.0, 1.5
         chosen = torch.arange(len(images), device=self._device)
         for _ in range(12):
             self._growth = (low + high) / 2
-            few = int((self.plain(chosen) > 127).sum()) < wanted
-            low, high = (self._growth, high) if few else (low, self._growth)
+            too_few = int((self.plain(chosen) > 127).sum()) < expected
+            low, high = (self._growth, high) if too_few else (low, self._growth)
         return (low + high) / 2
 
 
-def _pins_of(samples):
-    """Tips and directions (n, p, 3) of Samples."""
+def _pins_of(samples: Samples) -> tuple[np.ndarray, np.ndarray]:
+    """Return the pin tips (n, p, 3), m, and directions (n, p, 3) of samples. Raises TactipError where they are damaged."""
     tips, directions = read_pins(samples.folder, samples.dataset.meta)
     count = len(samples.dataset.images)
     if len(tips) != count:
@@ -175,8 +204,15 @@ def _pins_of(samples):
     return tips[samples.rows], directions[samples.rows]
 
 
-def _discs(tips, directions, design, size):
-    """Middles (n, p, 2) and radii (n, p) of the pins in tactile images `size` px wide, px, float32."""
+def _discs(tips: np.ndarray, directions: np.ndarray, design: Design, size: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return centres (n, p, 2) and radii (n, p), px, float32, of the pins in tactile images `size` px wide.
+
+    Args:
+        tips: (n, p, 3), m.
+        directions: (n, p, 3).
+        design: Design of the sensor.
+        size: Width of the images, px.
+    """
     raster = Raster(design)
     left, top, right, bottom = design.image.crop or (0, 0, design.optics.frame_px, design.optics.frame_px)
     scale = size / np.array([right - left, bottom - top])
@@ -190,16 +226,24 @@ def _discs(tips, directions, design, size):
 
 
 class _Cameras:
-    """Cameras at other heights and places behind the same tip, whose lens is such that the neutral image stays the same."""
+    """Cameras at other heights and places behind the same tip, with lenses that keep the neutral image the same."""
 
-    def __init__(self, design, height, offset, size, device):
-        """design: Design. height, offset: float, m, ranges either way. size: int, px of the tactile image. device: str."""
-        draw, optics = np.random.default_rng(0), design.optics
+    def __init__(self, design: Design, height: float, offset: float, size: int, device: str) -> None:
+        """Sample the cameras.
+
+        Args:
+            design: Design of the sensor.
+            height: Range of the height in both directions, m.
+            offset: Range of the offset in both directions, m.
+            size: Width of the tactile image, px.
+            device: Torch device.
+        """
+        rng, optics = np.random.default_rng(0), design.optics
         left, top, right, bottom = design.image.crop or (0, 0, optics.frame_px, optics.frame_px)
         scale = size / np.array([right - left, bottom - top])
         cameras = []
         for _ in range(_CAMERAS):
-            up, x, y = draw.uniform(-1, 1, 3) * (height, offset, offset)
+            up, x, y = rng.uniform(-1, 1, 3) * (height, offset, offset)
             moved = replace(
                 optics,
                 camera_height_m=max(1e-3, optics.camera_height_m + up),
@@ -209,23 +253,24 @@ class _Cameras:
         base = Lens(design)
         neutral = neutral_pins(design)[0]
 
-        def tensor(values):
+        def tensor(values: ArrayLike | list[Any]) -> torch.Tensor:
+            """Return values as a float32 tensor on the device."""
             return torch.from_numpy(np.array(values, np.float32)).to(device)
 
         self._device = device
         self._positions = tensor([lens.position for lens in cameras])[:, None]
-        # A polynomial a camera, of the tangent's angle: the lens's own, sampled and fitted where the pins are.
+        # The radius by angle to the axis, tabled for each camera.
         self._angles = tensor(_ANGLES)
         self._radii = tensor([lens.radius(_ANGLES) for lens in cameras])
-        # The middle of the image moves so that the neutral pins stay where they were, in the mean.
+        # The image shifts so that the neutral pins stay in place, in the mean.
         shift = [(base.project(neutral) - lens.project(neutral)).mean(0) for lens in cameras]
         self._centres = tensor(
             [(lens.centre + d - (left, top)) * scale - 0.5 for lens, d in zip(cameras, shift, strict=True)]
         )
         self._scale = tensor(scale)
 
-    def seen(self, tips):
-        """Places (m, p, 2), px, of tips (m, p, 3), m, by a camera drawn for each."""
+    def project(self, tips: torch.Tensor) -> torch.Tensor:
+        """Return places (m, p, 2), px, of pin tips (m, p, 3), m, each of the m by a random camera."""
         which = torch.randint(_CAMERAS, (len(tips),), device=self._device)
         rays = tips - self._positions[which]
         plan = rays[..., :2].square().sum(-1).sqrt()
@@ -241,20 +286,30 @@ class _Cameras:
 
 
 _ANGLES = np.linspace(0, np.pi / 2, 400)
-"""Angles to the axis, rad, at which a lens is tabled."""
+"""Angles to the axis, rad, of a lens's table."""
 
 
-def _rim_lights(count, most, share, device):
-    """Discs along arcs of light at the rim: places (count, most * _ARC, 2), of the image's width from its middle, and radii
-    (count, most * _ARC), of its width, 0 where there is none."""
-    number = (share * (most + 1) * torch.rand(count, 1, device=device)).floor()
-    start = 2 * np.pi * torch.rand(count, most, 1, device=device)
-    length = 0.2 + 0.6 * torch.rand(count, most, 1, device=device)
-    away = 0.46 + 0.03 * torch.rand(count, most, 1, device=device)
+def _rim_lights(count: int, max_arcs: int, fraction: float, device: str) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return discs along random arcs of light at the rim.
+
+    Args:
+        count: Number of images.
+        max_arcs: Maximum number of arcs of an image.
+        fraction: Factor of that maximum.
+        device: Torch device.
+
+    Returns:
+        Places (count, max_arcs * _ARC, 2) from the image's middle, and radii (count, max_arcs * _ARC), 0 where there is no
+        arc; both in widths of the image.
+    """
+    number = (fraction * (max_arcs + 1) * torch.rand(count, 1, device=device)).floor()
+    start = 2 * np.pi * torch.rand(count, max_arcs, 1, device=device)
+    length = 0.2 + 0.6 * torch.rand(count, max_arcs, 1, device=device)
+    away = 0.46 + 0.03 * torch.rand(count, max_arcs, 1, device=device)
     along = torch.linspace(0, 1, _ARC, device=device)
     angle = start + length * along
     # Crescents: thin at both ends.
-    thick = (0.004 + 0.008 * torch.rand(count, most, 1, device=device)) * (4 * along * (1 - along)).clamp_min(0.1)
+    thick = (0.004 + 0.008 * torch.rand(count, max_arcs, 1, device=device)) * (4 * along * (1 - along)).clamp_min(0.1)
     places = torch.stack([away * torch.cos(angle), away * torch.sin(angle)], -1)
-    there = torch.arange(most, device=device) < number
-    return places.reshape(count, -1, 2), torch.where(there[..., None], thick, 0.0).reshape(count, -1)
+    shown = torch.arange(max_arcs, device=device) < number
+    return places.reshape(count, -1, 2), torch.where(shown[..., None], thick, 0.0).reshape(count, -1)

@@ -165,7 +165,7 @@ class TrainSettings:
 
 @dataclass(frozen=True)
 class SearchSpace:
-    """Limits of the networks that a search may try; the paper's by default. Filters and units are powers of two from 2 on."""
+    """Limits of the networks that a search tries; the paper's by default. Filters and units are powers of two from 2 on."""
 
     most_conv_layers: int = within(1, 8, default=5)
     """Most convolutions [P]."""

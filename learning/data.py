@@ -1,8 +1,9 @@
-"""Data sets as arrays, checked before anything is learned from them."""
+"""Data sets as arrays, checked before training."""
 
 import hashlib
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -16,12 +17,12 @@ _ROUNDING = 1e-6
 
 @dataclass(frozen=True)
 class Samples:
-    """A data set in memory. n images of size by size pixels, k components."""
+    """A data set, or a part of one, in memory: n images of size by size px, k components."""
 
     dataset: Dataset
-    """The set that they are of."""
+    """The set that the samples come from."""
     labels: Labels
-    """The components that are learned, and their ranges."""
+    """The learned components and their ranges."""
     images: np.ndarray
     """(n, size, size) uint8."""
     targets: np.ndarray
@@ -29,38 +30,39 @@ class Samples:
     shears: np.ndarray
     """(n, 6) float, mm and degrees."""
     rows: np.ndarray
-    """(n,) int, their rows in the set's table."""
+    """(n,) int, rows of the samples in the set's table."""
 
     @property
-    def size(self):
+    def size(self) -> int:
         """Width of an image, px."""
         return self.images.shape[1]
 
     @property
-    def folder(self):
-        """Path of the set."""
+    def folder(self) -> Path:
+        """Folder of the set."""
         return self.dataset.folder
 
-    def __len__(self):
+    def __len__(self) -> int:
         return len(self.images)
 
-    def take(self, chosen):
-        """Samples of some: chosen is a slice, or indices (m,)."""
-        arrays = {name: getattr(self, name)[chosen] for name in ("images", "targets", "shears", "rows")}
+    def take(self, chosen: slice | np.ndarray) -> "Samples":
+        """Return some of the samples. chosen: slice, or indices (m,) int."""
+        arrays: dict[str, Any] = {name: getattr(self, name)[chosen] for name in ("images", "targets", "shears", "rows")}
         return replace(self, **arrays)
 
-    def chosen(self):
-        """What tells these samples from all of their set: None, or a checksum (hex str) of their rows."""
+    def chosen(self) -> str | None:
+        """Return a checksum (hex) of the samples' rows; None where they are the whole set."""
         if np.array_equal(self.rows, np.arange(len(self.dataset.images))):
             return None
         return hashlib.sha256(self.rows.astype("<i8").tobytes()).hexdigest()
 
 
-def read_samples(folder):
-    """Read a finished set (path) into Samples.
+def read_samples(folder: str | Path) -> Samples:
+    """Read a finished set.
 
-    Raises TactipError on an empty set, a label that is no number or outside the range that the set declares, an image that
-    cannot be read, and images of different sizes.
+    Raises:
+        TactipError: Where the set is empty, a label is not finite or outside the set's declared range, an image cannot be
+            read, or images differ in size.
     """
     dataset = read_dataset(folder)
     labels = labels_of(dataset.meta.get("configuration") or {})
@@ -82,7 +84,8 @@ def read_samples(folder):
     return Samples(dataset, labels, np.stack(images), targets, dataset.shears, np.arange(len(images)))
 
 
-def _check_targets(folder, names, labels, targets):
+def _check_targets(folder: str | Path, names: tuple[str, ...], labels: Labels, targets: np.ndarray) -> None:
+    """Check that targets (n, k) lie in the ranges of the labels. names: of the images, for the message."""
     low, high = np.array(labels.low) - _ROUNDING, np.array(labels.high) + _ROUNDING
     good = (targets >= low) & (targets <= high)  # a NaN is neither
     if good.all():
@@ -93,25 +96,36 @@ def _check_targets(folder, names, labels, targets):
     raise TactipError(f"{name} of {names[row]} in {folder} is {value:g}: the set declares {allowed}")
 
 
-def read_splits(data):
-    """Samples of a task's training and validation sets, DATA/train and DATA/val. data: path.
+def read_splits(data: str | Path) -> tuple[Samples, Samples]:
+    """Return the training and validation sets of a task, DATA/train and DATA/val.
 
-    Raises TactipError where one is missing, and where they differ in task, image size or sensor.
+    Raises:
+        TactipError: Where one is missing, or the two differ in task, image size or sensor.
     """
     data = Path(data)
     for split in ("train", "val"):
         if not (data / split).is_dir():
             raise TactipError(f"there is no folder {data / split}: training needs the sets {data}/train and {data}/val")
     train, val = read_samples(data / "train"), read_samples(data / "val")
-    check_alike(val, train.labels.task, train.size, f"the training set in {train.folder}")
-    ours, theirs = (s.dataset.meta["configuration"].get("design") for s in (train, val))
-    if ours != theirs:
+    check_compatible(val, train.labels.task, train.size, f"the training set in {train.folder}")
+    train_design, val_design = (s.dataset.meta["configuration"].get("design") for s in (train, val))
+    if train_design != val_design:
         raise TactipError(f"{train.folder} and {val.folder} are of different sensors: train and validate on the same one")
     return train, val
 
 
-def check_alike(samples, task, size, whose):
-    """Raise TactipError where Samples are not of a task (str) and image size (int) that `whose` (str) has."""
+def check_compatible(samples: Samples, task: str, size: int, whose: str) -> None:
+    """Check that samples have a task and an image size.
+
+    Args:
+        samples: The samples.
+        task: The expected task.
+        size: The expected image width, px.
+        whose: What has that task and size, for the message.
+
+    Raises:
+        TactipError: Where they have another.
+    """
     if samples.labels.task != task:
         raise TactipError(f"the set in {samples.folder} is of the task {samples.labels.task!r}, {whose} of {task!r}")
     if samples.size != size:

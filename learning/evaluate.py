@@ -1,45 +1,47 @@
-"""How well a model reads poses: errors by component, by label, by shear; worst cases; and what an answer costs."""
+"""Evaluation of a model on a set: errors by component, label and shear, worst samples, and latency."""
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from tactip_twin.learning.data import check_alike
+from tactip_twin.learning.data import Samples, check_compatible
+from tactip_twin.learning.labels import Labels
+from tactip_twin.learning.model import Model
 from tactip_twin.learning.posenet import parameter_count
 
 BINS = 10
-"""Bins of a label or of the size of the shear."""
+"""Number of bins of a label or of the size of the shear."""
 
 WORST = 8
-"""Samples that are named as the worst."""
+"""Number of worst samples."""
 
 _LATENCY_CALLS = 60
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """A model on a set. (n samples, k components)"""
+    """Predictions and errors of a model on a set of n samples with k components."""
 
     predictions: np.ndarray
     """(n, k), mm and degrees."""
     errors: np.ndarray
     """(n, k), prediction minus label, mm and degrees."""
-    figures: dict
-    """What `tactip evaluate --json` prints, and tables beside it."""
+    figures: dict[str, Any]
+    """Figures that `tactip evaluate --json` prints, JSON."""
 
 
-def evaluate(model, samples):
-    """Evaluate a Model on Samples. Returns an Evaluation.
-
-    Raises TactipError where the two are of different tasks or image sizes.
-    """
-    check_alike(samples, model.labels.task, model.size, "the model")
+def evaluate(model: Model, samples: Samples) -> Evaluation:
+    """Evaluate a model on samples. Raises TactipError where their tasks or image sizes differ."""
+    check_compatible(samples, model.labels.task, model.size, "the model")
     predictions = model.predict(samples.images)
     errors = predictions - samples.targets
     names = model.labels.names
 
-    def by_name(values):
+    def by_name(values: np.ndarray) -> dict[str, float]:
+        """Return values (k,) by component."""
         return {name: float(value) for name, value in zip(names, values, strict=True)}
 
     figures = {
@@ -57,8 +59,8 @@ def evaluate(model, samples):
     return Evaluation(predictions, errors, figures)
 
 
-def tables(evaluation, samples, labels):
-    """Errors against each label, against shear, and the worst samples: a dict (JSON) of an Evaluation on its Samples."""
+def tables(evaluation: Evaluation, samples: Samples, labels: Labels) -> dict[str, Any]:
+    """Return errors by label and by shear, and the worst samples, as JSON."""
     absolute = np.abs(evaluation.errors)
     sizes = {"shear_mm": np.linalg.norm(samples.shears[:, :3], axis=1)}
     sizes["shear_deg"] = np.linalg.norm(samples.shears[:, 3:], axis=1)
@@ -78,36 +80,42 @@ def tables(evaluation, samples, labels):
     }
 
 
-def binned(values, absolute, names):
-    """Mean absolute errors over BINS bins of equally many samples.
+def binned(values: np.ndarray, absolute: np.ndarray, names: Sequence[str]) -> list[dict[str, Any]]:
+    """Return mean absolute errors over BINS bins of equally many samples.
 
-    values: (n,), by which they are sorted. absolute: (n, k). names: k str. Returns a list of dict: the bin's mean value, its
-    ends, its count, and the mean error of each component with its standard error.
+    Args:
+        values: (n,), by which the samples are sorted.
+        absolute: (n, k) absolute errors.
+        names: (k) names of the components.
+
+    Returns:
+        A dict for each bin: mean value, ends, count, and the mean error of each component with its standard error.
     """
     order = np.argsort(values, kind="stable")
     rows = []
     for part in np.array_split(order, min(BINS, len(order))):
-        some = absolute[part]
-        deviation = some.std(0, ddof=1) / np.sqrt(len(part)) if len(part) > 1 else np.full(len(names), np.nan)
+        errors = absolute[part]
+        deviation = errors.std(0, ddof=1) / np.sqrt(len(part)) if len(part) > 1 else np.full(len(names), np.nan)
         rows.append(
             {
                 "mean": float(values[part].mean()),
                 "from": float(values[part].min()),
                 "to": float(values[part].max()),
                 "samples": len(part),
-                "mae": {n: float(x) for n, x in zip(names, some.mean(0), strict=True)},
+                "mae": {n: float(x) for n, x in zip(names, errors.mean(0), strict=True)},
                 "standard_error": {n: float(x) for n, x in zip(names, deviation, strict=True) if np.isfinite(x)},
             }
         )
     return rows
 
 
-def _rounded(values):
+def _rounded(values: np.ndarray) -> list[float]:
+    """Return values rounded to five digits."""
     return [float(f"{x:.5g}") for x in values]
 
 
-def latency_ms(model):
-    """Median time (float), ms, from one image to its pose, with one thread on a CPU."""
+def latency_ms(model: Model) -> float:
+    """Return the median time, ms, from one image to its pose, with one thread on a CPU."""
     image, times = np.zeros((1, model.size, model.size), np.uint8), []
     for _ in range(_LATENCY_CALLS):
         start = time.perf_counter()

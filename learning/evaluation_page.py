@@ -1,32 +1,36 @@
-"""An evaluation as a page, tables and pictures."""
+"""An evaluation as a Markdown page with tables and figures."""
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from tactip_twin.learning.evaluate import tables
+from tactip_twin.learning.data import Samples
+from tactip_twin.learning.evaluate import Evaluation, tables
+from tactip_twin.learning.labels import Labels
+from tactip_twin.learning.model import Model
 from tactip_twin.sim.view.plot import pyplot
 from tactip_twin.tactip_model.files import write_file
 
 _BAND = 0.08
-"""Standard deviation of the Gaussian that smooths errors along a label, of the label's range."""
+"""Standard deviation of the Gaussian that smooths errors along a label, as a fraction of the label's range."""
 
 
-def write_evaluation(evaluation, samples, model, folder):
-    """Write evaluation.json, evaluation.md, errors.png and worst.png to a folder (path). Raises OSError."""
+def write_evaluation(evaluation: Evaluation, samples: Samples, model: Model, folder: str | Path) -> None:
+    """Write evaluation.json, evaluation.md, errors.png and worst.png to a folder. Raises OSError."""
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     record = evaluation.figures | tables(evaluation, samples, model.labels)
     record["data"] = {"folder": samples.folder.name, "digest": samples.dataset.meta.get("digest")}
     write_file(folder / "evaluation.json", (json.dumps(record, indent=1) + "\n").encode())
     write_file(folder / "evaluation.md", page(record, model.labels).encode())
-    _draw_errors(evaluation, samples, model.labels, folder / "errors.png")
-    _draw_worst(evaluation, samples, model.labels, folder / "worst.png")
+    _plot_errors(evaluation, samples, model.labels, folder / "errors.png")
+    _plot_worst(evaluation, samples, model.labels, folder / "worst.png")
 
 
-def page(record, labels):
-    """The Markdown (str) of evaluation.json's record."""
+def page(record: dict[str, Any], labels: Labels) -> str:
+    """Return the Markdown of evaluation.json's record."""
     units = dict(zip(labels.names, labels.units, strict=True))
     lines = [
         f"# A {record['task']} model on {record['samples']} samples",
@@ -55,15 +59,26 @@ def page(record, labels):
     return "\n".join(lines) + "\n"
 
 
-def band(values, errors, at, width):
-    """Mean and standard deviation, (m,) each, at points (m,) of errors (n,) along values (n,), by a Gaussian kernel."""
+def band(values: np.ndarray, errors: np.ndarray, at: np.ndarray, width: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the mean and standard deviation of errors along values, by a Gaussian kernel.
+
+    Args:
+        values: (n,).
+        errors: (n,).
+        at: (m,) values to evaluate at.
+        width: Standard deviation of the kernel, in the unit of the values.
+
+    Returns:
+        Mean (m,) and standard deviation (m,).
+    """
     weight = np.exp(-0.5 * ((at[:, None] - values) / width) ** 2)
     weight /= weight.sum(1, keepdims=True)
     mean = weight @ errors
     return mean, np.sqrt(np.maximum(weight @ errors**2 - mean**2, 0))
 
 
-def _draw_errors(evaluation, samples, labels, path):
+def _plot_errors(evaluation: Evaluation, samples: Samples, labels: Labels, path: Path) -> None:
+    """Plot predictions by label and errors by shear."""
     plt = pyplot()
     k = len(labels.names)
     figure, axes = plt.subplots(2, k, figsize=(3.6 * k, 6.6), squeeze=False)
@@ -89,7 +104,8 @@ def _draw_errors(evaluation, samples, labels, path):
     plt.close(figure)
 
 
-def _draw_worst(evaluation, samples, labels, path):
+def _plot_worst(evaluation: Evaluation, samples: Samples, labels: Labels, path: Path) -> None:
+    """Plot the worst samples, with label and prediction."""
     plt = pyplot()
     worst = np.argsort(-((evaluation.errors / labels.scale) ** 2).sum(1))[:8]
     figure, axes = plt.subplots(2, 4, figsize=(12, 6.6))
@@ -97,9 +113,9 @@ def _draw_worst(evaluation, samples, labels, path):
         axis.axis("off")
     for axis, i in zip(axes.ravel(), worst, strict=False):
         axis.imshow(samples.images[i], cmap="gray", interpolation="nearest")
-        told = " ".join(f"{x:.1f}" for x in samples.targets[i])
-        read = " ".join(f"{x:.1f}" for x in evaluation.predictions[i])
-        axis.set_title(f"{told}\n{read}", fontsize=8)
+        label = " ".join(f"{x:.1f}" for x in samples.targets[i])
+        prediction = " ".join(f"{x:.1f}" for x in evaluation.predictions[i])
+        axis.set_title(f"{label}\n{prediction}", fontsize=8)
     figure.tight_layout()
     figure.savefig(path, dpi=80, metadata={"Software": None})
     plt.close(figure)

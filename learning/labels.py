@@ -1,8 +1,10 @@
-"""What a network learns of a pose, and in which unit: components by task, each over its greatest value."""
+"""The components of a pose that a network learns, by task, and their units and scales."""
 
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from tactip_twin.sim.dataset.sampling import Ranges
 from tactip_twin.sim.labels import COMPONENTS, LEARNED
@@ -19,41 +21,42 @@ class Labels:
     task: str
     """`surface` or `edge`."""
     low: tuple[float, ...]
-    """(k) least value of each that was drawn, mm and degrees."""
+    """(k) minimum of each component's range, mm and degrees."""
     high: tuple[float, ...]
-    """(k) greatest."""
+    """(k) maximum."""
 
     @property
-    def components(self):
-        """Names (tuple of str), of COMPONENTS."""
+    def components(self) -> tuple[str, ...]:
+        """Names, of COMPONENTS."""
         return LEARNED[self.task]
 
     @property
-    def names(self):
-        """Names (tuple of str) as columns of a data set: pose_z …"""
+    def names(self) -> tuple[str, ...]:
+        """Names as columns of a data set: pose_z …"""
         return tuple(f"pose_{c}" for c in self.components)
 
     @property
-    def units(self):
-        """Units (tuple of str): mm or °."""
+    def units(self) -> tuple[str, ...]:
+        """Units: mm or °."""
         return tuple("°" if c.startswith("R") else "mm" for c in self.components)
 
     @property
-    def scale(self):
-        """(k,) float: greatest absolute value; errors are weighted by one over its square [P]."""
+    def scale(self) -> np.ndarray:
+        """(k,) maximum absolute values; squared errors are divided by their squares [P]."""
         return np.abs([self.low, self.high]).max(0)
 
-    def of(self, poses):
-        """The learned components (n, k) of poses (n, 6), mm and degrees."""
+    def of(self, poses: ArrayLike) -> np.ndarray:
+        """Return the learned components (n, k) of poses (n, 6), mm and degrees."""
         return np.asarray(poses, float)[:, [COMPONENTS.index(c) for c in self.components]]
 
 
-def labels_of(configuration):
-    """The Labels of a data set's configuration (dict, from its meta.json).
+def labels_of(configuration: dict[str, Any]) -> Labels:
+    """Return the labels of a data set's configuration, from its meta.json.
 
-    Raises TactipError on a task that is not known, a range that is missing, or one that leaves nothing to learn.
+    Raises:
+        TactipError: Where the task is unknown, or a range is missing or leaves nothing to learn.
     """
-    task = configuration.get("task")
+    task: Any = configuration.get("task")
     components = lookup("task", task, LEARNED)
     ranges = configuration.get("pose") or {}
     low, high = [], []

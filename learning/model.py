@@ -1,4 +1,4 @@
-"""A trained network on disk and in use: weights (model.pt) and what they are for (model.json)."""
+"""A trained network in its folder and in use: weights (model.pt) and their description (model.json)."""
 
 import contextlib
 import dataclasses
@@ -6,11 +6,14 @@ import hashlib
 import io
 import json
 import zipfile
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import ArrayLike
 
 from tactip_twin.assets import MODELS
 from tactip_twin.learning.configuration import PoseNetConfig
@@ -34,15 +37,15 @@ class Model:
     net: PoseNet
     """The network, with its weights."""
     config: PoseNetConfig
-    """What it was built by."""
+    """Its hyperparameters."""
     labels: Labels
-    """The components that it tells, and their ranges."""
+    """The components that it predicts, and their ranges."""
     size: int
     """Width of its images, px."""
-    provenance: dict
-    """What it was trained on and how, JSON."""
+    provenance: dict[str, Any]
+    """Data and settings of its training, JSON."""
 
-    def predict(self, images, batch=256):
+    def predict(self, images: ArrayLike, batch: int = 256) -> np.ndarray:
         """Predict poses (n, k), mm and degrees in the order of labels.components, from images (n, size, size) uint8.
 
         One image (size, size) gives one pose (k,). Raises TactipError on images of another size or type.
@@ -64,20 +67,26 @@ class Model:
         return np.concatenate(out) * self.labels.scale if out else np.zeros((0, len(self.labels.scale)))
 
 
-def to_input(images):
-    """What the network takes, (n, 1, size, size) float 0 to 1 in channels-last order, of uint8 images (n, size, size)."""
+def to_input(images: torch.Tensor) -> torch.Tensor:
+    """Return the network's input, (n, 1, size, size) float 0 to 1, channels last, of images (n, size, size) uint8."""
     return (images[:, None].float() / 255).contiguous(memory_format=torch.channels_last)
 
 
-def weights_bytes(tensors):
-    """A state dict of tensors as bytes that torch.load(weights_only=True) reads."""
+def to_device(net: PoseNet, device: str) -> PoseNet:
+    """Return a network moved to a torch device, its weights with channels last."""
+    move: Callable[..., PoseNet] = net.to  # torch's annotations lack memory_format
+    return move(device=device, memory_format=torch.channels_last)
+
+
+def weights_bytes(tensors: dict[str, Any]) -> bytes:
+    """Return a state dict of tensors as bytes that torch.load(weights_only=True) reads."""
     data = io.BytesIO()
     torch.save(tensors, data)
     return data.getvalue()
 
 
-def tensors_of(data):
-    """The tensors that weights_bytes made bytes of. Raises ValueError where they are damaged."""
+def tensors_of(data: bytes) -> dict[str, Any]:
+    """Return the state dict in the bytes of `weights_bytes`. Raises ValueError where they are damaged."""
     if not zipfile.is_zipfile(io.BytesIO(data)):
         raise ValueError("it is cut short, or no file of tensors")
     try:
@@ -86,8 +95,27 @@ def tensors_of(data):
         raise ValueError(str(error).splitlines()[0]) from error
 
 
-def save_model(folder, state, config, labels, size, provenance):
-    """Write a model. folder: path. state: the net's state dict. The rest: as of Model. Raises OSError."""
+def save_model(
+    folder: str | Path,
+    state: dict[str, torch.Tensor],
+    config: PoseNetConfig,
+    labels: Labels,
+    size: int,
+    provenance: dict[str, Any],
+) -> None:
+    """Write a model to a folder.
+
+    Args:
+        folder: The folder.
+        state: State dict of the network.
+        config: Its hyperparameters.
+        labels: Its components and their ranges.
+        size: Width of its images, px.
+        provenance: Data and settings of its training, JSON.
+
+    Raises:
+        OSError: Where a file cannot be written.
+    """
     folder = Path(folder)
     data = weights_bytes({name: tensor.detach().cpu().contiguous() for name, tensor in state.items()})
     description = {
@@ -104,26 +132,26 @@ def save_model(folder, state, config, labels, size, provenance):
     write_file(folder / DESCRIPTION, (json.dumps(description, indent=1) + "\n").encode())
 
 
-def net_sha256(net):
-    """Checksum (str) of a network's weights as they are in memory."""
+def net_sha256(net: PoseNet) -> str:
+    """Return a checksum (hex) of a network's weights in memory."""
     return hashlib.sha256(b"".join(t.cpu().numpy().tobytes() for t in net.state_dict().values())).hexdigest()
 
 
-def shipped_models():
-    """Names (list of str) of the networks that come with the package."""
+def shipped_models() -> list[str]:
+    """Return the names of the networks that come with the package."""
     return sorted(path.parent.name for path in MODELS.glob(f"*/{DESCRIPTION}"))
 
 
-def load_network(name, device="cpu"):
-    """The Model of a shipped network's name, or in a folder.
+def load_network(name: str | Path, device: str = "cpu") -> Model:
+    """Return the model of a shipped network's name, or in a folder.
 
     Raises TactipError that lists the names where there is neither.
     """
     return load_model(_folder_of(name), device)
 
 
-def weights_sha256(name):
-    """Checksum (str) of the weights of a shipped network's name, or in a folder, as its description has it.
+def weights_sha256(name: str | Path) -> str:
+    """Return the checksum (hex) of the weights of a shipped network's name, or in a folder, as in its description.
 
     Raises TactipError where there is none.
     """
@@ -134,8 +162,8 @@ def weights_sha256(name):
         raise TactipError(f"{path} cannot be used: {error!r}") from error
 
 
-def _folder_of(name):
-    """The folder (Path) of a network."""
+def _folder_of(name: str | Path) -> Path:
+    """Return the folder of a network."""
     if str(name) in shipped_models():
         return MODELS / str(name)
     if not Path(name).is_dir():
@@ -143,8 +171,8 @@ def _folder_of(name):
     return Path(name)
 
 
-def load_model(folder, device="cpu"):
-    """Read a Model from a folder. Raises TactipError where there is none, or a damaged one."""
+def load_model(folder: str | Path, device: str = "cpu") -> Model:
+    """Read a model from a folder. Raises TactipError where there is none, or a damaged one."""
     folder = Path(folder)
     path = folder / DESCRIPTION
     if not path.exists():
@@ -168,5 +196,4 @@ def load_model(folder, device="cpu"):
         net.load_state_dict(tensors_of(data))
     except (RuntimeError, ValueError) as error:
         raise TactipError(f"the weights beside {path} do not fit its network: {str(error).splitlines()[0]}") from error
-    net = net.to(device=device, memory_format=torch.channels_last)
-    return Model(net, config, labels, size, description.get("provenance", {}))
+    return Model(to_device(net, device), config, labels, size, description.get("provenance", {}))

@@ -1,4 +1,4 @@
-"""How far the optics of a sensor are varied from image to image: declared distributions, by name."""
+"""Ranges of the random optics of a sensor, from image to image, by name."""
 
 from dataclasses import dataclass, replace
 
@@ -7,7 +7,7 @@ from tactip_twin.tactip_model.bounds import check, within
 
 @dataclass(frozen=True)
 class OpticsRanges:
-    """Uniform ranges, either way unless told otherwise. Lengths in px are of a tactile image of 128 px."""
+    """Uniform ranges, in both directions unless stated otherwise. Lengths in px are of a tactile image of 128 px."""
 
     zoom: float = within(0, 0.1, default=0.012)
     """Size of the image, -; 1 % was seen between a neutral image and the frames after it [M]."""
@@ -39,7 +39,7 @@ class OpticsRanges:
     rim_lights: float = within(0, 12, default=0.0)
     """Most arcs of light at the rim, from 0 to so many by image. For frames whose rim is not masked."""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         check(self)
 
 
@@ -65,7 +65,7 @@ to 3e-4 [M]. How lens and crop distort is in the neutral image: the twin has its
 
 _NO_NOISE = dict.fromkeys(("pin_each", "jitter_px", "missing", "merged_px", "speckles", "rim_lights"), 0.0)
 
-OPTICS = {
+OPTICS: dict[str, OpticsRanges] = {
     "lens": OpticsRanges(),
     "real": _REAL,
     "rim": replace(_REAL, rim_lights=8.0),
@@ -78,6 +78,6 @@ the calibration to a neutral image; `rim`, the same with light at the rim, for f
 lies farther out, as of a deeper contact. Each with `-clean`: without what is not the camera's, and without rim lights."""
 
 
-def noiseless(name):
-    """Name of the OpticsRanges without noise."""
+def noiseless(name: str) -> str:
+    """Return the name of the same ranges without noise."""
     return name if name.endswith("-clean") else f"{name}-clean"

@@ -1,4 +1,4 @@
-"""Named networks and trainings, and files of them."""
+"""Recipes by name, and files of recipes."""
 
 import dataclasses
 import json
@@ -9,15 +9,16 @@ from tactip_twin.learning.configuration import RECIPES, PoseNetConfig, Recipe, T
 from tactip_twin.tactip_model.errors import TactipError, lookup
 
 
-def recipe_named(name, task):
-    """The Recipe of a name and a task. Raises TactipError that lists the names."""
+def recipe_named(name: str, task: str) -> Recipe:
+    """Return the recipe of a name and a task. Raises TactipError that lists the names."""
     return lookup("task", task, lookup("recipe", name, RECIPES))
 
 
-def read_recipe(path):
-    """The Recipe in a JSON file: `network` and, if it has them, `settings`, as `tactip tune` and `tactip train` write them.
+def read_recipe(path: str | Path) -> Recipe:
+    """Return the recipe in a JSON file: `network` and optionally `settings`, as `tactip tune` and `tactip train` write them.
 
-    Raises TactipError where it cannot be read, names what there is not, or a number is out of bounds.
+    Raises:
+        TactipError: Where the file cannot be read, names an unknown field, or a number is out of bounds.
     """
     try:
         given = json.loads(Path(path).read_text())
@@ -34,6 +35,6 @@ def read_recipe(path):
     return Recipe(PoseNetConfig(**parts[0]), TrainSettings(**parts[1]))
 
 
-def recipe_json(recipe):
-    """A Recipe as JSON text."""
+def recipe_json(recipe: Recipe) -> str:
+    """Return a recipe as JSON text."""
     return json.dumps(dataclasses.asdict(recipe), indent=1) + "\n"

@@ -1,12 +1,12 @@
 """Search for a network: hyperopt's TPE over the paper's space, each trial a training, everything on disk.
 
     OUT/trials/0000/ …    a training each (train.py), and trial.json once it has ended
-    OUT/results.jsonl     a line a trial: what was tried, what came out
+    OUT/results.jsonl     a line per trial: values and result
     OUT/best.json         the best network, for `tactip train --config`
     OUT/tune.png          loss by trial, and each parameter against the rank of its loss
 
-What is suggested depends on the seed, the number of the trial and the results so far: with one job, a search that was
-stopped goes on as if it had not been.
+Suggestions depend on the seed, the number of the trial and the results so far, so with one job an interrupted search ends
+with the same results.
 """
 
 import dataclasses
@@ -15,8 +15,11 @@ import math
 import os
 import signal
 import sys
+from collections.abc import Callable, Mapping, Sequence
 from multiprocessing import connection, get_context
+from multiprocessing.context import ForkServerProcess
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -24,20 +27,26 @@ from hyperopt import STATUS_FAIL, STATUS_OK, Trials, rand, tpe
 from hyperopt.base import JOB_STATE_DONE, Domain
 from tqdm import tqdm
 
+from tactip_twin.learning.checkpoint import METRICS, read_metrics, with_new_defaults
 from tactip_twin.learning.configuration import TuneSettings
 from tactip_twin.learning.data import read_splits
 from tactip_twin.learning.search_space import expressions, network_of_values
-from tactip_twin.learning.train import METRICS, Pruned, read_metrics, train, with_new_defaults
+from tactip_twin.learning.train import Pruned, ShouldPrune, train
+from tactip_twin.learning.tune_figure import plot_search
 from tactip_twin.sim.parallel.file_lock import locked
-from tactip_twin.sim.view.plot import pyplot
+from tactip_twin.sim.parallel.resume import check_resumable
 from tactip_twin.tactip_model.errors import Interrupted, TactipError
 from tactip_twin.tactip_model.files import write_file
 
 TRIAL, RESULTS, BEST, LOCK = "trial.json", "results.jsonl", "best.json", ".lock"
 
 
-def past(results, domain):
-    """hyperopt's Trials of results (list of dict), numbered as they come. domain: hyperopt's Domain of the space."""
+Result = dict[str, Any]
+"""Values, status, loss and network of a trial, JSON."""
+
+
+def past(results: Sequence[Result], domain: Domain) -> Trials:
+    """Return hyperopt's Trials of results, numbered in their order. domain: hyperopt's Domain of the space."""
     trials = Trials()
     docs = []
     for tid, result in enumerate(results):
@@ -53,13 +62,13 @@ def past(results, domain):
     return trials
 
 
-def values_of(doc):
-    """The values (dict of label to number) of a trial document of hyperopt's."""
+def values_of(doc: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values (label to number) of one of hyperopt's trial documents."""
     return {k: v[0].item() if isinstance(v[0], np.generic) else v[0] for k, v in doc["misc"]["vals"].items() if v}
 
 
-def suggest(settings, index, results):
-    """Hyperopt's values (dict of label to number) for trial `index`, given results (list of dict) so far."""
+def suggest(settings: TuneSettings, index: int, results: Sequence[Result]) -> dict[str, Any]:
+    """Return hyperopt's values (label to number) for trial `index`, given the results so far."""
     domain = Domain(lambda point: 0.0, expressions(settings.space))
     trials = past(results, domain)
     seed = int(np.random.SeedSequence(settings.seed, spawn_key=(index,)).generate_state(1)[0])
@@ -68,40 +77,55 @@ def suggest(settings, index, results):
     return values_of(doc)
 
 
-def tune(data, folder, settings, jobs=1, device="auto", say=print):
-    """Search in a folder, or go on with a search that was stopped there.
+def tune(
+    data: str | Path,
+    folder: str | Path,
+    settings: TuneSettings,
+    jobs: int = 1,
+    device: str = "auto",
+    log: Callable[[str], None] = print,
+) -> list[Result]:
+    """Search in a folder, or resume a search that was interrupted there; return the results.
 
-    data: path of a task's sets. folder: path. settings: TuneSettings. jobs: int, trainings at a time. device: str. say:
-    called with lines for the user.
+    Args:
+        data: Folder of a task's sets.
+        folder: Output folder.
+        settings: Settings of the search.
+        jobs: Number of trainings at a time.
+        device: Device to train on.
+        log: Callback for lines for the user.
 
-    Returns the results (list of dict). Raises TactipError where data, folder or settings do not do, and Interrupted at
-    Ctrl-C.
+    Raises:
+        TactipError: Where the data cannot be used, the folder holds something else, or no trial has a loss.
+        Interrupted: At Ctrl-C.
     """
     folder = Path(folder)
     claim(folder, data, settings)
     with locked(folder / LOCK, f"searching in {folder}"):
-        return _tune(data, folder, settings, jobs, device, say)
+        return _tune(data, folder, settings, jobs, device, log)
 
 
-def _tune(data, folder, settings, jobs, device, say):
-    """`tune`, in a folder that is ours."""
+def _tune(
+    data: str | Path, folder: Path, settings: TuneSettings, jobs: int, device: str, log: Callable[[str], None]
+) -> list[Result]:
+    """Search in a locked folder; see `tune`."""
     results = read_results(folder)
     todo = [i for i in range(settings.trials) if i not in {r["trial"] for r in results}]
     if results and todo:
-        say(f"{len(results)} of {settings.trials} trials are there already")
+        log(f"{len(results)} of {settings.trials} trials are there already")
     with tqdm(total=settings.trials, initial=len(results), unit="trial", file=sys.stderr) as bar:
-        running = {}
+        running: dict[int, ForkServerProcess] = {}
         try:
             while todo or running:
                 while todo and len(running) < jobs:
                     index = todo.pop(0)
-                    values = _asked(folder, index) or suggest(settings, index, results)
+                    values = _recorded_values(folder, index) or suggest(settings, index, results)
                     note(folder, index, {"trial": index, "values": values})
                     running[index] = _start(data, folder, index, settings, device, jobs)
                 for index in _ended(running):
                     process = running.pop(index)
                     process.join()
-                    results.append(result_of(folder, index, _why_none(folder, index, process.exitcode)))
+                    results.append(result_of(folder, index, _missing_result(folder, index, process.exitcode)))
                     write_results(folder, results, settings)
                     bar.update()
                     bar.set_postfix(best=_best_loss(results))
@@ -111,61 +135,62 @@ def _tune(data, folder, settings, jobs, device, say):
             for process in running.values():
                 process.terminate()
                 process.join()
-    draw(results, folder / "tune.png", settings.startup)
+    plot_search(results, folder / "tune.png", settings.startup)
     return results
 
 
-def claim(folder, data, settings):
-    """Make a folder that of this search; what is wrong with data or space is said before any trial.
+def claim(folder: Path, data: str | Path, settings: TuneSettings) -> None:
+    """Make a folder that of this search, after a check of the data and the space, so no trial starts in vain.
 
-    Raises TactipError there, and where the folder is another's.
+    Raises:
+        TactipError: Where they cannot be used, or the folder holds something else.
     """
     train_samples, _ = read_splits(data)
     settings.space.check_image_size(train_samples.size)
-    identity = {"settings": dataclasses.asdict(settings), "data": train_samples.dataset.meta.get("digest")}
-    del identity["settings"]["trials"]  # a search may be made longer
-    identity = json.loads(json.dumps(identity))
+    requested = {"settings": _identity(settings), "data": train_samples.dataset.meta.get("digest")}
     path = folder / "search.json"
+    recorded = None
     if path.exists():
-        there = json.loads(path.read_text())
-        before = {"settings": json.loads(json.dumps(dataclasses.asdict(TuneSettings())))}
-        del before["settings"]["trials"]
-        for part, asked in identity.items():
-            if with_new_defaults(there.get(part), before.get(part)) != asked:
-                raise TactipError(f"the folder {folder} holds a search with other {part}: name another one, or remove it")
-        return
-    if folder.exists() and any(folder.iterdir()):
-        raise TactipError(f"the folder {folder} is not empty and holds no search: name another one")
-    (folder / "trials").mkdir(parents=True)
-    write_file(path, (json.dumps(identity, indent=1) + "\n").encode())
+        recorded = json.loads(path.read_text())
+        recorded = recorded | {"settings": with_new_defaults(recorded.get("settings"), _identity(TuneSettings()))}
+    if not check_resumable(folder, "search", recorded, requested):
+        (folder / "trials").mkdir(parents=True)
+        write_file(path, (json.dumps(requested, indent=1) + "\n").encode())
 
 
-def trial_folder(folder, index):
-    """Folder (Path) of a trial's training."""
+def _identity(settings: TuneSettings) -> dict[str, Any]:
+    """Return the settings that make a search another one, as JSON: all but the number of trials, which may grow."""
+    identity = dataclasses.asdict(settings)
+    del identity["trials"]
+    return json.loads(json.dumps(identity))
+
+
+def trial_folder(folder: str | Path, index: int) -> Path:
+    """Return the folder of a trial's training."""
     return Path(folder) / "trials" / f"{index:04d}"
 
 
-def note(folder, index, record):
-    """Write what is known of a trial."""
+def note(folder: Path, index: int, record: Result) -> None:
+    """Write the number and values of a trial before it starts."""
     place = trial_folder(folder, index)
     place.mkdir(parents=True, exist_ok=True)
     write_file(place.with_suffix(".json"), (json.dumps(record) + "\n").encode())
 
 
-def _asked(folder, index):
-    """The values (dict) that a trial which was stopped had been given, or None."""
+def _recorded_values(folder: Path, index: int) -> dict[str, Any] | None:
+    """Return the values of an interrupted trial, or None where it has not started."""
     path = trial_folder(folder, index).with_suffix(".json")
     return json.loads(path.read_text())["values"] if path.exists() else None
 
 
-def read_results(folder):
-    """Results (list of dict) of the trials that are over, in the order of their ends."""
+def read_results(folder: str | Path) -> list[Result]:
+    """Return the results of the trials that have ended, in the order of their ends."""
     path = Path(folder) / RESULTS
     return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
 
 
-def write_results(folder, results, settings):
-    """Write results.jsonl of results (list of dict) and, of the best, best.json."""
+def write_results(folder: Path, results: Sequence[Result], settings: TuneSettings) -> None:
+    """Write results.jsonl and, for the best result, best.json."""
     write_file(folder / RESULTS, "".join(json.dumps(r) + "\n" for r in results).encode())
     good = [r for r in results if r["status"] == "ok"]
     if good:
@@ -175,32 +200,40 @@ def write_results(folder, results, settings):
         write_file(folder / BEST, (json.dumps(chosen, indent=1) + "\n").encode())
 
 
-def _best_loss(results):
+def _best_loss(results: Sequence[Result]) -> float:
+    """Return the lowest loss; NaN where there is none."""
     return min((r["loss"] for r in results if r["status"] == "ok"), default=math.nan)
 
 
-def _start(data, folder, index, settings, device, jobs):
-    """Begin a trial in a process of its own: what ends it, memory that is short among it, ends nothing else."""
+def _start(data: str | Path, folder: Path, index: int, settings: TuneSettings, device: str, jobs: int) -> ForkServerProcess:
+    """Start a trial in a process of its own, so that nothing that ends it, a lack of memory included, ends the search."""
     threads = max(1, len(os.sched_getaffinity(0)) // jobs)
     arguments = (str(data), str(folder), index, settings, device, threads)
     context = get_context("forkserver")
-    context.set_forkserver_preload([__name__])  # torch is imported once, not a trial
+    context.set_forkserver_preload([__name__])  # torch is imported once, not by every trial
     process = context.Process(target=_trial_process, args=arguments)
     process.start()
     return process
 
 
-def _trial_process(*arguments):
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to answer
-    # By this the parent ends trials: they leave as programs do, and let go of what they hold.
+def _trial_process(data: str, folder: str, index: int, settings: TuneSettings, device: str, threads: int) -> None:
+    """Run a trial as the main function of its process."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C
+    # The parent ends trials by SIGTERM: an orderly exit releases their locks and memory.
     signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
-    run_trial(*arguments)
+    run_trial(data, folder, index, settings, device, threads)
 
 
-def run_trial(data, folder, index, settings, device, threads):
-    """One trial: train, and write how it ended to its trial.json.
+def run_trial(data: str, folder: str, index: int, settings: TuneSettings, device: str, threads: int) -> None:
+    """Train one trial, and write its result to its trial.json.
 
-    data, folder: str. index: int. settings: TuneSettings. device: str. threads: int, that it may use.
+    Args:
+        data: Folder of a task's sets.
+        folder: Folder of the search.
+        index: Number of the trial.
+        settings: Settings of the search.
+        device: Device to train on.
+        threads: Number of threads that it may use.
     """
     torch.set_num_threads(threads)
     place = trial_folder(folder, index)
@@ -209,8 +242,8 @@ def run_trial(data, folder, index, settings, device, threads):
     try:
         network = network_of_values(settings.space, record["values"])
         result["network"] = dataclasses.asdict(network)
-        watch = _hopeless(read_results(folder), folder, settings.least_epochs) if settings.prune else None
-        history = train(*read_splits(data), network, settings.training, place, device, lambda line: None, watch, quiet=True)
+        prune = _should_prune(read_results(folder), folder, settings.least_epochs) if settings.prune else None
+        history = train(*read_splits(data), network, settings.training, place, device, lambda line: None, prune, quiet=True)
         result |= {"status": "ok", "loss": min(h["val_loss"] for h in history), "epochs": len(history)}
         result["seconds"] = sum(h["seconds"] for h in history)
     except Pruned as pruned:
@@ -220,39 +253,46 @@ def run_trial(data, folder, index, settings, device, threads):
     write_file(place / TRIAL, (json.dumps(result) + "\n").encode())
 
 
-def _hopeless(results, folder, least):
-    """A function of a history that says (bool) whether half of the trials before were better by now."""
+def _should_prune(results: Sequence[Result], folder: str | Path, min_epochs: int) -> ShouldPrune:
+    """Return a function that decides whether half of the trials before were better after as many epochs.
+
+    Args:
+        results: Results of those trials.
+        folder: Folder of the search.
+        min_epochs: Minimum number of epochs, and of trials, for a decision.
+    """
     bests = []
     for r in results:
         path = trial_folder(folder, r["trial"]) / METRICS
         if r["status"] == "ok" and path.exists():
             bests.append(np.minimum.accumulate([h["val_loss"] for h in read_metrics(path.parent)]))
 
-    def hopeless(history):
+    def should_prune(history: list[dict[str, float]]) -> bool:
+        """Return whether the training ends."""
         epochs = len(history)
-        if epochs < least or len(bests) < least:
+        if epochs < min_epochs or len(bests) < min_epochs:
             return False
         then = [b[min(epochs, len(b)) - 1] for b in bests]
-        return min(h["val_loss"] for h in history) > np.median(then)
+        return bool(min(h["val_loss"] for h in history) > np.median(then))
 
-    return hopeless
+    return should_prune
 
 
-def _ended(running):
-    """Wait until at least one trial has ended. running: dict of index to process. Returns indices (list), in order."""
+def _ended(running: Mapping[int, ForkServerProcess]) -> list[int]:
+    """Wait until at least one trial has ended; return the numbers of those that have, in order. running: by number."""
     ready = connection.wait([p.sentinel for p in running.values()])
     return [index for index, p in sorted(running.items()) if p.sentinel in ready]
 
 
-def _why_none(folder, index, exit_code):
-    """Why (str) a trial whose process has ended left no result, if it left none: it was killed, as by a system that is short
-    of memory.
+def _missing_result(folder: Path, index: int, exit_code: int | None) -> str:
+    """Return why a trial whose process has ended left no result; empty where it left one.
 
-    Raises TactipError where it ended by an error of the program, which is no trial's: all others would end so, too.
+    Raises:
+        TactipError: Where an error of the program ended it, because that would end all other trials, too.
     """
     if (trial_folder(folder, index) / TRIAL).exists():
         return ""
-    if exit_code >= 0:
+    if exit_code is None or exit_code >= 0:
         raise TactipError(
             f"the process of trial {index} ended with exit code {exit_code}, and what it said is above: the search goes on "
             "from where it was when it is run again"
@@ -260,59 +300,10 @@ def _why_none(folder, index, exit_code):
     return f"its process was ended by {signal.Signals(-exit_code).name}: is memory short?"
 
 
-def result_of(folder, index, why):
-    """The result (dict) of a trial that has ended; `why` (str) it left none, if it did."""
+def result_of(folder: str | Path, index: int, why: str) -> Result:
+    """Return the result of a trial that has ended. why: the reason where it left none."""
     path = trial_folder(folder, index) / TRIAL
     if path.exists():
         return json.loads(path.read_text())
     record = json.loads(trial_folder(folder, index).with_suffix(".json").read_text())
     return record | {"status": "failed", "loss": None, "network": None, "why": why}
-
-
-PARAMETERS = (
-    ("conv_layers", False),
-    ("filters", True),
-    ("dense_layers", False),
-    ("units", True),
-    ("activation", False),
-    ("batch_norm", False),
-    ("dropout", False),
-    ("l1", True),
-    ("l2", True),
-    ("batch_size", True),
-)
-"""Parameters of the figure, and whether their axis is logarithmic."""
-
-
-def draw(results, path, startup):
-    """Loss by trial, and each parameter against the rank of its loss, best marked. Writes a PNG to `path`."""
-    plt = pyplot()
-    good = sorted((r for r in results if r["status"] == "ok"), key=lambda r: r["trial"])
-    if not good:
-        raise TactipError("no trial ended well: there is nothing to draw, and results.jsonl says why")
-    losses = np.array([r["loss"] for r in good])
-    rank = np.argsort(np.argsort(losses)) + 1
-    best = int(losses.argmin())
-    figure, axes = plt.subplots(3, 4, figsize=(15, 9))
-    axis = axes[0, 0]
-    trials = np.array([r["trial"] for r in good])
-    axis.semilogy(trials, losses, ".", color="0.5", ms=4)
-    axis.semilogy(trials, np.minimum.accumulate(losses), "-", color="C0", lw=1.2)
-    axis.semilogy(trials[best], losses[best], "o", color="C3")
-    axis.axvline(startup - 0.5, color="0.8", lw=0.8)
-    axis.set(xlabel="trial", ylabel="validation loss", title=f"best {losses[best]:.4g}, trial {trials[best]}")
-    for axis, (name, logarithmic) in zip(axes.ravel()[1:], PARAMETERS, strict=False):
-        values = [r["network"][name] for r in good]
-        ticks = sorted(set(values)) if isinstance(values[0], str | bool) else None
-        numbers = np.array([ticks.index(v) for v in values] if ticks else values, float)
-        axis.plot(rank, numbers, ".", color="0.5", ms=4)
-        axis.plot(rank[best], numbers[best], "o", color="C3")
-        if ticks:
-            axis.set_yticks(range(len(ticks)), [str(t) for t in ticks])
-        if logarithmic:
-            axis.set_yscale("log", base=10 if name in ("l1", "l2") else 2)
-        axis.set(xlabel="rank of its loss", title=name)
-    axes[2, 3].axis("off")
-    figure.tight_layout()
-    figure.savefig(path, dpi=90, metadata={"Software": None})
-    plt.close(figure)

@@ -1,20 +1,23 @@
-"""The paper's search, with as many trials as a machine has time for, and what was cut, on one page.
+"""The paper's hyperparameter search with a limited number of trials, and its differences from the paper's, on one page.
 
-`tactip bench search --task surface --trials 60`: makes the sets that it lacks, searches, and writes docs/search.md, .json
-and a figure a task. Stopped, it goes on where it was; more trials later are added to those that are there.
+`tactip bench search --task surface --trials 60` makes missing sets, searches, and writes docs/search.md, search.json and one
+figure per task. After an interruption it resumes; a larger number of trials adds to the existing ones.
 """
 
 import dataclasses
 import json
 from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from typing import Any
 
 from tactip_twin.benchmarks.hardware import machine, machine_text
-from tactip_twin.benchmarks.learning import learning as learned
-from tactip_twin.benchmarks.options import LearningOptions
+from tactip_twin.benchmarks.learning import learning
+from tactip_twin.benchmarks.options import LearningOptions, SearchOptions
+from tactip_twin.learning.checkpoint import with_new_defaults
 from tactip_twin.learning.configuration import SearchSpace, TrainSettings, TuneSettings
-from tactip_twin.learning.train import with_new_defaults
-from tactip_twin.learning.tune import PARAMETERS, draw, tune
+from tactip_twin.learning.tune import tune
+from tactip_twin.learning.tune_figure import PARAMETERS, plot_search
 from tactip_twin.sim.dataset.generate import Job, make
 from tactip_twin.sim.parallel.worker_pool import worker_count
 from tactip_twin.tactip_model.errors import lookup
@@ -29,26 +32,28 @@ LAPTOP = TuneSettings(
 """A search for two cores: few epochs, hence ten times the paper's rate [?]."""
 
 BEST = 5
-"""Trials that the page names."""
+"""Number of best trials in the table."""
 
 
-def jobs(options):
-    """The sets (list of Job) that are needed, made already or not."""
+def jobs(options: SearchOptions) -> list[Job]:
+    """Return the sets that are needed, whether they exist or not."""
     judged = LearningOptions(task=options.task, judged=options.judged, data=options.data)
-    (val,) = (job for job in learned.jobs(judged, ("plain",)) if job.folder == options.data / "plain" / options.task / "val")
+    (val,) = (
+        job for job in learning.jobs(judged, ("plain",)) if job.folder == options.data / "plain" / options.task / "val"
+    )
     train = replace(val.configuration, split="train", samples=options.contacts)
     return [val, Job(train, val.folder.with_name("train"))]
 
 
-def run(options, say=print):
-    """Search; returns the task's record (dict). say: called with lines for the user.
+def run(options: SearchOptions, log: Callable[[str], None] = print) -> dict[str, Any]:
+    """Search, write search.json, search.md and the figure of the task, and return the results of the task.
 
-    Raises TactipError, and Interrupted at Ctrl-C.
+    Progress goes to `log`. Raises TactipError, and Interrupted at Ctrl-C.
     """
-    lookup("task", options.task, dict.fromkeys(learned.PAPER))
+    lookup("task", options.task, dict.fromkeys(learning.PAPER))
     settings = TuneSettings() if options.paper else replace(LAPTOP, trials=options.trials)
-    make(jobs(options), worker_count(options.workers), say)
-    results = tune(options.data / "plain" / options.task, options.runs / options.task, settings, options.jobs, say=say)
+    make(jobs(options), worker_count(options.workers), log)
+    results = tune(options.data / "plain" / options.task, options.runs / options.task, settings, options.jobs, log=log)
     results = sorted(results, key=lambda r: r["trial"])
     record = {
         "contacts": options.contacts,
@@ -61,15 +66,15 @@ def run(options, say=print):
     path = options.out / "search.json"
     whole = json.loads(path.read_text()) if path.exists() else {}
     whole[options.task] = record
-    whole = {task: whole[task] for task in learned.PAPER if task in whole}
+    whole = {task: whole[task] for task in learning.PAPER if task in whole}
     write_file(path, (json.dumps(whole, indent=1) + "\n").encode())
-    write_file(options.out / "search.md", page(whole).encode())
-    draw(results, options.out / f"search_{options.task}.png", settings.startup)
+    write_file(options.out / "search.md", markdown(whole).encode())
+    plot_search(results, options.out / f"search_{options.task}.png", settings.startup)
     return record
 
 
-def page(whole):
-    """The Markdown (str) of search.json."""
+def markdown(whole: Mapping[str, Any]) -> str:
+    """Return the Markdown of search.json."""
     lines = [
         "# The search for a network",
         "",
@@ -90,7 +95,7 @@ def page(whole):
             f"{len(record['trials'])} trials ({', '.join(f'{n} {status}' for status, n in sorted(ended.items()))}), "
             f"{record['contacts']} contacts to train on and {record['judged']} to validate. On: {state}.",
             "",
-            f"Unlike the paper's: {', '.join(cuts(record['settings'])) or 'nothing'}.",
+            f"Unlike the paper's: {', '.join(differences(record['settings'])) or 'nothing'}.",
             "",
             f"![search](search_{task}.png)",
             "",
@@ -103,10 +108,10 @@ def page(whole):
     return "\n".join(lines) + "\n"
 
 
-def cuts(settings):
-    """What of a search's settings (dict) is not the paper's: a list of str."""
+def differences(settings: dict[str, Any]) -> list[str]:
+    """Return the differences of a search's settings from the paper's, in words."""
 
-    def differing(ours, papers, name):
+    def differing(ours: Mapping[str, Any], papers: Mapping[str, Any], name: str) -> Iterator[str]:
         for key, value in papers.items():
             if isinstance(value, dict):
                 yield from differing(ours[key], value, f"{name}{key}.")

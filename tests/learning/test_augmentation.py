@@ -9,10 +9,11 @@ import torch
 
 from helpers.learning_sets import write_fake_set
 from tactip_twin.learning.augmentation import OpticsAugmentation
+from tactip_twin.learning.checkpoint import read_metrics
 from tactip_twin.learning.configuration import PoseNetConfig, TrainSettings
 from tactip_twin.learning.data import read_samples
 from tactip_twin.learning.optics_ranges import OPTICS, OpticsRanges
-from tactip_twin.learning.train import read_metrics, train
+from tactip_twin.learning.train import train
 from tactip_twin.tactip_model.errors import Interrupted, TactipError
 from tactip_twin.tactip_model.pins import neutral_pins
 from tactip_twin.tactip_model.raster_renderer import Raster
@@ -41,7 +42,7 @@ def test_images_of_the_designs_own_optics_are_nearly_the_plain_ones(samples):
 
 def test_no_variation_is_none(samples):
     still = OpticsAugmentation(samples, 0.0)
-    assert torch.equal(still.draw(torch.arange(4)), still.plain(torch.arange(4)))
+    assert torch.equal(still.render(torch.arange(4)), still.plain(torch.arange(4)))
 
 
 NONE = {"zoom": 0.0, "turn_deg": 0.0, "drift": 0.0, "pin_size": 0.0}
@@ -52,7 +53,7 @@ def varied(samples, **ranges):
     drawn = OpticsAugmentation(samples, 1.0, OpticsRanges(**NONE | ranges))
     torch.manual_seed(0)
     chosen = torch.zeros(200, dtype=torch.int64)
-    return drawn.draw(chosen).numpy() > 0, drawn.plain(chosen[:1])[0].numpy() > 0
+    return drawn.render(chosen).numpy() > 0, drawn.plain(chosen[:1])[0].numpy() > 0
 
 
 def middles(image):
@@ -111,12 +112,12 @@ def test_training_on_drawn_images(samples, tmp_path):
     net = PoseNetConfig(conv_layers=2, filters=2, units=4, batch_size=2, reduce=4)
     drawn, plain = (TrainSettings(epochs=5, rate=1e-2, muon=1e-2, drawn=share) for share in (0.5, 0.0))
     before = samples.images.copy()
-    train(samples, samples, net, drawn, tmp_path / "whole", say=print, quiet=True)
+    train(samples, samples, net, drawn, tmp_path / "whole", log=print, quiet=True)
     assert np.array_equal(samples.images, before)
     with pytest.raises(Interrupted):
-        train(samples, samples, net, drawn, tmp_path / "stopped", say=print, hopeless=stop, quiet=True)
-    train(samples, samples, net, drawn, tmp_path / "stopped", say=print, quiet=True)
-    train(samples, samples, net, plain, tmp_path / "plain", say=print, quiet=True)
+        train(samples, samples, net, drawn, tmp_path / "stopped", log=print, should_prune=stop, quiet=True)
+    train(samples, samples, net, drawn, tmp_path / "stopped", log=print, quiet=True)
+    train(samples, samples, net, plain, tmp_path / "plain", log=print, quiet=True)
     losses = [[h["loss"] for h in read_metrics(tmp_path / name)] for name in ("whole", "stopped", "plain")]
     assert losses[0] == losses[1]
     assert losses[0] != losses[2]
@@ -181,9 +182,9 @@ def test_light_at_the_rim_is_at_the_rim(samples):
 def test_images_of_every_declared_variation_keep_most_of_their_pins(samples, name):
     drawn = OpticsAugmentation(samples, 1.0, OPTICS[name])
     torch.manual_seed(0)
-    images = drawn.draw(torch.arange(4).repeat(20)).numpy()
+    images = drawn.render(torch.arange(4).repeat(20)).numpy()
     assert set(np.unique(images)) == {0, 255}
     blobs = count(images > 0)
     assert 100 < np.median(blobs) < 140
     torch.manual_seed(0)
-    assert np.array_equal(drawn.draw(torch.arange(4).repeat(20)).numpy(), images)
+    assert np.array_equal(drawn.render(torch.arange(4).repeat(20)).numpy(), images)

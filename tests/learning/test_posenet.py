@@ -10,7 +10,7 @@ from tactip_twin.learning.configuration import RECIPES, PoseNetConfig, SearchSpa
 from tactip_twin.learning.posenet import PoseNet, parameter_count
 from tactip_twin.learning.recipes import recipe_named
 from tactip_twin.learning.search_space import network_of_point
-from tactip_twin.learning.train import cosine_rate, paper_rate
+from tactip_twin.learning.training import cosine_rate, paper_rate
 from tactip_twin.tactip_model.errors import TactipError
 
 SMALL = PoseNetConfig(conv_layers=2, filters=3, dense_layers=2, units=4, dropout=0.3)

@@ -14,14 +14,17 @@ import torch
 
 from helpers.learning_sets import write_fake_set, write_fake_splits
 from tactip_twin.commands import main as tactip
+from tactip_twin.learning import checkpoint
 from tactip_twin.learning import train as train_module
+from tactip_twin.learning.checkpoint import read_metrics
 from tactip_twin.learning.configuration import PoseNetConfig, Recipe, TrainSettings
 from tactip_twin.learning.data import read_samples, read_splits
 from tactip_twin.learning.evaluate import binned, evaluate, tables
 from tactip_twin.learning.model import load_model, net_sha256, to_input
 from tactip_twin.learning.muon import Muon, inner_weights
 from tactip_twin.learning.recipes import read_recipe, recipe_json
-from tactip_twin.learning.train import Training, TrainingDiverged, read_metrics, train
+from tactip_twin.learning.train import train
+from tactip_twin.learning.training import Training, TrainingDiverged
 from tactip_twin.sim.dataset.format import encode_image, read_dataset
 from tactip_twin.sim.dataset.sampling import POSE_RANGES
 from tactip_twin.tactip_model.errors import Interrupted, TactipError
@@ -50,7 +53,7 @@ def same(a, b):
 
 
 def quiet(*arguments, **options):
-    return train(*arguments, say=lambda line: None, quiet=True, **options)
+    return train(*arguments, log=lambda line: None, quiet=True, **options)
 
 
 def test_a_small_set_is_gone_through_more_often(splits):
@@ -145,20 +148,20 @@ def test_a_kill_after_the_last_checkpoint_loses_nothing(splits, tmp_path, monkey
     """The checkpoint is written first: what is made of it is made anew."""
     settings = TrainSettings(epochs=epochs, rate=3e-3)
     quiet(*splits, NET, settings, tmp_path / "whole")
-    keep = train_module._keep
+    save = train_module.save_checkpoint
 
     def killed(training, folder, record):
-        if not training.over:
-            return keep(training, folder, record)
+        if not training.finished:
+            return save(training, folder, record)
         with monkeypatch.context() as patch:
-            patch.setattr(train_module, "save_model", _cut)
-            return keep(training, folder, record)
+            patch.setattr(checkpoint, "save_model", _cut)
+            return save(training, folder, record)
 
     def _cut(*_):
         raise SystemError("killed")
 
     with monkeypatch.context() as patch:
-        patch.setattr(train_module, "_keep", killed)
+        patch.setattr(train_module, "save_checkpoint", killed)
         with pytest.raises(SystemError):
             quiet(*splits, NET, settings, tmp_path / "killed")
     history = quiet(*splits, NET, settings, tmp_path / "killed")
@@ -216,7 +219,7 @@ def test_a_folder_is_one_commands_at_a_time(splits, tmp_path):
             quiet(*splits, NET, QUICK, tmp_path / "run")
         return False
 
-    quiet(*splits, NET, QUICK, tmp_path / "run", hopeless=again)
+    quiet(*splits, NET, QUICK, tmp_path / "run", should_prune=again)
     assert load_model(tmp_path / "run").provenance["outcome"]["finished"]
 
 
@@ -230,13 +233,13 @@ def test_a_training_from_before_a_setting_existed_is_known(splits, tmp_path):
     assert quiet(*splits, NET, QUICK, tmp_path / "run") == history
     description["provenance"]["network"]["filters"] += 1
     path.write_text(json.dumps(description))
-    with pytest.raises(TactipError, match="holds a training with another network"):
+    with pytest.raises(TactipError, match=r"holds a training with other settings \(network.filters is 7 there, 6 here\)"):
         quiet(*splits, NET, QUICK, tmp_path / "run")
 
 
 def test_another_training_in_the_folder_is_refused(splits, tmp_path):
     quiet(*splits, NET, QUICK, tmp_path / "run")
-    with pytest.raises(TactipError, match="holds a training with other settings"):
+    with pytest.raises(TactipError, match=r"holds a training with other settings \(settings.epochs is 4 there, 5 here\)"):
         quiet(*splits, NET, TrainSettings(epochs=5), tmp_path / "run")
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "thesis.txt").write_text("mine")
@@ -250,18 +253,20 @@ def test_a_training_begins_with_a_network(splits, tmp_path):
     first = load_model(tmp_path / "first")
     ranges = replace(POSE_RANGES["surface"], depth_mm=(-10, -1), roll_deg=(-5, 5))
     wider = read_splits(write_fake_splits(tmp_path / "wider", pose=ranges))
-    training = Training(*wider, NET, QUICK, start=first)
+    training = Training(*wider, NET, QUICK, init_from=first)
     begun = training.net.eval()(to_input(torch.from_numpy(wider[1].images))).detach().numpy() * training.labels.scale
     np.testing.assert_allclose(begun, first.predict(wider[1].images), rtol=1e-4, atol=1e-3)
 
-    quiet(*splits, NET, QUICK, tmp_path / "second", start=first)
+    quiet(*splits, NET, QUICK, tmp_path / "second", init_from=first)
     assert load_model(tmp_path / "second").provenance["begun_from"] == net_sha256(first.net)
     assert read_metrics(tmp_path / "second")[0]["loss"] < read_metrics(tmp_path / "first")[0]["loss"]
-    for folder, start in (("first", first), ("second", None)):
-        with pytest.raises(TactipError, match="holds a training with another network to begin with"):
-            quiet(*splits, NET, QUICK, tmp_path / folder, start=start)
+    begun_from = f'"{net_sha256(first.net)}"'
+    for folder, start, there, here in (("first", first, "null", begun_from), ("second", None, begun_from, "null")):
+        message = f"holds a training with other settings \\(begun_from is {there} there, {here} here\\)"
+        with pytest.raises(TactipError, match=message):
+            quiet(*splits, NET, QUICK, tmp_path / folder, init_from=start)
     with pytest.raises(TactipError, match=r"other layers than what is trained: units 24, not 8$"):
-        quiet(*splits, replace(NET, units=8), QUICK, tmp_path / "third", start=first)
+        quiet(*splits, replace(NET, units=8), QUICK, tmp_path / "third", init_from=first)
     assert not (tmp_path / "third").exists()
 
 
@@ -280,7 +285,7 @@ def test_a_network_to_begin_with_by_name(data, splits, tmp_path, capsys):
 @pytest.mark.parametrize("damage", [lambda b: b"rubbish", lambda b: b[: len(b) // 2], lambda b: b""])
 def test_a_damaged_checkpoint_is_a_sentence(splits, tmp_path, damage):
     with pytest.raises(Interrupted):
-        quiet(*splits, NET, QUICK, tmp_path / "run", hopeless=_stop)
+        quiet(*splits, NET, QUICK, tmp_path / "run", should_prune=_stop)
     path = tmp_path / "run" / "checkpoint.pt"
     path.write_bytes(damage(path.read_bytes()))
     with pytest.raises(TactipError, match="remove it to begin anew"):
@@ -289,7 +294,7 @@ def test_a_damaged_checkpoint_is_a_sentence(splits, tmp_path, damage):
 
 def test_ctrl_c_keeps_the_epochs_that_are_over(splits, tmp_path):
     with pytest.raises(Interrupted, match="the same command goes on"):
-        quiet(*splits, NET, QUICK, tmp_path / "stopped", hopeless=_stop)
+        quiet(*splits, NET, QUICK, tmp_path / "stopped", should_prune=_stop)
     assert len(read_metrics(tmp_path / "stopped")) == 2
     quiet(*splits, NET, QUICK, tmp_path / "stopped")
     quiet(*splits, NET, QUICK, tmp_path / "whole")
@@ -411,7 +416,7 @@ def test_recipe_files(tmp_path):
     for text, message in (
         ("{", "is no configuration"),
         ('{"network": {"depth": 3}}', "names depth: it may name conv_layers"),
-        ('{"network": {"filters": "many"}}', "filters is many"),
+        ('{"network": {"filters": "many"}}', "filters must be a whole number from 1 to 1024, got many"),
     ):
         (tmp_path / "bad.json").write_text(text)
         with pytest.raises(TactipError, match=message):

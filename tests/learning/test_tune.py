@@ -17,6 +17,7 @@ import torch
 from helpers.learning_sets import write_fake_splits
 from tactip_twin.learning.configuration import SearchSpace, TrainSettings, TuneSettings
 from tactip_twin.learning.recipes import read_recipe
+from tactip_twin.learning.search_space import network_of_values
 from tactip_twin.learning.tune import note, read_results, run_trial, suggest, tune
 from tactip_twin.learning.tune_ray import clear, tune_on_cluster
 from tactip_twin.tactip_model.errors import TactipError
@@ -37,7 +38,7 @@ def results_of(losses):
 
 
 def test_suggestions_are_the_papers_space():
-    drawn = [SearchSpace().network(suggest(TuneSettings(startup=200), i, [])) for i in range(150)]
+    drawn = [network_of_values(SearchSpace(), suggest(TuneSettings(startup=200), i, [])) for i in range(150)]
     assert {n.conv_layers for n in drawn} == {1, 2, 3, 4, 5}
     assert {n.filters for n in drawn} == {2**k for k in range(1, 10)} == {n.units for n in drawn}
     assert {n.dense_layers for n in drawn} == {1, 2, 3, 4, 5}
@@ -69,7 +70,7 @@ def test_suggestions_depend_on_seed_number_and_results():
 
 
 def test_a_search(data, tmp_path):
-    results = tune(data, tmp_path / "search", SETTINGS, say=lambda line: None)
+    results = tune(data, tmp_path / "search", SETTINGS, log=lambda line: None)
     assert [r["trial"] for r in results] == [0, 1, 2]
     assert all(r["status"] == "ok" for r in results)
     best = read_recipe(tmp_path / "search" / "best.json")
@@ -79,20 +80,20 @@ def test_a_search(data, tmp_path):
     assert (tmp_path / "search" / "tune.png").stat().st_size > 10_000
     # Made longer, it goes on; with another space it is another search.
     longer = replace(SETTINGS, trials=4)
-    assert [r["trial"] for r in tune(data, tmp_path / "search", longer, say=lambda line: None)] == [0, 1, 2, 3]
+    assert [r["trial"] for r in tune(data, tmp_path / "search", longer, log=lambda line: None)] == [0, 1, 2, 3]
     # One from before a field came to the settings is the search that it was.
     path = tmp_path / "search" / "search.json"
     there = json.loads(path.read_text())
     del there["settings"]["training"]["varied"], there["settings"]["prune"]
     path.write_text(json.dumps(there))
-    assert len(tune(data, tmp_path / "search", longer, say=lambda line: None)) == 4
-    with pytest.raises(TactipError, match="holds a search with other settings"):
-        tune(data, tmp_path / "search", replace(SETTINGS, seed=1), say=lambda line: None)
+    assert len(tune(data, tmp_path / "search", longer, log=lambda line: None)) == 4
+    with pytest.raises(TactipError, match=r"holds a search with other settings \(settings.seed is 0 there, 1 here\)"):
+        tune(data, tmp_path / "search", replace(SETTINGS, seed=1), log=lambda line: None)
 
 
 def test_a_space_that_leaves_no_pixels_is_refused_first(data, tmp_path):
     with pytest.raises(TactipError, match=r"conv_layers must be at most 3.*, got 5"):
-        tune(data, tmp_path / "search", TuneSettings(), say=lambda line: None)
+        tune(data, tmp_path / "search", TuneSettings(), log=lambda line: None)
     assert not (tmp_path / "search").exists()
 
 
@@ -165,13 +166,13 @@ def test_a_trial_that_is_killed_is_a_result_and_one_that_cannot_begin_is_not(dat
     folder = tmp_path / "search"
     if kept:
         with pytest.raises(TactipError, match="no trial ended well"):
-            tune(data, folder, SETTINGS, say=lambda line: None)
+            tune(data, folder, SETTINGS, log=lambda line: None)
         results = read_results(folder)
         assert len(results) == SETTINGS.trials
         assert all(r["status"] == "failed" and "SIGKILL" in r["why"] for r in results)
         return
     with pytest.raises(TactipError, match=f"the process of trial 0 ended with exit code {exit_code}"):
-        tune(data, folder, SETTINGS, say=lambda line: None)
+        tune(data, folder, SETTINGS, log=lambda line: None)
     assert read_results(folder) == []
 
 
@@ -179,7 +180,7 @@ def test_hopeless_trials_are_ended(data, tmp_path):
     settings = TuneSettings(
         trials=6, startup=6, prune=True, least_epochs=2, space=SPACE, training=TrainSettings(epochs=4, patience=4)
     )
-    results = tune(data, tmp_path / "search", settings, say=lambda line: None)
+    results = tune(data, tmp_path / "search", settings, log=lambda line: None)
     pruned = [r for r in results if r["status"] == "pruned"]
     assert pruned
     assert all("were better after" in r["why"] for r in pruned)

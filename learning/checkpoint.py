@@ -1,0 +1,112 @@
+"""The files of a training in its folder: written after every epoch, and read again to resume it.
+
+model.pt, model.json  the best network so far
+metrics.jsonl         a line for each epoch
+checkpoint.pt         the state after the last epoch, while the training is unfinished
+"""
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any, Literal
+
+import torch
+
+from tactip_twin.learning.configuration import PoseNetConfig, TrainSettings
+from tactip_twin.learning.data import Samples
+from tactip_twin.learning.model import DESCRIPTION, Model, net_sha256, save_model, tensors_of, weights_bytes
+from tactip_twin.learning.training import Training
+from tactip_twin.sim.dataset.format import labels_sha256
+from tactip_twin.sim.parallel.resume import check_resumable
+from tactip_twin.tactip_model.errors import TactipError
+from tactip_twin.tactip_model.files import write_file
+
+CHECKPOINT, METRICS, LOCK, TENSORBOARD = "checkpoint.pt", "metrics.jsonl", ".lock", "tensorboard"
+
+
+def provenance(
+    train: Samples, val: Samples, config: PoseNetConfig, settings: TrainSettings, init_from: Model | None = None
+) -> dict[str, Any]:
+    """Return what a training depends on, as JSON: data, network, settings, and the initial network's checksum, if any."""
+
+    def data(samples: Samples) -> dict[str, Any]:
+        """Return what identifies a set."""
+        meta = samples.dataset.meta
+        return {
+            "digest": meta.get("digest"),
+            "samples": len(samples),
+            "chosen": samples.chosen(),
+            "targets_sha256": labels_sha256(meta),
+            "configuration": meta.get("configuration"),
+        }
+
+    record: dict[str, Any] = {
+        "train": data(train),
+        "val": data(val),
+        "network": dataclasses.asdict(config),
+        "settings": dataclasses.asdict(settings),
+        "torch": torch.__version__,
+    }
+    if init_from is not None:
+        record["begun_from"] = net_sha256(init_from.net)
+    return json.loads(json.dumps(record))
+
+
+def save_checkpoint(training: Training, folder: Path, record: dict[str, Any]) -> None:
+    """Write the state after an epoch: the checkpoint first, because the rest can be made from it again.
+
+    Args:
+        training: The training, after at least one epoch.
+        folder: Its folder.
+        record: Its provenance.
+    """
+    finished = training.finished
+    best = min(training.history, key=lambda h: h["val_loss"])
+    write_file(folder / CHECKPOINT, weights_bytes({"of": json.dumps(record), **training.state()}))
+    lines = "".join(json.dumps(h) + "\n" for h in training.history)
+    write_file(folder / METRICS, lines.encode())
+    if finished or best["epoch"] == training.epoch:
+        outcome = {"finished": finished, "epochs": training.epoch, "best_epoch": best["epoch"], "val_loss": best["val_loss"]}
+        save_model(folder, training.best, training.config, training.labels, training.size, record | {"outcome": outcome})
+
+
+def load_checkpoint(folder: Path, record: dict[str, Any]) -> dict[str, Any] | Literal["finished"] | None:
+    """Return how far the training of a provenance is in a folder: a state, "finished", or None where the folder is empty.
+
+    Raises:
+        TactipError: Where the checkpoint cannot be read, or the folder holds another training or something else.
+    """
+    checkpoint, description = folder / CHECKPOINT, folder / DESCRIPTION
+    state: dict[str, Any] | Literal["finished"] | None = None
+    recorded: dict[str, Any] | None = None
+    if checkpoint.exists():
+        try:
+            state = tensors_of(checkpoint.read_bytes())
+            recorded = json.loads(state["of"])
+        except (ValueError, KeyError, TypeError) as error:
+            raise TactipError(f"{checkpoint} cannot be read ({error}): remove it to begin anew") from error
+    elif description.exists():
+        state, recorded = "finished", json.loads(description.read_text()).get("provenance", {})
+    requested = {"begun_from": None} | record
+    if recorded is not None:
+        defaults = {"network": dataclasses.asdict(PoseNetConfig()), "settings": dataclasses.asdict(TrainSettings())}
+        recorded = {part: with_new_defaults(recorded.get(part), defaults.get(part)) for part in requested}
+    check_resumable(folder, "training", recorded, requested, own=(LOCK, TENSORBOARD))
+    return state
+
+
+def with_new_defaults(recorded: Any, defaults: Any) -> Any:
+    """Return what was written of a configuration (a JSON value), with fields added since then at their defaults.
+
+    Args:
+        recorded: JSON value that was written.
+        defaults: JSON value of the present configuration's defaults.
+    """
+    if not isinstance(recorded, dict) or not isinstance(defaults, dict):
+        return recorded
+    return defaults | {name: with_new_defaults(value, defaults.get(name)) for name, value in recorded.items()}
+
+
+def read_metrics(folder: Path) -> list[dict[str, float]]:
+    """Return the figures of each epoch of the training in a folder."""
+    return [json.loads(line) for line in (Path(folder) / METRICS).read_text().splitlines()]

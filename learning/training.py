@@ -1,0 +1,266 @@
+"""The state of a training in memory, and the step from one epoch to the next.
+
+    loss = sum over components of the mean squared error over scale² + L1 and L2 of the dense and output weights
+    Adam, or Muon and Adam; early stopping on the validation error, without penalties; the best weights are kept
+
+Every epoch's order and dropout are drawn from (seed, epoch), so an epoch depends on the state before it and on nothing else.
+"""
+
+import json
+import math
+import time
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import numpy as np
+import torch
+
+from tactip_twin.learning.augmentation import OpticsAugmentation
+from tactip_twin.learning.configuration import PoseNetConfig, ScheduleName, TrainSettings
+from tactip_twin.learning.data import Samples
+from tactip_twin.learning.device import device_named, is_half
+from tactip_twin.learning.model import Model, to_device, to_input
+from tactip_twin.learning.muon import Muon, inner_weights
+from tactip_twin.learning.optics_ranges import OPTICS
+from tactip_twin.learning.posenet import PoseNet
+from tactip_twin.tactip_model.errors import TactipError
+
+
+class HasRate(Protocol):
+    """Settings with a learning rate."""
+
+    @property
+    def rate(self) -> float:
+        """Learning rate."""
+        ...
+
+
+def paper_rate(settings: TrainSettings, step: int, steps: int) -> float:
+    """Return the learning rate at a step, rate / (1 + decay × step), as in the paper's library [P]."""
+    return settings.rate / (1 + settings.decay * step)
+
+
+def cosine_rate(settings: HasRate, step: int, steps: int) -> float:
+    """Return the learning rate at a step of `steps`: a rise over the first twentieth, and a cosine down to zero."""
+    warm = max(1, steps // 20)
+    return settings.rate * min(1.0, (step + 1) / warm) * 0.5 * (1 + math.cos(math.pi * min(1.0, step / max(1, steps))))
+
+
+SCHEDULES: dict[ScheduleName, Callable[[TrainSettings, int, int], float]] = {"paper": paper_rate, "cosine": cosine_rate}
+"""Learning-rate schedules by name: functions of settings, step and number of steps."""
+
+
+class TrainingDiverged(TactipError):
+    """The loss is no longer a number."""
+
+
+class Training:
+    """A training in memory: network, optimizers, data, and the step from one epoch to the next."""
+
+    def __init__(
+        self,
+        train: Samples,
+        val: Samples,
+        config: PoseNetConfig,
+        settings: TrainSettings,
+        device: str = "cpu",
+        init_from: Model | None = None,
+    ) -> None:
+        """Build the network and move the data to the device.
+
+        Args:
+            train: Training set.
+            val: Validation set.
+            config: Network.
+            settings: Settings of the training.
+            device: Device to train on.
+            init_from: Model of the initial weights; random weights if None.
+
+        Raises:
+            TactipError: Where the network does not fit the images, or the initial network does not fit the training.
+        """
+        self.config, self.settings, self.labels, self.size = config, settings, train.labels, train.size
+        self.device = device_named(device)
+        self._half = is_half(settings.precision, self.device)
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(settings.seed)
+            net = PoseNet(config, train.size, len(self.labels.components))
+        if init_from is not None:
+            net.load_state_dict(initial_state(init_from, config, train))
+        self.net = to_device(net, self.device)
+        self._optimizers = _optimizers(self.net, settings, self._half)
+        # The whole set lives on the device, as bytes.
+        self._images, self._targets = self._to_device(train)
+        self._augmentation = (
+            OpticsAugmentation(train, settings.optics, OPTICS[settings.varied], self.device) if settings.drawn else None
+        )
+        self._val_images, self._val_targets = self._to_device(val)
+        self.epoch = 0
+        self.history: list[dict[str, float]] = []
+        """Figures of each epoch."""
+        self.best: dict[str, torch.Tensor] = {}
+        """State dict of the best epoch's network; empty before the first epoch."""
+
+    def _to_device(self, samples: Samples) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return images (n, size, size) uint8 and targets (n, k) over their scales, on the device."""
+        targets = torch.from_numpy((samples.targets / self.labels.scale).astype(np.float32))
+        return torch.from_numpy(samples.images).to(self.device), targets.to(self.device)
+
+    @property
+    def steps_per_epoch(self) -> int:
+        """Number of steps of an epoch."""
+        return -(-len(self._images) // self.config.batch_size)
+
+    @property
+    def images_per_epoch(self) -> int:
+        """Number of images of an epoch."""
+        return len(self._images)
+
+    @property
+    def epochs(self) -> int:
+        """Maximum number of epochs."""
+        return max(self.settings.epochs, -(-self.settings.least_steps // self.steps_per_epoch))
+
+    @property
+    def best_error(self) -> float:
+        """Lowest validation error so far, -; infinite before the first epoch."""
+        return min((h["val_loss"] for h in self.history), default=math.inf)
+
+    @property
+    def finished(self) -> bool:
+        """Whether the last epoch or the end of the patience has been reached."""
+        if not self.history:
+            return False
+        since = self.epoch - 1 - int(np.argmin([h["val_loss"] for h in self.history]))
+        return self.epoch >= self.epochs or since >= self.settings.patience
+
+    def train_epoch(self, progress: Callable[[int], object] = lambda count: None) -> dict[str, float]:
+        """Train for one epoch, validate, and return the epoch's figures.
+
+        Args:
+            progress: Callback that gets the number of images of each step.
+
+        Raises:
+            TrainingDiverged: Where a loss is not finite.
+        """
+        start = time.perf_counter()
+        rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(self.settings.seed, spawn_key=(self.epoch,))))
+        order = torch.from_numpy(rng.permutation(len(self._images))).to(self.device)
+        devices = [torch.cuda.current_device()] if self.device == "cuda" else []
+        with torch.random.fork_rng(devices=devices):
+            torch.manual_seed(int(rng.integers(2**62)))
+            loss = self._train_steps(order, progress)
+        val = self.error(self._val_images, self._val_targets)
+        if not math.isfinite(loss) or not math.isfinite(val):
+            raise TrainingDiverged(
+                f"the loss is {loss} after epoch {self.epoch + 1}: the training diverged; a learning rate below "
+                f"{self.settings.rate:g} may help"
+            )
+        figures = {"epoch": self.epoch + 1, "loss": loss, "val_loss": val, "seconds": time.perf_counter() - start}
+        if val < self.best_error:
+            self.best = {name: tensor.detach().clone() for name, tensor in self.net.state_dict().items()}
+        self.history.append(figures)
+        self.epoch += 1
+        return figures
+
+    def _batch(self, chosen: torch.Tensor) -> torch.Tensor:
+        """Return the images (m, size, size) uint8 of a step, a fraction of them augmented. chosen: (m,) int."""
+        if not self._augmentation:
+            return self._images[chosen]
+        plain = torch.rand(len(chosen), 1, 1, device=self.device) >= self.settings.drawn
+        return torch.where(plain, self._images[chosen], self._augmentation.render(chosen))
+
+    def _train_steps(self, order: torch.Tensor, progress: Callable[[int], object]) -> float:
+        """Train on all images in an `order` (n,) int; return the mean loss, with penalties."""
+        self.net.train()
+        schedule = SCHEDULES[self.settings.schedule]
+        total, steps = torch.zeros((), device=self.device), self.steps_per_epoch
+        for i in range(steps):
+            fraction = schedule(self.settings, self.epoch * steps + i, self.epochs * steps) / self.settings.rate
+            chosen = order[i * self.config.batch_size : (i + 1) * self.config.batch_size]
+            with torch.autocast(self.device, dtype=torch.bfloat16, enabled=self._half):
+                out = self.net(to_input(self._batch(chosen)))
+            loss = (out - self._targets[chosen]).square().sum(1).mean() + self.net.penalty()
+            self.net.zero_grad(set_to_none=True)
+            loss.backward()
+            for optimizer, rate in self._optimizers:
+                for group in optimizer.param_groups:
+                    group["lr"] = rate * fraction
+                optimizer.step()
+            total += loss.detach() * len(chosen)
+            progress(len(chosen))
+        return float(total) / len(order)
+
+    def error(self, images: torch.Tensor, targets: torch.Tensor, batch: int = 256) -> float:
+        """Return the sum over components of the mean squared error over scale², in single precision, as in use.
+
+        Args:
+            images: (n, size, size) uint8.
+            targets: (n, k), over their scales.
+            batch: Number of images at a time.
+        """
+        self.net.eval()
+        total = torch.zeros((), device=self.device)
+        with torch.inference_mode():
+            for start in range(0, len(images), batch):
+                out = self.net(to_input(images[start : start + batch]))
+                total += (out - targets[start : start + batch]).square().sum()
+        return float(total) / len(images)
+
+    def state(self) -> dict[str, Any]:
+        """Return everything that the next epoch depends on: tensors, numbers and text by name."""
+        return {
+            "net": self.net.state_dict(),
+            "optimizers": [optimizer.state_dict() for optimizer, _ in self._optimizers],
+            "best": self.best,
+            "epoch": self.epoch,
+            "history": json.dumps(self.history),
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Continue from a `state`."""
+        self.net.load_state_dict(state["net"])
+        for (optimizer, _), saved in zip(self._optimizers, state["optimizers"], strict=True):
+            optimizer.load_state_dict(saved)
+        self.best, self.epoch, self.history = state["best"], state["epoch"], json.loads(state["history"])
+
+
+def initial_state(init_from: Model, config: PoseNetConfig, samples: Samples) -> dict[str, torch.Tensor]:
+    """Return the state dict of a model as initial weights, with its outputs over the scales of the samples' labels.
+
+    Raises:
+        TactipError: Where the model has other layers than `config`, or another image size or components than the samples.
+    """
+    requested = {"layers": config.shape(), "width of images": samples.size, "components": samples.labels.components}
+    given = {
+        "layers": init_from.config.shape(),
+        "width of images": init_from.size,
+        "components": init_from.labels.components,
+    }
+    for what, expected in requested.items():
+        if expected != given[what]:
+            raise TactipError(
+                f"the network to begin with has other {what} than what is trained: {_difference(given[what], expected)}"
+            )
+    state = {name: tensor.detach().cpu().clone() for name, tensor in init_from.net.state_dict().items()}
+    ratio = torch.from_numpy((init_from.labels.scale / samples.labels.scale).astype(np.float32))
+    last = len(init_from.net.dense) - 1
+    state[f"dense.{last}.weight"] *= ratio[:, None]
+    state[f"dense.{last}.bias"] *= ratio
+    return state
+
+
+def _difference(given: object, expected: object) -> str:
+    """Return how two values, or two dicts of the same keys, differ, as text."""
+    if not isinstance(given, dict) or not isinstance(expected, dict):
+        return f"{given}, not {expected}"
+    return "; ".join(f"{key} {given[key]}, not {expected[key]}" for key in given if given[key] != expected[key])
+
+
+def _optimizers(net: PoseNet, settings: TrainSettings, half: bool) -> list[tuple[torch.optim.Optimizer, float]]:
+    """Return the optimizers of a network's weights, each with its learning rate."""
+    inner = inner_weights(net) if settings.muon else []
+    of_muon = {id(p) for p in inner}
+    rest = [p for p in net.parameters() if id(p) not in of_muon]
+    out: list[tuple[torch.optim.Optimizer, float]] = [(torch.optim.Adam(rest, lr=settings.rate), settings.rate)]
+    return [*out, (Muon(inner, lr=settings.muon, half=half), settings.muon)] if inner else out
