@@ -125,7 +125,7 @@ def test_training_on_drawn_images(samples, tmp_path):
 
 def test_a_camera_that_does_not_move_sees_what_the_lens_sees(samples, design):
     cameras = OpticsAugmentation(samples, 1.0, OpticsRanges(**NONE, camera_height_m=1e-9))
-    places = cameras._cameras.seen(cameras._tips)
+    places = cameras._cameras.project(cameras._tips)
     assert torch.allclose(places, cameras._centres, atol=0.03)
 
 
@@ -134,8 +134,8 @@ def test_other_cameras_see_the_neutral_tip_alike_and_a_pressed_one_not(samples, 
     drawn = OpticsAugmentation(samples, 1.0, OpticsRanges(**NONE, camera_height_m=3e-3, camera_offset_m=0.5e-3))
     tips = torch.from_numpy(neutral_pins(design)[0].astype(np.float32))
     torch.manual_seed(0)
-    neutral = drawn._cameras.seen(tips.expand(100, -1, -1))
-    pressed = drawn._cameras.seen(drawn._tips[3:].expand(100, -1, -1))
+    neutral = drawn._cameras.project(tips.expand(100, -1, -1))
+    pressed = drawn._cameras.project(drawn._tips[3:].expand(100, -1, -1))
     assert neutral.std(0).norm(dim=-1).max() < 0.3
     moved = (pressed - neutral).norm(dim=-1)
     assert moved.std(0).max() > 0.05 * moved.mean()
