@@ -1,1 +1,1 @@
-"""The world of the sensor: frames, stimuli, contacts, data sets. Metres and radians."""
+"""Simulation of the sensor and its world: contacts, data sets, robot, recordings. Metres and radians."""

@@ -1,25 +1,42 @@
-"""The true pose of the sensor on an object: what a perfect estimator would say, what scores are held against, and what a
-walk (sim/dataset/sliding.py) is labelled by.
+"""True labels of a sensor on an object: the reference for scores, and the labels of sliding contacts
+(sim/dataset/sliding.py).
 
-On a curved object the local contact frame has its z along the surface's normal where it is nearest to the apex, so that
-depth is the distance of the undeformed apex below the surface.
+On a curved object the local contact frame has its z along the surface normal at the point nearest to the apex, so depth is
+the distance of the undeformed apex below the surface.
 """
+
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from tactip_twin.sim.contact.signed_distance import DistanceField
 from tactip_twin.sim.pose import FACING, label_of, matrix
+
+if TYPE_CHECKING:
+    from tactip_twin.sim.robot.objects import Edge
+
+
+class GroundTruth(Protocol):
+    """True labels of a sensor on one object."""
+
+    def frame(self, T_object_sensor: np.ndarray, /) -> np.ndarray:
+        """Return T_object_contact (4, 4) of a sensor (4, 4)."""
+        ...
+
+    def label(self, T_object_sensor: np.ndarray, /) -> np.ndarray:
+        """Return the label (6,), m and rad, of a sensor (4, 4)."""
+        ...
 
 
 class SurfaceGroundTruth:
     """Labels on the surface of a solid."""
 
-    def __init__(self, solid):
-        """solid: Solid."""
+    def __init__(self, solid: DistanceField) -> None:
         self._solid = solid
 
-    def frame(self, T_object_sensor):
-        """T_object_contact (4, 4) of a sensor: z the normal, turned about it so that the label has no yaw."""
+    def frame(self, T_object_sensor: np.ndarray) -> np.ndarray:
+        """Return T_object_contact (4, 4) of a sensor (4, 4): z is the normal, and the turn about it makes yaw zero."""
         apex = T_object_sensor[:3, 3]
         at = self._solid.nearest(apex[None])
         normal = self._solid.smooth_normal(apex[None])[0]
@@ -27,8 +44,8 @@ class SurfaceGroundTruth:
         lean = Rotation.align_vectors([-normal], [axis])[0] if axis @ normal > -1 + 1e-12 else Rotation.identity()
         return matrix(at.place[0], lean * Rotation.from_matrix(T_object_sensor[:3, :3] @ FACING))
 
-    def label(self, T_object_sensor):
-        """The label (6,), m and rad, of a sensor; x, y and yaw are zero but for the apex's place beside the normal."""
+    def label(self, T_object_sensor: np.ndarray) -> np.ndarray:
+        """Return the label (6,), m and rad, of a sensor (4, 4). x, y and yaw are zero: a surface does not define them."""
         frame = self.frame(T_object_sensor)
         label = label_of(np.linalg.inv(frame) @ T_object_sensor)
         label[2] = float(self._solid.distance(T_object_sensor[:3, 3]))
@@ -39,39 +56,43 @@ class SurfaceGroundTruth:
 class EdgeGroundTruth:
     """Labels on an edge."""
 
-    def __init__(self, edge):
-        """edge: objects.Edge."""
+    def __init__(self, edge: "Edge") -> None:
         points = edge.points
-        self._starts, self._ways = points[:-1], np.diff(points, axis=0)
-        self._lengths = np.linalg.norm(self._ways, axis=1)
+        self._starts, self._segments = points[:-1], np.diff(points, axis=0)
+        self._lengths = np.linalg.norm(self._segments, axis=1)
         self._normals = edge.normals
         self.closed = edge.closed
-        self._before = np.concatenate([[0.0], np.cumsum(self._lengths)])
-        tangents = self._ways / self._lengths[:, None]
-        # Smooth along the edge: at a point, the mean of both sides of it.
+        self._distances = np.concatenate([[0.0], np.cumsum(self._lengths)])
+        tangents = self._segments / self._lengths[:, None]
+        # Smooth along the edge: the tangent at a point is the mean of the segments on both sides of it.
         ends = (tangents[-1] + tangents[0], tangents[-1] + tangents[0]) if edge.closed else (tangents[0], tangents[-1])
         inner = np.concatenate([[ends[0]], tangents[1:] + tangents[:-1], [ends[1]]])
         self._tangents = inner / np.linalg.norm(inner, axis=1, keepdims=True)
 
-    def nearest(self, point):
-        """Distance along the edge (m), place (3,), normal (3,) and tangent (3,) where it is nearest to a point (3,)."""
-        share = np.clip(((point - self._starts) * self._ways).sum(1) / self._lengths**2, 0, 1)
-        places = self._starts + share[:, None] * self._ways
+    def nearest(self, point: np.ndarray) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
+        """Return where the edge is nearest to a point (3,) m.
+
+        Returns:
+            Distance along the edge (m), place (3,) m, unit normal (3,) and unit tangent (3,).
+        """
+        fraction = np.clip(((point - self._starts) * self._segments).sum(1) / self._lengths**2, 0, 1)
+        places = self._starts + fraction[:, None] * self._segments
         k = int(((places - point) ** 2).sum(1).argmin())
-        a, b = 1 - share[k], share[k]
+        a, b = 1 - fraction[k], fraction[k]
         normal = a * self._normals[k] + b * self._normals[k + 1]
         tangent = a * self._tangents[k] + b * self._tangents[k + 1]
         tangent /= np.linalg.norm(tangent)
         normal -= (normal @ tangent) * tangent
-        return self._before[k] + b * self._lengths[k], places[k], normal / np.linalg.norm(normal), tangent
+        return self._distances[k] + b * self._lengths[k], places[k], normal / np.linalg.norm(normal), tangent
 
-    def frame(self, T_object_sensor):
-        """T_object_contact (4, 4): z the top's normal, x off the object, y along the edge (sim/pose.py)."""
+    def frame(self, T_object_sensor: np.ndarray) -> np.ndarray:
+        """Return T_object_contact (4, 4) of a sensor (4, 4): z is the normal of the top, x points off the object, y runs
+        along the edge (sim/pose.py)."""
         _, place, normal, tangent = self.nearest(T_object_sensor[:3, 3])
-        # Edges run anticlockwise as seen from above: off the object is to the right of the way.
+        # Edges run anticlockwise as seen from above, so the right-hand side of the tangent is off the object.
         off = np.cross(tangent, normal)
         return matrix(place, Rotation.from_matrix(np.stack([off, np.cross(normal, off), normal], -1)))
 
-    def label(self, T_object_sensor):
-        """The label (6,), m and rad, of a sensor."""
+    def label(self, T_object_sensor: np.ndarray) -> np.ndarray:
+        """Return the label (6,), m and rad, of a sensor (4, 4)."""
         return label_of(np.linalg.inv(self.frame(T_object_sensor)) @ T_object_sensor)

@@ -1,16 +1,24 @@
-"""Names that sets and commands go by: tasks, components of a pose, the columns of labels. Nothing heavy is imported here."""
+"""Names in data sets and commands: tasks, fidelities, components of a pose, columns of labels. Imports nothing heavy."""
 
-TASKS = ("surface", "edge")
-"""The paper's two, and so the stimuli of its data sets."""
+from typing import Literal
+
+Task = Literal["surface", "edge"]
+"""Name of a task of the paper, which is also the stimulus of its data sets."""
+
+TASKS: tuple[Task, ...] = ("surface", "edge")
+"""The paper's tasks [P]. Their order is part of what a seed means."""
+
+FidelityName = Literal["draft", "standard", "reference"]
+"""Name of a preset of sim/contact/fidelity.py."""
 
 COMPONENTS = ("x", "y", "z", "Rx", "Ry", "Rz")
-"""A pose's components in data sets, in the order of sim/pose.py; mm and degrees there, m and rad inside."""
+"""Components of a pose in data sets, in the order of sim/pose.py; mm and degrees there, m and rad in the code."""
 
 LEARNED = {"surface": ("z", "Rx", "Ry"), "edge": ("x", "z", "Rx", "Ry", "Rz")}
-"""Components of a pose that are learned, by task [P]."""
+"""Learned components of the pose by task [P]."""
 
 LABELS = tuple(f"pose_{c}" for c in COMPONENTS)
 """Columns of the pose, mm and degrees."""
 
 SHEARS = tuple(f"shear_{c}" for c in COMPONENTS)
-"""Columns of the motion in contact that led to it."""
+"""Columns of the motion in contact that led to the pose, mm and degrees."""

@@ -1,103 +1,103 @@
-"""Named points on the curve of error against run time.
+"""Presets of accuracy against run time.
 
-Their errors and costs are measured by `tactip bench error` and stand in docs/fidelity.md, with the machine
-they were taken on.
+docs/fidelity.md has their errors and costs, measured by `tactip bench fidelity`, and the machine they were measured on.
 """
 
 from dataclasses import dataclass, field, replace
 
+from tactip_twin.sim.labels import FidelityName
 from tactip_twin.tactip_model.bounds import check, require, within
 from tactip_twin.tactip_model.errors import lookup
 from tactip_twin.tactip_model.mesh import Resolution
 from tactip_twin.tactip_model.soft_body import ContactModel
 
 SHORTEST_STEP_S = 0.05e-3
-"""Shortest time step, s: 0.2 ms is the shortest that docs/stability.md holds to account, and it is refined twice."""
+"""Shortest time step, s. The shortest in docs/stability.md is 0.2 ms, and a retry halves it twice."""
 
-TIGHTEST = 1e-14
-"""Tightest relative tolerance of the solver, -: below it is rounding."""
+MIN_TOLERANCE = 1e-14
+"""Smallest relative tolerance of the solver, -; below it is rounding error."""
 
 FASTEST_M_S = 0.5
-"""Fastest mean approach of the stimulus, m/s."""
+"""Highest mean speed of an approach, m/s."""
 
 FASTEST_SHEAR_M_S = 0.15
-"""Fastest mean shear, m/s: faster, damping holds the skin back, and what is left of a slide is a matter of the speed."""
+"""Highest mean speed of a shear, m/s. Above it, damping holds the skin back and the result depends on the speed."""
 
 
 @dataclass(frozen=True)
 class Motion:
-    """How a contact is played: steps, pace, and when the tip counts as at rest."""
+    """Time steps, speeds, and the criterion for a tip at rest."""
 
     step_s: float = within(SHORTEST_STEP_S, 20e-3, default=0.007)
-    """Time step, s. Implicit; stable from 0.2 ms to 20 ms."""
+    """Time step, s. The integrator is implicit and stable from 0.2 ms to 20 ms."""
     press_step_m: float = within(1e-7, 10e-3, default=1.2e-3)
-    """Approach per step, m (mean)."""
+    """Mean approach per step, m."""
     shear_step_m: float = within(1e-7, 10e-3, default=0.4e-3)
-    """Travel of the skin per step of the shear, m (mean)."""
+    """Mean travel of the skin per step of the shear, m."""
     least_steps: int = within(1, 100000, default=4)
-    """Fewest steps of a motion."""
+    """Minimum number of steps of a motion."""
     ease_in: float = within(0, 5, default=0.5)
-    """Power with which a motion's pace grows from its start, -: pace ~ t^ease_in (1 - t)^ease_out, t from 0 to 1. 0 is a
-    jerk, which throws the tip off the surface."""
+    """Exponent of the speed at the start of a motion, -: speed ~ t^ease_in (1 - t)^ease_out, t from 0 to 1. At 0 the motion
+    starts with a jerk, which throws the tip off the surface."""
     ease_out: float = within(0, 5, default=1.5)
-    """Power with which the pace falls to the motion's end, -. After a jerk there the skin swings on and friction lets go. A
-    steady pace has up to twice the error of these two at the same cost (docs/fidelity.md)."""
+    """Exponent of the speed at the end of a motion, -. After a jerk the skin oscillates and friction lets go. Constant speed
+    has up to twice the error of the defaults at the same cost (docs/fidelity.md)."""
     settle_steps: int = within(1, 100000, default=4)
-    """Fewest steps at rest before recording."""
+    """Minimum number of steps at rest before recording."""
     settle_speed_m_s: float = within(1e-6, 20e-3, default=2e-3)
-    """Settling goes on until no vertex moves faster, m/s ..."""
+    """Maximum vertex speed of a tip at rest, m/s; settling continues until it is reached ..."""
     settle_limit: int = within(1, 100000, default=20)
-    """... or for so many steps in all."""
+    """... or for this number of steps."""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         check(self)
-        for name, fastest in (("press_step_m", FASTEST_M_S), ("shear_step_m", FASTEST_SHEAR_M_S)):
-            step, most = getattr(self, name), fastest * self.step_s
-            require(step <= most * (1 + 1e-9), f"Motion.{name}", step, f"at most {fastest} m/s times step_s, {most:g} m")
+        for name, speed in (("press_step_m", FASTEST_M_S), ("shear_step_m", FASTEST_SHEAR_M_S)):
+            step, max_step = getattr(self, name), speed * self.step_s
+            require(step <= max_step * (1 + 1e-9), name, step, f"at most {speed} m/s times step_s, {max_step:g} m")
         require(self.settle_limit >= self.settle_steps, "settle_limit", self.settle_limit, "at least settle_steps")
 
     @property
-    def pause_steps(self):
-        """Steps (int) at rest where the tip goes on from touch to touch: half of `settle_steps`. All of them take a fifth
-        more time in a servo, at the same errors over the bust and a tenth less along a rim [M] (docs/servo.md)."""
+    def pause_steps(self) -> int:
+        """Steps at rest between the motions of a tip that stays in contact: half of `settle_steps`. All of them cost a fifth
+        more time in a servo, with the same errors on the bust and a tenth less along a rim [M] (docs/servo.md)."""
         return -(-self.settle_steps // 2)
 
 
 @dataclass(frozen=True)
 class Solver:
-    """MuJoCo's conjugate gradients."""
+    """Settings of MuJoCo's conjugate-gradient solver."""
 
     iterations: int = within(100, 1000000, default=1000)
-    """Most iterations a step."""
-    tolerance: float = within(TIGHTEST, 1e-5, default=1e-7)
-    """Relative tolerance, -, while the stimulus moves; scaled by the vertices' mass alone (sim/contact/scene.py)."""
-    settle_tolerance: float = within(TIGHTEST, 1e-5, default=1e-9)
-    """The same at rest. Looser, the tip trembles without end and its force with it (3 % at 0.5 mm of depth at 1e-7, 0.3 %
-    at 1e-9); few iterations are needed there, so that it costs next to nothing."""
+    """Maximum number of iterations per step."""
+    tolerance: float = within(MIN_TOLERANCE, 1e-5, default=1e-7)
+    """Relative tolerance while the stimulus moves, -; relative to the vertices' mass alone (sim/contact/scene.py)."""
+    settle_tolerance: float = within(MIN_TOLERANCE, 1e-5, default=1e-9)
+    """Relative tolerance at rest, -. At a looser one the tip keeps trembling (its force by 3 % at 1e-7 and 0.3 % at 1e-9, at
+    0.5 mm depth). It costs little because a tip at rest needs few iterations."""
     impratio: float = within(0.1, 1000, default=3.0)
-    """Ratio of frictional to normal impedance, -; more lets less creep."""
+    """Ratio of frictional to normal impedance, -; a higher one reduces creep."""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         check(self)
 
 
 @dataclass(frozen=True)
 class Fidelity:
-    """Everything that trades error for time."""
+    """All settings that trade accuracy for run time."""
 
     name: str
-    """Of a preset, or of one that was changed."""
+    """Name of the preset, also after changes to it."""
     mesh: Resolution = field(default_factory=Resolution)
-    """How finely the tip is meshed."""
+    """Resolution of the tip's mesh."""
     contact: ContactModel = field(default_factory=ContactModel)
-    """How contact is enforced."""
+    """Contact model."""
     motion: Motion = field(default_factory=Motion)
-    """Steps and pace."""
+    """Time steps and speeds."""
     solver: Solver = field(default_factory=Solver)
-    """Iterations and tolerances."""
+    """Solver iterations and tolerances."""
 
 
-FIDELITIES = {
+FIDELITIES: dict[FidelityName, Fidelity] = {
     "draft": Fidelity(
         "draft",
         mesh=Resolution(surface_m=3.2e-3, rim_m=5e-3, fine_angle_deg=40.0, growth=1.35, locked_stiffness=0.87),
@@ -121,15 +121,16 @@ FIDELITIES = {
         solver=Solver(tolerance=1e-9, settle_tolerance=1e-11, iterations=3000),
     ),
 }
+"""Presets by name."""
 
 
-def fidelity_named(name):
-    """Return the preset Fidelity called `name`; raise TactipError that lists the presets where there is none."""
+def fidelity_named(name: str) -> Fidelity:
+    """Return the preset with a name; raise TactipError, which lists the presets, on an unknown one."""
     return lookup("fidelity", name, FIDELITIES)
 
 
-def finer(fidelity):
-    """The Fidelity with which a contact that went wrong is tried again: half the steps' length, twice as many."""
+def finer(fidelity: Fidelity) -> Fidelity:
+    """Return the fidelity of the next try of a contact that failed its checks: twice as many steps of half the length."""
     motion, solver = fidelity.motion, fidelity.solver
     return replace(
         fidelity,
@@ -142,5 +143,5 @@ def finer(fidelity):
             settle_steps=2 * motion.settle_steps,
             settle_limit=4 * motion.settle_limit,
         ),
-        solver=replace(solver, tolerance=max(solver.tolerance / 10, TIGHTEST), iterations=3 * solver.iterations),
+        solver=replace(solver, tolerance=max(solver.tolerance / 10, MIN_TOLERANCE), iterations=3 * solver.iterations),
     )

@@ -1,78 +1,90 @@
-"""A tip that is pressed by hand: it goes on from where it is to whatever pose is asked for, and remembers its shear."""
+"""A tip in continuous contact that follows commanded poses, so its skin keeps the shear of earlier motions."""
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from tactip_twin.sim.contact.fidelity import Fidelity
 from tactip_twin.sim.contact.limits import MAX_DEPTH_M, check_motion
 from tactip_twin.sim.contact.mujoco_warnings import counted_warnings
 from tactip_twin.sim.contact.simulator import LEVER_M, ContactSimulator
-from tactip_twin.sim.contact.tip_state import read_tip_state
+from tactip_twin.sim.contact.stimuli import Stimulus
+from tactip_twin.sim.contact.tip_state import TipState, read_tip_state
 from tactip_twin.sim.pose import path, turn_between
+from tactip_twin.tactip_model.design import Design
 
 _ABOVE_M = 1e-3
-"""Room between the tip and what it is about to be pressed on, m."""
+"""Gap between a lifted tip and the stimulus, m."""
 
 
 class InteractiveContact:
-    """A tip and a stimulus. What is asked for is gone to by the fidelity's pace, some time steps at a time."""
+    """A tip and a stimulus. The tip moves to the commanded pose at the fidelity's speed, a few time steps per call."""
 
-    def __init__(self, design, stimulus, fidelity, label):
-        """design: Design. stimulus: a name in stimulus.STIMULI, or a Stimulus. fidelity: Fidelity. label: (6,), m and rad.
+    def __init__(self, design: Design, stimulus: str | Stimulus, fidelity: Fidelity, label: ArrayLike) -> None:
+        """Start with the tip clear above a label.
 
-        The tip begins clear above `label`. Raises TactipError on what cannot be built, and where `aim` does.
+        Args:
+            design: The tip.
+            stimulus: Name in stimuli.STIMULI, or a stimulus.
+            fidelity: Mesh, steps and solver.
+            label: (6,), m and rad, the first target.
+
+        Raises:
+            TactipError: The scene cannot be built, or `aim` refuses the label.
         """
-        self._player = ContactSimulator(design, stimulus, fidelity)
-        self.scene = self._player.scene
-        """The Scene as it is now."""
-        self._rested = 0
+        self._simulator = ContactSimulator(design, stimulus, fidelity)
+        self.scene = self._simulator.scene
+        """The scene in its present state."""
+        self._steps_at_rest = 0
         self.aim(label)
         self.lift()
 
-    def aim(self, label):
-        """Ask for a pose (6,), m and rad. Raises TactipError where it is out of the tip's reach: the last one stays."""
-        check_motion(np.asarray(label, float), np.zeros(6), min(MAX_DEPTH_M, self.scene.stimulus.deepest_m))
-        self._target, self._rested = np.array(label, float), 0
+    def aim(self, label: ArrayLike) -> None:
+        """Set the target pose (6,), m and rad. Raises TactipError if it is out of reach; the last target then stays."""
+        check_motion(np.asarray(label, float), np.zeros(6), min(MAX_DEPTH_M, self.scene.stimulus.max_depth_m))
+        self._target, self._steps_at_rest = np.array(label, float), 0
 
-    def lift(self):
-        """Take the tip off, undeformed, and put it clear above where it is to be: it comes down without shear."""
+    def lift(self) -> None:
+        """Lift the tip, undeformed, clear above its target: it then comes down without shear."""
         self.scene.reset()
-        rise = max(0.0, self._player.lift(self._target)) + _ABOVE_M
-        self._here, self._rested = self._target + np.array([0, 0, rise, 0, 0, 0]), 0
-        self._player.hold(self._here)
+        rise = max(0.0, self._simulator.lift(self._target)) + _ABOVE_M
+        self._label, self._steps_at_rest = self._target + np.array([0, 0, rise, 0, 0, 0]), 0
+        self._simulator.hold(self._label)
 
     @property
-    def at_rest(self):
-        """Whether the tip is where it is to be, and its skin has come to rest."""
-        return self._rested >= self.scene.fidelity.motion.settle_limit
+    def at_rest(self) -> bool:
+        """Whether the tip is at its target and its skin at rest."""
+        return self._steps_at_rest >= self.scene.fidelity.motion.settle_limit
 
-    def advance(self, steps):
-        """Go on by at most `steps` (int) time steps. Returns the touch.TipState of this moment.
+    def advance(self, steps: int) -> TipState:
+        """Simulate at most `steps` time steps and return the state they lead to.
 
-        Raises contact.Diverged, after which `lift` is the way on.
+        Raises:
+            Diverged: The state is lost; only `lift` recovers from it.
         """
         motion = self.scene.fidelity.motion
-        way = self._target - self._here
-        travel = np.linalg.norm(way[:3]) + LEVER_M * turn_between(self._here, self._target)
-        pace = self._player.shear_step_m if self.scene.data.ncon else self._player.press_step_m
-        whole = int(np.ceil(travel / pace))
+        travel = np.linalg.norm(self._target[:3] - self._label[:3]) + LEVER_M * turn_between(self._label, self._target)
+        step_m = self._simulator.shear_step_m if self.scene.data.ncon else self._simulator.press_step_m
+        needed = int(np.ceil(travel / step_m))
         with counted_warnings():
-            if whole:
-                gone = min(steps, whole)
-                labels = path(self._here, self._target, np.arange(gone + 1) / whole)
-                self._player.move(labels)
-                self._here, steps = (self._target if gone == whole else labels[-1]), steps - gone
+            if needed:
+                moves = min(steps, needed)
+                labels = path(self._label, self._target, np.arange(moves + 1) / needed)
+                self._simulator.move(labels)
+                self._label, steps = (self._target if moves == needed else labels[-1]), steps - moves
             for _ in range(steps if not self.at_rest else 0):
-                self._player.hold(self._here)
-                still = self.scene.max_vertex_speed() < motion.settle_speed_m_s and self._rested >= motion.settle_steps
-                self._rested = motion.settle_limit if still else self._rested + 1
+                self._simulator.hold(self._label)
+                slow = self.scene.max_vertex_speed() < motion.settle_speed_m_s
+                settled = slow and self._steps_at_rest >= motion.settle_steps
+                self._steps_at_rest = motion.settle_limit if settled else self._steps_at_rest + 1
                 if self.at_rest:
                     break
         return self.touch()
 
     @property
-    def label(self):
-        """Where the tip is (6,), m and rad (sim/pose.py)."""
-        return self._here.copy()
+    def label(self) -> np.ndarray:
+        """Present pose (6,), m and rad (sim/pose.py)."""
+        return self._label.copy()
 
-    def touch(self):
-        """The touch.TipState of this moment."""
-        return read_tip_state(self.scene, self._player.reader)
+    def touch(self) -> TipState:
+        """Return the present state of the tip."""
+        return read_tip_state(self.scene, self._simulator.reader)

@@ -1,49 +1,53 @@
-"""MuJoCo's warnings, counted by thread instead of printed."""
+"""MuJoCo's warnings, counted per thread instead of printed."""
 
 import contextlib
 import threading
+from collections.abc import Callable, Iterator
 
 import mujoco
 
 
-class _Warnings:
-    """Where MuJoCo's warnings go. A process has one handler of them, and contacts are played in threads, too
-    (benchmarks/scale/performance.py): a warning is heard in the thread that steps, and is that thread's."""
+class _WarningRouter:
+    """The process's handler of MuJoCo's warnings, which sends each warning to the list of the thread that caused it.
 
-    def __init__(self):
-        self._lock, self._lists, self._others = threading.Lock(), {}, None
+    A process has one handler, and contacts may be simulated in threads (benchmarks/scale/performance.py).
+    """
 
-    def hear(self, messages):
-        """Let this thread's warnings go into a list or, if None, where they would else. Returns where they went."""
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._lists: dict[int, list[str]] = {}
+        self._previous: Callable[[str], None] | None = None
+
+    def collect(self, messages: list[str] | None) -> list[str] | None:
+        """Send the warnings of this thread to a list or, if None, to the previous handler. Return the list before."""
         thread = threading.get_ident()
         with self._lock:
             if not self._lists:
-                self._others = mujoco.get_mju_user_warning()
+                self._previous = mujoco.get_mju_user_warning()
             before = self._lists.pop(thread, None)
             if messages is not None:
                 self._lists[thread] = messages
-            alone = next(iter(self._lists.values())).append if self._lists else self._others
-            # What raises in a handler ends the process, and Ctrl-C may raise in _sort: one thread alone does without it.
-            mujoco.set_mju_user_warning(self._sort if len(self._lists) > 1 else alone)
+            single = next(iter(self._lists.values())).append if self._lists else self._previous
+            # An exception in a handler ends the process, and Ctrl-C may raise in _route, so a single thread avoids it.
+            mujoco.set_mju_user_warning(self._route if len(self._lists) > 1 else single)
         return before
 
-    def _sort(self, message):
-        # That of a thread that counts none, of a pool say, is everybody's: better a record refused than one trusted.
-        mine = self._lists.get(threading.get_ident())
-        for messages in list(self._lists.values()) if mine is None else [mine]:
+    def _route(self, message: str) -> None:
+        # A warning of a thread that does not count them, of a pool say, goes to all: better to refuse a record too many.
+        own = self._lists.get(threading.get_ident())
+        for messages in list(self._lists.values()) if own is None else [own]:
             messages.append(message)
 
 
-_WARNINGS = _Warnings()
+_ROUTER = _WarningRouter()
 
 
 @contextlib.contextmanager
-def counted_warnings():
-    """MuJoCo's warnings of this thread counted in a list instead of shown: they are part of the record. Threads may count at
-    a time."""
-    messages = []
-    before = _WARNINGS.hear(messages)
+def counted_warnings() -> Iterator[list[str]]:
+    """Collect MuJoCo's warnings of this thread in a list instead of printing them. Several threads may do so at a time."""
+    messages: list[str] = []
+    before = _ROUTER.collect(messages)
     try:
         yield messages
     finally:
-        _WARNINGS.hear(before)
+        _ROUTER.collect(before)

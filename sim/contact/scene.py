@@ -1,18 +1,20 @@
-"""The data-set scene: a tip fixed in the world, a stimulus that moves, and nothing else.
+"""The MuJoCo scene of one contact: a tip fixed in the world, a stimulus that moves, and nothing else.
 
-The world frame is the sensor frame. The arm, object meshes and MuJoCo's renderer are left out: a tip that hangs on an
-arm costs two to six times as much a step.
+The world frame is the sensor frame. There is no arm, because a tip on an arm costs two to six times as much per step.
 """
 
 import functools
 
 import mujoco
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
+from tactip_twin.sim.contact.fidelity import Fidelity
 from tactip_twin.sim.contact.slip_weakening import SlipWeakening
 from tactip_twin.sim.contact.solid_stimulus import SolidStimulus, SurfaceContactProxies
 from tactip_twin.sim.contact.stimuli import Stimulus, add_stimulus, stimulus_named
+from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.mesh import CONTACT_RADIUS_M, build_mesh
 from tactip_twin.tactip_model.soft_body import STEP_OF_RESTING_S, STIFFENED, add_soft_tip
@@ -20,23 +22,29 @@ from tactip_twin.tactip_model.soft_body import STEP_OF_RESTING_S, STIFFENED, add
 _STIMULUS_QPOS = 7
 _STIMULUS_QVEL = 6
 
-_UNSOLVED = 1e30
-"""A solver's tolerance that any start meets, -."""
+_NO_SOLVE = 1e30
+"""Tolerance that every initial guess meets, so the solver does nothing, -."""
 
 _LOST_M = 1.0
-"""A vertex so far off, m, belongs to a state that is lost."""
+"""Distance of a vertex from which the state has diverged, m."""
 
 OVERLAP_ERROR_M = 5e-6
-"""What sampling may miss of an overlap, m: a tenth of what is allowed."""
+"""Maximum error of a sampled overlap, m: a tenth of the default limit."""
 
 
 class Scene:
-    """A compiled contact scene: the MuJoCo model, the mesh, and where things are in the state."""
+    """A compiled contact scene: the MuJoCo model, its state and the tip's mesh."""
 
-    def __init__(self, design, stimulus, fidelity):
-        """design: Design. stimulus: a name in stimulus.STIMULI, or a Stimulus. fidelity: Fidelity.
+    def __init__(self, design: Design, stimulus: str | Stimulus, fidelity: Fidelity) -> None:
+        """Build the scene.
 
-        Raises TactipError on what cannot be built.
+        Args:
+            design: The tip.
+            stimulus: Name in stimuli.STIMULI, or a stimulus.
+            fidelity: Mesh, steps and solver.
+
+        Raises:
+            TactipError: The stimulus is unknown, or the tip cannot be built.
         """
         self.stimulus = stimulus if isinstance(stimulus, Stimulus) else stimulus_named(stimulus)
         self.design, self.fidelity = design, fidelity
@@ -50,10 +58,10 @@ class Scene:
         self._neighbours = _neighbours(self.mesh.triangles)
         self._areas = np.linalg.norm(_area_normals(self.mesh.vertices, self.mesh.triangles), axis=1)
         self._stimulus_body = self.model.body("stimulus").id
-        weakens = self._rubs() and design.materials.kinetic_share < 1
+        weakens = self._has_friction() and design.materials.kinetic_share < 1
         self._slip = SlipWeakening(self.model, self._stimulus_body, design.materials) if weakens else None
 
-    def _compile(self):
+    def _compile(self) -> mujoco.MjModel:
         motion, solver = self.fidelity.motion, self.fidelity.solver
         spec = mujoco.MjSpec()
         spec.compiler.degree = False
@@ -68,76 +76,72 @@ class Scene:
         spec.option.impratio = solver.impratio
         # Contact springs are stiffer than the step resolves; clamping them would let the stimulus sink in.
         spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_REFSAFE
-        # One tip is one island: to tell it apart buys nothing, and MuJoCo then leaves efc_state as it was before the solve
-        # (measured with 4.0.0), which is where sim/contact/slip_weakening.py reads what slides.
+        # One tip is one island, so islands gain nothing, and with them MuJoCo leaves efc_state as it was before the solve
+        # (measured with 4.0.0). sim/contact/slip_weakening.py reads there which contacts slide.
         spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
-        # A diverged state must stay to be seen: MuJoCo would start again from the undeformed tip, and say nothing.
+        # A diverged state must stay visible: MuJoCo would silently reset the tip to its undeformed state.
         spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         friction = self.design.materials.friction
         add_stimulus(spec, self.stimulus, friction, self.fidelity.contact)
         tip = spec.worldbody.add_body(name="tip")
         add_soft_tip(spec, tip, self.design, self.mesh, self.fidelity.mesh, self.fidelity.contact)
-        self._follower = None
+        self._proxies = None
         if isinstance(self.stimulus, SolidStimulus):
-            self._follower = SurfaceContactProxies(spec, self.stimulus, self.mesh, friction, self.fidelity.contact)
+            self._proxies = SurfaceContactProxies(spec, self.stimulus, self.mesh, friction, self.fidelity.contact)
         model = spec.compile()
-        if self._follower:
-            self._follower.bind(model)
+        if self._proxies:
+            self._proxies.bind(model)
         # The solver's tolerance is relative to the mean inertia: the stimulus's 1000 kg must not loosen it.
         model.stat.meaninertia = model.body_mass[model.body_mass < 1].mean()
         return model
 
-    def reset(self):
-        """Undeformed tip, nothing remembered: a contact depends on nothing that was played before."""
+    def reset(self) -> None:
+        """Reset to the undeformed tip without history, so a contact does not depend on earlier ones."""
         mujoco.mj_resetData(self.model, self.data)
-        if self._follower:
-            self._follower.forget()
+        if self._proxies:
+            self._proxies.forget()
         if self._slip:
             self._slip.reset()
 
-    def stiffen(self, resting):
-        """Set contact and solver to those for a tip that comes to rest (True), or that is moved (False).
+    def stiffen(self, resting: bool) -> None:
+        """Set contact stiffness and solver tolerance to those of a tip at rest (True) or in motion (False).
 
-        What could come through the skin presses on few points: it is held off all along, as stiffly as the step allows.
+        A stimulus that could come through the skin presses on few points, so its contact is always as stiff as the step
+        allows.
         """
         contact, solver = self.fidelity.contact, self.fidelity.solver
         solref = -np.array(contact.resting if resting else contact.moving)
         if np.isfinite(self.stimulus.width_m):
-            share = np.clip(STEP_OF_RESTING_S / self.fidelity.motion.step_s, 1.0, STIFFENED)
-            solref = -np.array(contact.resting) * [share**2, share]
-        for each in (self.model.geom_solref, self.model.flex_solref, self.model.pair_solref):
-            each[:] = solref
+            ratio = np.clip(STEP_OF_RESTING_S / self.fidelity.motion.step_s, 1.0, STIFFENED)
+            solref = -np.array(contact.resting) * [ratio**2, ratio]
+        for attribute in (self.model.geom_solref, self.model.flex_solref, self.model.pair_solref):
+            attribute[:] = solref
         self.model.opt.tolerance = solver.settle_tolerance if resting else solver.tolerance
 
-    def step(self):
-        """One time step: mujoco.mj_step, with these differences.
+    def step(self) -> None:
+        """Advance by one time step, as mujoco.mj_step does, with these differences.
 
-        The surface of a solid follows the skin (sim/contact/solid_stimulus.py), if that is what the tip is pressed on.
-
-        Contacts begin before they touch (ContactModel.margin_m), with their force at the surface all the same: the margin
-        is taken out of their rows.
-
-        MuJoCo's friction cone is convex: what slides at v is lifted by friction * v * (step + damping / stiffness). The
-        surface is lowered by as much (De Saxcé's correction, with the speed of the last step), so that sliding skin stays
-        where it would be at rest.
-
-        Friction falls where the skin has slid, if the materials say so (sim/contact/slip_weakening.py).
-
-        The motion without contacts, that MuJoCo solves for first, is not needed where there are contacts: it would only be
-        one of two places to start from. It is left unsolved, which saves a third of the time; the result is the same to the
-        solver's tolerance.
+        - The spheres on a solid's surface follow the skin (sim/contact/solid_stimulus.py).
+        - Contacts become active before they touch (ContactModel.margin_m), but their force still begins at the surface: the
+          margin is removed from their rows.
+        - MuJoCo's friction cone is convex, which lifts skin that slides at v by friction * v * (step + damping / stiffness).
+          The surface is lowered by as much (De Saxcé's correction, with the speed of the last step), so sliding skin stays
+          at the height that it would have at rest.
+        - Friction falls where the skin has slid, if the materials have it (sim/contact/slip_weakening.py).
+        - The motion without contacts, which MuJoCo solves first, is only one of two initial guesses if there are contacts.
+          It is left unsolved, which saves a third of the time; the result is the same to the solver's tolerance.
         """
         model, data = self.model, self.data
-        if self._follower:
-            self._follower.follow(model, self.skin_in_stimulus())
+        if self._proxies:
+            self._proxies.follow(model, self.skin_in_stimulus())
         tolerance, before = model.opt.tolerance, data.qacc_warmstart.copy()
         mujoco.mj_fwdPosition(model, data)
         touching = data.nefc > 0
         if touching:
             data.efc_margin[:] = 0.0
-            if self._rubs():
-                self._rub()
-            model.opt.tolerance = _UNSOLVED
+            if self._has_friction():
+                self._correct_sliding_friction()
+            model.opt.tolerance = _NO_SOLVE
         mujoco.mj_forwardSkip(model, data, mujoco.mjtStage.mjSTAGE_POS, 1)
         if touching:
             model.opt.tolerance = tolerance
@@ -146,18 +150,17 @@ class Scene:
             if self._slip:
                 self._slip.remember(data)
         elif self._slip:
-            self._slip.reset()  # all of the skin has left the object
+            self._slip.reset()  # the whole skin has left the object
         data.qacc_warmstart[:] = data.qacc
         data.qvel[:] += model.opt.timestep * data.qacc
         mujoco.mj_integratePos(model, data.qpos, data.qvel, model.opt.timestep)
         data.time += model.opt.timestep
 
-    def _rubs(self):
-        """Whether there is friction."""
+    def _has_friction(self) -> bool:
         return self.design.materials.friction > 0
 
-    def _rub(self):
-        """Weaken the contacts' friction, and lower their surface, by how fast they slide: see `step`."""
+    def _correct_sliding_friction(self) -> None:
+        """Weaken the friction of sliding contacts, and lower their surface: see `step`."""
         data, contacts, step = self.data, self.data.contact, self.model.opt.timestep
         acting = contacts.efc_address >= 0
         row = contacts.efc_address[acting]
@@ -169,100 +172,117 @@ class Scene:
             self._slip.weaken(data, speed * step)
         data.efc_margin[row] = -self._lift(speed)[acting]
 
-    def _lift(self, speed):
-        """How far (contacts,) m what slides at `speed` (contacts,) m/s is lifted."""
+    def _lift(self, speed: np.ndarray) -> np.ndarray:
+        """Return the height (contacts,) m by which MuJoCo lifts contacts that slide at a speed (contacts,) m/s."""
         contacts = self.data.contact
         stiffness, damping = -contacts.solref[0]
         return contacts.friction[:, 0] * speed * (self.model.opt.timestep + damping / stiffness)
 
-    def place(self, position, quaternion, linear=(0, 0, 0), angular=(0, 0, 0)):
-        """Set the stimulus: position (3,) m and quaternion (4,) in the sensor frame, velocity m/s, and rad/s in its own."""
+    def place(
+        self,
+        position: ArrayLike,
+        quaternion: ArrayLike,
+        linear: ArrayLike = (0, 0, 0),
+        angular: ArrayLike = (0, 0, 0),
+    ) -> None:
+        """Set pose and velocity of the stimulus.
+
+        Args:
+            position: (3,) m, in the sensor frame.
+            quaternion: (4,), scalar first, in the sensor frame.
+            linear: (3,) velocity, m/s, in the sensor frame.
+            angular: (3,) angular velocity, rad/s, in the stimulus's own frame.
+        """
         self.data.qpos[:3], self.data.qpos[3:_STIMULUS_QPOS] = position, quaternion
         self.data.qvel[:3], self.data.qvel[3:_STIMULUS_QVEL] = linear, angular
 
-    def vertices(self):
-        """Vertices (n, 3) of the mesh as deformed now, m, sensor frame."""
+    def vertices(self) -> np.ndarray:
+        """Return the vertices (n, 3) m of the deformed mesh, in the sensor frame."""
         vertices = self.mesh.vertices.copy()
         vertices[self._free] += self.data.qpos[_STIMULUS_QPOS:].reshape(-1, 3)
         return vertices
 
-    def skin_in_stimulus(self):
-        """Vertices (s, 3) of the skin as deformed now, m, in the stimulus's frame."""
+    def skin_in_stimulus(self) -> np.ndarray:
+        """Return the vertices (s, 3) m of the deformed skin, in the stimulus's frame."""
         place, quaternion = self.data.qpos[:3], self.data.qpos[3:_STIMULUS_QPOS]
         turn = Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
         return (self.vertices()[: self.mesh.surface_count] - place) @ turn
 
-    def max_vertex_speed(self):
-        """Speed (m/s) of the fastest vertex."""
+    def max_vertex_speed(self) -> float:
+        """Return the speed of the fastest vertex, m/s."""
         return float(np.sqrt((self.data.qvel[_STIMULUS_QVEL:].reshape(-1, 3) ** 2).sum(1).max()))
 
-    def contact_force(self):
-        """Force (3,) N of the stimulus on the tip in the sensor frame, at the last step."""
+    def contact_force(self) -> np.ndarray:
+        """Return the force (3,) N of the stimulus on the tip at the last step, in the sensor frame."""
         forces, _ = self._contact_forces()
         return np.add.accumulate(forces)[-1] if len(forces) else np.zeros(3)
 
-    def contact_wrench(self):
-        """Force (3,) N, and torque (3,) N m about the apex, of the stimulus on the tip in the sensor frame, at the last
-        step."""
+    def contact_wrench(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the force (3,) N and the torque (3,) N m about the apex of the stimulus on the tip at the last step, in the
+        sensor frame."""
         forces, places = self._contact_forces()
         return forces.sum(0), np.cross(places, forces).sum(0)
 
-    def _contact_forces(self):
-        """Forces (c, 3) N on the tip and places (c, 3) m of the contacts that act, in the sensor frame."""
+    def _contact_forces(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return forces (c, 3) N on the tip and places (c, 3) m of the active contacts, in the sensor frame."""
         contacts, forces = self.data.contact, self.data.efc_force
         acting = contacts.efc_address >= 0
         if not acting.any():
             return np.zeros((0, 3)), np.zeros((0, 3))
-        # With elliptic cones, the force along each axis of the contact's frame; without friction, along the first alone.
+        # With elliptic cones there is a row per axis of the contact's frame; without friction, only for the first.
         rows = contacts.efc_address[acting, None] + np.arange(contacts.dim[acting][0])
-        # The frame points from the first to the second in contact.
+        # The frame points from the first geom to the second.
         first = contacts.geom[acting, 0]
         sign = np.where((first >= 0) & (self.model.geom_bodyid[first] == self._stimulus_body), 1.0, -1.0)
         axes = contacts.frame[acting].reshape(-1, 3, 3)[:, : rows.shape[1]]
         return np.matmul((sign[:, None] * forces[rows])[:, None], axes)[:, 0], contacts.pos[acting]
 
-    def penetration(self):
-        """Greatest depth (m) of a contact point inside the stimulus, at the last step; 0 without contact."""
+    def penetration(self) -> float:
+        """Return the maximum depth (m) of a contact point inside the stimulus at the last step; 0 without contact."""
         return max(0.0, -float(self.data.contact.dist.min())) if self.data.ncon else 0.0
 
-    def hit_iteration_limit(self):
-        """Whether the solver ran out of iterations at the last step."""
+    def hit_iteration_limit(self) -> bool:
+        """Return whether the solver ran out of iterations at the last step."""
         return bool(self.data.solver_niter.max() >= self.model.opt.iterations)
 
-    def overlap(self, T_contact_sensor):
-        """Greatest depth (m) of the skin's facets, as thick as it is in contact, inside the stimulus's true shape.
+    def overlap(self, T_contact_sensor: np.ndarray) -> float:
+        """Return the maximum depth (m) of the skin's facets, with their contact thickness, in the stimulus's true shape.
 
-        T_contact_sensor: (4, 4). Facets that may touch are sampled so closely that OVERLAP_ERROR_M is missed at most.
+        Facets that may touch are sampled so densely that the error is at most OVERLAP_ERROR_M. A diverged state overlaps
+        infinitely.
+
+        Args:
+            T_contact_sensor: (4, 4) pose of the sensor.
         """
         skin = self.vertices()[: self.mesh.surface_count] @ T_contact_sensor[:3, :3].T + T_contact_sensor[:3, 3]
-        if not (np.abs(skin) < _LOST_M).all():  # a state on its way to infinity; a NaN is none below either
+        if not (np.abs(skin) < _LOST_M).all():  # also for NaN
             return np.inf
         depth = CONTACT_RADIUS_M - self.stimulus.distance(skin)
-        greatest = max(0.0, float(depth.max()))
+        deepest = max(0.0, float(depth.max()))
         corners = skin[self.mesh.triangles]
         side = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(1)
-        # No point of a facet is further than this from a corner, and a distance cannot change faster than the place.
-        near = depth[self.mesh.triangles].max(1) + side / np.sqrt(3) > greatest
+        # No point of a facet is further than this from a corner, and the distance cannot change by more than that.
+        near = depth[self.mesh.triangles].max(1) + side / np.sqrt(3) > deepest
         spacing = np.sqrt(6 * OVERLAP_ERROR_M * (self.stimulus.sharpest_m + CONTACT_RADIUS_M))
         if np.isinf(spacing) or not near.any():
-            return greatest
+            return deepest
         samples = _barycentric(int(np.ceil(side[near].max() / spacing))) @ corners[near]
-        return max(greatest, CONTACT_RADIUS_M - float(self.stimulus.distance(samples).min()))
+        return max(deepest, CONTACT_RADIUS_M - float(self.stimulus.distance(samples).min()))
 
-    def imbalance(self):
-        """Force left over on the free vertices at the last step over the contact force on them (norms), -; 0 without."""
+    def imbalance(self) -> float:
+        """Return the ratio of the unbalanced force on the free vertices at the last step to the contact force on them
+        (norms), -; 0 without contact."""
         contact = self.data.qfrc_constraint[_STIMULUS_QVEL:]
         size = float(np.linalg.norm(contact))
         return float(np.linalg.norm(self.data.qfrc_smooth[_STIMULUS_QVEL:] + contact)) / size if size else 0.0
 
-    def elastic_energy_rate(self):
-        """Size of the rate (W) at which the elastic energy of gel and skin changes."""
+    def elastic_energy_rate(self) -> float:
+        """Return the magnitude of the rate of change of the elastic energy of gel and skin, W."""
         return abs(float(self.data.qfrc_spring[_STIMULUS_QVEL:] @ self.data.qvel[_STIMULUS_QVEL:]))
 
-    def skin_shape(self, vertices):
-        """Smallest ratio of a facet's area to its undeformed one (-), and greatest angle (rad) between the normals of
-        neighbouring facets, for vertices (n, 3) m.
-        """
+    def skin_shape(self, vertices: np.ndarray) -> tuple[float, float]:
+        """Return the minimum ratio of a facet's area to its undeformed one (-), and the maximum angle (rad) between the
+        normals of neighbouring facets, for vertices (n, 3) m."""
         normals = _area_normals(vertices, self.mesh.triangles)
         area = np.linalg.norm(normals, axis=1)
         normals /= np.maximum(area, 1e-300)[:, None]
@@ -270,14 +290,14 @@ class Scene:
         return float((area / self._areas).min()), float(np.arccos(np.clip((a * b).sum(1).min(), -1, 1)))
 
 
-def _area_normals(vertices, triangles):
-    """Outward normals (k, 3) of triangles (k, 3) over vertices (n, 3), twice as long as their area, m^2."""
+def _area_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Return outward normals (k, 3) of triangles (k, 3) over vertices (n, 3) m; their length is twice the area, m^2."""
     a, b, c = (vertices[triangles[:, i]] for i in range(3))
     return np.cross(b - a, c - a)
 
 
-def _neighbours(triangles):
-    """Pairs (e, 2) of triangles (k, 3) that share an edge."""
+def _neighbours(triangles: np.ndarray) -> np.ndarray:
+    """Return pairs (e, 2) of triangles (k, 3) that share an edge."""
     edges = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
     owner = np.tile(np.arange(len(triangles)), 3)
     order = np.lexsort(edges.T)
@@ -287,8 +307,8 @@ def _neighbours(triangles):
 
 
 @functools.cache
-def _barycentric(n):
-    """Barycentric coordinates (s, 3) of the points of a triangle's grid with n intervals a side."""
+def _barycentric(n: int) -> np.ndarray:
+    """Return barycentric coordinates (s, 3) of a triangle's grid points with n intervals per side."""
     i, j = np.meshgrid(np.arange(n + 1), np.arange(n + 1))
     inside = i + j <= n
     return np.stack([i[inside], j[inside], n - i[inside] - j[inside]], 1) / n

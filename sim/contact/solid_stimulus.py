@@ -1,94 +1,104 @@
-"""Any solid as a stimulus, with its true shape: no convex hull, no facets of its own to catch on.
+"""Any solid as a stimulus, with its true shape: no convex hull, no facets of its own to snag on.
 
-MuJoCo makes contacts of convex pieces, or of triangles one by one: of a rigid flex with the skin's facets, so many, and of
-so many normals, that a slide over an edge ends further off and takes longer the finer the mesh is (docs/objects.md). Here
-the solid's surface comes to the skin instead. At every step each vertex of the skin gets the sphere that touches the surface
-where it is nearest, with the surface's normal: the contact is that of the true surface, to first order in what the vertex
-moves in a step. Where the solid is higher in the middle of a facet than at its corners, as an edge is, the facet gets a
-probe: a sphere inside the solid that touches the surface there, as large as fits. The cost does not depend on how many
-triangles the solid has.
+MuJoCo collides convex pieces, or triangles one by one. A rigid flex makes so many contacts with the skin's facets, with so
+many normals, that a slide over an edge is less accurate and slower the finer the mesh is (docs/mesh_contact.md). Here,
+spheres on the solid's surface follow the skin instead. At every step each vertex of the skin gets a sphere that touches the
+surface at its nearest point, with the surface normal: the contact is that of the true surface, to first order in the motion
+of the vertex per step. Where the solid is higher in the middle of a facet than at its corners, as on an edge, the facet gets
+a probe: the largest sphere inside the solid that touches the surface there. The cost does not depend on the number of
+triangles.
 """
 
 import mujoco
 import numpy as np
 
-from tactip_twin.sim.contact.signed_distance import Nearest
-from tactip_twin.sim.contact.stimuli import EDGE_RADIUS_M, Stimulus
-from tactip_twin.tactip_model.mesh import CONTACT_RADIUS_M
-from tactip_twin.tactip_model.soft_body import TOUCHES_FACETS, contact_attributes
+from tactip_twin.sim.contact.signed_distance import Nearest, SignedDistanceMesh
+from tactip_twin.sim.contact.stimuli import EDGE_RADIUS_M, ContactAttributes, Stimulus
+from tactip_twin.tactip_model.mesh import CONTACT_RADIUS_M, Mesh
+from tactip_twin.tactip_model.soft_body import TOUCHES_FACETS, ContactModel, contact_attributes
 
 _BALL_M = 10e-3
-"""Radius of the spheres that vertices meet, m: they touch the surface from inside at one point, and its curvature is not
-seen from one step to the next."""
+"""Radius of the spheres that vertices collide with, m. They touch the surface from inside at one point, and their curvature
+does not matter within one step."""
 
 _PROBE_RADII_M = np.array([3.0, 1.5, 0.8, 0.45, 0.2, 0.1]) * 1e-3
-"""Radii that a probe may have, m. The largest that fits into the solid is taken; the last fits, or is so small that what
-stands out of a square edge, 0.04 mm, is less than contacts leave."""
+"""Radii of probes, m. A probe gets the largest that fits into the solid. The last always fits, or protrudes from a square
+edge by 0.04 mm, less than the penetration of contacts."""
 
-_FITS = 0.02
-"""Share of its radius by which a probe may stand out, -."""
+_PROTRUSION = 0.02
+"""Maximum protrusion of a probe from the solid, as a fraction of its radius, -."""
 
 _PROBES = 64
-"""Probes at hand: more than there are facets in a patch on an edge."""
+"""Number of probes: more than the facets of a contact patch on an edge."""
 
 _ODD_M = 0.02e-3
-"""Difference of the distance in a facet's middle from what its corners foresee, m: above, it is looked at all over ..."""
+"""Error of the distance predicted for a facet's middle from its corners, m, above which the whole facet is searched ..."""
 
 _CREASED = 0.35
-"""... and difference of the normals at two corners, -: 20 degrees, more than a radius of 8 mm gives."""
+"""... and difference of the normals at two corners, -, above which it is: 20 degrees, more than on a radius of 8 mm."""
 
 _GRID = 4
-"""Intervals of a facet's side in the search for its deepest place."""
+"""Intervals per side of a facet in the search for its deepest point."""
 
 _WORTH_M = 0.02e-3
-"""A probe is set where the solid is so much nearer to a facet than to its corners, m."""
+"""Minimum difference of the distances to a facet and to its corners for a probe, m."""
 
 _AWAY = (0.0, 0.0, -1.0)
-"""Where balls and probes are before they are needed, m."""
+"""Position of balls and probes that are not needed, m."""
 
 
 class SolidStimulus(Stimulus):
     """A solid as a stimulus; the contact frame is the solid's own."""
 
-    def __init__(self, solid, sharpest_m=EDGE_RADIUS_M):
-        """solid: Solid. sharpest_m: float, the least radius of its edges, m: how closely an overlap is looked for."""
+    def __init__(self, solid: SignedDistanceMesh, sharpest_m: float = EDGE_RADIUS_M) -> None:
+        """Args:
+        solid: The solid.
+        sharpest_m: Minimum radius of its edges, m; it sets how densely overlaps are sampled.
+        """
         self.solid = solid
-        """May be another one from contact to contact: nothing of it is in the compiled model."""
+        """The solid. It may be replaced between contacts, because the compiled model does not contain it."""
         self._sharpest_m = sharpest_m
 
     @property
-    def sharpest_m(self):
+    def sharpest_m(self) -> float:
         """See Stimulus."""
         return self._sharpest_m
 
-    def add_geoms(self, spec, body, touch):
-        """See Stimulus: what is met follows the skin, and is added by Follower."""
+    @property
+    def top_m(self) -> float:
+        """See Stimulus."""
+        return float(self.solid.vertices[:, 2].max())
 
-    def distance(self, points):
+    def add_geoms(self, spec: mujoco.MjSpec, body: mujoco.MjsBody, touch: ContactAttributes) -> None:
+        """See Stimulus. Adds nothing: the geoms follow the skin, and SurfaceContactProxies adds them."""
+
+    def distance(self, points: np.ndarray) -> np.ndarray:
         """See Stimulus; of the triangles themselves."""
         return self.solid.distance(points)
 
-    def height_to_clear(self, centre, radius):
-        """See Stimulus; the highest point is the solid's own."""
-        return super().height_to_clear(centre, radius, float(self.solid.vertices[:, 2].max()))
-
 
 class SurfaceContactProxies:
-    """The surface of a solid as it follows the skin of one tip."""
+    """Spheres on the surface of a solid that follow the skin of one tip, for MuJoCo to collide it with."""
 
-    def __init__(self, spec, shape, mesh, friction, contact):
-        """Add what is met to a model that holds the tip and the body `stimulus`.
+    def __init__(
+        self, spec: mujoco.MjSpec, stimulus: SolidStimulus, mesh: Mesh, friction: float, contact: ContactModel
+    ) -> None:
+        """Add the spheres to a model that has the tip and the body `stimulus`.
 
-        spec: mujoco.MjSpec. shape: Shape. mesh: tactip_model.mesh.Mesh, of the tip. friction: float, -. contact:
-        ContactModel.
+        Args:
+            spec: Model to add to.
+            stimulus: The solid.
+            mesh: Mesh of the tip.
+            friction: Friction coefficient of the skin, -.
+            contact: Contact model.
         """
-        self._shape, self._mesh = shape, mesh
+        self._stimulus, self._mesh = stimulus, mesh
         self._vertices = np.flatnonzero(~mesh.bonded[: mesh.surface_count])
         corners = mesh.vertices[mesh.triangles]
         self._reach = 0.6 * np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(1)
         self._inside = _inside(_GRID)
         self._near = CONTACT_RADIUS_M + contact.margin_m
-        self._farthest = float(self._reach.max()) + self._near
+        self._max_distance = float(self._reach.max()) + self._near
         self.forget()
         touch, sphere = contact_attributes(friction, contact), mujoco.mjtGeom.mjGEOM_SPHERE
         body = spec.body("stimulus")
@@ -112,24 +122,29 @@ class SurfaceContactProxies:
                 **touch,
             )
 
-    def bind(self, model):
-        """Find the geoms in the compiled model. model: mujoco.MjModel."""
+    def bind(self, model: mujoco.MjModel) -> None:
+        """Find the geoms in the compiled model."""
         self._balls = np.array([model.geom(f"ball/{i}").id for i in self._vertices])
         self._probes = np.array([model.geom(f"probe/{k}").id for k in range(_PROBES)])
-        # Geoms that move on their body: no frame is the body's own, and no box of its tree can be told beforehand.
+        # The geoms move on their body, so MuJoCo must not reuse the body's frame or precomputed bounding boxes.
         model.geom_sameframe[np.concatenate([self._balls, self._probes])] = 0
         body = model.body("stimulus").id
         tree = slice(model.body_bvhadr[body], model.body_bvhadr[body] + model.body_bvhnum[body])
         model.bvh_aabb[tree] = [0, 0, 0, 2, 2, 2]
 
-    def forget(self):
-        """Look at every vertex anew at the next step."""
+    def forget(self) -> None:
+        """Compute the distance of every vertex anew at the next step."""
         self._seen_from = np.full((self._mesh.surface_count, 3), np.inf)
         self._distance = np.zeros(self._mesh.surface_count)
 
-    def follow(self, model, skin):
-        """Bring the surface to the skin. model: mujoco.MjModel. skin: (s, 3) m, its vertices in the solid's frame."""
-        at, due = self._look(skin)
+    def follow(self, model: mujoco.MjModel, skin: np.ndarray) -> None:
+        """Move the spheres to the skin.
+
+        Args:
+            model: Compiled model of the scene.
+            skin: (s, 3) m, vertices of the skin in the solid's frame.
+        """
+        at, due = self._nearest(skin)
         touch = np.flatnonzero(due[self._vertices])
         i = self._vertices[touch]
         model.geom_pos[self._balls] = _AWAY
@@ -143,37 +158,41 @@ class SurfaceContactProxies:
             model.geom_size[probes, 0] = model.geom_rbound[probes] = radii
             model.geom_aabb[probes, 3:] = radii[:, None]
 
-    def _look(self, skin):
-        """Nearest of the skin's vertices (s, 3), and which (s,) bool were looked at.
+    def _nearest(self, skin: np.ndarray) -> tuple[Nearest, np.ndarray]:
+        """Return the nearest surface points of the skin's vertices (s, 3), and which (s,) bool were computed.
 
-        A vertex is not nearer than when it was last looked at, less the way that it went since: those that cannot touch are
-        left alone, and their distance is what it is at least.
+        The distance of a vertex falls at most by the distance that it has moved since it was last computed. Vertices that
+        cannot touch are skipped; their distance is then this lower bound.
         """
         away = np.linalg.norm(skin - self._seen_from, axis=1)
-        least = self._distance - away
-        due = ~(least > self._farthest)
-        found = self._shape.solid.nearest(skin[due])
+        lower_bound = self._distance - away
+        due = ~(lower_bound > self._max_distance)
+        found = self._stimulus.solid.nearest(skin[due])
         self._seen_from[due], self._distance[due] = skin[due], found.distance
-        distance, place, normal = np.where(due, 0.0, least), np.zeros_like(skin), np.zeros_like(skin)
+        distance, place, normal = np.where(due, 0.0, lower_bound), np.zeros_like(skin), np.zeros_like(skin)
         distance[due], place[due], normal[due] = found.distance, found.place, found.normal
         return Nearest(distance, place, normal), due
 
-    def _ridges(self, skin, at):
-        """Places (m, 3) and normals (m, 3) of the surface where it is nearer to a facet than to its corners.
+    def _ridges(self, skin: np.ndarray, at: Nearest) -> tuple[np.ndarray, np.ndarray]:
+        """Return places (m, 3) and normals (m, 3) of the surface where it is nearer to a facet than to its corners.
 
-        at: Nearest of the skin's vertices. What the distance is over a facet is foreseen from its corners; where it is as
-        foreseen in the middle, the surface is smooth there, and only the place foreseen as the deepest is looked at. Where
-        it is not, or the normals at the corners are far apart, there may be an edge, and the facet is looked at all over.
+        The distance over a facet is predicted from its corners. Where the prediction holds in the middle, the surface is
+        smooth, and only the deepest predicted point is computed. Where it does not, or the normals at the corners differ
+        much, there may be an edge, and the whole facet is searched.
+
+        Args:
+            skin: (s, 3) m, vertices of the skin in the solid's frame.
+            at: Nearest surface points of these vertices.
         """
         triangles = self._mesh.triangles
         lowest = at.distance[triangles].min(1)
         facets = np.flatnonzero(lowest < self._reach + self._near)
-        middle = self._shape.solid.distance(skin[triangles[facets]].mean(1))
-        foreseen, normals = self._foreseen(skin, at, triangles[facets]), at.normal[triangles[facets]]
+        middle = self._stimulus.solid.distance(skin[triangles[facets]].mean(1))
+        predicted, normals = self._predicted(skin, at, triangles[facets]), at.normal[triangles[facets]]
         spread = np.linalg.norm(normals - np.roll(normals, 1, axis=1), axis=2).max(1)
-        odd = (np.abs(foreseen[:, -1] - middle) > _ODD_M) | (spread > _CREASED)
-        foreseen, low = foreseen[:, :-1], lowest[facets]
-        deepest, least = foreseen.argmin(1), foreseen.min(1)
+        odd = (np.abs(predicted[:, -1] - middle) > _ODD_M) | (spread > _CREASED)
+        predicted, low = predicted[:, :-1], lowest[facets]
+        deepest, least = predicted.argmin(1), predicted.min(1)
         smooth = np.flatnonzero(~odd & (least < low - _WORTH_M / 2) & (least < self._near + _ODD_M))
         odd = np.flatnonzero(odd)
         if not len(smooth) + len(odd):
@@ -183,8 +202,8 @@ class SurfaceContactProxies:
             np.einsum("fc,fck->fk", self._inside[deepest[smooth]], corners[smooth]),
             np.einsum("gc,fck->fgk", self._inside, corners[odd]).reshape(-1, 3),
         ]
-        close = self._shape.solid.nearest(np.concatenate(points))
-        # Of each facet that is looked at all over, its deepest place.
+        close = self._stimulus.solid.nearest(np.concatenate(points))
+        # The deepest point of each facet that is searched.
         every = close.distance[len(smooth) :].reshape(len(odd), len(self._inside))
         rows = len(smooth) + len(self._inside) * np.arange(len(odd)) + every.argmin(1)
         rows = np.concatenate([np.arange(len(smooth)), rows])
@@ -193,24 +212,24 @@ class SurfaceContactProxies:
         chosen = rows[worth[np.argsort(depth[worth], kind="stable")[:_PROBES]]]
         return close.place[chosen], close.normal[chosen]
 
-    def _foreseen(self, skin, at, triangles):
-        """Distances (f, g + 1) m over facets (f, 3), at the places `_inside` and in the middle, from those at their corners
-        and their gradients there, the normals.
+    def _predicted(self, skin: np.ndarray, at: Nearest, triangles: np.ndarray) -> np.ndarray:
+        """Return distances (f, g + 1) m over facets (f, 3), at the points `_inside` and in the middle, predicted from the
+        distances at their corners and the gradients there, the normals.
 
-        To second order: sum(l_i d_i) - sum(l_i l_j (n_j - n_i) (x_j - x_i)) / 2, the second over the sides, with shares l of
-        the corners x and gradients n there. It is exact where the distance is a quadratic form.
+        To second order: sum(l_i d_i) - sum(l_i l_j (n_j - n_i) (x_j - x_i)) / 2, the second sum over the sides, with
+        barycentric coordinates l, corners x and gradients n there. It is exact where the distance is a quadratic form.
         """
-        shares = np.concatenate([self._inside, np.full((1, 3), 1 / 3)])
+        weights = np.concatenate([self._inside, np.full((1, 3), 1 / 3)])
         x, n = skin[triangles], at.normal[triangles]
         sides = np.einsum("fik,fik->fi", np.roll(n, -1, 1) - n, np.roll(x, -1, 1) - x)
-        return at.distance[triangles] @ shares.T - sides @ (shares * np.roll(shares, -1, 1)).T / 2
+        return at.distance[triangles] @ weights.T - sides @ (weights * np.roll(weights, -1, 1)).T / 2
 
-    def _radii(self, places, normals):
-        """Radii (m,) of the largest probes that touch the surface at places (m, 3) from inside."""
+    def _radii(self, places: np.ndarray, normals: np.ndarray) -> np.ndarray:
+        """Return radii (m,) m of the largest probes that touch the surface at places (m, 3) from inside."""
         out, left = np.full(len(places), _PROBE_RADII_M[-1]), np.arange(len(places))
-        # Where it is smooth the first one fits: the others are only asked about where they are needed.
+        # On a smooth surface the first radius fits, so the others are tried only where it does not.
         for radius in _PROBE_RADII_M[:-1]:
-            fits = -self._shape.solid.distance(places[left] - radius * normals[left]) >= (1 - _FITS) * radius
+            fits = -self._stimulus.solid.distance(places[left] - radius * normals[left]) >= (1 - _PROTRUSION) * radius
             out[left[fits]] = radius
             left = left[~fits]
             if not len(left):
@@ -218,8 +237,8 @@ class SurfaceContactProxies:
         return out
 
 
-def _inside(n):
-    """Barycentric coordinates (g, 3) of the points of a triangle's grid with n intervals a side, less its corners."""
+def _inside(n: int) -> np.ndarray:
+    """Return barycentric coordinates (g, 3) of a triangle's grid points with n intervals per side, without its corners."""
     i, j = np.meshgrid(np.arange(n + 1), np.arange(n + 1))
     keep = (i + j <= n) & (np.maximum(np.maximum(i, j), n - i - j) < n)
     return np.stack([i[keep], j[keep], n - i[keep] - j[keep]], 1) / n

@@ -1,22 +1,23 @@
-"""What the tip is pressed on: rigid things by name, each in its own contact frame (sim/pose.py), moved on a free joint.
+"""Stimuli: rigid objects to press the tip on, each in its own contact frame (sim/pose.py).
 
-`surface` and `edge` are the paper's; the others hold the model to account: round, pointed, sharp, cornered and hollow.
-Every one has its highest point at z = 0 and its true shape as a signed distance, so that what MuJoCo's contacts say can be
-checked against the shape itself.
+`surface` and `edge` are the paper's. The others test the model: round, pointed, sharp, cornered and hollow ones. Each has
+its highest point at z = 0, and its true shape as a signed distance, against which MuJoCo's contacts are checked. A new named
+stimulus is a class and a line in STIMULI (and in StimulusName).
 """
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from typing import Literal
 
 import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tactip_twin.tactip_model.errors import lookup
-from tactip_twin.tactip_model.soft_body import TOUCHES_FACETS, TOUCHES_VERTICES, contact_attributes
+from tactip_twin.tactip_model.soft_body import TOUCHES_FACETS, TOUCHES_VERTICES, ContactModel, contact_attributes
 
 HALF_SIZE_M = 60e-3
-"""Half the length and width of a block, plate or blade, and the length of a rod, m: far more than the tip can reach."""
+"""Half the length and width of a block, plate or blade, and the length of a rod, m: far beyond the tip's reach."""
 
 EDGE_RADIUS_M = 0.5e-3
 """Rounding of the edge, of the corner and of the hole's rim, m, as of a printed or deburred one."""
@@ -25,78 +26,100 @@ SPHERE_RADIUS_M = 5e-3
 """Radius of the sphere, m: a quarter of the dome's."""
 
 POINT_RADIUS_M = 1e-3
-"""Radius of the peg with a round end, m: its width is that of one facet of the skin."""
+"""Radius of the peg with a round end, m: as wide as one facet of the skin."""
 
 NEEDLE_RADIUS_M = 0.25e-3
 """Radius of the needle and of its round end, m: it fits between any two vertices of the skin."""
 
 KNIFE_RADIUS_M = 0.25e-3
-"""Rounding of the knife's edge, m: the bluntest that still passes between vertices."""
+"""Rounding of the knife's edge, m: it still fits between vertices."""
 
 KNIFE_ANGLE_RAD = np.radians(10.0)
 """Angle between a side of the knife and its middle plane, rad."""
 
 HOLE_RADIUS_M = 5e-3
-"""Radius of the hole at its narrowest, m: a quarter of the dome's, so that the tip rests on the rim and bulges in."""
+"""Minimum radius of the hole, m: a quarter of the dome's, so the tip rests on the rim and bulges in."""
 
 _EDGE_FACETS = 12
-"""Facets of a quarter turn of a rounding: it is 1 µm off a true one."""
+"""Facets per quarter turn of a rounding: 1 µm off a true one."""
 
 _CORNER_FACETS = 8
-"""Facets of a quarter turn of the corner's round end: 5 µm off a true one."""
+"""Facets per quarter turn of the corner's round end: 5 µm off a true one."""
 
 _HOLE_SECTORS = 48
-"""Convex pieces round the hole: it is 11 µm off a true one."""
+"""Convex pieces around the hole: 11 µm off a true one."""
 
-_DEEPEST_OF_A_ROD = 20.0
-"""Deepest press of a rod in its radii: beyond, the skin stands so steeply round it that its facets decide the force."""
+_MAX_ROD_DEPTH = 20.0
+"""Maximum depth of a rod in its radii. Beyond it, the skin around it is so steep that its facets determine the force."""
 
 _BOTH = TOUCHES_VERTICES | TOUCHES_FACETS
 
+ContactAttributes = dict[str, int | list[float]]
+"""Contact attributes of a geom in MuJoCo, by name (soft_body.contact_attributes)."""
+
 
 class Stimulus(ABC):
-    """A rigid thing to press the tip on."""
+    """A rigid object to press the tip on.
+
+    A subclass has `add_geoms` and `distance`; the rest has defaults for an object that is blunt against the skin's mesh.
+    """
 
     @property
-    def sharpest_m(self):
-        """Least radius of what can lie between the skin's vertices, m; infinite where nothing can."""
+    def sharpest_m(self) -> float:
+        """Minimum radius of a part that fits between the skin's vertices, m; infinite without one."""
         return np.inf
 
     @property
-    def width_m(self):
-        """Width of what could come through the skin, m; infinite where nothing could."""
+    def width_m(self) -> float:
+        """Width of a part that could come through the skin, m; infinite without one."""
         return np.inf
 
     @property
-    def deepest_m(self):
-        """Depth up to which its contacts hold (docs/stability.md), m; infinite where that of the tip comes first."""
+    def max_depth_m(self) -> float:
+        """Maximum depth of stable contacts (docs/stability.md), m; infinite if the tip's own limit is smaller."""
         return np.inf
 
     @property
-    def catches(self):
-        """Whether a slid skin catches on it by chance: which vertex or facet does is a matter of the last step."""
+    def can_snag(self) -> bool:
+        """Whether sliding skin can snag on it by chance: the last step decides which vertex or facet does."""
         return False
 
-    @abstractmethod
-    def add_geoms(self, spec, body, touch):
-        """Add what is met. spec: mujoco.MjSpec. body: its frame is the contact frame. touch: body.contact_attributes."""
+    @property
+    def top_m(self) -> float:
+        """Height of the highest point in the contact frame, m."""
+        return 0.0
 
     @abstractmethod
-    def distance(self, points) -> np.ndarray:
-        """Signed distance (...) m of points (..., 3) m in the contact frame to the true shape; negative inside.
+    def add_geoms(self, spec: mujoco.MjSpec, body: mujoco.MjsBody, touch: ContactAttributes) -> None:
+        """Add the geoms that the tip collides with.
 
-        What is far beyond the tip's reach (HALF_SIZE_M) is taken for endless.
+        Args:
+            spec: Model to add to.
+            body: Body of the stimulus; its frame is the contact frame.
+            touch: Contact attributes of the geoms.
         """
 
-    def height_to_clear(self, centre, radius, top=0.0):
-        """How far (m) a sphere must rise along z to leave the thing; negative if it is clear by more.
+    @abstractmethod
+    def distance(self, points: np.ndarray) -> np.ndarray:
+        """Return the signed distance (...) m of points (..., 3) m in the contact frame to the true shape; negative inside.
 
-        centre: (3,) m, in the contact frame. radius, top: float, m, of the sphere, and height of the thing's highest point.
-        Infinitely negative where it passes beside the thing. May be more than is needed, never less: the sphere comes down
-        as far as it is sure to be clear, again and again.
+        Parts far beyond the tip's reach (HALF_SIZE_M) count as infinitely long.
+        """
+
+    def height_to_clear(self, centre: np.ndarray, radius: float) -> float:
+        """Return the height (m) by which a sphere must rise along z to clear the stimulus.
+
+        It may be too high, but never too low: the sphere is lowered repeatedly, each time by its present clearance.
+
+        Args:
+            centre: (3,) m, centre of the sphere in the contact frame.
+            radius: Radius of the sphere, m.
+
+        Returns:
+            The height; negative if the sphere is clear by more, and minus infinity if it passes beside the stimulus.
         """
         centre = np.asarray(centre, float)
-        lift = top + radius - centre[2]
+        lift = self.top_m + radius - centre[2]
         for _ in range(1000):
             gap = float(self.distance(centre + np.array([0, 0, lift]))) - radius
             if gap < 1e-9:
@@ -109,9 +132,9 @@ class Stimulus(ABC):
 
 @dataclass(frozen=True)
 class Flat(Stimulus):
-    """A flat surface. Met by vertices alone: see tactip_model/soft_body.py."""
+    """A flat surface. Only vertices collide with it: see tactip_model/soft_body.py."""
 
-    def add_geoms(self, spec, body, touch):
+    def add_geoms(self, spec: mujoco.MjSpec, body: mujoco.MjsBody, touch: ContactAttributes) -> None:
         """See Stimulus."""
         a = HALF_SIZE_M
         body.add_geom(
@@ -124,11 +147,11 @@ class Flat(Stimulus):
             **touch,
         )
 
-    def distance(self, points):
-        """See Stimulus; of the endless surface."""
+    def distance(self, points: np.ndarray) -> np.ndarray:
+        """See Stimulus; of an infinite plane."""
         return points[..., 2]
 
-    def height_to_clear(self, centre, radius):
+    def height_to_clear(self, centre: np.ndarray, radius: float) -> float:
         """See Stimulus."""
         return float(radius - centre[2])
 
@@ -141,11 +164,11 @@ class StraightEdge(Stimulus):
     """Rounding of the edge, m."""
 
     @property
-    def sharpest_m(self):
+    def sharpest_m(self) -> float:
         """See Stimulus."""
         return self.radius_m
 
-    def add_geoms(self, spec, body, touch):
+    def add_geoms(self, spec: mujoco.MjSpec, body: mujoco.MjsBody, touch: ContactAttributes) -> None:
         """See Stimulus."""
         turn = np.linspace(0, np.pi / 2, _EDGE_FACETS + 1)
         r = self.radius_m
@@ -153,13 +176,13 @@ class StraightEdge(Stimulus):
         far = [[0, -HALF_SIZE_M], [-2 * HALF_SIZE_M, -HALF_SIZE_M], [-2 * HALF_SIZE_M, 0]]
         _add_mesh(spec, body, "edge", _along_y(np.concatenate([profile, far])), _BOTH, touch)
 
-    def distance(self, points):
-        """See Stimulus; of the endless block."""
+    def distance(self, points: np.ndarray) -> np.ndarray:
+        """See Stimulus; of an infinite block."""
         x, z = points[..., 0] + self.radius_m, points[..., 2] + self.radius_m
         return np.hypot(np.maximum(x, 0), np.maximum(z, 0)) + np.minimum(np.maximum(x, z), 0) - self.radius_m
 
-    def height_to_clear(self, centre, radius):
-        """See Stimulus. The rounding is left out: the answer is on the safe side by less than it."""
+    def height_to_clear(self, centre: np.ndarray, radius: float) -> float:
+        """See Stimulus. It neglects the rounding, which makes the height too high by less than that."""
         beside = max(centre[0], 0.0)
         if beside >= radius:
             return -np.inf
@@ -167,24 +190,24 @@ class StraightEdge(Stimulus):
 
 
 class Thin(Stimulus):
-    """What the skin could be pierced by: everything but what is flat."""
+    """A stimulus that could pierce the skin."""
 
     radius_m: float
-    """Radius of what the skin meets, m."""
+    """Radius of the part that touches the skin, m."""
 
     @property
-    def sharpest_m(self):
+    def sharpest_m(self) -> float:
         """See Stimulus."""
         return self.radius_m
 
     @property
-    def width_m(self):
+    def width_m(self) -> float:
         """See Stimulus."""
         return 2 * self.radius_m
 
     @property
-    def catches(self):
-        """See Stimulus; a peg of 1 mm does not, a corner rounded by 0.5 mm does (docs/stability.md)."""
+    def can_snag(self) -> bool:
+        """See Stimulus. A corner rounded by 0.5 mm can, a peg of 1 mm cannot (docs/stability.md)."""
         return self.radius_m <= EDGE_RADIUS_M
 
 
@@ -193,14 +216,14 @@ class Ball(Thin):
     """A sphere."""
 
     radius_m: float
-    """Its radius, m."""
+    """Radius, m."""
 
-    def add_geoms(self, spec, body, touch):
+    def add_geoms(self, spec: mujoco.MjSpec, body: mujoco.MjsBody, touch: ContactAttributes) -> None:
         """See Stimulus."""
         kind, r = mujoco.mjtGeom.mjGEOM_SPHERE, self.radius_m
         body.add_geom(name="ball", type=kind, size=[r, 0, 0], pos=[0, 0, -r], contype=0, conaffinity=_BOTH, **touch)
 
-    def distance(self, points):
+    def distance(self, points: np.ndarray) -> np.ndarray:
         """See Stimulus."""
         return np.linalg.norm(points + np.array([0, 0, self.radius_m]), axis=-1) - self.radius_m
 
@@ -213,18 +236,18 @@ class Rod(Thin):
     """Radius of the rod and of its end, m."""
 
     @property
-    def deepest_m(self):
+    def max_depth_m(self) -> float:
         """See Stimulus."""
-        return _DEEPEST_OF_A_ROD * self.radius_m
+        return _MAX_ROD_DEPTH * self.radius_m
 
-    def add_geoms(self, spec, body, touch):
+    def add_geoms(self, spec: mujoco.MjSpec, body: mujoco.MjsBody, touch: ContactAttributes) -> None:
         """See Stimulus."""
         r, half = self.radius_m, HALF_SIZE_M / 2
         kind, place = mujoco.mjtGeom.mjGEOM_CAPSULE, [0, 0, -r - half]
         body.add_geom(name="rod", type=kind, size=[r, half, 0], pos=place, contype=0, conaffinity=_BOTH, **touch)
 
-    def distance(self, points):
-        """See Stimulus; of the endless rod."""
+    def distance(self, points: np.ndarray) -> np.ndarray:
+        """See Stimulus; of an infinitely long rod."""
         above = np.maximum(points[..., 2] + self.radius_m, 0)
         return np.sqrt(points[..., 0] ** 2 + points[..., 1] ** 2 + above**2) - self.radius_m
 
@@ -238,7 +261,7 @@ class Knife(Thin):
     angle_rad: float = float(KNIFE_ANGLE_RAD)
     """Angle between a side and the middle plane, rad."""
 
-    def add_geoms(self, spec, body, touch):
+    def add_geoms(self, spec: mujoco.MjSpec, body: mujoco.MjsBody, touch: ContactAttributes) -> None:
         """See Stimulus."""
         r, a, down = self.radius_m, self.angle_rad, HALF_SIZE_M
         turn = np.linspace(a - np.pi / 2, np.pi / 2 - a, 2 * _EDGE_FACETS + 1)
@@ -246,8 +269,8 @@ class Knife(Thin):
         wide = profile[-1, 0] + (profile[-1, 1] + down) * np.tan(a)
         _add_mesh(spec, body, "knife", _along_y(np.concatenate([profile, [[wide, -down], [-wide, -down]]])), _BOTH, touch)
 
-    def distance(self, points):
-        """See Stimulus; of the endless blade: a sharp wedge, `radius_m` fatter."""
+    def distance(self, points: np.ndarray) -> np.ndarray:
+        """See Stimulus; of an infinite blade: a sharp wedge, thickened by `radius_m`."""
         x, z = np.abs(points[..., 0]), points[..., 2] + self.radius_m
         s, c = np.sin(self.angle_rad), np.cos(self.angle_rad)
         side, along = x * c + z * s, x * s - z * c
@@ -256,15 +279,15 @@ class Knife(Thin):
 
 @dataclass(frozen=True)
 class Corner(Thin):
-    """A rounded cube that stands on one corner: the opposite one, where three faces meet, points up."""
+    """A rounded cube that stands on one corner, so the opposite one points up."""
 
     radius_m: float = EDGE_RADIUS_M
     """Rounding of corner and edges, m."""
 
     _UPRIGHT = Rotation.align_vectors([[0, 0, 1]], [[1, 1, 1]])[0].as_matrix()
-    """Turns the cube's diagonal to the normal."""
+    """Rotation of the cube's diagonal to the normal."""
 
-    def add_geoms(self, spec, body, touch):
+    def add_geoms(self, spec: mujoco.MjSpec, body: mujoco.MjsBody, touch: ContactAttributes) -> None:
         """See Stimulus."""
         r = self.radius_m
         turn = np.linspace(0, np.pi / 2, _CORNER_FACETS + 1)
@@ -272,23 +295,23 @@ class Corner(Thin):
         octant = np.stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)], -1)
         octant = np.unique(octant.reshape(-1, 3).round(12), axis=0)
         signs = np.array([[x, y, z] for x in (1, -1) for y in (1, -1) for z in (1, -1)])
-        # A cube whose corner's middle of rounding is the origin, the opposite one half a block away.
-        middles = np.where(signs > 0, 0.0, -HALF_SIZE_M)
-        cube = np.concatenate([m + r * s * octant for m, s in zip(middles, signs, strict=True)])
+        # The rounding of the upper corner is centred at the origin; the opposite corner is half a block away.
+        centres = np.where(signs > 0, 0.0, -HALF_SIZE_M)
+        cube = np.concatenate([m + r * s * octant for m, s in zip(centres, signs, strict=True)])
         _add_mesh(spec, body, "corner", cube @ self._UPRIGHT.T - [0, 0, r], _BOTH, touch)
 
-    def distance(self, points):
-        """See Stimulus; of the endless corner."""
+    def distance(self, points: np.ndarray) -> np.ndarray:
+        """See Stimulus; of an infinite corner."""
         own = (points + np.array([0, 0, self.radius_m])) @ self._UPRIGHT
         return np.linalg.norm(np.maximum(own, 0), axis=-1) + np.minimum(own.max(-1), 0) - self.radius_m
 
 
 @dataclass(frozen=True)
 class Hole(Stimulus):
-    """A plate with a round hole about the origin, its rim rounded.
+    """A plate with a round hole about the origin and a rounded rim.
 
-    Vertices meet convex sectors of the plate, which are flat or hollow to the skin; facets meet the rim alone, a chain of
-    capsules: they have no seams for a facet to catch on.
+    Vertices collide with convex sectors of the plate, which are flat or hollow to the skin. Facets collide with the rim
+    alone, a chain of capsules without seams to snag on.
     """
 
     radius_m: float = HOLE_RADIUS_M
@@ -297,14 +320,14 @@ class Hole(Stimulus):
     """Rounding of the rim, m."""
 
     @property
-    def sharpest_m(self):
+    def sharpest_m(self) -> float:
         """See Stimulus."""
         return self.rim_m
 
-    def add_geoms(self, spec, body, touch):
+    def add_geoms(self, spec: mujoco.MjSpec, body: mujoco.MjsBody, touch: ContactAttributes) -> None:
         """See Stimulus."""
         half = np.pi / _HOLE_SECTORS
-        outside = 1 / np.sqrt(np.cos(half))  # corners as far outside of the circle as the middles of sides are inside
+        outside = 1 / np.sqrt(np.cos(half))  # corners are as far outside the circle as the middles of sides are inside
         turn = np.linspace(-np.pi / 2, 0, _EDGE_FACETS // 2 + 1)
         rounding = np.stack([np.sin(turn) + 1, np.cos(turn) - 1], 1) * self.rim_m + [self.radius_m, 0]
         down = HALF_SIZE_M / 2
@@ -325,15 +348,18 @@ class Hole(Stimulus):
                 **touch,
             )
 
-    def distance(self, points):
-        """See Stimulus; of the endless plate."""
+    def distance(self, points: np.ndarray) -> np.ndarray:
+        """See Stimulus; of an infinite plate."""
         inward = self.radius_m + self.rim_m - np.hypot(points[..., 0], points[..., 1])
         z = points[..., 2] + self.rim_m
         outside = np.hypot(np.maximum(inward, 0), np.maximum(z, 0))
         return outside + np.minimum(np.maximum(inward, z), 0) - self.rim_m
 
 
-STIMULI: dict[str, Stimulus] = {
+StimulusName = Literal["surface", "edge", "sphere", "point", "needle", "knife", "corner", "hole"]
+"""Name of a stimulus of STIMULI."""
+
+STIMULI: dict[StimulusName, Stimulus] = {
     "surface": Flat(),
     "edge": StraightEdge(),
     "sphere": Ball(SPHERE_RADIUS_M),
@@ -343,33 +369,39 @@ STIMULI: dict[str, Stimulus] = {
     "corner": Corner(),
     "hole": Hole(),
 }
-"""What the tip can be pressed on, by name."""
+"""Stimuli by name."""
 
 
-def stimulus_named(name):
-    """Return the Stimulus called `name`; raise TactipError that lists them where there is none."""
+def stimulus_named(name: str) -> Stimulus:
+    """Return the stimulus with a name; raise TactipError, which lists the names, on an unknown one."""
     return lookup("stimulus", name, STIMULI)
 
 
-def add_stimulus(spec, stimulus, friction, contact):
-    """Add a body `stimulus` whose frame is the contact frame (sim/pose.py).
+def add_stimulus(spec: mujoco.MjSpec, stimulus: Stimulus, friction: float, contact: ContactModel) -> None:
+    """Add a stimulus on a free joint to a model, as the body `stimulus`; its frame is the contact frame (sim/pose.py).
 
-    spec: mujoco.MjSpec. stimulus: Stimulus. friction: float, -. contact: body.ContactModel.
+    Its mass is 1000 kg because its motion is set at every step and contact forces must not change it within one.
 
-    It is 1000 kg: its motion is set at every step, and no contact force is to change it within one.
+    Args:
+        spec: Model to add to.
+        stimulus: The stimulus.
+        friction: Friction coefficient of the skin, -.
+        contact: Contact model.
     """
     body = spec.worldbody.add_body(name="stimulus", mass=1000.0, inertia=[10.0] * 3, explicitinertial=True)
     body.add_freejoint(name="stimulus")
     stimulus.add_geoms(spec, body, contact_attributes(friction, contact))
 
 
-def _add_mesh(spec, body, name, vertices, touches, touch):
-    """Add the convex hull of vertices (n, 3), m, to a body. touches: contact bits of what meets it."""
+def _add_mesh(
+    spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, vertices: np.ndarray, touches: int, touch: ContactAttributes
+) -> None:
+    """Add the convex hull of vertices (n, 3) m to a body. `touches` are the contact bits of what collides with it."""
     spec.add_mesh(name=name, uservert=vertices.ravel())
     kind = mujoco.mjtGeom.mjGEOM_MESH
     body.add_geom(name=name, type=kind, meshname=name, contype=0, conaffinity=touches, **touch)
 
 
-def _along_y(profile):
-    """Corners (2 n, 3), m, of a block along y with a profile (n, 2) in x and z."""
+def _along_y(profile: np.ndarray) -> np.ndarray:
+    """Return the corners (2 n, 3) m of a block along y with a profile (n, 2) m in x and z."""
     return np.concatenate([np.insert(profile, 1, y, axis=1) for y in (-HALF_SIZE_M, HALF_SIZE_M)])

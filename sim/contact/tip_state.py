@@ -1,34 +1,53 @@
-"""What there is to know of a tip at one moment, on its way or at rest."""
+"""State of the tip at one moment, moving or at rest."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
+from tactip_twin.sim.contact.scene import Scene
+from tactip_twin.tactip_model.pins import PinReader
+
 
 @dataclass(frozen=True)
 class TipState:
-    """What there is to know of the tip at one moment, sensor frame. (p pins, s vertices of the skin)"""
+    """State of the tip at one moment, in the sensor frame. (p pins, s vertices of the skin)"""
 
     tips: np.ndarray
-    """(p, 3) m."""
+    """(p, 3) pin tips, m."""
     directions: np.ndarray
-    """(p, 3), unit."""
+    """(p, 3) unit vectors from the pins' roots to their tips."""
     skin: np.ndarray
-    """(s, 3) m."""
+    """(s, 3) vertices of the skin, m."""
     force: np.ndarray
-    """(3,) N, of the object on the tip."""
+    """(3,) force of the object on the tip, N."""
     penetration_m: float
-    """Greatest penetration, m."""
+    """Maximum penetration, m."""
     speed_m_s: float
     """Speed of the fastest vertex, m/s."""
     steps: int
-    """Time steps since the touch before."""
+    """Number of time steps since the previous state."""
     clearance_m: float = np.inf
-    """Distance from the sensor's housing, which is not soft, to the object, m; negative inside."""
+    """Distance from the sensor's rigid housing to the object, m; negative inside."""
 
 
-def read_tip_state(scene, reader, steps=0, clearance_m=np.inf):
-    """The Touch of a scene.Scene as it is now. reader: PinReader of its skin. steps, clearance_m: as of TipState."""
+def read_tip_state(scene: Scene, reader: PinReader, steps: int = 0, clearance_m: float = np.inf) -> TipState:
+    """Return the present state of the tip.
+
+    Args:
+        scene: The scene.
+        reader: Pin reader for the scene's skin.
+        steps: Number of time steps since the previous state.
+        clearance_m: Distance from the housing to the object.
+    """
     skin = scene.vertices()[: scene.mesh.surface_count]
-    force, speed = scene.contact_force(), scene.max_vertex_speed()
-    return TipState(*reader.read(skin), skin, force, scene.penetration(), speed, steps, clearance_m)
+    tips, directions = reader.read(skin)
+    return TipState(
+        tips=tips,
+        directions=directions,
+        skin=skin,
+        force=scene.contact_force(),
+        penetration_m=scene.penetration(),
+        speed_m_s=scene.max_vertex_speed(),
+        steps=steps,
+        clearance_m=clearance_m,
+    )

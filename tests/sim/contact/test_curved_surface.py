@@ -14,10 +14,11 @@ from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.contact.record import QualityLimits
 from tactip_twin.sim.contact.simulator import ContactSimulator
 from tactip_twin.sim.contact.solid_stimulus import SolidStimulus
-from tactip_twin.sim.dataset.format import Configuration, read_dataset
+from tactip_twin.sim.dataset.configuration import Configuration
+from tactip_twin.sim.dataset.format import read_dataset
 from tactip_twin.sim.dataset.sampling import Ranges
 from tactip_twin.sim.pose import from_mm_deg
-from tactip_twin.tactip_model.presets import find_design
+from tactip_twin.tactip_model.presets import load_design
 
 
 @pytest.mark.parametrize("bend", [(0.0, 0.0, 0.0), (50.0, -20.0, 0.4), (MAX_CURVATURE_PER_M, MAX_CURVATURE_PER_M, 1.0)])
@@ -42,7 +43,7 @@ def test_its_top_is_the_paraboloid_and_it_is_closed(bend):
 def test_the_more_it_bulges_the_less_it_presses():
     """Hertz: the force goes with the root of 1 / (1/R + k); a hollow that the tip nearly fills is beyond him."""
     shape = SolidStimulus(curved_surface(0, 0, 0), sharpest_m=0.01)
-    player = ContactSimulator(find_design("tactip-127"), shape, fidelity_named("draft"))
+    player = ContactSimulator(load_design("tactip-127"), shape, fidelity_named("draft"))
     forces = []
     for curvature in (-20.0, 0.0, 30.0, 60.0):
         shape.solid = curved_surface(curvature, curvature, 0.0)
@@ -52,7 +53,7 @@ def test_the_more_it_bulges_the_less_it_presses():
     hertz = [(1 / 0.02 + k) ** -0.5 for k in (-20.0, 0.0, 30.0, 60.0)]
     assert np.allclose(np.array(forces) / forces[1], np.array(hertz) / hertz[1], rtol=0.2)
     shape.solid = curved_surface(0.0, 0.0, 0.0)
-    flat = ContactSimulator(find_design("tactip-127"), "surface", fidelity_named("draft"))
+    flat = ContactSimulator(load_design("tactip-127"), "surface", fidelity_named("draft"))
     pose = from_mm_deg([0, 0, -3.0, 5, 0, 0]), from_mm_deg([2.0, 0, 0, 0, 0, 0])
     assert np.allclose(player.play(*pose).tips, flat.play(*pose).tips, atol=2e-6)
 
@@ -76,7 +77,7 @@ def test_a_set_of_bent_surfaces_is_the_same_whoever_makes_it(tmp_path):
 def test_a_flat_configuration_is_what_it_was():
     still = Ranges()
     made = Configuration(
-        "surface", "train", 1, 0, "raster", find_design("tactip-127"), fidelity_named("draft"), still, still
+        "surface", "train", 1, 0, "raster", load_design("tactip-127"), fidelity_named("draft"), still, still
     )
     assert "curvature_per_m" not in made.as_json()
     assert json.dumps(made.as_json())
@@ -155,7 +156,7 @@ def test_the_share_of_uneven_surfaces_is_kept_and_the_others_are_even(monkeypatc
 
 def test_an_even_set_keeps_the_digest_that_it_had():
     given = {"task": "surface", "split": "test", "samples": 1, "seed": 0, "renderer": "raster"}
-    given |= {"design": find_design("nominal-127"), "fidelity": fidelity_named("draft"), "pose": Ranges(), "shear": Ranges()}
+    given |= {"design": load_design("nominal-127"), "fidelity": fidelity_named("draft"), "pose": Ranges(), "shear": Ranges()}
     even = Configuration(**given, curvature_per_m=(-10.0, 30.0))
     assert "uneven" not in even.as_json()
     assert Configuration(**given, curvature_per_m=(-10.0, 30.0), uneven=0.5).digest() != even.digest()

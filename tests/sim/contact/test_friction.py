@@ -161,11 +161,11 @@ def test_slides_are_forgotten_where_the_whole_tip_leaves(design, standard):
     player = ContactSimulator(slippery(design, 0.5), "surface", standard)
     scene = player.scene
     player.play(from_mm_deg([0, 0, -2, 0, 0, 0]), from_mm_deg([5, 0, 0, 0, 0, 0]))
-    assert scene._slip._slid.max() > 1e-3
+    assert scene._slip._distance.max() > 1e-3
     player._place(inverse(sensor_in_contact(from_mm_deg([0, 0, 10, 0, 0, 0]))))
     scene.step()
     assert scene.data.nefc == 0
-    assert scene._slip._slid.max() == 0.0
+    assert scene._slip._distance.max() == 0.0
     assert not scene._slip._slides.any()
 
 

@@ -12,7 +12,7 @@ from tactip_twin.sim.contact.simulator import ContactSimulator
 from tactip_twin.sim.contact.solid_stimulus import SolidStimulus
 from tactip_twin.sim.contact.stimuli import SPHERE_RADIUS_M
 from tactip_twin.sim.pose import from_mm_deg
-from tactip_twin.tactip_model.presets import find_design
+from tactip_twin.tactip_model.presets import load_design
 
 POSE, SHEAR = from_mm_deg([1.0, 0, -3, 5, -6, 20]), from_mm_deg([2.0, -1, 0, 2, 0, 3])
 
@@ -41,7 +41,7 @@ def flat():
 
 @pytest.fixture(scope="module")
 def play():
-    design, fidelity = find_design("tactip-127"), fidelity_named("draft")
+    design, fidelity = load_design("tactip-127"), fidelity_named("draft")
     return lambda stimulus: ContactSimulator(design, stimulus, fidelity).play(POSE, SHEAR)
 
 
@@ -73,7 +73,7 @@ def test_how_finely_a_solid_is_cut_does_not_matter(play):
 
 
 def test_a_contact_with_a_solid_leaves_nothing_behind():
-    player = ContactSimulator(find_design("tactip-127"), SolidStimulus(solid(edge())), fidelity_named("draft"))
+    player = ContactSimulator(load_design("tactip-127"), SolidStimulus(solid(edge())), fidelity_named("draft"))
     first = player.play(POSE, SHEAR)
     player.play(from_mm_deg([-2.0, 0, -4, 0, 0, 0]), np.zeros(6))
     assert np.array_equal(player.play(POSE, SHEAR).tips, first.tips)
