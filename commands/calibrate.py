@@ -5,11 +5,12 @@ from pathlib import Path
 
 import tyro
 
+from tactip_twin.commands._parsing import Command
 from tactip_twin.tactip_model.errors import TactipError
 
 
 @dataclass(frozen=True)
-class Calibrate:
+class Calibrate(Command):
     """Fit the sensor to real frames: lens, pins, materials, friction, rig. Run again, it goes on where it stopped."""
 
     real: tyro.conf.Positional[Path]
@@ -28,12 +29,13 @@ class Calibrate:
     seed: int = 0
     """Seed of the draws of frames."""
 
-    def run(self):
+    def run(self) -> int:
         from dataclasses import replace
 
-        from tactip_twin.sim2real.calibration.fit import Settings, calibrate
+        from tactip_twin.sim2real.calibration.fit import calibrate
         from tactip_twin.sim2real.calibration.report import write_report
-        from tactip_twin.tactip_model.presets import find_design
+        from tactip_twin.sim2real.calibration.settings import Settings
+        from tactip_twin.tactip_model.presets import load_design
 
         if self.out.suffix != ".json":
             raise TactipError(f"the design file {self.out} must end in .json")
@@ -41,7 +43,7 @@ class Calibrate:
             raise TactipError(f"{self.frames} frames to fit and {self.judged} to judge: each must be at least 10")
         report = self.report or self.out.with_name(f"{self.out.stem}_calibration")
         settings = Settings(frames=self.frames, judged=self.judged, seed=self.seed)
-        result = calibrate(self.real, find_design(self.design), settings, report / "state.json")
+        result = calibrate(self.real, load_design(self.design), settings, report / "state.json")
         design = replace(result.twin.design, name=self.out.stem)
         result = replace(result, twin=replace(result.twin, design=design))
         figures = write_report(result, self.real.resolve().name, settings, self.out, report)

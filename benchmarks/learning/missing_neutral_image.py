@@ -1,45 +1,34 @@
-"""How far the pins of a twin are off that was fitted without a neutral image: `tactip bench
-missing-neutral-image`.
+"""Error of the pins of a design that is fitted without a neutral image: `tactip bench missing-neutral-image`.
 
-A set that has one is imported without it, and the pins of its twin are held against those of the twin that had it.
+A set that has a neutral image is imported without it, and the pins of the design fitted to it are compared with those of the
+design fitted to the neutral image.
 """
 
 import tempfile
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import tyro
 from scipy.spatial import cKDTree
 
+from tactip_twin.benchmarks.options import MissingNeutralImageOptions
 from tactip_twin.sim.dataset.format import read_meta
-from tactip_twin.sim2real.importing.import_set import import_set, read_report, read_source
+from tactip_twin.sim2real.importing.import_set import import_set, read_report
 from tactip_twin.sim2real.importing.layout import Layout
+from tactip_twin.sim2real.importing.source import read_source
 from tactip_twin.sim2real.transfer.neutral_calibration import fit_design_to_neutral_image, nearest_nominal_design
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.neutral_image import neutral_px
 
 
-@dataclass(frozen=True)
-class Options:
-    """Fit a tip to frames alone, and hold it against the one that was fitted to its neutral image."""
+def run(options: MissingNeutralImageOptions, log: Callable[[str], None] = print) -> dict[str, float]:
+    """Return the rms distances of pins from those of the design fitted to the neutral image, px of a 256 px image.
 
-    lab: Path
-    """Folder of the laboratory's set."""
-    real: Path
-    """Folder that it was imported into (tactip import)."""
-    keep: Path | None = None
-    """Folder to keep the set in that is imported without its neutral image: for tactip transfer."""
-
-
-def distance(options):
-    """Distances, rms px of a 256 px image, of pins from those of the twin that saw the neutral image.
-
-    options: Options. Returns a dict: of the twin that saw frames alone, and of the preset, fitted to nothing. Raises
-    TactipError where a set cannot be used.
+    They are those of the design fitted to frames alone, and of the nominal design; they also go to `log`. Raises TactipError
+    where a set cannot be used.
     """
-    told = read_meta(options.real)["configuration"]["layout"]
-    layout = Layout.from_dict(told)
+    layout = Layout.from_dict(read_meta(options.real)["configuration"]["layout"])
     report = read_report(options.real)
     if report is None:
         raise TactipError(f"{options.real} is no set that tactip import made")
@@ -47,11 +36,10 @@ def distance(options):
     with tempfile.TemporaryDirectory() as folder:
         out = options.keep or Path(folder) / "set"
         import_set(replace(read_source(options.lab, layout.column_map), neutral=None), layout, out)
-        blind, _ = fit_design_to_neutral_image(out, size)
-    seeing = cKDTree(neutral_px(fit_design_to_neutral_image(options.real, size)[0]))
-    designs = {"of frames alone": blind, "fitted to nothing": nearest_nominal_design(pins, size)}
-    return {name: float(np.sqrt((seeing.query(neutral_px(d))[0] ** 2).mean())) for name, d in designs.items()}
-
-
-if __name__ == "__main__":
-    print(distance(tyro.cli(Options, description=__doc__)))
+        from_frames, _ = fit_design_to_neutral_image(out, size)
+    reference = cKDTree(neutral_px(fit_design_to_neutral_image(options.real, size)[0]))
+    designs = {"of frames alone": from_frames, "fitted to nothing": nearest_nominal_design(pins, size)}
+    result = {name: float(np.sqrt((reference.query(neutral_px(d))[0] ** 2).mean())) for name, d in designs.items()}
+    for name, distance_px in result.items():
+        log(f"{name}: {distance_px:.3f} px")
+    return result

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -35,7 +35,7 @@ class Parameter:
     step: float
     """Change for the difference quotients; of the value's logarithm if `logarithmic`."""
     prior: tuple[float, float] | None
-    """Mean and standard deviation before any frame is seen (the latter of the logarithm if `logarithmic`); None without one."""
+    """Mean and standard deviation before any frame is used (the latter of the logarithm if `logarithmic`), or None."""
     part: Literal["rig", "optics", "pins", "materials"]
     """Part of the SensorOnRig that it belongs to."""
     attribute: str
@@ -56,12 +56,12 @@ class Parameter:
 
     def write(self, twin: SensorOnRig, value: float) -> SensorOnRig:
         """Return the SensorOnRig with this value, clipped to the bounds."""
-        value = float(np.clip(value, self.low, self.high))
+        written: Any = float(np.clip(value, self.low, self.high))
         if self.item is not None:
             whole = list(getattr(self._part_of(twin), self.attribute))
-            whole[self.item] = value
-            value = tuple(whole)
-        part = replace(self._part_of(twin), **{self.attribute: value})
+            whole[self.item] = written
+            written = tuple(whole)
+        part = replace(self._part_of(twin), **{self.attribute: written})
         if self.part == "rig":
             return replace(twin, rig=part)
         return replace(twin, design=replace(twin.design, **{self.part: part}))

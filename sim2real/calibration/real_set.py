@@ -22,10 +22,10 @@ _NAMES = ("image_name", "sensor_image")
 
 @dataclass(frozen=True)
 class RealSet:
-    """Frames of a real sensor and the commands under which they were taken. (n frames)"""
+    """Frames of a real sensor and the rig's commands for each. (n frames)"""
 
     folder: Path
-    """Where it was read from."""
+    """Folder that it was read from."""
     files: tuple[Path, ...]
     """The frames, n of them."""
     poses: np.ndarray
@@ -37,8 +37,8 @@ class RealSet:
     neutral: np.ndarray
     """(h, w) uint8: the undeformed tip."""
 
-    def frame(self, index):
-        """Frame `index`, (h, w) uint8. Raises TactipError where it cannot be read or is of another size than the neutral."""
+    def frame(self, index: int) -> np.ndarray:
+        """Return frame `index`, (h, w) uint8. Raises TactipError where it cannot be read or its size differs."""
         frame = _image(self.files[index])
         if frame.shape != self.neutral.shape:
             sizes = (f"{i.shape[1]} by {i.shape[0]} px" for i in (frame, self.neutral))
@@ -46,8 +46,8 @@ class RealSet:
         return frame
 
 
-def read_real_set(folder):
-    """The RealSet in a folder. Raises TactipError that names what is missing or does not fit."""
+def read_real_set(folder: str | Path) -> RealSet:
+    """Return the RealSet in a folder. Raises TactipError that names what is missing or does not fit."""
     folder = Path(folder)
     if not folder.is_dir():
         raise TactipError(
@@ -81,7 +81,7 @@ def read_real_set(folder):
     )
 
 
-def _rows(path):
+def _rows(path: Path) -> list[dict[str, str]]:
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             rows = list(csv.DictReader(file))
@@ -94,14 +94,14 @@ def _rows(path):
     return rows
 
 
-def _found(folder, name):
+def _found(folder: Path, name: str) -> Path:
     for path in (folder / "images" / name, folder / name):
         if path.is_file():
             return path
     raise TactipError(f"{folder} lacks the frame {name}, in it or in its folder images")
 
 
-def _tap(path):
+def _tap(path: Path) -> np.ndarray:
     try:
         tap = json.loads(path.read_text())["tap_move"]
         tap = np.array(tap, float)
@@ -116,7 +116,7 @@ def _tap(path):
     return from_mm_deg(tap)
 
 
-def _image(path):
+def _image(path: Path) -> np.ndarray:
     image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
     if image is None:
         raise TactipError(f"{path} cannot be read as an image")

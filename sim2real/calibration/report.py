@@ -1,40 +1,42 @@
-"""What a calibration is worth: judged on frames that it was not fitted to, as tables, text and pictures."""
+"""Report of a calibration: its errors on frames that it was not fitted to, as tables, text and figures."""
 
 import json
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from tactip_twin.sim.view.plot import pyplot
-from tactip_twin.sim2real.calibration.fit import LOAD_CELL_N, best_share, distances
+from tactip_twin.sim2real.calibration.fit import Result
+from tactip_twin.sim2real.calibration.moves import LOAD_CELL_N, best_fraction, distances
 from tactip_twin.sim2real.calibration.rig import RigMotion
+from tactip_twin.sim2real.calibration.settings import Settings
 from tactip_twin.tactip_model.design_file import write_fitted
 from tactip_twin.tactip_model.files import write_file
 
 RINGS = 8
-"""Rings of equally many pins, by their distance from the middle of the neutral image."""
+"""Number of rings of equally many pins, by their distance from the middle of the neutral image."""
 
 UPRIGHT_RAD = np.radians(8)
-"""Commanded tilt up to which a frame counts as upright, rad."""
+"""Max. commanded tilt of a frame that counts as upright, rad."""
 
 _DISPLAY = {"m": (1e3, "mm"), "Pa": (1e-3, "kPa"), "deg": (1.0, "°"), "-": (1.0, ""), "widths": (256.0, "px of 256")}
 
 
-def judge(result):
-    """Figures (dict, JSON) of a calibration.Result on its judged frames. Distances in px of a 256 px image."""
-    frames, stages = result.judged, result.stages
-    seen = frames.pins_px
-    share, pins, _ = best_share(stages, seen)
-    commanded, before = distances(stages[:, -1], seen), distances(stages[:, 0], seen)
+def figures_of(result: Result) -> dict[str, Any]:
+    """Return figures (JSON) of a calibration on its test frames. Distances in px of a 256 px image."""
+    along, seen = result.pins_along_moves, result.test_frames.pins_px
+    fraction, pins, _ = best_fraction(along, seen)
+    commanded, before = distances(along[:, -1], seen), distances(along[:, 0], seen)
     fitted = distances(pins, seen)
     depths, slides, tilts, directions = _commands(result)
     parameters = {}
     for p, deviation in zip(result.chosen, result.deviations, strict=True):
         value = p.read(result.twin)
         spread = deviation * p.step * (value if p.logarithmic else 1.0)
-        held = bool(value in (p.low, p.high))
-        parameters[p.name] = {"value": value, "deviation": float(spread), "unit": p.unit, "at_its_bound": held}
+        at_bound = bool(value in (p.low, p.high))
+        parameters[p.name] = {"value": value, "deviation": float(spread), "unit": p.unit, "at_its_bound": at_bound}
     return {
         "parameters": parameters,
         "rig": asdict(result.twin.rig),
@@ -50,17 +52,17 @@ def judge(result):
             "before_or_after_move": _summary(np.minimum(commanded, before)),
             "as_commanded": _summary(commanded),
         },
-        "share_of_move_done": np.histogram(share, [0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.01])[0].tolist(),
+        "share_of_move_done": np.histogram(fraction, [0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.01])[0].tolist(),
         "depth": _depth_table(depths, tilts, seen, pins, result.neutral.pins_px),
-        "shear": _shear_table(depths, slides, directions, seen, pins, stages, result.neutral.pins_px),
+        "shear": _shear_table(depths, slides, directions, seen, pins, along, result.neutral.pins_px),
         "force_n": {
             f"{1e3 * d:g} mm": [float(f), r] for f, (d, r) in zip(result.forces_n, LOAD_CELL_N.items(), strict=True)
         },
     }
 
 
-def _summary(distance):
-    """Root mean square, median and 90th percentile over frames of their rms distances."""
+def _summary(distance: np.ndarray) -> dict[str, float]:
+    """Return root mean square, median and 90th percentile over frames of their rms distances."""
     return {
         "rms": float(np.sqrt((distance**2).mean())),
         "median": float(np.median(distance)),
@@ -68,18 +70,20 @@ def _summary(distance):
     }
 
 
-def _commands(result):
-    """Depths (n,) m, lateral moves (n,) m, tilts (n,) rad and directions in the image (n, 2) by the frames' labels."""
+def _commands(result: Result) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return depths (n,) m, lateral moves (n,) m, tilts (n,) rad and directions in the image (n, 2), as commanded."""
     motion = RigMotion(result.twin.rig)
-    contacts = [motion.contact(pose, move, result.judged.tap) for pose, move in result.judged.commands]
+    contacts = [motion.contact(pose, move, result.test_frames.tap) for pose, move in result.test_frames.commands]
     poses, shears = (np.array(c) for c in zip(*contacts, strict=True))
     lateral = shears[:, :2] * [1, -1]
     slide = np.linalg.norm(lateral, axis=1)
     return -poses[:, 2], slide, np.linalg.norm(poses[:, 3:5], axis=1), lateral / np.maximum(slide, 1e-9)[:, None]
 
 
-def _depth_table(depths, tilts, seen, pins, neutral):
-    """Outward motion of rings of pins, seen and simulated, for bins of depth, over upright frames."""
+def _depth_table(
+    depths: np.ndarray, tilts: np.ndarray, seen: np.ndarray, pins: np.ndarray, neutral: np.ndarray
+) -> dict[str, Any]:
+    """Return the outward motion of rings of pins, detected and simulated, for bins of depth, over upright frames."""
     middle = neutral.mean(0)
     radius = np.linalg.norm(neutral - middle, axis=1)
     outward = (neutral - middle) / np.maximum(radius, 1e-9)[:, None]
@@ -89,20 +93,28 @@ def _depth_table(depths, tilts, seen, pins, neutral):
         chosen = (depths >= low) & (depths < low + 0.5e-3) & (tilts < UPRIGHT_RAD)
         if chosen.sum() < 2:
             continue
-        real, mine = (np.nanmean(((p[chosen] - neutral) * outward).sum(-1), 0) for p in (seen, pins))
-        means = [[float(np.nanmean(m[ring == k])) for k in range(RINGS)] for m in (real, mine)]
+        real, simulated = (np.nanmean(((p[chosen] - neutral) * outward).sum(-1), 0) for p in (seen, pins))
+        means = [[float(np.nanmean(m[ring == k])) for k in range(RINGS)] for m in (real, simulated)]
         rows.append({"depth_mm": float(1e3 * depths[chosen].mean()), "frames": int(chosen.sum()), "real_px": means[0]})
         rows[-1]["simulated_px"] = means[1]
     return {"rows": rows, "rms_px": _table_rms(rows, "simulated_px")}
 
 
-def _shear_table(depths, slides, directions, seen, pins, stages, neutral):
-    """Mean motion of all pins against the direction of the move, seen and simulated, for bins of depth and of shear."""
+def _shear_table(
+    depths: np.ndarray,
+    slides: np.ndarray,
+    directions: np.ndarray,
+    seen: np.ndarray,
+    pins: np.ndarray,
+    along: np.ndarray,
+    neutral: np.ndarray,
+) -> dict[str, Any]:
+    """Return the mean motion of all pins against the move, detected and simulated, for bins of depth and of shear."""
 
-    def shift(p):
+    def shift(p: np.ndarray) -> np.ndarray:
         return -np.nanmean(((p - neutral) * directions[:, None]).sum(-1), 1)
 
-    shifts = [shift(seen), shift(pins), shift(stages[:, -1])]
+    shifts = [shift(seen), shift(pins), shift(along[:, -1])]
     rows = []
     for low in np.arange(1e-3, 5e-3, 1e-3):
         row = {"depth_mm": [1e3 * low, 1e3 * low + 1], "shear_mm": [], "frames": [], "real_px": []}
@@ -123,32 +135,36 @@ def _shear_table(depths, slides, directions, seen, pins, stages, neutral):
     }
 
 
-def _table_rms(rows, key):
+def _table_rms(rows: list[dict[str, Any]], key: str) -> float | None:
     differences = np.concatenate([np.subtract(r[key], r["real_px"]) for r in rows]) if rows else np.zeros(0)
     return float(np.sqrt((differences**2).mean())) if differences.size else None
 
 
-def write_report(result, real_name, settings, out, folder):
-    """Write the fitted design and the report. Returns the figures (dict).
+def write_report(result: Result, real_name: str, settings: Settings, out: str | Path, folder: str | Path) -> dict[str, Any]:
+    """Write the fitted design and the report, and return the report's figures.
 
-    result: calibration.Result. real_name: str. settings: calibration.Settings. out: path of the design file. folder: path
-    for calibration.json, calibration.md, pins.png and curves.png.
+    Args:
+        result: Result of the calibration.
+        real_name: Name of the real set.
+        settings: Settings of the calibration.
+        out: Design file to write.
+        folder: Folder for calibration.json, calibration.md, pins.png and curves.png.
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    figures = judge(result)
+    figures = figures_of(result)
     figures = {"real": real_name, "design": result.twin.design.name, "settings": asdict(settings)} | figures
     write_file(folder / "calibration.json", (json.dumps(figures, indent=1) + "\n").encode())
     write_file(folder / "calibration.md", page(figures).encode())
-    _draw_pins(result, folder / "pins.png")
-    _draw_curves(figures, folder / "curves.png")
+    _plot_pins(result, folder / "pins.png")
+    _plot_curves(figures, folder / "curves.png")
     kept = ("real", "settings", "parameters", "rig", "neutral_px", "judged_frames", "frames_px", "force_n")
     write_fitted(out, result.twin.design, {"by": "tactip calibrate"} | {k: figures[k] for k in kept})
     return figures
 
 
-def page(figures):
-    """The Markdown (str) of a report."""
+def page(figures: dict[str, Any]) -> str:
+    """Return a report as Markdown."""
     n, f = figures["neutral_px"], figures["frames_px"]
     lines = [
         f"# {figures['design']} fitted to {figures['real']}",
@@ -191,11 +207,11 @@ def page(figures):
     return "\n".join(lines) + "\n"
 
 
-def _draw_pins(result, path):
-    """Pins seen (rings) and simulated (dots) of six judged frames, what is left as arrows three times their length."""
+def _plot_pins(result: Result, path: Path) -> None:
+    """Plot detected (rings) and simulated pins (dots) of six test frames, residuals as arrows three times their length."""
     plt = pyplot()
-    seen = result.judged.pins_px
-    share, pins, _ = best_share(result.stages, seen)
+    seen = result.test_frames.pins_px
+    fraction, pins, _ = best_fraction(result.pins_along_moves, seen)
     rms = distances(pins, seen)
     shown = np.argsort(rms)[(np.linspace(0.05, 0.95, 6) * len(rms)).astype(int)]
     depths, slides, tilts, _ = _commands(result)
@@ -208,7 +224,7 @@ def _draw_pins(result, path):
         axis.set(xlim=(0, 256), ylim=(256, 0), aspect="equal", xticks=[], yticks=[])
         axis.set_title(
             f"{1e3 * depths[i]:.1f} mm deep, tilt {np.degrees(tilts[i]):.0f}°, move {1e3 * slides[i]:.1f} mm, "
-            f"{100 * share[i]:.0f} % done: {rms[i]:.2f} px",
+            f"{100 * fraction[i]:.0f} % done: {rms[i]:.2f} px",
             fontsize=9,
         )
     axes[0, 0].legend(fontsize=8, loc="lower left")
@@ -217,8 +233,8 @@ def _draw_pins(result, path):
     plt.close(figure)
 
 
-def _draw_curves(figures, path):
-    """Depth and shear response, real (dots) and simulated (lines)."""
+def _plot_curves(figures: dict[str, Any], path: Path) -> None:
+    """Plot depth and shear response, real (dots) and simulated (lines)."""
     plt = pyplot()
     figure, axes = plt.subplots(1, 2, figsize=(11, 4.3))
     for k, row in enumerate(figures["depth"]["rows"]):

@@ -1,12 +1,13 @@
-"""How a laboratory's rig presses a sensor: from its commanded poses and moves to poses and shears of the contact frame.
+"""Conversion of a laboratory rig's commanded poses and moves to poses and shears in the contact frame.
 
 A rig commands its tool (TCP) in a work frame of its own, presses along one of its axes and turns about a point that need not
-be the tip's apex. Its conventions differ from lab to lab; this is where they are met, and nowhere else.
+be the tip's apex. Conventions differ between laboratories; only this module knows them.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from tactip_twin.tactip_model.bounds import check, within
@@ -14,28 +15,27 @@ from tactip_twin.tactip_model.bounds import check, within
 
 @dataclass(frozen=True)
 class Rig:
-    """What a rig does with a command. Defaults are a perfect rig; calibration.py fits them."""
+    """Geometry of a rig. The defaults are a perfect rig; a calibration fits them."""
 
     press_axis: tuple[float, float, float] = within(-1, 1, default=(0.0, 0.0, -1.0))
     """Direction of the press in the work frame, a unit vector: into the object."""
     azimuth_deg: float = within(-720, 720, default=0.0)
     """Turn of the work frame about the surface's normal, seen from the image's x axis, degrees: how the camera sits."""
     depth_zero_m: float = within(-5e-3, 5e-3, default=0.0)
-    """How much deeper than commanded the tip is, m: the surface is never exactly where the rig has it."""
+    """Depth beyond the commanded one, m: the surface is never exactly where the rig has it."""
     tcp_behind_apex_m: float = within(-0.1, 0.1, default=0.0)
     """Distance of the point that the rig turns about behind the tip's apex, m."""
     tilt_zero_deg: tuple[float, float] = within(-20, 20, default=(0.0, 0.0))
     """Tilt of the tip when none is commanded, rotation vector about x and y before the azimuth, degrees."""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         check(self)
 
 
 class RigMotion:
-    """The contacts that a rig's commands make."""
+    """Contacts made by a rig's commands."""
 
-    def __init__(self, rig):
-        """rig: Rig."""
+    def __init__(self, rig: Rig) -> None:
         self.rig = rig
         inward = np.array(rig.press_axis) / np.linalg.norm(rig.press_axis)
         # Contact frame in the work frame: z out of the object; x the work frame's axis most square to it, made square.
@@ -44,26 +44,30 @@ class RigMotion:
         x /= np.linalg.norm(x)
         work_in_contact = np.stack([x, np.cross(-inward, x), -inward])
         self._turn = Rotation.from_euler("z", rig.azimuth_deg, degrees=True).as_matrix() @ work_in_contact
-        self._zero = self._turn @ work_in_contact.T @ np.radians([*rig.tilt_zero_deg, 0.0])
+        self._tilt_offset = self._turn @ work_in_contact.T @ np.radians([*rig.tilt_zero_deg, 0.0])
 
-    def _placed(self, command):
-        """Apex (3,) m and Rotation, in the contact frame, of a commanded pose (6,) m and rad."""
+    def _apex_and_turn(self, command: np.ndarray) -> tuple[np.ndarray, Rotation]:
+        """Return the apex (3,) m and the Rotation, in the contact frame, of a commanded pose (6,), m and rad."""
         turn = Rotation.from_matrix(self._turn @ Rotation.from_euler("xyz", command[3:]).as_matrix() @ self._turn.T)
-        turn = turn * Rotation.from_rotvec(self._zero)
+        turn = turn * Rotation.from_rotvec(self._tilt_offset)
         lever = np.array([0.0, 0.0, self.rig.tcp_behind_apex_m])
         return self._turn @ command[:3] + lever - turn.apply(lever), turn
 
-    def contact(self, pose, move, tap, done=1.0):
-        """The pose and shear (6,), m and rad (sim/pose.py), of a press at `pose` minus `move` that then moves to `pose`.
+    def contact(
+        self, pose: ArrayLike, move: ArrayLike, tap: ArrayLike, fraction: float = 1.0
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the pose and shear (6,), m and rad (sim/pose.py), of a press at `pose` minus `move` that moves to `pose`.
 
-        pose, move, tap: (6,) m and rad in the work frame: commanded pose before the tap, motion in contact, and the tap that
-        makes contact (its translation). done: share of the move that is over when the image is taken, 0 to 1; of what is
-        not done there is no shear.
+        Args:
+            pose: (6,), m and rad in the work frame, commanded pose before the tap.
+            move: (6,), m and rad in the work frame, motion in contact.
+            tap: (6,), m and rad in the work frame, the tap that makes contact; only its translation is used.
+            fraction: Finished fraction of the move when the image is taken, 0 to 1; the rest makes no shear.
         """
         pose, move = np.asarray(pose, float), np.asarray(move, float)
         pressed = np.concatenate([np.asarray(tap, float)[:3], np.zeros(3)])
-        first, turn_first = self._placed(pose + pressed - move)
-        last, turn_last = self._placed(pose + pressed - (1 - done) * move)
+        first, turn_first = self._apex_and_turn(pose + pressed - move)
+        last, turn_last = self._apex_and_turn(pose + pressed - (1 - fraction) * move)
         shear = last - first
         turned = (turn_last * turn_first.inv()).as_rotvec()
         place = np.array([0.0, 0.0, last[2] - self.rig.depth_zero_m])

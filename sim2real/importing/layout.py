@@ -35,7 +35,7 @@ class Layout:
             TactipError: Where a value is not allowed.
             TypeError: Where a key is unknown.
         """
-        native = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
+        native: dict[str, Any] = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
         table = {name: native.pop(name) for name in _TABLE_KEYS if name in native}
         return cls(ColumnMap(**table), ImagePreprocessing(**native))
 

@@ -1,16 +1,25 @@
-"""What was made of a laboratory's set: in words, and as a picture."""
+"""Report of an import: figures, their text, and a picture of some frames."""
+
+from collections.abc import Mapping
+from typing import Any
 
 import cv2
 import numpy as np
 
 from tactip_twin.sim.labels import LABELS, SHEARS
+from tactip_twin.sim2real.importing.source import Source
+from tactip_twin.sim2real.sensor.preprocess import FrameReader
 from tactip_twin.tactip_model.pin_detection import find_blobs
 
 
-def report_of(source, kept, pins, left_out):
-    """What was found (dict).
+def report_of(source: Source, kept: np.ndarray, pins: Mapping[int, int], left_out: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return the figures of an import.
 
-    source: Source. kept: (n,) int, its rows that are kept. pins: pins seen (int) by row. left_out: list of dict.
+    Args:
+        source: The set.
+        kept: (n,) int, its rows that are kept.
+        pins: Number of detected pins by row.
+        left_out: Row, frame and reason of each frame that is left out.
     """
     counts = np.array([pins[i] for i in kept])
     spans = {}
@@ -26,8 +35,8 @@ def report_of(source, kept, pins, left_out):
     }
 
 
-def report_lines(report):
-    """A report (dict) in words: a list of lines."""
+def report_lines(report: Mapping[str, Any]) -> list[str]:
+    """Return a report as lines of text."""
     pins = report["pins"]
     lines = [
         f"{report['kept']} of {report['frames']} frames; {pins['median']:g} pins in most, {pins['least']} to {pins['most']}",
@@ -64,30 +73,37 @@ _TILE = 240
 """Width of a frame in the picture, px."""
 
 
-def picture(source, kept, pins, reader, neutral):
-    """The neutral image and frames over the depths, each as it came beside what is left, pins ringed: (h, w, 3) uint8.
+def picture(
+    source: Source, kept: np.ndarray, pins: Mapping[int, int], reader: FrameReader, neutral: np.ndarray | None
+) -> np.ndarray:
+    """Return the neutral image and frames over the depths, before and after masking, pins ringed: (h, w, 3) uint8.
 
-    As report_of; reader: FrameReader. neutral: (h, w[, 3]) uint8 or None.
+    Args:
+        source: The set.
+        kept: (n,) int, its rows that are kept.
+        pins: Number of detected pins by row.
+        reader: Reader of its frames.
+        neutral: (h, w[, 3]) uint8, the neutral image, if there is one.
     """
     order = kept[np.argsort(-source.poses[kept, 2], kind="stable")]
     chosen = order[np.unique(np.linspace(0, len(order) - 1, 5 if neutral is not None else 6).astype(int))]
     tiles = [] if neutral is None else [_tile(neutral, reader, "neutral")]
     for i in chosen:
         p = source.poses[i]
-        told = f"z {p[2]:.1f}  R {p[3]:.0f} {p[4]:.0f} {p[5]:.0f}  pins {pins[i]}"
-        tiles.append(_tile(source.load(i), reader, told))
+        caption = f"z {p[2]:.1f}  R {p[3]:.0f} {p[4]:.0f} {p[5]:.0f}  pins {pins[i]}"
+        tiles.append(_tile(source.load(i), reader, caption))
     return np.concatenate(tiles, 1)
 
 
-def _tile(frame, reader, told):
+def _tile(frame: np.ndarray, reader: FrameReader, caption: str) -> np.ndarray:
     upright = reader.binary(frame)
     binary = reader.masked(frame)
     scale = _TILE / binary.shape[1]
     size = (_TILE, round(scale * binary.shape[0]))
     grey = cv2.resize(upright, size, interpolation=cv2.INTER_AREA)
-    seen = cv2.cvtColor(cv2.resize(binary, size, interpolation=cv2.INTER_AREA), cv2.COLOR_GRAY2BGR)
+    masked = cv2.cvtColor(cv2.resize(binary, size, interpolation=cv2.INTER_AREA), cv2.COLOR_GRAY2BGR)
     for x, y in (find_blobs(binary).centres + 0.5) * scale:
-        cv2.circle(seen, (round(x), round(y)), 5, (60, 160, 255), 1, cv2.LINE_AA)
+        cv2.circle(masked, (round(x), round(y)), 5, (60, 160, 255), 1, cv2.LINE_AA)
     words = np.full((24, _TILE, 3), 255, np.uint8)
-    cv2.putText(words, told, (3, 16), cv2.FONT_HERSHEY_SIMPLEX, 0.4, (0, 0, 0), 1, cv2.LINE_AA)
-    return np.concatenate([cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR), seen, words], 0)
+    cv2.putText(words, caption, (3, 16), cv2.FONT_HERSHEY_SIMPLEX, 0.4, (0, 0, 0), 1, cv2.LINE_AA)
+    return np.concatenate([cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR), masked, words], 0)

@@ -1,58 +1,58 @@
-"""Where frames come from: a camera, a folder of images (a film: sim2real/sensor/video_frames.py); one after the other,
-as a sensor's
-camera gives them."""
+"""Sources of live frames: a camera, or a folder of images one after the other (videos: sim2real/sensor/video_frames.py)."""
 
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
+import numpy as np
 
 from tactip_twin.sim2real.sensor.preprocess import IMAGES, load
 from tactip_twin.sim2real.sensor.video_frames import quiet
 from tactip_twin.tactip_model.errors import TactipError
 
-_PATIENCE_S = 3.0
-"""How long a camera may give no frame before it is taken for unplugged, s."""
+_MAX_SILENCE_S = 3.0
+"""Time without a frame after which a camera counts as unplugged, s."""
 
 
 class CameraFrames:
     """Frames (h, w, 3) uint8 of a camera of this machine, the newest each time."""
 
-    def __init__(self, device, patience_s=_PATIENCE_S):
-        """device: int. Raises TactipError where there is no such camera."""
-        self._device, self._patience_s = device, patience_s
+    def __init__(self, device: int, max_silence_s: float = _MAX_SILENCE_S) -> None:
+        """Open a camera by its number. Raises TactipError where there is none."""
+        self._device, self._max_silence_s = device, max_silence_s
         with quiet():
             self._capture = cv2.VideoCapture(device)
         if not self._capture.isOpened():
             raise TactipError(f"the camera {device} cannot be opened: is it plugged in, and not in use by another program?")
-        # A frame that waited in a queue tells of a touch that is over.
+        # A queued frame would show a touch that is over.
         self._capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
 
-    def __iter__(self):
-        """Yields frames until it is closed. Raises TactipError where none has come for a while."""
+    def __iter__(self) -> Iterator[np.ndarray]:
+        """Yield frames until it is closed. Raises TactipError where none has come for a while."""
         last = time.monotonic()
         while True:
             good, frame = self._capture.read()
             if good:
                 last = time.monotonic()
                 yield frame
-            elif time.monotonic() - last > self._patience_s:
+            elif time.monotonic() - last > self._max_silence_s:
                 raise TactipError(
-                    f"the camera {self._device} has given no frame for {self._patience_s:g} s: is it unplugged?"
+                    f"the camera {self._device} has given no frame for {self._max_silence_s:g} s: is it unplugged?"
                 )
             else:
                 time.sleep(0.01)
 
-    def close(self):
-        """Let go of the camera."""
+    def close(self) -> None:
+        """Close the camera."""
         self._capture.release()
 
 
 class ImageFrames:
     """The images of a folder, in the order of the numbers in their names."""
 
-    def __init__(self, folder):
-        """folder: path. Raises TactipError where there is no image."""
+    def __init__(self, folder: str | Path) -> None:
+        """List the images of a folder. Raises TactipError where there is none."""
         folder = Path(folder)
         if not folder.is_dir():
             raise TactipError(f"{folder} is no folder of images")
@@ -60,18 +60,18 @@ class ImageFrames:
         if not self._paths:
             raise TactipError(f"there is no image in {folder}: {', '.join(IMAGES)} are looked for")
 
-    def __iter__(self):
-        """Yields frames (h, w, 3) uint8. Raises TactipError on one that cannot be read."""
+    def __iter__(self) -> Iterator[np.ndarray]:
+        """Yield frames (h, w, 3) uint8. Raises TactipError on one that cannot be read."""
         for path in self._paths:
             try:
                 yield load(path)
             except TactipError as error:
                 raise TactipError(f"{path}: {error}") from error
 
-    def close(self):
-        """Nothing is held."""
+    def close(self) -> None:
+        """Do nothing: no file stays open."""
 
 
-def _by_number(path):
+def _by_number(path: Path) -> tuple[list[int], str]:
     digits = "".join(c if c.isdigit() else " " for c in path.stem).split()
     return [int(d) for d in digits], path.name

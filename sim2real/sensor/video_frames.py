@@ -1,23 +1,25 @@
-"""Films of a sensor: their frames in order, or one of them."""
+"""Frames of a sensor's video: all in order, or one of them."""
 
 import contextlib
 from collections import deque
+from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
 
 import cv2
+import numpy as np
 
 from tactip_twin.tactip_model.errors import TactipError
 
 FILMS = (".mp4", ".avi", ".mov", ".mkv")
-"""Endings of files that are taken for films."""
+"""File endings of videos."""
 
 
 class FilmFrames:
-    """Frames of a film, in order."""
+    """Frames of a video, in order."""
 
-    def __init__(self, path):
-        """path: path. Raises TactipError where it is no film."""
+    def __init__(self, path: str | Path) -> None:
+        """Open a video. Raises TactipError where the file is none."""
         self._path = Path(path)
         if not self._path.is_file():
             raise TactipError(f"the film {path} does not exist")
@@ -26,8 +28,8 @@ class FilmFrames:
         if not self._capture.isOpened():
             raise TactipError(f"{path} cannot be read as a film")
 
-    def __iter__(self):
-        """Yields frames (h, w, 3) uint8. Raises TactipError where there is none."""
+    def __iter__(self) -> Iterator[np.ndarray]:
+        """Yield frames (h, w, 3) uint8. Raises TactipError where there is none."""
         count = 0
         while True:
             good, frame = self._capture.read()
@@ -38,16 +40,20 @@ class FilmFrames:
         if not count:
             raise TactipError(f"{self._path} cannot be read as a film: it has no frame")
 
-    def close(self):
-        """Let go of the film."""
+    def close(self) -> None:
+        """Close the video."""
         self._capture.release()
 
 
-def frame_of(path, index):
-    """One frame (h, w, 3) uint8 of a film.
+def frame_of(path: str | Path, index: int) -> np.ndarray:
+    """Return one frame (h, w, 3) uint8 of a video, read in order, because jumps miss where a video restarts inside.
 
-    path: path. index: int, 0 is the first and -1 the last. Read in order: where a film begins anew inside, jumps miss.
-    Raises TactipError where the film cannot be read or has no such frame.
+    Args:
+        path: The video.
+        index: Frame: 0 is the first and -1 the last.
+
+    Raises:
+        TactipError: Where the video cannot be read or has no such frame.
     """
     film = FilmFrames(path)
     try:
@@ -60,8 +66,8 @@ def frame_of(path, index):
 
 
 @contextlib.contextmanager
-def quiet():
-    """OpenCV without what its back ends write of what cannot be opened: the error says it."""
+def quiet() -> Iterator[None]:
+    """Silence OpenCV's log about files and devices that cannot be opened: the error says it."""
     before = cv2.utils.logging.getLogLevel()
     cv2.utils.logging.setLogLevel(0)
     try:

@@ -1,22 +1,26 @@
-"""Fine-tuning: a network of simulation goes on with some real frames among the simulated ones, so that it forgets nothing.
+"""Fine-tuning of a simulation-trained network on a mix of real and simulated frames, to avoid forgetting.
 
-Half of every batch is real, shifted by a pixel or not; half is simulated under varied optics. Few steps, a small rate.
+Half of every batch is real, shifted by up to a pixel; half is simulated under random optics. Few steps, a small rate.
 """
 
 import hashlib
 import json
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 from tqdm import tqdm
 
 from tactip_twin.learning.augmentation import OpticsAugmentation
+from tactip_twin.learning.data import Samples
 from tactip_twin.learning.device import device_named
-from tactip_twin.learning.model import DESCRIPTION, net_sha256, save_model, to_input
+from tactip_twin.learning.model import DESCRIPTION, WEIGHTS, Model, net_sha256, save_model, to_input
 from tactip_twin.learning.optics_ranges import OPTICS
-from tactip_twin.learning.train import cosine_rate
+from tactip_twin.learning.training import cosine_rate
+from tactip_twin.sim.parallel.resume import check_resumable
 from tactip_twin.tactip_model.bounds import check, within
 from tactip_twin.tactip_model.errors import Interrupted, TactipError, lookup
 
@@ -26,28 +30,46 @@ class FineTuning:
     """How a network is fine-tuned."""
 
     seed: int = within(0, 2**31, default=0)
-    """Seed of what is drawn."""
+    """Seed of the batches."""
     steps: int = within(1, 10**6, default=800)
-    """Steps in all."""
+    """Number of steps."""
     rate: float = within(1e-7, 1, default=5e-4)
-    """Greatest learning rate of Adam."""
+    """Max. learning rate of Adam."""
     batch: int = within(2, 4096, default=32)
-    """Images a step, half of them real."""
+    """Images per step, half of them real."""
     shift_px: int = within(0, 8, default=1)
-    """Most that a real image is shifted, to any side."""
+    """Max. shift of a real image, to any side, px."""
     optics: str = "real"
-    """How the simulated images vary: varied.py."""
+    """Name of the ranges of optics of the simulated images (learning/optics_ranges.py)."""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         check(self)
         lookup("optics", self.optics, OPTICS)
 
 
-def fine_tune(model, simulated, real, settings, folder, device="auto", say=print):
-    """Fine-tune a Model with Samples of a real set, among Samples of simulated contacts; written to a folder (path).
+def fine_tune(
+    model: Model,
+    simulated: Samples,
+    real: Samples,
+    settings: FineTuning,
+    folder: str | Path,
+    device: str = "auto",
+    log: Callable[[str], object] = print,
+) -> None:
+    """Fine-tune a network and write it to a folder. A network that is there already is left as it is.
 
-    settings: FineTuning. device: str. say: called with lines for the user. What is there already, alike, is left. Raises
-    TactipError where the folder holds something else, and Interrupted at Ctrl-C, after which the command begins it anew.
+    Args:
+        model: Network to start from, left unchanged.
+        simulated: Samples of simulated contacts.
+        real: Samples of a real set.
+        settings: Settings of the fine-tuning.
+        folder: Folder to write.
+        device: Device to compute on.
+        log: Called with lines for the user.
+
+    Raises:
+        TactipError: Where the folder holds something else, or there are no real samples.
+        Interrupted: At Ctrl-C; the same command begins it anew.
     """
     folder = Path(folder)
     chosen = hashlib.sha256(real.rows.astype("<i8").tobytes()).hexdigest()
@@ -57,12 +79,9 @@ def fine_tune(model, simulated, real, settings, folder, device="auto", say=print
         "simulated": simulated.dataset.meta["digest"],
         "fine_tuning": json.loads(json.dumps(asdict(settings))),
     }
-    path = folder / DESCRIPTION
-    if path.exists():
-        there = json.loads(path.read_text())["provenance"]
-        if {k: there.get(k) for k in record} != record:
-            raise TactipError(f"the folder {folder} holds another network: name another one, or remove this one")
-        say(f"{folder} holds this network already")
+    # Weights without a description are what an interruption leaves.
+    if check_resumable(folder, "fine-tuned network", _recorded(folder, record), record, own=(WEIGHTS,)):
+        log(f"{folder} holds this network already")
         return
     if not len(real):
         raise TactipError("there are no real frames to fine-tune with: at least 1 is needed")
@@ -77,14 +96,23 @@ def fine_tune(model, simulated, real, settings, folder, device="auto", say=print
     save_model(folder, state, model.config, model.labels, model.size, model.provenance | record)
 
 
-def _steps(model, simulated, real, settings, device):
-    """The state dict of the network after the steps."""
+def _recorded(folder: Path, record: dict[str, Any]) -> dict[str, Any] | None:
+    """Return what the provenance of a folder's network has for the keys of `record`; None without a fine-tuned network."""
+    path = folder / DESCRIPTION
+    if not path.exists():
+        return None
+    provenance = json.loads(path.read_text())["provenance"]
+    return {key: provenance.get(key) for key in record} if "fine_tuning" in provenance else None
+
+
+def _steps(model: Model, simulated: Samples, real: Samples, settings: FineTuning, device: str) -> dict[str, torch.Tensor]:
+    """Return the state dict of the network after the steps."""
     net = model.net.to(device)
     before = {name: tensor.clone() for name, tensor in net.state_dict().items()}
     scale = model.labels.scale
-    drawn = OpticsAugmentation(simulated, 1.0, OPTICS[settings.optics], device)
+    augmented = OpticsAugmentation(simulated, 1.0, OPTICS[settings.optics], device)
     images = torch.from_numpy(real.images).to(device)
-    targets, theirs = (
+    real_targets, simulated_targets = (
         torch.from_numpy((samples.targets / scale).astype(np.float32)).to(device) for samples in (real, simulated)
     )
     half = settings.batch // 2
@@ -93,11 +121,11 @@ def _steps(model, simulated, real, settings, device):
     for step in tqdm(range(settings.steps), unit="step", mininterval=15, leave=False):
         for group in optimizer.param_groups:
             group["lr"] = cosine_rate(settings, step, settings.steps)
-        mine = torch.randint(len(images), (half,), device=device)
-        other = torch.randint(len(simulated), (settings.batch - half,), device=device)
-        batch = torch.cat([_shifted(images[mine], settings.shift_px), drawn.draw(other)])
-        wanted = torch.cat([targets[mine], theirs[other]])
-        loss = (net(to_input(batch)) - wanted).square().sum(1).mean()
+        real_rows = torch.randint(len(images), (half,), device=device)
+        simulated_rows = torch.randint(len(simulated), (settings.batch - half,), device=device)
+        batch = torch.cat([_shifted(images[real_rows], settings.shift_px), augmented.render(simulated_rows)])
+        targets = torch.cat([real_targets[real_rows], simulated_targets[simulated_rows]])
+        loss = (net(to_input(batch)) - targets).square().sum(1).mean()
         optimizer.zero_grad(set_to_none=True)
         loss.backward()
         optimizer.step()
@@ -107,11 +135,11 @@ def _steps(model, simulated, real, settings, device):
     return state
 
 
-def _shifted(images, most):
-    """Images (m, n, n), each shifted by up to `most` px to a side; what comes in is black."""
-    if not most:
+def _shifted(images: torch.Tensor, max_px: int) -> torch.Tensor:
+    """Return images (m, n, n), each shifted at random by up to `max_px` to any side, filled with black."""
+    if not max_px:
         return images
     size = images.shape[-1]
-    padded = torch.nn.functional.pad(images, (most,) * 4)
-    places = torch.randint(2 * most + 1, (len(images), 2), device=images.device).tolist()
+    padded = torch.nn.functional.pad(images, (max_px,) * 4)
+    places = torch.randint(2 * max_px + 1, (len(images), 2), device=images.device).tolist()
     return torch.stack([image[y : y + size, x : x + size] for image, (y, x) in zip(padded, places, strict=True)])

@@ -1,5 +1,9 @@
 """The results of transfer experiments as a page and figures."""
 
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
 from tactip_twin.learning.labels import LEARNED
 from tactip_twin.sim2real.transfer.settings import GAP
 from tactip_twin.tactip_model.files import write_file
@@ -13,19 +17,25 @@ _TITLES = {
 }
 
 
-def write_page(record, task, folder):
-    """Write results.md of results.json (record, dict) of a task (str) into a folder (Path)."""
+def write_page(record: Mapping[str, Any], task: str, folder: Path) -> None:
+    """Write results.md of a task into a folder, from the record in results.json."""
     write_file(folder / PAGE, page(record, task).encode())
 
 
-def page(record, task):
-    """The Markdown (str) of results.json (record, dict)."""
+def page(record: Mapping[str, Any], task: str) -> str:
+    """Return the record in results.json as Markdown."""
     return "\n".join(page_lines(record, task)) + "\n"
 
 
-def page_lines(record, task, level=1, figure=GAP):
-    """The lines (list of str) of a page, or of a part of one. level: int, of its title. figure: file name of the picture of
-    the gap."""
+def page_lines(record: Mapping[str, Any], task: str, level: int = 1, figure: str = GAP) -> list[str]:
+    """Return the lines of a page, or of a part of one.
+
+    Args:
+        record: Content of results.json.
+        task: surface or edge.
+        level: Level of its title.
+        figure: File name of the figure of the gap.
+    """
     mark = "#" * level
     names = [f"pose_{c}" for c in LEARNED[task]]
     lines = [
@@ -56,16 +66,16 @@ def page_lines(record, task, level=1, figure=GAP):
     return lines
 
 
-def _gap(figures, mark, figure):
-    """Lines on the gap."""
-    told, best = figures["as_told"], figures["at_the_best_share_of_the_move"]
+def _gap(figures: Mapping[str, Any], mark: str, figure: str) -> list[str]:
+    """Return the lines on the gap."""
+    labelled, best = figures["as_told"], figures["at_the_best_share_of_the_move"]
     beside = f"Pins of {figures['frames']} real frames beside simulated ones, {figures['unit']}"
     lines = ["", f"{mark}# The gap itself", "", f"{beside}; they move by {figures['pins_move']:.1f} (rms)."]
     hidden, slipped = (figures[f"frames_whose_pins_were_{how}"] for how in ("not_told_apart", "taken_for_others"))
     lines[-1] += f" {hidden} frames are left out since their pins were not told apart, {slipped} since they were taken for"
     lines[-1] += " their neighbours."
     lines += ["", "| | rms | median frame | 90 % of frames |", "|---|---|---|---|"]
-    for what, one in (("as the rows have it", told), ("at the share of the move that fits best", best)):
+    for what, one in (("as the rows have it", labelled), ("at the share of the move that fits best", best)):
         lines.append(f"| {what} | {one['rms']:.2f} | {one['median']:.2f} | {one['p90']:.2f} |")
     images = figures["images"]
     lines += ["", f"White pixels with white of the other within a pixel: {images['white_within_a_pixel']:.0%}; "]
@@ -77,8 +87,8 @@ def _gap(figures, mark, figure):
     return [*lines, "", f"![where]({figure})"]
 
 
-def _rows(results):
-    """Titles and figures (dict) of an experiment's results: those that are scores, or have scores in them."""
+def _rows(results: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield titles and figures of an experiment's results: scores, and scores one level below."""
     for name, figures in results.items():
         if "mae" in figures:
             yield _WORDS.get(name, name), figures
@@ -95,7 +105,7 @@ _WORDS = {
 }
 
 
-def _cell(figures, name):
+def _cell(figures: Mapping[str, Any], name: str) -> str:
     if name != "pose_z":
         return f"{figures['mae'][name]:.2f}"
     return f"{figures['mae_zeroed'][name]:.3f} ({figures['mae'][name]:.3f})"

@@ -1,9 +1,9 @@
-"""How transfer experiments are made. Nothing heavy is imported here: the command line reads it."""
+"""Settings of transfer experiments. Light to import, for the command line."""
 
 from dataclasses import dataclass
+from typing import Literal, get_args
 
-from tactip_twin.learning.optics_ranges import OPTICS
-from tactip_twin.sim.dataset.mechanics_randomization import MECHANICS_RANDOMIZATIONS
+from tactip_twin.learning.configuration import OpticsName, RecipeName
 from tactip_twin.tactip_model.bounds import check, within
 from tactip_twin.tactip_model.errors import lookup
 
@@ -11,7 +11,19 @@ AUTO = "auto"
 """Name of the optics that are chosen by the set."""
 
 GAP = "gap.png"
-"""Figure of the gap."""
+"""Figure of the sim-to-real gap."""
+
+Mechanics = Literal["none", "real"]
+"""Names of the randomizations of mechanics (mechanics_randomization.MECHANICS_RANDOMIZATIONS)."""
+
+OpticsChoice = Literal["auto", OpticsName]
+"""Names of the ranges of optics (optics_ranges.OPTICS), or the choice by the set."""
+
+FidelityName = Literal["draft", "standard", "reference"]
+"""Names of the fidelities (fidelity.FIDELITIES)."""
+
+PseudoKind = Literal["nominal-127", "nominal-331"]
+"""Names of the presets that a pseudo-real sensor may be near."""
 
 
 @dataclass(frozen=True)
@@ -29,16 +41,16 @@ class TransferSettings:
     fifths of a smaller set, if not given."""
     shots: tuple[int, ...] = (10, 50, 100, 500)
     """Real frames that a network is fine-tuned with."""
-    mechanics: str = "real"
+    mechanics: Mechanics = "real"
     """none or real: sim/dataset/mechanics_randomization.py."""
-    optics: str = AUTO
+    optics: OpticsChoice = AUTO
     """auto, or one of varied.py: lens, real, rim, steady; auto is steady where light at the rim has told how the camera
     changed since the neutral image, and real elsewhere."""
     drawn: float = within(0, 1, default=0.6)
     """Share of the images that are drawn under varied optics."""
-    fidelity: str = "standard"
+    fidelity: FidelityName = "standard"
     """draft, standard or reference."""
-    recipe: str = "laptop"
+    recipe: RecipeName = "laptop"
     """Network and training: networks.py."""
     least_steps: int | None = None
     """Steps of a training, at least; as many as the recipe has if none are given."""
@@ -51,7 +63,9 @@ class TransferSettings:
     seed: int = within(0, 2**31, default=0)
     """Seed of sets, trainings and the split of the real frames."""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         check(self)
-        lookup("mechanics", self.mechanics, MECHANICS_RANDOMIZATIONS)
-        lookup("optics", self.optics, dict.fromkeys((AUTO, *OPTICS)))
+        lookup("mechanics", self.mechanics, dict.fromkeys(get_args(Mechanics)))
+        lookup("optics", self.optics, dict.fromkeys(get_args(OpticsChoice)))
+        lookup("fidelity", self.fidelity, dict.fromkeys(get_args(FidelityName)))
+        lookup("recipe", self.recipe, dict.fromkeys(get_args(RecipeName)))

@@ -1,20 +1,24 @@
-"""The gap itself: pins and images of real frames beside simulated ones at the same pose and shear; where it is widest.
+"""The sim-to-real gap: pins and images of real frames beside simulated ones at the same pose and shear.
 
 An analysis, which uses real labels. A frame that was taken before its move was over, as frames of slow cameras are, shows
-another contact than its row says: distances are told as the rows have it, and at the share of the move that fits best.
+another contact than its row says: distances are given at the labels, and at the best-fitting fraction of the move.
 """
 
 import sys
+from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 from tqdm import tqdm
 
+from tactip_twin.learning.data import Samples
 from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.contact.simulator import ContactSimulator
 from tactip_twin.sim.pose import from_mm_deg
-from tactip_twin.sim2real.calibration.fit import DONE, best_share, distances, pixels
+from tactip_twin.sim2real.calibration.moves import MOVE_FRACTIONS, best_fraction, distances, pin_pixels
+from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.neutral_image import neutral_px, reference_pixels
 from tactip_twin.tactip_model.optics import REFERENCE_PX
@@ -23,20 +27,29 @@ from tactip_twin.tactip_model.raster_renderer import Raster
 from tactip_twin.tactip_model.tactile_image import tactile_image
 
 _BINS = 4
-"""Bins of a label, of equally many frames."""
+"""Number of bins of a label, of equally many frames."""
 
-_VARIES = 0.5
-"""Range, mm or degrees, from which on a label varies."""
+_MIN_RANGE = 0.5
+"""Min. range, mm or degrees, of a label that varies."""
 
-_SEEN = 0.6
-"""Share of the pins that must be told apart in a frame, or it is left out and counted."""
+_MIN_PIN_FRACTION = 0.6
+"""Min. fraction of the pins that are identified in a frame; otherwise it is left out and counted."""
 
 
-def sim_to_real_gap(samples, design, fidelity, frames, seed=0):
-    """Distances of real pins from simulated ones: a dict (JSON), and arrays for a picture.
+def sim_to_real_gap(
+    samples: Samples, design: Design, fidelity: str, frames: int, seed: int = 0
+) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """Return the distances of real from simulated pins as figures (JSON), and as arrays for `plot_gap`.
 
-    samples: Samples of a real set. design: Design. fidelity: name. frames: int, drawn from the samples. seed: int. Raises
-    TactipError where no frame's pins are those of the design.
+    Args:
+        samples: Samples of a real set.
+        design: Design of its sensor.
+        fidelity: Name of the simulation's fidelity.
+        frames: Number of frames, sampled from `samples`.
+        seed: Seed of that choice.
+
+    Raises:
+        TactipError: Where no frame's pins are those of the design.
     """
     order = np.random.default_rng(seed).permutation(len(samples))[:frames]
     chosen = samples.take(np.sort(order))
@@ -44,15 +57,16 @@ def sim_to_real_gap(samples, design, fidelity, frames, seed=0):
     width = chosen.size
     matcher = PinMatcher((neutral + 0.5) * width / REFERENCE_PX - 0.5)
     real = np.array([reference_pixels(matcher.match(find_blobs(image)), width) for image in chosen.images])
-    good = np.isfinite(real[..., 0]).mean(1) > _SEEN
+    good = np.isfinite(real[..., 0]).mean(1) > _MIN_PIN_FRACTION
     if not good.any():
         raise TactipError(
-            f"in none of {len(good)} frames {_SEEN:.0%} of the pins of {design.name!r} are found: is it the design?"
+            f"in none of {len(good)} frames {_MIN_PIN_FRACTION:.0%} of the pins of {design.name!r} are found: "
+            "is it the design?"
         )
-    simulated, images = _played(chosen.take(good), design, fidelity)
+    simulated, images = _simulated(chosen.take(good), design, fidelity)
     real, chosen = real[good], chosen.take(good)
-    shares, fitted, _ = best_share(simulated, real)
-    # A frame that is off by half of what lies between pins is one whose pins were taken for their neighbours.
+    fractions, fitted, _ = best_fraction(simulated, real)
+    # In a frame that is off by half of the distance between pins, pins were taken for their neighbours.
     between = np.median(cKDTree(neutral).query(neutral, 2)[0][:, 1])
     right = np.nanmedian(np.linalg.norm(fitted - real, axis=-1), 1) < between / 2
     if not right.any():
@@ -60,9 +74,8 @@ def sim_to_real_gap(samples, design, fidelity, frames, seed=0):
             f"in none of {len(good)} frames the pins of {design.name!r} are nearer to those seen than to their neighbours: "
             "is it the design?"
         )
-    taken = (real, chosen, shares, fitted, simulated, images)
-    real, chosen, shares, fitted, simulated, images = (a.take(right) if a is chosen else a[right] for a in taken)
-    told = simulated[:, -1]
+    chosen = chosen.take(right)
+    real, fractions, fitted, simulated, images = (a[right] for a in (real, fractions, fitted, simulated, images))
     off = fitted - real
     rms = distances(fitted, real)
     labels = {name: np.abs(chosen.targets[:, k]) for k, name in enumerate(chosen.labels.names)}
@@ -74,38 +87,38 @@ def sim_to_real_gap(samples, design, fidelity, frames, seed=0):
         "frames_whose_pins_were_not_told_apart": int((~good).sum()),
         "frames_whose_pins_were_taken_for_others": int((~right).sum()),
         "unit": "px of a 256 px image",
-        "as_told": _spread(distances(told, real)),
+        "as_told": _spread(distances(simulated[:, -1], real)),
         "at_the_best_share_of_the_move": _spread(rms),
         "pins_move": float(np.sqrt(np.nanmean(moved**2))),
-        "frames_by_share_of_the_move": np.histogram(shares, [0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.001])[0].tolist(),
+        "frames_by_share_of_the_move": np.histogram(fractions, [0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.001])[0].tolist(),
         "images": _likeness(chosen.images, images),
-        "against": {name: _binned(values, rms) for name, values in labels.items() if np.ptp(values) > _VARIES},
+        "against": {name: _binned(values, rms) for name, values in labels.items() if np.ptp(values) > _MIN_RANGE},
         "by_distance_from_the_middle": _binned(rings, np.sqrt(np.nanmean((off**2).sum(-1), 0))),
     }
     return figures, {"neutral": neutral, "off": np.nanmean(off, 0), "rms": np.sqrt(np.nanmean((off**2).sum(-1), 0))}
 
 
-def _played(samples, design, fidelity):
-    """Pins (n, DONE, p, 2), px of 256, and tactile images (n, size, size), at the end of the move, of simulated contacts."""
-    player, raster = ContactSimulator(design, samples.labels.task, fidelity_named(fidelity)), Raster(design)
+def _simulated(samples: Samples, design: Design, fidelity: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return pins (n, MOVE_FRACTIONS, p, 2), px of 256, and tactile images (n, size, size) at the end of the move."""
+    simulator, raster = ContactSimulator(design, samples.labels.task, fidelity_named(fidelity)), Raster(design)
     poses, shears = samples.dataset.poses[samples.rows], samples.shears
     pins, images = [], []
     for pose, shear in zip(tqdm(poses, unit="contact", file=sys.stderr, mininterval=5), shears, strict=True):
-        skins, seen = [], []
-        for contact in player.stages(from_mm_deg(pose), from_mm_deg(shear), DONE):
-            skins.append(player.scene.vertices()[: player.scene.mesh.surface_count])
-            seen.append((contact.tips, contact.directions))
-        pins.append(pixels(design, fidelity, np.array(skins)))
-        images.append(tactile_image(raster.render(*seen[-1]), design.image))
+        skins, contacts = [], []
+        for contact in simulator.stages(from_mm_deg(pose), from_mm_deg(shear), MOVE_FRACTIONS):
+            skins.append(simulator.scene.vertices()[: simulator.scene.mesh.surface_count])
+            contacts.append((contact.tips, contact.directions))
+        pins.append(pin_pixels(design, fidelity, np.array(skins)))
+        images.append(tactile_image(raster.render(*contacts[-1]), design.image))
     return np.array(pins), np.array(images)
 
 
-def _spread(rms):
+def _spread(rms: np.ndarray) -> dict[str, float]:
     return {"rms": float(np.sqrt(np.mean(rms**2))), "median": float(np.median(rms)), "p90": float(np.quantile(rms, 0.9))}
 
 
-def _binned(values, errors):
-    """Median error in bins of equally many: a list of dict."""
+def _binned(values: np.ndarray, errors: np.ndarray) -> list[dict[str, float]]:
+    """Return the median error in bins of equally many."""
     parts = np.array_split(np.argsort(values, kind="stable"), _BINS)
     return [
         {"from": float(values[p].min()), "to": float(values[p].max()), "median": float(np.median(errors[p]))}
@@ -114,19 +127,19 @@ def _binned(values, errors):
     ]
 
 
-def _likeness(real, simulated):
-    """How alike images (n, size, size) are: share of the white pixels with white of the other within a pixel, both ways."""
+def _likeness(real: np.ndarray, simulated: np.ndarray) -> dict[str, float]:
+    """Return how alike images (n, size, size) are: fraction of white pixels with white of the other within a pixel."""
     near = np.ones((3, 3), np.uint8)
-    shares = []
+    fractions = []
     for a, b in zip(real, simulated, strict=True):
         for one, other in ((a, b), (b, a)):
-            shares.append(((one > 0) & (cv2.dilate(other, near) > 0)).sum() / max(1, (one > 0).sum()))
+            fractions.append(((one > 0) & (cv2.dilate(other, near) > 0)).sum() / max(1, (one > 0).sum()))
     white = [float((images > 0).mean()) for images in (real, simulated)]
-    return {"white_within_a_pixel": float(np.mean(shares)), "white_real": white[0], "white_simulated": white[1]}
+    return {"white_within_a_pixel": float(np.mean(fractions)), "white_real": white[0], "white_simulated": white[1]}
 
 
-def draw(arrays, title, path):
-    """Picture (path) of where on the tip the gap is: mean and rms distance by pin. arrays: of `gap`. title: str."""
+def plot_gap(arrays: dict[str, np.ndarray], title: str, path: Path) -> None:
+    """Plot the mean and rms distance by pin to `path`, from the arrays of `sim_to_real_gap`."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -134,9 +147,9 @@ def draw(arrays, title, path):
     FigureCanvasAgg(figure)
     axis = figure.add_subplot()
     x, y = arrays["neutral"].T
-    seen = axis.scatter(x, y, c=arrays["rms"], cmap="viridis", s=40, vmin=0)
+    points = axis.scatter(x, y, c=arrays["rms"], cmap="viridis", s=40, vmin=0)
     axis.quiver(x, y, *arrays["off"].T, angles="xy", scale_units="xy", scale=0.1, width=0.003, color="0.2")
     axis.set(aspect="equal", title=title, xlabel="px", ylabel="px")
     axis.invert_yaxis()
-    figure.colorbar(seen, label="rms, px of 256; arrows: mean, ten times as long")
+    figure.colorbar(points, label="rms, px of 256; arrows: mean, ten times as long")
     figure.savefig(path, dpi=120, metadata={"Software": None})

@@ -12,10 +12,13 @@ from tactip_twin.commands import main as tactip
 from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.contact.simulator import ContactSimulator
 from tactip_twin.sim.pose import from_mm_deg, to_mm_deg
-from tactip_twin.sim2real.calibration.fit import DONE, LOAD_CELL_N, Settings, best_share, calibrate, distances, robust
+from tactip_twin.sim2real.calibration.fit import calibrate
+from tactip_twin.sim2real.calibration.moves import LOAD_CELL_N, MOVE_FRACTIONS, best_fraction, distances
 from tactip_twin.sim2real.calibration.parameters import SensorOnRig, parameters
-from tactip_twin.sim2real.calibration.report import judge, write_report
+from tactip_twin.sim2real.calibration.report import figures_of, write_report
 from tactip_twin.sim2real.calibration.rig import Rig, RigMotion
+from tactip_twin.sim2real.calibration.rounds import robust_cost
+from tactip_twin.sim2real.calibration.settings import Settings
 from tactip_twin.tactip_model.design_file import read_design, read_in_use
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.pins import neutral_pins
@@ -96,28 +99,28 @@ def test_a_parameter_reads_what_it_writes_and_keeps_its_bounds():
 
 
 def test_the_share_done_is_where_the_stages_say():
-    stages = np.zeros((1, len(DONE), 5, 2))
-    stages[0, :, :, 0] = 10 * DONE[:, None] ** 2
+    stages = np.zeros((1, len(MOVE_FRACTIONS), 5, 2))
+    stages[0, :, :, 0] = 10 * MOVE_FRACTIONS[:, None] ** 2
     seen = np.full((1, 5, 2), np.nan)
     seen[0, :3] = [[4.4, 0.0]] * 3  # between 0.6 (3.6) and 0.8 (6.4)
-    share, pins, tangents = best_share(stages, seen)
+    share, pins, tangents = best_fraction(stages, seen)
     assert share[0] == pytest.approx(0.66, abs=0.011)
     assert np.allclose(tangents[0, :, 0], 6.4 - 3.6)
     assert distances(pins, seen)[0] < 0.15
 
 
 def test_a_share_at_its_end_gives_no_way():
-    stages = np.zeros((1, len(DONE), 5, 2))
-    stages[0, :, :, 0] = 10 * DONE[:, None]
-    share, _, tangents = best_share(stages, np.full((1, 5, 2), 11.0))
+    stages = np.zeros((1, len(MOVE_FRACTIONS), 5, 2))
+    stages[0, :, :, 0] = 10 * MOVE_FRACTIONS[:, None]
+    share, _, tangents = best_fraction(stages, np.full((1, 5, 2), 11.0))
     assert share[0] == 1
     assert not tangents.any()
 
 
 def test_the_cost_of_outliers_is_straight():
-    assert robust(np.array([0.5, 0.5])) == pytest.approx(0.25)
-    assert robust(np.array([3.0])) - robust(np.array([2.0])) == pytest.approx(
-        robust(np.array([4.0])) - robust(np.array([3.0]))
+    assert robust_cost(np.array([0.5, 0.5])) == pytest.approx(0.25)
+    assert robust_cost(np.array([3.0])) - robust_cost(np.array([2.0])) == pytest.approx(
+        robust_cost(np.array([4.0])) - robust_cost(np.array([3.0]))
     )
 
 
@@ -138,7 +141,9 @@ def test_one_round_comes_nearer(real, tmp_path):
     assert "going on after round 2 of 2" in again
     assert same.twin == result.twin
     assert json.loads((tmp_path / "state.json").read_text()) == state
-    with pytest.raises(TactipError, match="other settings"):
+    with pytest.raises(
+        TactipError, match=r"holds a calibration with other settings \(settings.frames is 10 there, 12 here\)"
+    ):
         calibrate(real, start(), replace(settings, frames=12), tmp_path / "state.json")
     (tmp_path / "state.json").write_text("{")
     with pytest.raises(TactipError, match="remove it"):
@@ -151,7 +156,7 @@ def test_a_hidden_twin_is_found(real, tmp_path):
     settings = Settings(frames=24, judged=24, rounds=("draft",) * 4, judging="draft")
     result = calibrate(real, start(), settings, tmp_path / "state.json", print)
     found, hidden = result.twin, hidden_twin()
-    figures = judge(result)
+    figures = figures_of(result)
     assert figures["frames_px"]["share_of_move_found"]["median"] < 0.35
     assert figures["depth"]["rms_px"] < 0.2
     close = {"azimuth": 1.5, "depth_zero": 0.12e-3, "tcp_behind_apex": 3e-3, "tilt_zero_x": 0.6, "tilt_zero_y": 0.6}
@@ -192,4 +197,4 @@ def test_what_is_refused_leaves_nothing(real, tmp_path, capsys):
 
 def test_constants_are_in_their_order():
     assert list(LOAD_CELL_N) == sorted(LOAD_CELL_N)
-    assert DONE[0] == 0 and DONE[-1] == 1
+    assert MOVE_FRACTIONS[0] == 0 and MOVE_FRACTIONS[-1] == 1

@@ -100,7 +100,13 @@ def test_a_set_comes_in_whole(tmp_path, capsys):
     assert bring(tmp_path / "lab", tmp_path / "set", "--tcp-behind-apex-mm", "0") == 0
     assert "imported already" in capsys.readouterr().out
     assert bring(tmp_path / "lab", tmp_path / "set", "--tcp-behind-apex-mm", "5") == 1
-    assert "is not empty" in capsys.readouterr().err
+    told = capsys.readouterr().err
+    assert "holds a real data set with other settings (layout.tcp_behind_apex_mm is 0.0 there, 5.0 here)" in told
+    # Nor does any into a folder of something else.
+    (tmp_path / "notes").mkdir()
+    (tmp_path / "notes" / "notes.txt").touch()
+    assert bring(tmp_path / "lab", tmp_path / "notes") == 1
+    assert "is not empty and holds no real data set" in capsys.readouterr().err
 
 
 def test_light_at_the_rim_is_masked_and_pins_are_not(tmp_path):
@@ -317,7 +323,7 @@ def test_another_neutral_image_is_another_set_and_a_broken_one_is_named(tmp_path
     broken.write_bytes(b"no image")
     capsys.readouterr()
     assert bring(tmp_path / "lab", tmp_path / "set", "--neutral", str(other)) == 1
-    assert "is not empty" in capsys.readouterr().err
+    assert "holds a real data set with other settings (source.neutral_sha256 is" in capsys.readouterr().err
     assert bring(tmp_path / "lab", tmp_path / "third", "--neutral", str(broken)) == 1
     assert "broken.png: it cannot be read as an image" in capsys.readouterr().err
 

@@ -97,7 +97,7 @@ def test_a_frame_that_does_not_fit_is_a_fault_and_the_next_goes_on(presses):
     assert [bool(s.fault) for s in readings] == [False, True, True, False]
     assert "pins are seen, 127 were in the undeformed tip" in readings[1].fault
     assert "it is 640 by 100 px, the others are 640 by 480 px" in readings[2].fault
-    assert not readings[1].felt and "fault" in readings[1].as_json()
+    assert not readings[1].predicted and "fault" in readings[1].as_json()
 
 
 def test_a_first_frame_without_a_tip(presses):

@@ -13,8 +13,7 @@ import torch
 from tactip_twin.benchmarks.learning import transfer as transferred
 from tactip_twin.benchmarks.options import TransferOptions
 from tactip_twin.commands import main as tactip
-from tactip_twin.learning import recipes as networks
-from tactip_twin.learning.configuration import PoseNetConfig, Recipe, TrainSettings
+from tactip_twin.learning.configuration import RECIPES, PoseNetConfig, Recipe, TrainSettings
 from tactip_twin.learning.data import read_samples
 from tactip_twin.learning.model import load_model
 from tactip_twin.learning.train import train
@@ -83,7 +82,7 @@ def lab(tmp_path_factory):
 
 @pytest.fixture
 def tiny(monkeypatch):
-    monkeypatch.setitem(networks.RECIPES, "tiny", {"surface": TINY, "edge": TINY})
+    monkeypatch.setitem(RECIPES, "laptop", {"surface": TINY, "edge": TINY})
 
 
 def test_the_twin_has_the_hidden_sensors_pins_where_they_are(lab):
@@ -99,7 +98,7 @@ def test_the_twin_has_the_hidden_sensors_pins_where_they_are(lab):
     assert design.pins.diameter_m == pytest.approx(1.0e-3, rel=0.2)
 
 
-FEW = ["--contacts", "10", "--held", "10", "--real-frames", "30", "--recipe", "tiny", "--fidelity", "draft"]
+FEW = ["--contacts", "10", "--held", "10", "--real-frames", "30", "--recipe", "laptop", "--fidelity", "draft"]
 FEW += ["--tuning-steps", "4", "--workers", "1"]
 
 
@@ -211,7 +210,9 @@ def test_fine_tuning_learns_the_real_frames_and_leaves_the_base_alone(lab, tiny,
     assert errors[1] < 0.8 * errors[0]
     fine_tune(base, trained, known, settings, tmp_path / "again", "cpu")
     assert (tmp_path / "again" / "model.pt").read_bytes() == (tmp_path / "tuned" / "model.pt").read_bytes()
-    with pytest.raises(TactipError, match="holds another network"):
+    with pytest.raises(
+        TactipError, match=r"holds a fine-tuned network with other settings \(fine_tuning.seed is 0 there, 1 here\)"
+    ):
         fine_tune(base, trained, known, replace(settings, seed=1), tmp_path / "tuned", "cpu")
     with pytest.raises(TactipError, match="no real frames to fine-tune with"):
         fine_tune(base, trained, known.take(slice(0, 0)), settings, tmp_path / "none", "cpu")
@@ -242,9 +243,6 @@ def test_the_gap_is_seen_and_closes_with_the_right_design(lab, tmp_path, capsys)
     ("options", "words"),
     [
         (["--real-frames", "50"], "with 50 to learn from, 20 or more must be left to test on"),
-        (["--optics", "rainbow"], "unknown optics 'rainbow': choose one of auto, lens, real, rim, steady"),
-        (["--mechanics", "stone"], "unknown mechanics 'stone'"),
-        (["--recipe", "cake"], "unknown recipe 'cake'"),
         (["--design", "cube"], "unknown design 'cube'"),
         (["--start", "nobody"], "no shipped model of that name"),
     ],
@@ -254,6 +252,33 @@ def test_wrong_words_are_one_sentence(lab, tmp_path, capsys, options, words):
     assert tactip.main([*command, *options]) == 1
     assert words in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "choices"),
+    [
+        ("optics", "rainbow", "('auto', 'lens', 'real', 'rim', 'steady', "),
+        ("mechanics", "stone", "('none', 'real')"),
+        ("recipe", "cake", "('laptop', 'paper')"),
+        ("fidelity", "exact", "('draft', 'standard', 'reference')"),
+    ],
+)
+def test_a_choice_that_there_is_not_is_refused_with_those_there_are(tmp_path, capsys, option, value, choices):
+    command = ["transfer", "zero-shot", "--real", "nowhere", "--out", str(tmp_path / "out")]
+    with pytest.raises(SystemExit) as ended:
+        tactip.main([*command, f"--{option}", value])
+    assert ended.value.code == 2
+    told = " ".join(capsys.readouterr().err.replace("│", " ").split())
+    assert f"invalid choice '{value}' for argument '--{option}'. Expected one of {choices}" in told
+
+
+def test_settings_refuse_names_that_there_are_not():
+    with pytest.raises(TactipError, match="unknown optics 'rainbow': choose one of auto, lens, real, rim, steady"):
+        TransferSettings(optics="rainbow")
+    with pytest.raises(TactipError, match="unknown mechanics 'stone': choose one of none, real"):
+        TransferSettings(mechanics="stone")
+    with pytest.raises(TactipError, match="unknown recipe 'cake': choose one of laptop, paper"):
+        TransferSettings(recipe="cake")
 
 
 def test_how_many_labels_may_be_used_goes_by_the_set_if_it_is_not_told(lab):
@@ -312,9 +337,9 @@ def test_the_page_of_all_sets_says_what_was_asked(lab, tmp_path, monkeypatch):
     monkeypatch.setattr(transferred, "EXPERIMENTS", {"zero-shot": lambda e: zero, "few-shot": lambda e: few})
     folders = {"runs": tmp_path / "runs", "out": tmp_path / "out", "settings": TransferSettings(real_frames=30)}
     options = TransferOptions((lab,), ("zero-shot",), **folders)
-    transferred.run(options, say=lambda line: None)
+    transferred.run(options, log=lambda line: None)
     assert "| set | pose_z | 0.300 mm | 0.3 mm | 3.00 | 2 |  | 1.3 |" in (tmp_path / "out" / "transfer.md").read_text()
-    transferred.run(replace(options, experiments=("few-shot",)), say=lambda line: None)
+    transferred.run(replace(options, experiments=("few-shot",)), log=lambda line: None)
     page = (tmp_path / "out" / "transfer.md").read_text()
     assert "| set | pose_z | 0.300 mm | 0.3 mm | 3.00 | 2 | 1.10 | 1.3 |" in page
     assert "| set | pose_Ry | 1.500 ° | 2 ° | 1.50 | 2 | 1.20 | 1.3 |" in page and "| set | pose_Rx" not in page

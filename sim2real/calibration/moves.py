@@ -1,0 +1,119 @@
+"""Simulation of a rig's moves: pins at fractions of each move, and the fraction at which they match a frame best.
+
+An image is not always taken where its label says: cameras lag, and frames of a rig's moves show the tip before the move is
+over, or amid it. The finished fraction of the move is therefore estimated for each frame, from the frame.
+
+The functions `simulate_…` are work for other processes: everything comes in their argument, and the simulators are kept,
+because a mesh takes its time.
+"""
+
+from collections.abc import Sequence
+from functools import lru_cache
+
+import numpy as np
+
+from tactip_twin.sim.contact.fidelity import fidelity_named
+from tactip_twin.sim.contact.simulator import ContactSimulator
+from tactip_twin.sim2real.calibration.rig import Rig, RigMotion
+from tactip_twin.tactip_model.design import Design
+from tactip_twin.tactip_model.mesh import build_mesh
+from tactip_twin.tactip_model.neutral_image import reference_pixels
+from tactip_twin.tactip_model.optics import Lens
+from tactip_twin.tactip_model.pins import PinReader
+
+MOVE_FRACTIONS = np.linspace(0, 1, 6)
+"""Fractions of a move at which a contact is simulated; between them, pins are taken to move in straight lines."""
+
+LOAD_CELL_N = {1e-3: 0.21, 2e-3: 0.8, 3e-3: 1.85}
+"""Normal force, N, of a TacTip pressed by so many m on the flat [R: a load cell under an aerial TacTip]. Images give the
+ratio of two moduli but not their size; this does."""
+
+Commands = Sequence[tuple[np.ndarray, np.ndarray]]
+"""Pairs of pose and move, (6,) each, m and rad, in the rig's frame."""
+
+
+@lru_cache(maxsize=4)
+def _simulator(design: Design, fidelity: str) -> ContactSimulator:
+    return ContactSimulator(design, "surface", fidelity_named(fidelity))
+
+
+def _mechanical(design: Design) -> Design:
+    """Return a design with nothing but what the mechanics depend on, so simulators are shared."""
+    return Design(design.name, shape=design.shape, materials=design.materials)
+
+
+def _skin(simulator: ContactSimulator) -> np.ndarray:
+    return simulator.scene.vertices()[: simulator.scene.mesh.surface_count]
+
+
+def simulate_at(job: tuple[Design, Rig, str, Commands, np.ndarray, Sequence[float] | np.ndarray]) -> np.ndarray:
+    """Return the skins (n, s, 3) m of contacts.
+
+    Args:
+        job: Design, rig, fidelity, n commands, tap (6,), and the finished fraction of each move (n,).
+    """
+    design, rig, fidelity, commands, tap, fractions = job
+    simulator, motion = _simulator(_mechanical(design), fidelity), RigMotion(rig)
+    skins = []
+    for (pose, move), fraction in zip(commands, fractions, strict=True):
+        simulator.play(*motion.contact(pose, move, tap, fraction))
+        skins.append(_skin(simulator))
+    return np.array(skins)
+
+
+def simulate_along(job: tuple[Design, Rig, str, Commands, np.ndarray]) -> np.ndarray:
+    """Return the skins (n, MOVE_FRACTIONS, s, 3) m of contacts at each fraction of the move.
+
+    Args:
+        job: As of `simulate_at`, without the fractions.
+    """
+    design, rig, fidelity, commands, tap = job
+    simulator, motion = _simulator(_mechanical(design), fidelity), RigMotion(rig)
+    contacts = (motion.contact(pose, move, tap) for pose, move in commands)
+    return np.array([[_skin(simulator) for _ in simulator.stages(*contact, MOVE_FRACTIONS)] for contact in contacts])
+
+
+def simulate_forces(job: tuple[Design, str]) -> np.ndarray:
+    """Return the normal forces (3,) N at the depths of LOAD_CELL_N.
+
+    Args:
+        job: Design and fidelity.
+    """
+    simulator = _simulator(_mechanical(job[0]), job[1])
+    return np.array([simulator.play([0, 0, -depth, 0, 0, 0], np.zeros(6)).normal_force_n for depth in LOAD_CELL_N])
+
+
+def pin_pixels(design: Design, fidelity: str, skins: np.ndarray) -> np.ndarray:
+    """Return where a design's pins appear, (..., p, 2) px of 256, given skins (..., s, 3) m of the mesh of a fidelity."""
+    lens = Lens(design)
+    tips, _ = PinReader(design, build_mesh(design.shape, fidelity_named(fidelity).mesh)).read(skins)
+    return reference_pixels(lens.project(tips), lens.width)
+
+
+def distances(predicted: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """Return the root mean square distance (...,) px of predicted from detected pins (..., p, 2), over the detected ones."""
+    return np.sqrt(np.nanmean(((predicted - seen) ** 2).sum(-1), -1))
+
+
+def best_fraction(along: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the fraction of each move at which simulated pins come nearest to detected ones.
+
+    Args:
+        along: (n, MOVE_FRACTIONS, p, 2) px, simulated pins at each fraction of each move.
+        seen: (n, p, 2) px, detected pins; NaN where one is not detected.
+
+    Returns:
+        The fractions (n,), the simulated pins there (n, p, 2) px, and their change with the fraction (n, p, 2) px: none
+        where the fraction is at one of its ends, and cannot give way.
+    """
+    fine = np.linspace(0, 1, 51)
+    left = np.minimum((fine * (len(MOVE_FRACTIONS) - 1)).astype(int), len(MOVE_FRACTIONS) - 2)
+    weight = (fine * (len(MOVE_FRACTIONS) - 1) - left)[:, None, None]
+    fractions, pins, tangents = np.empty(len(seen)), np.empty_like(seen), np.zeros_like(seen)
+    for i, stage in enumerate(along):
+        between = (1 - weight) * stage[left] + weight * stage[left + 1]
+        best = distances(between, seen[i]).argmin()
+        fractions[i], pins[i] = fine[best], between[best]
+        if 0 < best < len(fine) - 1:
+            tangents[i] = stage[left[best] + 1] - stage[left[best]]
+    return fractions, pins, tangents

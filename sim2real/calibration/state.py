@@ -1,0 +1,66 @@
+"""The state of a calibration on disk: written after each round, so an interrupted run resumes from there."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tactip_twin.sim.parallel.resume import check_resumable
+from tactip_twin.sim2real.calibration.parameters import Parameter, SensorOnRig
+from tactip_twin.tactip_model.errors import TactipError
+from tactip_twin.tactip_model.files import write_file
+from tactip_twin.tactip_model.neutral_image import as_built
+
+
+def write_state(
+    path: Path,
+    identity: dict[str, Any],
+    twin: SensorOnRig,
+    deviations: np.ndarray,
+    rounds: list[dict[str, Any]],
+    chosen: Sequence[Parameter],
+) -> None:
+    """Write the state after a round.
+
+    Args:
+        path: The state file.
+        identity: Settings (a JSON object) that a resumed run must share.
+        twin: Sensor and rig, as fitted so far.
+        deviations: (k,) standard deviations of the parameters, in their steps.
+        rounds: Figures of each round.
+        chosen: The k parameters.
+    """
+    values = {p.name: p.read(twin) for p in chosen}
+    state = {"of": identity, "values": values, "deviations": deviations.tolist(), "rounds": rounds}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_file(path, json.dumps(state, indent=1).encode())
+
+
+def read_state(
+    path: Path, identity: dict[str, Any], twin: SensorOnRig, chosen: Sequence[Parameter], neutral_px: np.ndarray
+) -> tuple[SensorOnRig, np.ndarray, list[dict[str, Any]]]:
+    """Return the sensor and rig, deviations (k,) and rounds of `write_state`.
+
+    Args:
+        path: The state file.
+        identity: As of `write_state`.
+        twin: Sensor and rig, for what no parameter changes.
+        chosen: The k parameters.
+        neutral_px: (p, 2) px of 256, pins of the neutral image.
+
+    Raises:
+        TactipError: Where the file cannot be read, or is of a calibration with other settings.
+    """
+    try:
+        state = json.loads(path.read_text())
+        recorded = state["of"]
+    except (ValueError, KeyError, TypeError) as error:
+        raise TactipError(f"{path} is no state of a calibration ({error}): remove it to begin anew") from error
+    check_resumable(path.parent, "calibration", recorded, identity)
+    for p in chosen:
+        twin = p.write(twin, state["values"][p.name])
+    twin = replace(twin, design=as_built(twin.design, neutral_px))
+    return twin, np.array(state["deviations"]), state["rounds"]

@@ -1,0 +1,134 @@
+"""A laboratory's set as it was published: its table, its labels and where its frames are."""
+
+import contextlib
+import csv
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from tactip_twin.sim.dataset.format import checksum
+from tactip_twin.sim2real.importing.column_map import ColumnMap
+from tactip_twin.sim2real.importing.convert_labels import convert_labels, image_column
+from tactip_twin.sim2real.sensor.preprocess import IMAGES, load
+from tactip_twin.sim2real.sensor.video_frames import FILMS
+from tactip_twin.tactip_model.errors import TactipError
+
+FOLDERS = ("images", "frames", "frames_bw", "videos", "")
+"""Folders inside the set's folder in which frames are searched."""
+
+_NEUTRALS = ("init*", "neutral*")
+
+PIN_DETECTION_FRAMES = 40
+"""Frames used to locate the pins, if there is no neutral image, and to measure how the camera has changed since it."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """A laboratory's folder. (n frames)"""
+
+    folder: Path
+    """The folder."""
+    names: tuple[str, ...]
+    """(n) names of the frames in the table."""
+    paths: tuple[Path | None, ...]
+    """(n) their files; None where one is missing."""
+    poses: np.ndarray
+    """(n, 6) mm and degrees, in our conventions; NaN where a cell is no number."""
+    shears: np.ndarray
+    """(n, 6) the same."""
+    neutral: Path | None
+    """Image of the undeformed tip, if there is one."""
+    digest: str
+    """Checksum of the table."""
+    film_frame: int = -1
+    """Frame that is used of a video (ColumnMap.film_frame)."""
+
+    def load(self, i: int) -> np.ndarray:
+        """Return frame i, (h, w, 3) uint8. Raises TactipError where it is missing or cannot be read."""
+        path = self.paths[i]
+        if path is None:
+            raise TactipError("the frame is not there")
+        return load(path, self.film_frame)
+
+
+def read_source(
+    folder: str | Path, column_map: ColumnMap, targets: str | Path | None = None, neutral: str | Path | None = None
+) -> Source:
+    """Return the Source in a folder.
+
+    Args:
+        folder: The folder.
+        column_map: Conventions of its table.
+        targets: The table; if None, targets.csv in the folder, or its only table.
+        neutral: The neutral image; if None, one whose name begins with init or neutral.
+
+    Raises:
+        TactipError: Where table, neutral image or all frames are missing, or the table does not fit.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise TactipError(f"{folder} is no folder: it must hold a table targets.csv and frames")
+    path = Path(targets) if targets else _table_in(folder)
+    try:
+        data = path.read_bytes()
+        rows = list(csv.DictReader(io.StringIO(data.decode("utf-8-sig"))))
+    except FileNotFoundError:
+        raise TactipError(f"the table {path} does not exist: name it by --targets") from None
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise TactipError(f"the table {path} cannot be read: {error}") from error
+    if not rows:
+        raise TactipError(f"the table {path} has no rows")
+    table = {name: [row[name] for row in rows] for name in rows[0] if name}
+    names = tuple(name or "" for name in table[image_column(column_map, list(table))])
+    poses, shears = convert_labels(column_map, table)
+    if neutral is not None and not Path(neutral).is_file():
+        raise TactipError(f"the neutral image {neutral} does not exist")
+    found = [p for pattern in _NEUTRALS for p in sorted(folder.glob(pattern)) if p.suffix.lower() in IMAGES]
+    paths = tuple(_frame_path(folder, name) for name in names)
+    if not any(paths):
+        places = ", ".join(str(folder / f) for f in FOLDERS)
+        raise TactipError(f"no frame of the table is there: {names[0]!r} was looked for in {places}")
+    neutral = Path(neutral) if neutral else next(iter(found), None)
+    return Source(folder, names, paths, poses, shears, neutral, checksum(data), column_map.film_frame)
+
+
+def _table_in(folder: Path) -> Path:
+    """Return the table in a folder: targets.csv, or its only table. Raises TactipError where there are several."""
+    tables = sorted(folder.glob("*.csv"))
+    path = folder / "targets.csv"
+    if path in tables or not tables:
+        return path
+    if len(tables) > 1:
+        raise TactipError(f"{folder} has no targets.csv: name its table by --targets, {' or '.join(map(str, tables))}")
+    return tables[0]
+
+
+def _frame_path(folder: Path, name: str) -> Path | None:
+    """Return the file of a frame named in the table; None where there is none inside the set's folder."""
+    name = name.replace("\\", "/")
+    if not name or Path(name).is_absolute() or ".." in Path(name).parts:
+        return None
+    for place in FOLDERS:
+        for tail in dict.fromkeys((name, Path(name).name)):
+            for suffix in ("", ".png", ".jpg", *FILMS):
+                path = folder / place / f"{tail}{suffix}"
+                if path.is_file():
+                    return path
+    return None
+
+
+def pin_detection_frames(source: Source) -> list[np.ndarray]:
+    """Return PIN_DETECTION_FRAMES frames spread over a Source: those that can be read and are as large as the first."""
+    frames = []
+    for i in spread([i for i, path in enumerate(source.paths) if path]):
+        with contextlib.suppress(TactipError):  # it is left out, and reported, when its turn comes
+            frames.append(source.load(i))
+    return [frame for frame in frames if frame.shape == frames[0].shape]
+
+
+def spread(items: Sequence[int]) -> list[int]:
+    """Return PIN_DETECTION_FRAMES of the items, evenly spread, or all if they are fewer."""
+    return [items[i] for i in np.unique(np.linspace(0, len(items) - 1, PIN_DETECTION_FRAMES).astype(int))]
