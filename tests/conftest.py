@@ -1,4 +1,4 @@
-"""Things that several tests share and that take a while to make."""
+"""Fixtures shared by several tests that take a while to make."""
 
 import shutil
 from dataclasses import replace
@@ -20,7 +20,7 @@ hypothesis.settings.load_profile("steady")
 
 @pytest.fixture(scope="session")
 def design():
-    """A perfect tip: symmetries hold for pins on their lattice, not where they came to be."""
+    """Return a nominal tip: symmetries hold for pins on their lattice, not for pins as built."""
     return design_named("nominal-127")
 
 
@@ -50,7 +50,7 @@ def on_ice(frictionless, standard):
 
 
 class Press:
-    """A player that takes labels in mm and degrees."""
+    """A simulator that takes labels in mm and degrees."""
 
     def __init__(self, player):
         self.player = player
@@ -61,7 +61,7 @@ class Press:
 
 @pytest.fixture(scope="session")
 def whole(tmp_path_factory):
-    """A finished set of six samples by one worker."""
+    """Return a finished set of six samples, made by one worker."""
     folder = tmp_path_factory.mktemp("sets") / "whole"
     result = run(make(folder, workers=1))
     assert result.returncode == 0, result.stderr

@@ -223,7 +223,7 @@ class _SampleMaker:
             simulator = simulator_for(c, given.design)
             reader = SymmetricReader(given.design, simulator.skin()[1], c.symmetries) if c.symmetric else None
         if given.solid is not None:
-            simulator.stimulus.solid = given.solid
+            simulator.replace_solid(given.solid)
         indices, folder = sample_indices(c, number), shard_dir(c, self._folder, number)
         seed = seed_text(c.seed, c.task, c.split, number)
         contact, faults = simulator.play(given.pose, given.shear)

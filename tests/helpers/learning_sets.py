@@ -11,7 +11,7 @@ from tactip_twin.tactip_model.presets import design_named
 
 
 class _Contact:
-    """As much of a contact's record as a row needs."""
+    """The part of a contact's record that a row of targets.csv needs."""
 
     normal_force_n = tangential_force_n = penetration_m = speed_m_s = 0.0
     volume_ratio, warnings, steps = 1.0, 0, 1
@@ -21,7 +21,7 @@ class _Contact:
 
 
 def picture(pose_mm_deg, size):
-    """Three dots whose places tell x, depth, roll, pitch and yaw: (size, size) uint8."""
+    """Return three dots whose positions encode x, depth, roll, pitch and yaw, (size, size) uint8."""
     x, _, z, roll, pitch, yaw = pose_mm_deg
     centres = np.array(
         [[0.25 + 0.05 * x, 0.25 - 0.08 * z], [0.6 + 0.015 * roll, 0.3 + 0.01 * pitch], [0.5 + 0.008 * yaw, 0.75]]
@@ -32,15 +32,15 @@ def picture(pose_mm_deg, size):
 
 
 def write_fake_set(folder, task="surface", split="train", samples=24, size=40, seed=0, **changes):
-    """Write a finished set. changes: of its Configuration. Returns its folder."""
+    """Write a finished set; return its folder. changes: fields of its Configuration."""
     settings = {"renderer": "raster", "design": design_named("nominal-127"), "fidelity": fidelity_named("draft")}
     settings |= {"pose": POSE_RANGES[task], "shear": SHEAR_RANGES} | changes
     configuration = Configuration(task=task, split=split, samples=samples, seed=seed, **settings)
     (folder / "images").mkdir(parents=True)
     rows, images = [], {}
     for i in range(samples):
-        draw = generator(seed, task, split, i)
-        contact = _Contact(configuration.pose.sample(draw), configuration.shear.sample(draw))
+        rng = generator(seed, task, split, i)
+        contact = _Contact(configuration.pose.sample(rng), configuration.shear.sample(rng))
         rows.append(row_of(contact, i, 1, str(i)))
         data = encode_image(picture([rows[-1][f"pose_{c}"] for c in ("x", "y", "z", "Rx", "Ry", "Rz")], size))
         (folder / "images" / image_name(i)).write_bytes(data)
@@ -52,7 +52,7 @@ def write_fake_set(folder, task="surface", split="train", samples=24, size=40, s
 
 
 def write_fake_splits(folder, task="surface", samples=24, **changes):
-    """Write train, val and test. Returns the folder."""
+    """Write the sets train, val and test; return the folder."""
     for split in ("train", "val", "test"):
         write_fake_set(folder / split, task, split, samples, **changes)
     return folder

@@ -1,4 +1,4 @@
-"""Figures that tests are held to."""
+"""Measures that tests compare with limits."""
 
 import numpy as np
 

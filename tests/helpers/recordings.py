@@ -1,4 +1,4 @@
-"""A short recording made up for tests of what shows recordings."""
+"""A short made-up recording, for tests of replay and export."""
 
 import numpy as np
 
@@ -25,17 +25,17 @@ STEPS = 12
 
 
 def arrays_of(task="edge"):
-    """A tip that goes along x by a millimetre a step."""
+    """Return the arrays of a recording in which the tip moves along x by a millimetre per step."""
     mesh, T = tip_mesh(), Arm().forward(READY_RAD)
     poses = np.repeat(T[None], STEPS, 0)
     poses[:, 0, 3] += 1e-3 * np.arange(STEPS)
-    draw = np.random.default_rng(0)
+    rng = np.random.default_rng(0)
     skin = np.repeat(mesh.vertices[None, : mesh.surface_count], STEPS, 0) + 1e-4 * np.arange(STEPS)[:, None, None]
     return {
         "T_base_tcp": poses,
         "angles_rad": READY_RAD + 0.01 * np.arange(STEPS)[:, None],
         "skin_m": skin.astype(np.float32),
-        "tips_m": draw.normal(size=(STEPS, 5, 3)),
+        "tips_m": rng.normal(size=(STEPS, 5, 3)),
         "directions": np.repeat([[[0.0, 0, -1]]], STEPS, 0).repeat(5, 1),
         "felt": np.repeat(from_mm_deg([0, 0, -3, 0, 0, 0])[None], STEPS, 0),
         "true": np.repeat(from_mm_deg([0, 0, -2.9, 0, 0, 0])[None], STEPS, 0),
@@ -44,7 +44,7 @@ def arrays_of(task="edge"):
         "force_n": np.ones((STEPS, 3)),
         "penetration_m": np.zeros(STEPS),
         "seconds": np.full((STEPS, 4), 0.01),
-        "images": 255 * draw.integers(0, 2, (STEPS, 32, 32)).astype(np.uint8),
+        "images": 255 * rng.integers(0, 2, (STEPS, 32, 32)).astype(np.uint8),
     }
 
 

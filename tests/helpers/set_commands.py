@@ -1,4 +1,4 @@
-"""Sets made by the command line, for tests: small ones, and what is in them."""
+"""Small data sets made by the command line, and their contents."""
 
 import csv
 import re
@@ -25,12 +25,12 @@ def run(command):
 
 
 def table(folder):
-    """Rows (list of dict of str) of targets.csv."""
+    """Return the rows of targets.csv, by column."""
     return list(csv.DictReader((Path(folder) / "targets.csv").read_text().splitlines()))
 
 
 def contents(folder):
-    """Bytes of every file of a set but run.json, which is the one that differs."""
+    """Return the bytes of every file of a set except run.json, the only one that differs between runs."""
     files = (p for p in Path(folder).rglob("*") if p.is_file() and p.name != "run.json")
     return {str(p.relative_to(folder)): p.read_bytes() for p in files}
 
@@ -38,13 +38,13 @@ def contents(folder):
 def wait_for(condition, seconds=60):
     end = time.monotonic() + seconds
     while not condition():
-        assert time.monotonic() < end, "it did not come to that"
+        assert time.monotonic() < end, "the condition was not met in time"
         time.sleep(0.02)
 
 
-def samples_found(told):
-    """How many samples a command that goes on found, by its "4 of 6 samples are there already" or "6 of 6 samples"."""
-    return int(re.search(r"(\d+) of \d+ samples", told)[1])
+def samples_found(output):
+    """Return how many samples a resumed command found, from "4 of 6 samples are there already" or "6 of 6 samples"."""
+    return int(re.search(r"(\d+) of \d+ samples", output)[1])
 
 
 def records(folder):
@@ -52,7 +52,7 @@ def records(folder):
 
 
 def configuration(design, **changes):
-    """A small Configuration."""
+    """Return a small Configuration."""
     values = {
         "task": "surface",
         "split": "train",

@@ -1,5 +1,7 @@
-"""Draws: uniform, within range, independent, the same whoever asks."""
+"""Samples of poses and shears: uniform, in range, independent, reproducible."""
 
+import subprocess
+import sys
 from dataclasses import fields, replace
 
 import numpy as np
@@ -73,3 +75,11 @@ def test_unknown_names_are_refused_with_the_valid_ones():
         generator(0, "corner", "train", 0)
     with pytest.raises(TactipError, match=r"train, val, test"):
         generator(0, "edge", "dev", 0)
+
+
+def test_sampling_import_loads_nothing_heavy():
+    """The command line takes its options and defaults from here, before it knows what it will do."""
+    code = "import sys, tactip_twin.sim.dataset.sampling as s; print(s.POSE_RANGES['edge'], *sys.modules)"
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert "yaw_deg=(-45, 45)" in loaded
+    assert not {"scipy", "mujoco", "cv2", "torch"} & set(loaded.split())

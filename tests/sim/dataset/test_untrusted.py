@@ -121,7 +121,7 @@ def test_a_diverged_state_is_a_fault(on_surface):
 def test_a_state_that_blows_up_is_seen(design, monkeypatch):
     """Not a number in one vertex in mid-press: the record must say so, not start again from the undeformed tip."""
     player = RetryingSimulator(design, "surface", fidelity_named("draft"), QualityLimits())
-    scene = player._players[0].scene
+    scene = player._simulators[0].scene
     place, steps = scene.place, []
 
     def poisoned(*where):

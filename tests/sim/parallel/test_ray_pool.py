@@ -1,4 +1,4 @@
-"""Sets made on a cluster are the sets that one process makes, also where a machine is lost in the middle."""
+"""Sets made on a cluster equal those of one process, even when a machine is lost on the way."""
 
 import sys
 import threading
@@ -18,7 +18,7 @@ from tactip_twin.tactip_model.errors import TactipError
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
-def test_a_set_of_two_machines_of_which_one_is_lost_is_that_of_one_process(design, tmp_path):
+def test_make_on_two_machines_of_which_one_is_lost_equals_one_process(design, tmp_path):
     """Needs the extra `cluster`. The second machine is killed once both have begun to make samples."""
     pytest.importorskip("ray")
     from ray.cluster_utils import Cluster  # pyright: ignore[reportMissingImports]
@@ -30,7 +30,7 @@ def test_a_set_of_two_machines_of_which_one_is_lost_is_that_of_one_process(desig
     make([Job(Configuration(**job), tmp_path / "one")], 1, say=lambda line: None)
     machines = Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
     second = machines.add_node(num_cpus=1)
-    lost, said = threading.Event(), []
+    lost, messages = threading.Event(), []
 
     def lose_it():
         records = tmp_path / "many" / ".partial"
@@ -43,18 +43,18 @@ def test_a_set_of_two_machines_of_which_one_is_lost_is_that_of_one_process(desig
     watch = threading.Thread(target=lose_it)
     watch.start()
     try:
-        (made,) = make([Job(Configuration(**job), tmp_path / "many")], 0, said.append, machines.address)
+        (made,) = make([Job(Configuration(**job), tmp_path / "many")], 0, messages.append, machines.address)
     finally:
         watch.join()
         machines.shutdown()
     assert lost.is_set()
     assert made["kept"] + made["failed"] == 24
-    assert any("another takes over" in line for line in said)
+    assert any("another takes over" in line for line in messages)
     assert contents(tmp_path / "many") == contents(tmp_path / "one")
 
 
 class FakeRay:
-    """A cluster of this process: what is asked of an actor is done when it is waited for; some actors die of some tasks."""
+    """A cluster in this process: an actor does its tasks when its reply is fetched; some actors die of some tasks."""
 
     class exceptions:
         class RayActorError(Exception):
@@ -106,57 +106,57 @@ def _begin(done, wrong):
     return do
 
 
-def crew(ray, tasks, wrong=None):
-    made, said = [], []
-    return RayPool(ray, _begin, (made, wrong), tasks, "sample", said.append), made, said
+def make_pool(ray, tasks, wrong=None):
+    made, messages = [], []
+    return RayPool(ray, _begin, (made, wrong), tasks, "sample", messages.append), made, messages
 
 
-def test_every_task_is_done_once_and_nobody_is_left():
-    ray, told = FakeRay(3), []
-    hands, made, said = crew(ray, list(range(10)))
-    hands.work(hands.places(), lambda task, seconds, peak_mib: told.append(task))
-    assert sorted(made) == sorted(told) == list(range(10))
-    assert ray.alive == 0 and not said
+def test_ray_pool_does_every_task_once_and_leaves_no_worker():
+    ray, reported = FakeRay(3), []
+    pool, made, messages = make_pool(ray, list(range(10)))
+    pool.work(pool.places(), lambda task, seconds, peak_mib: reported.append(task))
+    assert sorted(made) == sorted(reported) == list(range(10))
+    assert ray.alive == 0 and not messages
 
 
-def test_a_lost_worker_gives_its_task_to_another_once():
+def test_ray_pool_lost_worker_has_its_task_done_by_another_once():
     ray = FakeRay(2, deadly=[4])
-    hands, made, said = crew(ray, list(range(6)))
-    hands.work(2, lambda *done: None)
+    pool, made, messages = make_pool(ray, list(range(6)))
+    pool.work(2, lambda *done: None)
     assert sorted(made) == list(range(6)) and ray.alive == 0
-    assert said == ["a worker ended with its process or its machine at sample 4: another takes over"]
-    hands, made, said = crew(FakeRay(2, deadly=[4, 4]), list(range(6)))
+    assert messages == ["a worker ended with its process or its machine at sample 4: another takes over"]
+    pool, made, messages = make_pool(FakeRay(2, deadly=[4, 4]), list(range(6)))
     with pytest.raises(TactipError, match="sample 4 has ended two workers"):
-        hands.work(2, lambda *done: None)
+        pool.work(2, lambda *done: None)
 
 
-def test_short_tasks_go_many_at_a_time_and_a_deadly_one_is_found_among_them():
-    """What a worker holds when it is lost is done by another, the tasks that may have been its end one by one."""
+def test_ray_pool_short_tasks_are_assigned_in_blocks_and_a_deadly_one_is_found():
+    """The tasks of a lost worker are done by another, one by one, since any of them may have killed it."""
     ray = FakeRay(2, deadly=[400])
-    hands, made, said = crew(ray, list(range(1000)))
-    hands.work(2, lambda *done: None)
+    pool, made, messages = make_pool(ray, list(range(1000)))
+    pool.work(2, lambda *done: None)
     assert sorted(made) == list(range(1000)) and ray.alive == 0
     (block,) = [tasks for tasks in ray.given if 400 in tasks and len(tasks) > 1]
-    assert f" and {len(block) - 1} more: another takes over" in said[0]
+    assert f" and {len(block) - 1} more: another takes over" in messages[0]
     assert all((task,) in ray.given for task in block)
     assert len(ray.given) - len(block) < 40
-    assert len(ray.given[-1]) == 1  # towards the end nobody waits for one who has much
-    hands, made, said = crew(FakeRay(2, deadly=[400, 400]), list(range(1000)))
+    assert len(ray.given[-1]) == 1  # towards the end blocks are small, so all workers end together
+    pool, made, messages = make_pool(FakeRay(2, deadly=[400, 400]), list(range(1000)))
     with pytest.raises(TactipError, match="sample 400 has ended two workers"):
-        hands.work(2, lambda *done: None)
+        pool.work(2, lambda *done: None)
 
 
-def test_what_a_worker_cannot_do_is_said():
+def test_ray_pool_task_that_fails_raises_its_error():
     ray = FakeRay(2)
-    hands, made, _ = crew(ray, list(range(6)), wrong=3)
+    pool, made, _ = make_pool(ray, list(range(6)), wrong=3)
     with pytest.raises(TactipError, match="the disk is full"):
-        hands.work(2, lambda *done: None)
+        pool.work(2, lambda *done: None)
     assert 3 not in made and ray.alive == 0
 
 
-def test_a_cluster_without_processors_or_without_ray_is_a_sentence(tmp_path, capsys, monkeypatch):
+def test_ray_pool_without_processors_or_ray_gives_one_sentence(tmp_path, capsys, monkeypatch):
     with pytest.raises(TactipError, match="no processor"):
-        crew(FakeRay(0), [1])[0].places()
+        make_pool(FakeRay(0), [1])[0].places()
     monkeypatch.setitem(sys.modules, "ray", None)
     assert tactip.main(["dataset", "make", "--cluster", "auto", "--out", str(tmp_path / "set")]) == 1
     assert "pip install 'tactip-twin[cluster]'" in capsys.readouterr().err
