@@ -10,13 +10,8 @@ from typing import Annotated, Literal, NamedTuple
 import tyro
 
 from tactip_twin.assets import MODELS
+from tactip_twin.sim.labels import FidelityName, Task
 from tactip_twin.sim2real.transfer.settings import TransferSettings
-
-TaskName = Literal["surface", "edge"]
-"""Names of the tasks (sim/labels.py)."""
-
-FidelityName = Literal["draft", "standard", "reference"]
-"""Names of the fidelity presets (sim/contact/fidelity.py)."""
 
 ExperimentName = Literal["zero-shot", "ablate", "few-shot", "gap"]
 """Names of the experiments on a real set (sim2real/transfer/experiments.py)."""
@@ -112,7 +107,7 @@ class SceneCostOptions:
 class LearningOptions:
     """Measure what each step of learning buys, what shear is worth, and error against run time over networks."""
 
-    task: TaskName = "surface"
+    task: Task = "surface"
     """surface or edge."""
     contacts: int = 2000
     """Contacts to train on in all rows but `laptop-most`: as many as the paper had."""
@@ -144,7 +139,7 @@ class LearningOptions:
 class SearchOptions:
     """Run the paper's search with as many trials as there is time for, and write the page that says what was cut."""
 
-    task: TaskName = "surface"
+    task: Task = "surface"
     """surface or edge."""
     trials: int = 60
     """Trainings in all."""
@@ -188,7 +183,7 @@ class TransferOptions:
 class ReleaseModelsOptions:
     """Copy a network of `tactip bench learning` into the package, with its evaluation and its card."""
 
-    task: TaskName = "surface"
+    task: Task = "surface"
     """surface or edge."""
     name: str = "laptop-most"
     """Row of `tactip bench learning`."""
@@ -231,7 +226,7 @@ class RealComparisonOptions:
 
 
 @dataclass(frozen=True)
-class ServoOptions:
+class ServoBenchOptions:
     """Measure what the servo reaches: objects, arms, fidelities, what it withstands, random starts."""
 
     groups: tuple[ServoGroup, ...] = ()
@@ -321,7 +316,7 @@ MEASUREMENTS = {
     "real-comparison": Measurement(
         "tactip_twin.benchmarks.learning.real_comparison", RealComparisonOptions, "real_and_simulated.png"
     ),
-    "servo": Measurement("tactip_twin.benchmarks.servo.servo", ServoOptions, "servo.md"),
+    "servo": Measurement("tactip_twin.benchmarks.servo.servo", ServoBenchOptions, "servo.md"),
     "viewer": Measurement("tactip_twin.benchmarks.servo.viewer", ViewerOptions, "viewer.md"),
     "performance": Measurement("tactip_twin.benchmarks.scale.performance", PerformanceOptions, "performance.md"),
     "scale": Measurement("tactip_twin.benchmarks.scale.scale", ScaleOptions, "scale.md"),

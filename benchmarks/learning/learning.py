@@ -1,20 +1,23 @@
-"""What each step of learning buys, what shear in training is worth, and error against run time over networks.
+"""Benefit of each step of training, of shear in the training set, and error against run time over networks.
 
-`tactip bench learning --task surface`: makes the sets that it lacks, trains, evaluates on test contacts that none has seen,
-and writes docs/learning.md, .json and .png. Stopped, it goes on where it was. Hours on two cores; a GPU is used if there is
-one.
+`tactip bench learning --task surface` makes missing sets, trains, evaluates on held-out test contacts, and writes
+docs/learning.md, learning.json and learning.png. After an interruption it resumes. It takes hours on two cores; a GPU is
+used where there is one.
 """
 
 import json
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from importlib.metadata import version
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from tactip_twin.benchmarks.hardware import machine, machine_text
 from tactip_twin.benchmarks.options import LearningOptions
 from tactip_twin.learning.configuration import Recipe
-from tactip_twin.learning.data import read_samples, read_splits
+from tactip_twin.learning.data import Samples, read_samples, read_splits
 from tactip_twin.learning.evaluate import evaluate
 from tactip_twin.learning.model import load_model, load_network
 from tactip_twin.learning.recipes import recipe_named
@@ -25,6 +28,7 @@ from tactip_twin.sim.dataset.format import read_meta
 from tactip_twin.sim.dataset.generate import Job, make
 from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES, Ranges
 from tactip_twin.sim.dataset.symmetry import SYMMETRIES
+from tactip_twin.sim.labels import Task
 from tactip_twin.sim.parallel.worker_pool import worker_count
 from tactip_twin.sim.view.plot import pyplot
 from tactip_twin.tactip_model.errors import TactipError, lookup
@@ -41,26 +45,26 @@ BARS = {
     "surface": {"pose_z": 0.05, "pose_Rx": 0.15, "pose_Ry": 0.15},
     "edge": {"pose_x": 0.3, "pose_z": 0.1, "pose_Rx": 0.7, "pose_Ry": 0.8, "pose_Rz": 3.2},
 }
-"""What this project asks of itself."""
+"""Target mean errors of this project."""
 
 _FURTHER = {"epochs": 16, "rate": 7e-4, "muon": 0.007}
-"""What a training that begins with a network has of its own: half of the rates, and fewer epochs; estimates [?]."""
+"""Settings of a training with initial weights: half of the rates, and fewer epochs; estimates [?]."""
 
 FILTERS = (4, 8, 16)
-"""First filters of the other networks on the curve."""
+"""Numbers of first filters of the other networks on the curve."""
 
 BENT_PER_M = (-28.0, 80.0)
-"""Principal curvatures of bent surfaces, 1/m: as those of the bust: from hollows of 36 mm radius to ridges of 12.5 mm."""
+"""Principal curvatures of curved surfaces, 1/m, as on the bust: from hollows of 36 mm radius to ridges of 12.5 mm."""
 
 UNEVEN = 0.5
-"""Share of them that are bent unevenly: a network of gently bent ones alone felt tilts about a nose wrong by 2 degrees, one
-of uneven ones alone the depth on a sphere by 0.2 mm."""
+"""Fraction of them with varying curvature: trained without, a network errs by 2 degrees of tilt about a nose; trained on
+these alone, by 0.2 mm of depth on a sphere."""
 
 LOOKS = 20
-"""Looks at each contact of the row `laptop-looks`."""
+"""Sequence images of each contact of the row `laptop-looks`."""
 
 BENT_SHEARS = replace(SHEAR_RANGES, x_mm=(-8, 8), y_mm=(-8, 8))
-"""Shears on bent surfaces: those of the paper are too short for deep contacts to slide, as in a servo they always do."""
+"""Shears on curved surfaces: the paper's are too short for deep contacts to slide, as they always do in servoing."""
 
 DESIGN, FIDELITY = "tactip-127", "standard"
 
@@ -77,33 +81,33 @@ CROSSINGS = (
         {"sheared": "flat surfaces", "bent": "bent surfaces"},
     ),
 )
-"""Tables of what is trained on one kind of contact and tested on another: title, rows and tests by what they are called."""
+"""Tables of networks trained on one kind of contact and tested on another: title, and names of rows and tests."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """A training and what it is there to show."""
+    """A training of the benchmark."""
 
     name: str
-    """Of its row in the tables and of its folder."""
+    """Name of its row in the tables and of its folder."""
     what: str
-    """The same in words, for the page."""
+    """Description, for the page."""
     kind: str
-    """What it is trained on: plain, symmetric, most, looks, taps or bent."""
+    """Training set: plain, symmetric, most, looks, taps or bent."""
     recipe: Recipe
     """Network and training."""
     start: str = ""
-    """Shipped network that it begins with."""
+    """Shipped network whose weights are the initial ones; empty for random ones."""
 
 
-def rows(task, paper):
-    """The trainings (list of Row) of a task, by steps. paper: bool, with the paper's own network."""
+def rows(task: Task, paper: bool) -> list[Row]:
+    """Return the trainings of a task, by steps, with or without the paper's own network."""
     laptop, papers = recipe_named("laptop", task), recipe_named("paper", task)
 
-    def papers_with(filters):
+    def papers_with(filters: int) -> Recipe:
         return replace(papers, network=replace(papers.network, filters=filters, units=min(papers.network.units, 64)))
 
-    def wide(filters):
+    def wide(filters: int) -> Recipe:
         return replace(laptop, network=replace(laptop.network, filters=filters))
 
     plain, varied = (
@@ -135,15 +139,15 @@ def rows(task, paper):
     return out
 
 
-def jobs(options, kinds):
-    """The sets (list of Job) that are needed, made already or not: what all rows are tested on, and what rows of some kinds
-    (Row.kind) are trained on."""
+def jobs(options: LearningOptions, kinds: Collection[str]) -> list[Job]:
+    """Return the sets that are needed, whether they exist or not: the test sets of all rows, and the training and
+    validation sets of rows of some kinds (Row.kind)."""
     task, still = options.task, Ranges()
     each = len(SYMMETRIES[task])
     wanted = [("plain", "test", options.judged, SHEAR_RANGES)]
     wanted += [("taps", "test", options.judged_taps, still)]
     if {"plain", "symmetric", "most"} & set(kinds):
-        # Of a set that is there for the row `most`, the others take as much as they ask for.
+        # The other rows use a part of the set for the row `most`, if it exists.
         most = "most" in kinds or _holds(options.data / "symmetric" / task / "train", options.most * each)
         contacts = options.most if most else options.contacts
         wanted += [("symmetric", "train", contacts * each, SHEAR_RANGES)]
@@ -165,7 +169,7 @@ def jobs(options, kinds):
             split=split,
             samples=samples,
             seed=0,
-            # Of eight images a contact, OpenGL's cost more than their contact; what is judged on is drawn by it.
+            # Eight images per contact cost more by OpenGL than the contact; test sets are rendered by it all the same.
             renderer="raster" if (kind, split) == ("bent", "train") else "pyrender",
             design=load_design(DESIGN),
             fidelity=fidelity_named(FIDELITY),
@@ -180,21 +184,24 @@ def jobs(options, kinds):
     return out
 
 
-def _holds(folder, samples):
-    """Whether a folder (Path) holds a finished set of so many samples (bool)."""
+def _holds(folder: Path, samples: int) -> bool:
+    """Return whether a folder holds a finished set of a number of samples."""
     return (folder / "meta.json").exists() and read_meta(folder)["configuration"]["samples"] == samples
 
 
 class Sets:
-    """The sets of a task, read as they are asked for."""
+    """The sets of a task, read on demand."""
 
-    def __init__(self, options):
-        """options: LearningOptions."""
+    def __init__(self, options: LearningOptions) -> None:
         self._options, self._each = options, len(SYMMETRIES[options.task])
-        self._most = None
+        self._most: Samples | None = None
 
-    def training(self, kind):
-        """Training and validation Samples of a kind (Row.kind). Raises TactipError where one is missing or damaged."""
+    def training(self, kind: str) -> tuple[Samples, Samples]:
+        """Return training and validation samples of a kind (Row.kind).
+
+        Raises:
+            TactipError: A set is missing or damaged.
+        """
         if kind in ("taps", "bent"):
             return read_splits(self._folder(kind))
         if kind == "looks":
@@ -202,26 +209,26 @@ class Sets:
         if self._most is None:
             self._most = read_samples(self._folder("symmetric") / "train")
         chosen = {
-            # The first of a contact's samples is the contact as it was played, in the place of the others.
+            # The first sample of a contact is the contact as simulated, before its symmetric copies.
             "plain": slice(0, self._options.contacts * self._each, self._each),
             "symmetric": slice(0, self._options.contacts * self._each),
             "most": slice(None),
         }[kind]
         return self._most.take(chosen), read_samples(self._folder("plain") / "val")
 
-    def tests(self):
-        """Test Samples (dict) by kind of contact. Raises TactipError where one is missing or damaged."""
+    def tests(self) -> dict[str, Samples]:
+        """Return test samples by kind of contact. Raises TactipError where a set is missing or damaged."""
         kinds = {"sheared": "plain", "taps": "taps"} | ({"bent": "bent"} if self._options.task == "surface" else {})
         return {name: read_samples(self._folder(kind) / "test") for name, kind in kinds.items()}
 
-    def _folder(self, kind):
+    def _folder(self, kind: str) -> Path:
         return self._options.data / kind / self._options.task
 
 
-def run(options, say=print):
-    """Measure a task; returns its record (dict). say: called with lines for the user.
+def run(options: LearningOptions, log: Callable[[str], None] = print) -> dict[str, Any]:
+    """Measure a task, write learning.json, learning.md and learning.png, and return the results of the task.
 
-    Raises TactipError, and Interrupted at Ctrl-C.
+    Progress goes to `log`. Raises TactipError, and Interrupted at Ctrl-C.
     """
     lookup("task", options.task, dict.fromkeys(PAPER))
     if not 1 <= options.contacts <= options.most:
@@ -230,17 +237,17 @@ def run(options, say=print):
     order = list(chosen)
     if options.only:
         chosen = {name: lookup("row", name, chosen) for name in options.only}
-    make(jobs(options, {row.kind for row in chosen.values()}), worker_count(options.workers), say)
+    make(jobs(options, {row.kind for row in chosen.values()}), worker_count(options.workers), log)
     sets = Sets(options)
     tests = sets.tests()
     counts = {name: getattr(options, name) for name in ("contacts", "most", "judged", "judged_taps")}
     record = {**counts, "rows": _kept(options, counts)}
     for row in chosen.values():
         folder = options.runs / options.task / row.name
-        say(f"{row.name}: {row.what}")
+        log(f"{row.name}: {row.what}")
         training, validation = sets.training(row.kind)
-        start = load_network(row.start) if row.start else None
-        history = train(training, validation, row.recipe.network, row.recipe.settings, folder, say=say, start=start)
+        initial = load_network(row.start) if row.start else None
+        history = train(training, validation, row.recipe.network, row.recipe.settings, folder, log=log, init_from=initial)
         model = load_model(folder)
         figures = {name: evaluate(model, samples).figures for name, samples in tests.items()}
         measured = {
@@ -263,46 +270,46 @@ def run(options, say=print):
     return record
 
 
-def _own_count(options, kind):
-    """Contacts (dict, of `contacts`) of a kind of set (Row.kind) that has a number of its own; empty for the others."""
+def _own_count(options: LearningOptions, kind: str) -> dict[str, int]:
+    """Return `contacts` of a kind of set (Row.kind) that has a number of its own; empty for the others."""
     own = {"bent": "bent", "looks": "looked"}
     return {"contacts": getattr(options, own[kind])} if kind in own else {}
 
 
-def _kept(options, counts):
-    """The rows (list of dict) of learning.json that were measured on as many contacts, each with its machine."""
+def _kept(options: LearningOptions, counts: Mapping[str, int]) -> list[dict[str, Any]]:
+    """Return the rows of learning.json that were measured on as many contacts, each with its machine."""
     path = options.out / "learning.json"
     before = json.loads(path.read_text()).get(options.task, {}) if path.exists() else {}
     if {name: before.get(name) for name in counts} != counts:
         return []
     kept = []
     for row in before["rows"]:
-        # Rows of before do not say their own count: they are taken for those of what is made where nothing is asked for.
-        told = {name: row.get(name, own) for name, own in _own_count(LearningOptions(), row["set"]).items()}
-        if told == _own_count(options, row["set"]):
+        # Older rows do not have their own count: the default is assumed.
+        count = {name: row.get(name, own) for name, own in _own_count(LearningOptions(), row["set"]).items()}
+        if count == _own_count(options, row["set"]):
             kept.append({**row, "machine": _machine(row, before)})
     return kept
 
 
-def _machine(row, record):
-    """The machine (dict of str) of a row. Rows of before do not say it: the record does for all."""
+def _machine(row: Mapping[str, Any], record: Mapping[str, Any]) -> dict[str, str]:
+    """Return the machine of a row; for older rows it is that of the record."""
     return row["machine"] if "machine" in row else record["machine"]
 
 
-def _write(options, record):
-    """Put a task's record into learning.json, and write page and figure anew."""
+def _write(options: LearningOptions, record: dict[str, Any]) -> None:
+    """Put a task's results into learning.json, and write page and figure."""
     options.out.mkdir(parents=True, exist_ok=True)
     path = options.out / "learning.json"
     whole = json.loads(path.read_text()) if path.exists() else {}
     whole[options.task] = record
     whole = {task: whole[task] for task in PAPER if task in whole}
     write_file(path, (json.dumps(whole, indent=1) + "\n").encode())
-    write_file(options.out / "learning.md", page(whole).encode())
-    draw(whole, options.out / "learning.png")
+    write_file(options.out / "learning.md", markdown(whole).encode())
+    plot(whole, options.out / "learning.png")
 
 
-def page(whole):
-    """The Markdown (str) of learning.json."""
+def markdown(whole: Mapping[str, Any]) -> str:
+    """Return the Markdown of learning.json."""
     lines = [
         "# What is learned, and what each step buys",
         "",
@@ -314,7 +321,7 @@ def page(whole):
     ]
     for task, record in whole.items():
         names = list(PAPER[task])
-        by_machine = {}
+        by_machine: dict[str, list[str]] = {}
         for row in record["rows"]:
             by_machine.setdefault(machine_text(_machine(row, record)), []).append(f"`{row['name']}`")
         alike = [f" On: {state}." for state in by_machine if len(by_machine) == 1]
@@ -349,25 +356,25 @@ def page(whole):
             if len(found) == len(trained) and all(kind in row["mae"] for row in found for kind in tested):
                 lines += ["", f"{title}:", "", "| trained on | tested on | " + " | ".join(names) + " |"]
                 lines.append("|" + "---|" * (2 + len(names)))
-                for name, told in trained.items():
+                for name, training in trained.items():
                     for kind, what in tested.items():
                         cells = " | ".join(f"{by_name[name]['mae'][kind][n]:.3f}" for n in names)
-                        lines.append(f"| {told} | {what} | {cells} |")
+                        lines.append(f"| {training} | {what} | {cells} |")
     return "\n".join(lines) + "\n"
 
 
-def relative(row, task):
-    """A row's mean error over what is asked, averaged over components (float)."""
+def relative_error(row: Mapping[str, Any], task: str) -> float:
+    """Return a row's mean error over its target, averaged over components."""
     return float(np.mean([row["mae"]["sheared"][n] / BARS[task][n] for n in BARS[task]]))
 
 
-def draw(whole, path):
-    """Error against latency of the networks, a panel a task. path: Path, .png."""
+def plot(whole: Mapping[str, Any], path: Path) -> None:
+    """Plot error against latency of the networks, one panel per task, into a PNG file."""
     plt = pyplot()
     figure, axes = plt.subplots(1, len(whole), figsize=(6 * len(whole), 4.2), squeeze=False)
     for axis, (task, record) in zip(axes[0], whole.items(), strict=True):
         for row in record["rows"]:
-            x, y = row["latency_ms"], relative(row, task)
+            x, y = row["latency_ms"], relative_error(row, task)
             axis.plot(x, y, "o", color={"symmetric": "C0", "most": "C3", "bent": "C2"}.get(row["set"], "0.6"))
             axis.annotate(row["name"], (x, y), xytext=(4, 4), textcoords="offset points", fontsize=8)
         axis.axhline(1, color="C3", lw=0.8)

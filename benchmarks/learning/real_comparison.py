@@ -1,22 +1,25 @@
-"""The simulated 127-pin tip beside the real one: `tactip bench real-comparison`.
+"""The simulated 127-pin tip compared with the real one: `tactip bench real-comparison`.
 
-The real sensor enters by what was measured on its public images (Tac-VGNN's 127-pin surface set): the map of its
-neutral image, and the outward displacement of its pins at five depths. Its frames themselves are not ours to keep; with
---real DIR (a folder with init_0.png) the picture is made with that frame instead of its measured map, for your eyes.
-Writes docs/real_and_simulated.png and prints the errors.
+The real sensor is represented by measurements on its public images (Tac-VGNN's 127-pin surface set): the map of its neutral
+image, and the outward displacement of its pins at five depths. The frames themselves are not ours to distribute; with
+--real DIR (a folder with init_0.png) the picture shows that frame instead of its measured map, for private use. Writes
+docs/real_and_simulated.png and logs the errors.
 """
 
-from dataclasses import dataclass, replace
-from pathlib import Path
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
 
 import cv2
 import numpy as np
-import tyro
 
+from tactip_twin.benchmarks.options import RealComparisonOptions
 from tactip_twin.sim.contact.fidelity import fidelity_named
+from tactip_twin.sim.contact.record import Contact
 from tactip_twin.sim.contact.simulator import ContactSimulator
 from tactip_twin.sim.pose import from_mm_deg
 from tactip_twin.sim.view.plot import pyplot
+from tactip_twin.tactip_model.design import Design, Pins
 from tactip_twin.tactip_model.design_file import read_in_use
 from tactip_twin.tactip_model.neutral_image import neutral_px, reference_pixels
 from tactip_twin.tactip_model.optics import REFERENCE_PX, Lens
@@ -38,8 +41,7 @@ REAL_OUTWARD_PX = np.array(
         [3.47, 5.61, 6.30, 7.97, 8.54, 8.55, 8.32, 7.68, 6.98, 6.46, 5.72, 5.50, 5.41, 4.86, 3.61],
     ]
 )
-"""Measured: outward displacement, px of a 256 px image, of each shell's pins at each depth (its zero known to 0.5 mm)."""
-
+"""Measured: outward displacement, px of a 256 px image, of each shell's pins at each depth (offset known to 0.5 mm)."""
 
 SHEARS_MM = (0.5, 1.5, 2.5, 3.5, 4.5)
 
@@ -55,64 +57,55 @@ REAL_SHIFT_PX = np.array(
 """Measured: mean shift of the pin field along the shear, px of 256, at each depth for shears of 0–1, 1–2, … 4–5 mm."""
 
 
-@dataclass(frozen=True)
-class Options:
-    """Draw the comparison."""
+PICTURE = "real_and_simulated.png"
+"""File name of the picture."""
 
-    out: Path = Path("docs/real_and_simulated.png")
-    """Picture to write."""
-    real: Path | None = None
-    """Folder with the real neutral frame init_0.png; not needed."""
-    fidelity: str = "standard"
-    """draft, standard or reference."""
+MOVE_FRACTIONS = np.linspace(0, 1, 6)
+"""Fractions of the move at which a frame may have been taken: real frames lag behind their rows, evenly distributed between
+none and all of the move (docs/your-own-sensor.md)."""
 
-
-DONE = np.linspace(0, 1, 6)
-"""Shares of its move at which a frame was taken: the real frames lag behind their rows, by anything from nothing to all of
-the move alike (docs/your-own-sensor.md)."""
-
-ZEROS_MM = np.arange(-0.5, 0.51, 0.25)
-"""Zeros of depth that are tried: it is known to 0.5 mm."""
+OFFSETS_MM = np.arange(-0.5, 0.51, 0.25)
+"""Depth offsets that are tried, mm: it is known to 0.5 mm."""
 
 
-def shells(pins):
-    """N of each pin (p,) of design.Pins in a hexagonal layout."""
+def shells(pins: Pins) -> np.ndarray:
+    """Return N of each pin (p,) in a hexagonal layout."""
     return np.rint((LAYOUTS[pins.layout](pins.rings) ** 2).sum(1)).astype(int)
 
 
-def at_rest(design):
-    """The Design with the camera as it was when the neutral image was taken."""
+def at_rest(design: Design) -> Design:
+    """Return the design with the camera as it was when the neutral image was taken."""
     return replace(design, optics=replace(design.optics, zoom=1.0, drift=(0.0, 0.0)))
 
 
-def simulated_outward_px(player, depths_mm):
-    """The table above as simulated at depths (n,) mm: (n, 15) px, and the contacts."""
-    design = player.scene.design
+def simulated_outward_px(simulator: ContactSimulator, depths_mm: np.ndarray) -> tuple[np.ndarray, list[Contact]]:
+    """Return the simulated outward displacements (n, 15) px at depths (n,) mm, and the contacts."""
+    design = simulator.scene.design
     lens, n, neutral = Lens(design), shells(design.pins), neutral_px(at_rest(design))
     outward = neutral - neutral[n == 0]
     outward /= np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-9)
-    contacts = [player.play(from_mm_deg([0, 0, -d, 0, 0, 0]), np.zeros(6)) for d in depths_mm]
+    contacts = [simulator.play(from_mm_deg([0, 0, -d, 0, 0, 0]), np.zeros(6)) for d in depths_mm]
     moved = [((reference_pixels(lens.project(c.tips), lens.width) - neutral) * outward).sum(1) for c in contacts]
     return np.array([[m[n == s].mean() for s in SHELLS] for m in moved]), contacts
 
 
-def best_zero(player):
-    """The zero of depth, mm, that fits the table best, what is left (5, 15) px there, and what is left without it."""
-    depths = np.add.outer(np.array(DEPTHS_MM), ZEROS_MM)
-    table = simulated_outward_px(player, depths.ravel())[0].reshape(*depths.shape, len(SHELLS))
-    left = table - REAL_OUTWARD_PX[:, None]
-    fine = np.linspace(ZEROS_MM[0], ZEROS_MM[-1], 101)
-    between = np.array([[np.interp(fine, ZEROS_MM, column) for column in row.T] for row in left])
+def best_offset(simulator: ContactSimulator) -> tuple[float, np.ndarray, np.ndarray]:
+    """Return the depth offset, mm, that fits the table best, the residual (5, 15) px there, and the residual without it."""
+    depths = np.add.outer(np.array(DEPTHS_MM), OFFSETS_MM)
+    table = simulated_outward_px(simulator, depths.ravel())[0].reshape(*depths.shape, len(SHELLS))
+    residuals = table - REAL_OUTWARD_PX[:, None]
+    fine = np.linspace(OFFSETS_MM[0], OFFSETS_MM[-1], 101)
+    between = np.array([[np.interp(fine, OFFSETS_MM, column) for column in row.T] for row in residuals])
     best = (between**2).mean((0, 1)).argmin()
-    return float(fine[best]), between[:, :, best], left[:, len(ZEROS_MM) // 2]
+    return float(fine[best]), between[:, :, best], residuals[:, len(OFFSETS_MM) // 2]
 
 
-def simulated_shift_px(player):
-    """The shift of the pin field as simulated, (5, 5) px, depths by shears: of moves that are over, and as frames lag."""
-    lens = Lens(player.scene.design)
+def simulated_shift_px(simulator: ContactSimulator) -> tuple[np.ndarray, np.ndarray]:
+    """Return the simulated shift of the pin field, (5, 5) px, depths by shears: after the move, and with lagging frames."""
+    lens = Lens(simulator.scene.design)
 
-    def shifts(depth, shear):
-        stages = player.stages(from_mm_deg([0, 0, -depth, 0, 0, 0]), from_mm_deg([shear, 0, 0, 0, 0, 0]), DONE)
+    def shifts(depth: float, shear: float) -> np.ndarray:
+        stages = simulator.stages(from_mm_deg([0, 0, -depth, 0, 0, 0]), from_mm_deg([shear, 0, 0, 0, 0, 0]), MOVE_FRACTIONS)
         x = [reference_pixels(lens.project(c.tips), lens.width)[:, 0].mean() for c in stages]
         return x[0] - np.array(x)
 
@@ -120,8 +113,8 @@ def simulated_shift_px(player):
     return table[..., -1], table.mean(-1)
 
 
-def measured_neutral(design, size=384):
-    """The real neutral image drawn from its measured pin map and blob sizes: (size, size) uint8."""
+def measured_neutral(design: Design, size: int = 384) -> np.ndarray:
+    """Return the real neutral image (size, size) uint8, rendered from its measured pin map and blob sizes."""
     rho = np.sqrt(shells(design.pins))
     diameter = np.interp(rho, [0, 3, 4, 5, 6], [4.35, 4.37, 4.61, 5.04, 5.50]) * size / REFERENCE_PX
     image = np.zeros((size, size), np.uint8)
@@ -130,35 +123,36 @@ def measured_neutral(design, size=384):
     return image
 
 
-def rms(values):
-    """Root mean square (float) of an array."""
+def rms(values: np.ndarray) -> float:
+    """Return the root mean square of an array."""
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def main(options: Options):
-    """Measure, print, draw."""
+def run(options: RealComparisonOptions, log: Callable[[str], None] = print) -> dict[str, Any]:
+    """Measure, plot real_and_simulated.png, and return the results; they also go to `log`."""
     plt = pyplot()
     design = read_in_use(FITTED["tactip-127"])
-    player = ContactSimulator(design, "surface", fidelity_named(options.fidelity))
-    zero, left, without = best_zero(player)
-    simulated, contacts = simulated_outward_px(player, np.array(DEPTHS_MM) + zero)
-    for depth, row, contact in zip(DEPTHS_MM, left, contacts, strict=True):
-        print(f"{depth:.2f} mm: {rms(row):.2f} px rms off; {contact.normal_force_n:.2f} N")
-    print(f"all depths: {rms(left):.2f} px rms of 256 with a zero of depth of {zero:.2f} mm, {rms(without):.2f} px with 0")
-    over, lagging = simulated_shift_px(player)
-    print("shift of the pin field under shears of 0.5, 1.5, 2.5, 3.5, 4.5 mm, px: move over | as frames lag | real")
-    for depth, *rows in zip(DEPTHS_MM, over, lagging, REAL_SHIFT_PX, strict=True):
-        print(f"{depth:.2f} mm: " + " | ".join(" ".join(f"{x:.1f}" for x in row) for row in rows))
-    print(
-        f"as frames lag: {rms(lagging - REAL_SHIFT_PX):.2f} px rms; all moves over: {rms(over - REAL_SHIFT_PX):.2f} px rms"
+    simulator = ContactSimulator(design, "surface", fidelity_named(options.fidelity))
+    offset, residuals, without = best_offset(simulator)
+    simulated, contacts = simulated_outward_px(simulator, np.array(DEPTHS_MM) + offset)
+    for depth, row, contact in zip(DEPTHS_MM, residuals, contacts, strict=True):
+        log(f"{depth:.2f} mm: {rms(row):.2f} px rms off; {contact.normal_force_n:.2f} N")
+    log(
+        f"all depths: {rms(residuals):.2f} px rms of 256 with a zero of depth of {offset:.2f} mm, "
+        f"{rms(without):.2f} px with 0"
     )
+    over, lagging = simulated_shift_px(simulator)
+    log("shift of the pin field under shears of 0.5, 1.5, 2.5, 3.5, 4.5 mm, px: move over | as frames lag | real")
+    for depth, *rows in zip(DEPTHS_MM, over, lagging, REAL_SHIFT_PX, strict=True):
+        log(f"{depth:.2f} mm: " + " | ".join(" ".join(f"{x:.1f}" for x in row) for row in rows))
+    log(f"as frames lag: {rms(lagging - REAL_SHIFT_PX):.2f} px rms; all moves over: {rms(over - REAL_SHIFT_PX):.2f} px rms")
     for depth in (1, 2, 3):
-        force = player.play(from_mm_deg([0, 0, -depth, 0, 0, 0]), np.zeros(6)).normal_force_n
-        print(f"normal force at {depth} mm: {force:.2f} N")
+        force = simulator.play(from_mm_deg([0, 0, -depth, 0, 0, 0]), np.zeros(6)).normal_force_n
+        log(f"normal force at {depth} mm: {force:.2f} N")
 
     camera = PinCamera(design)
     neutral = tactile_image(camera.render(*neutral_pins(design)), design.image)
-    sheared = player.play(from_mm_deg([0, 0, -4, 8, -6, 0]), from_mm_deg([3, 2, 0, 0, 0, 0]))
+    sheared = simulator.play(from_mm_deg([0, 0, -4, 8, -6, 0]), from_mm_deg([3, 2, 0, 0, 0, 0]))
     pressed = tactile_image(camera.render(sheared.tips, sheared.directions), design.image)
     if options.real is None:
         real, title = measured_neutral(design), "real tip, at rest\n(drawn from its measured pin map)"
@@ -185,10 +179,12 @@ def main(options: Options):
     axes[3].legend(fontsize=8, frameon=False)
     axes[3].spines[["top", "right"]].set_visible(False)
     figure.tight_layout()
-    options.out.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(options.out, dpi=80)
-    print(f"{options.out} written")
-
-
-if __name__ == "__main__":
-    main(tyro.cli(Options))
+    options.out.mkdir(parents=True, exist_ok=True)
+    figure.savefig(options.out / PICTURE, dpi=80)
+    return {
+        "offset_mm": offset,
+        "outward_rms_px": rms(residuals),
+        "outward_rms_px_without_offset": rms(without),
+        "shift_rms_px_lagging": rms(lagging - REAL_SHIFT_PX),
+        "shift_rms_px": rms(over - REAL_SHIFT_PX),
+    }

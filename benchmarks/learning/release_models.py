@@ -1,24 +1,21 @@
-"""Ships the networks of `tactip bench learning`: copies them into assets/models, each with its evaluation and its card.
+"""Release of networks of `tactip bench learning`: copied into assets/models, each with its evaluation and its card.
 
-tactip bench release-models --task surface
-
-With --again, the network that is there is judged anew, on test contacts of the tip as it is fitted now.
+`tactip bench release-models --task surface` releases one network. With --again, the released network is evaluated again, on
+test contacts of the tip as it is fitted now.
 """
 
 import json
 import shutil
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
-import tyro
-
-from tactip_twin.assets import MODELS
 from tactip_twin.benchmarks.hardware import machine, machine_text
 from tactip_twin.benchmarks.learning.learning import BARS, DESIGN, PAPER, jobs, rows
-from tactip_twin.benchmarks.options import LearningOptions
+from tactip_twin.benchmarks.options import LearningOptions, ReleaseModelsOptions
 from tactip_twin.learning.data import read_samples
 from tactip_twin.learning.evaluate import evaluate, tables
-from tactip_twin.learning.model import DESCRIPTION, WEIGHTS, load_model, load_network, net_sha256
+from tactip_twin.learning.model import DESCRIPTION, WEIGHTS, Model, load_model, load_network, net_sha256
 from tactip_twin.sim.dataset.format import labels_sha256
 from tactip_twin.sim.dataset.generate import make
 from tactip_twin.sim.dataset.symmetry import SYMMETRIES
@@ -26,52 +23,41 @@ from tactip_twin.sim.parallel.worker_pool import worker_count
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.files import write_file
 
-MOST_BYTES = 5_000_000
-"""Weights of a shipped network are smaller."""
+MAX_BYTES = 5_000_000
+"""Size that the weights of a released network must stay below, bytes."""
 
-_AS_MANY = {"laptop-most": "most", "laptop-further": "most", "laptop-bent": "bent"}
-"""Option of `tactip bench learning` that says how many contacts a row has, where it is not `contacts`."""
+_COUNT_OPTIONS = {"laptop-most": "most", "laptop-further": "most", "laptop-bent": "bent"}
+"""Option of `tactip bench learning` for the number of contacts of a row, where it is not `contacts`."""
 
 EVALUATION, CARD = "evaluation.json", "card.md"
 
 
-@dataclass(frozen=True)
-class Options:
-    """Which network is shipped, and where things are."""
-
-    task: str = "surface"
-    """surface or edge."""
-    name: str = "laptop-most"
-    """Row of `tactip bench learning`."""
-    data: Path = Path("data/learning")
-    """Its folder of sets."""
-    runs: Path = Path("runs/learning")
-    """Its folder of trainings."""
-    out: Path = MODELS
-    """Folder of the shipped networks."""
-    again: bool = False
-    """Judge the network that is shipped, and leave its weights as they are."""
-    judged: int = 2000
-    """Test contacts that it is judged on, then."""
-    workers: str = "auto"
-    """Worker processes that make them, then; auto is one a core."""
+def run(options: ReleaseModelsOptions, log: Callable[[str], None] = print) -> dict[str, Any]:
+    """Release a network, log its folder, and return its evaluation. Raises TactipError."""
+    folder, evaluation = release_model(options, log)
+    log(f"{folder} written")
+    return evaluation
 
 
-def ship(options):
-    """Copy a network, judge it on the test set, write its card. Returns its folder (Path). Raises TactipError."""
-    run = options.runs / options.task / options.name
+def release_model(options: ReleaseModelsOptions, log: Callable[[str], None] = print) -> tuple[Path, dict[str, Any]]:
+    """Copy a network, evaluate it on the test set and write its card; return its folder and its evaluation.
+
+    Raises:
+        TactipError: There is no such network, it is too large, or its training is unfinished.
+    """
+    source = options.runs / options.task / options.name
     if options.again:
-        run = options.out / f"{options.task}-{'bent-' if options.name == 'laptop-bent' else ''}{DESIGN}"
-    size = (run / WEIGHTS).stat().st_size if (run / WEIGHTS).exists() else 0
-    model = load_model(run)
-    if size >= MOST_BYTES:
-        raise TactipError(f"the weights in {run} have {size} bytes: a network is shipped with fewer than {MOST_BYTES}")
+        source = options.out / f"{options.task}-{'bent-' if options.name == 'laptop-bent' else ''}{DESIGN}"
+    size = (source / WEIGHTS).stat().st_size if (source / WEIGHTS).exists() else 0
+    model = load_model(source)
+    if size >= MAX_BYTES:
+        raise TactipError(f"the weights in {source} have {size} bytes: a network is shipped with fewer than {MAX_BYTES}")
     if not model.provenance["outcome"]["finished"]:
-        raise TactipError(f"the training in {run} is unfinished: let it come to its end before it is shipped")
-    where = options.data / ("bent" if _bent(model) else "plain") / options.task / "test"
+        raise TactipError(f"the training in {source} is unfinished: let it come to its end before it is shipped")
+    where = options.data / ("bent" if _is_curved(model) else "plain") / options.task / "test"
     if options.again:
         sets = jobs(LearningOptions(task=options.task, data=options.data, judged=options.judged), ())
-        make([job for job in sets if job.folder == where], worker_count(options.workers), print)
+        make([job for job in sets if job.folder == where], worker_count(options.workers), log)
     test = read_samples(where)
     evaluation = evaluate(model, test)
     meta = test.dataset.meta
@@ -85,33 +71,34 @@ def ship(options):
     folder.mkdir(parents=True, exist_ok=True)
     if not options.again:
         for name in (WEIGHTS, DESCRIPTION):
-            shutil.copyfile(run / name, folder / name)
+            shutil.copyfile(source / name, folder / name)
     write_file(folder / EVALUATION, (json.dumps(record, indent=1) + "\n").encode())
     write_file(folder / CARD, card(model, record, options).encode())
-    return folder
+    return folder, record
 
 
-def _bent(model):
-    """Whether a Model has learned from bent surfaces: its set names their curvature (sim/dataset/format.py)."""
+def _is_curved(model: Model) -> bool:
+    """Return whether a model was trained on curved surfaces: its set has a curvature (sim/dataset/configuration.py)."""
     return "curvature_per_m" in model.provenance["train"]["configuration"]
 
 
-def _name(model):
-    return f"{model.labels.task}-{'bent-' if _bent(model) else ''}{DESIGN}"
+def _name(model: Model) -> str:
+    """Return the name of a released model."""
+    return f"{model.labels.task}-{'bent-' if _is_curved(model) else ''}{DESIGN}"
 
 
-def _begun(model, options):
-    """A line (list of str) on the network that a training began with, if it did."""
+def _initial_weights(model: Model, options: ReleaseModelsOptions) -> list[str]:
+    """Return a line on the initial weights of a training; none if they were random."""
     if "begun_from" not in model.provenance:
         return []
-    (start,) = (row.start for row in rows(model.labels.task, False) if row.name == options.name)
+    (start,) = (row.start for row in rows(options.task, False) if row.name == options.name)
     same = net_sha256(load_network(start).net) == model.provenance["begun_from"]
     its = "" if same else " as an earlier version shipped it"
     return [f"- Begun from the weights of `{start}`{its} (checksum {model.provenance['begun_from'][:16]})."]
 
 
-def card(model, record, options):
-    """The Markdown (str) of a network's card. model: Model. record: dict, its evaluation.json. options: Options."""
+def card(model: Model, record: Mapping[str, Any], options: ReleaseModelsOptions) -> str:
+    """Return the Markdown of a network's card, from its evaluation."""
     task, p = model.labels.task, model.provenance
     data, network, settings = p["train"], p["network"], p["settings"]
     made = data["configuration"]
@@ -122,12 +109,13 @@ def card(model, record, options):
     ran, asked = p["outcome"]["epochs"], settings["epochs"]
     longer = f", since {asked} would be fewer than {settings['least_steps']} steps" if ran > asked else ""
     what = {"surface": "a flat surface", "edge": "a straight edge"}[task]
-    if _bent(model):
+    if _is_curved(model):
         what = "a surface bent by {:g} to {:g} /m, two ways{},".format(
             *made["curvature_per_m"], " and half of the time unevenly" if made.get("uneven") else ""
         )
     # What the paper reached and what is asked is of flat surfaces.
-    beside = () if _bent(model) else (("the paper, real sensor", PAPER), ("what we ask", BARS))
+    beside = () if _is_curved(model) else (("the paper, real sensor", PAPER), ("what we ask", BARS))
+    count = _COUNT_OPTIONS.get(options.name, "contacts")
     lines = [
         f"# {_name(model)}",
         "",
@@ -159,7 +147,7 @@ def card(model, record, options):
         f"`{made['fidelity']['name']}`, seed {made['seed']}, `{made['renderer']}`), configuration {data['digest'][:16]}; "
         f"tested on configuration {record['test']['digest'][:16]}. In full, and with checksums of the tables, in model.json "
         "and evaluation.json.",
-        *_begun(model, options),
+        *_initial_weights(model, options),
         f"- Network: {json.dumps(network)}",
         f"- Training: {json.dumps(settings)}; best epoch {p['outcome']['best_epoch']} of {p['outcome']['epochs']}"
         f"{longer}; torch {p['torch']}",
@@ -167,12 +155,8 @@ def card(model, record, options):
         "To make it again:",
         "",
         "```",
-        f"tactip bench learning --task {task} --{_AS_MANY.get(options.name, 'contacts')} {contacts} --only {options.name}",
+        f"tactip bench learning --task {task} --{count} {contacts} --only {options.name}",
         f"tactip bench release-models --task {task} --name {options.name}",
         "```",
     ]
     return "\n".join(lines) + "\n"
-
-
-if __name__ == "__main__":
-    print(ship(tyro.cli(Options)), "written")

@@ -52,7 +52,7 @@ class Native(Stimulus):
         """See Stimulus."""
         return self._true.distance(points)
 
-    def height_to_clear(self, centre, radius, top=0.0):
+    def height_to_clear(self, centre, radius):
         """See Stimulus."""
         return self._true.height_to_clear(centre, radius)
 

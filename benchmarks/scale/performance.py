@@ -1,7 +1,7 @@
-"""What everything costs on one machine, and how it grows: `tactip bench performance` writes docs/performance.md and .json.
+"""Rates, memory and scaling on one machine: `tactip bench performance` writes docs/performance.md and performance.json.
 
-Each group is measured alone and kept: the page has what was measured last. Rates of sets are marginal: the time of a set of
-n contacts less that of one of a few, over the difference, so that what is paid once stands by itself.
+Each group is measured alone and kept, so the page shows the last measurement of each. Rates of sets are marginal: the
+difference in time between a larger and a smaller set, over the difference in contacts; fixed costs are listed separately.
 """
 
 import contextlib
@@ -13,15 +13,19 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import replace
+from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
 from mujoco import batch
 
 from tactip_twin.benchmarks.hardware import machine, machine_text
+from tactip_twin.benchmarks.options import PerformanceOptions
 from tactip_twin.benchmarks.scale import mujoco_warp as gpu_engine
 from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.contact.simulator import ContactSimulator
@@ -29,27 +33,29 @@ from tactip_twin.sim.dataset.configuration import Configuration
 from tactip_twin.sim.dataset.generate import Job, make
 from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES
 from tactip_twin.sim.dataset.symmetry import SYMMETRIES
+from tactip_twin.sim.labels import Task
+from tactip_twin.tactip_model.bounds import require
 from tactip_twin.tactip_model.errors import TactipError, lookup
 from tactip_twin.tactip_model.files import write_file
 from tactip_twin.tactip_model.presets import load_design
 
 _LOOKS = 20
-"""Looks at a contact, where there is more than one."""
+"""Sequence images of a contact, where there is more than one."""
 
 _FEW = 4
-"""Contacts of the smaller of two sets, a worker."""
+"""Contacts per worker of the smaller of two sets."""
 
 _REPEATS = 5
-"""Times that what is short is measured; the median counts."""
+"""Repetitions of short measurements, of which the median is taken."""
 
-_LEAST_STEPS = 4
-"""Steps of a servo run, at least. For so many a slide over an object is one step."""
+_MIN_STEPS = 4
+"""Minimum number of steps of a servo run. A slide over an object has one step for this many."""
 
 _TRIES = 3
-"""Times that a rate is measured, where what comes out cannot be."""
+"""Maximum number of measurements of a rate, where the result is impossible."""
 
 _BATCH = 64
-"""Images at a time, where they are drawn, learned from or judged in batches."""
+"""Images of a batch, in rendering, training and evaluation."""
 
 COMMANDS = (
     (), ("dataset", "make"), ("dataset", "verify"), ("import",), ("calibrate",), ("train",), ("tune",), ("evaluate",),
@@ -58,52 +64,62 @@ COMMANDS = (
 """Commands whose help is timed."""
 
 
-def run(options, say=print):
-    """Measure. options: benchmarks.options.PerformanceOptions. Returns the record (dict). say: called with lines for the user.
+def run(options: PerformanceOptions, log: Callable[[str], None] = print) -> dict[str, Any]:
+    """Measure, write performance.json and performance.md, and return the results.
 
-    Raises TactipError.
+    Progress goes to `log`. Raises TactipError.
     """
     names = [lookup("group", name, dict(zip(GROUPS, GROUPS, strict=True))) for name in options.groups or GROUPS]
-    for name, given, least in (("contacts", options.contacts, 1), ("steps", options.steps, _LEAST_STEPS)):
-        if given < least:
-            raise TactipError(f"--{name} is {given}: it must be at least {least}")
+    for name, value, minimum in (("contacts", options.contacts, 1), ("steps", options.steps, _MIN_STEPS)):
+        require(value >= minimum, f"--{name}", value, f"at least {minimum}")
     path = options.out / "performance.json"
-    groups = json.loads(path.read_text())["groups"] if path.exists() else {}
+    record: dict[str, Any] = json.loads(path.read_text()) if path.exists() else {"groups": {}}
+    groups = record["groups"]
     options.out.mkdir(parents=True, exist_ok=True)
     for name in names:
         if name == "gpu-engine" and (lacking := gpu_engine.missing()):
             if name in options.groups:
                 raise TactipError(lacking)
-            say(f"left out: {lacking}")
+            log(f"left out: {lacking}")
             continue
-        say(f"{name}: {GROUPS[name][0]}")
+        log(f"{name}: {GROUPS[name][0]}")
         groups[name] = {"machine": machine(), "rows": GROUPS[name][1](options)}
         record = {"groups": {g: groups[g] for g in GROUPS if g in groups}}
         write_file(path, (json.dumps(record, indent=1) + "\n").encode())
-        write_file(options.out / "performance.md", page(record).encode())
+        write_file(options.out / "performance.md", markdown(record).encode())
     return record
 
 
-def _median(measured, repeats=_REPEATS):
-    """Median time (s) of a function's calls, the first left out."""
-    measured()
+def _median(function: Callable[[], object], repeats: int = _REPEATS) -> float:
+    """Return the median time of a function's calls, s; the first call is left out."""
+    function()
     times = []
     for _ in range(repeats):
         start = time.perf_counter()
-        measured()
+        function()
         times.append(time.perf_counter() - start)
     return statistics.median(times)
 
 
 @contextlib.contextmanager
-def _quietly():
-    """Without the bars of what is timed."""
+def _quietly() -> Iterator[None]:
+    """Suppress progress bars."""
     with Path(os.devnull).open("w") as nowhere, contextlib.redirect_stderr(nowhere):
         yield
 
 
-def made_set(folder, samples, workers, task, fidelity, renderer, symmetric, design, looks=1):
-    """The folder (Path) of a set of `samples`, made in `folder`."""
+def made_set(
+    folder: str | PathLike[str],
+    samples: int,
+    workers: int,
+    task: str,
+    fidelity: str,
+    renderer: str,
+    symmetric: bool,
+    design: str,
+    looks: int = 1,
+) -> Path:
+    """Make a training set in a subfolder, and return its folder."""
     configuration = Configuration(
         task=task,
         split="train",
@@ -122,28 +138,39 @@ def made_set(folder, samples, workers, task, fidelity, renderer, symmetric, desi
     return Path(folder) / "set"
 
 
-def set_seconds(contacts, workers, **case):
-    """Time (s) and peak memory of a worker (MiB) of a set, made in a folder that is thrown away."""
-    each = _each(case)
+def set_seconds(contacts: int, workers: int, **case: Any) -> tuple[float, float]:
+    """Return the time of making a set, s, and the peak memory of a worker, MiB. The set is deleted."""
+    samples = contacts * _samples_per_contact(case)
     with tempfile.TemporaryDirectory() as folder:
         start = time.perf_counter()
-        made = made_set(folder, contacts * each, workers, **case)
+        made = made_set(folder, samples, workers, **case)
         seconds = time.perf_counter() - start
         run = json.loads((made / "run.json").read_text())
     return seconds, run["peak_memory_of_a_worker_MiB"]
 
 
-def _each(case):
-    """Samples (int) that a contact of a set makes."""
+def _samples_per_contact(case: dict[str, Any]) -> int:
+    """Return the number of samples of a contact."""
     return (len(SYMMETRIES[case["task"]]) if case["symmetric"] else 1) * case.get("looks", 1)
 
 
-def _samples(options):
-    """Samples a second of whole sets: contact, image, record and file."""
-    plain = {"task": "surface", "fidelity": "standard", "renderer": "raster", "symmetric": False, "design": "tactip-127"}
+def _samples(options: PerformanceOptions) -> list[dict[str, Any]]:
+    """Return contacts and samples per second of whole sets: contact, image, record and file."""
+    plain: dict[str, Any] = {
+        "task": "surface",
+        "fidelity": "standard",
+        "renderer": "raster",
+        "symmetric": False,
+        "design": "tactip-127",
+    }
     cores = int(machine()["cores"])
     cases = [(plain, workers) for workers in sorted({1, cores})]
-    changes = ({"symmetric": True}, {"renderer": "pyrender"}, {"fidelity": "draft"}, {"fidelity": "reference"})
+    changes: tuple[dict[str, Any], ...] = (
+        {"symmetric": True},
+        {"renderer": "pyrender"},
+        {"fidelity": "draft"},
+        {"fidelity": "reference"},
+    )
     cases += [(plain | change, cores) for change in (*changes, {"design": "nominal-331"}, {"task": "edge"})]
     cases += [(plain | {"task": "edge", "symmetric": True}, cores)]
     cases += [(plain | {"task": task, "looks": _LOOKS}, cores) for task in ("surface", "edge")]
@@ -152,18 +179,25 @@ def _samples(options):
         more = max(cores, options.contacts // case.get("looks", 1))
         rate, once, peak = _rate(_FEW * workers, more, workers, **case)
         rows.append({
-            "what": _name(case, plain), "workers": workers, "contacts/s": rate, "samples/s": rate * _each(case),
-            "once, s": once, "a worker's memory, MiB": peak,
+            "what": _name(case, plain), "workers": workers, "contacts/s": rate,
+            "samples/s": rate * _samples_per_contact(case), "once, s": once, "a worker's memory, MiB": peak,
         })  # fmt: skip
     return rows
 
 
-def _rate(few, more, workers, **case):
-    """Contacts a second (float), the time that is paid once (s), and a worker's peak memory (MiB), by sets of `few` contacts
-    and another of `more` more.
+def _rate(few: int, more: int, workers: int, **case: Any) -> tuple[float, float, float]:
+    """Return contacts per second, the fixed cost (s) and a worker's peak memory (MiB), from two sets.
 
-    Raises TactipError where, _TRIES times, the larger set took no longer, or so much longer that nothing was paid once.
+    Args:
+        few: Contacts of the smaller set.
+        more: Contacts that the larger set has in addition.
+        workers: Number of worker processes.
+        case: Options of made_set.
+
+    Raises:
+        TactipError: _TRIES times, the larger set took no longer, or so much longer that the fixed cost was negative.
     """
+    base = whole = 0.0
     for _ in range(_TRIES):
         base, _ = set_seconds(few, workers, **case)
         whole, peak = set_seconds(few + more, workers, **case)
@@ -176,29 +210,35 @@ def _rate(few, more, workers, **case):
     )
 
 
-def _growth(options):
-    """Whole sets of more and more contacts: what one more costs."""
-    case = {"task": "surface", "fidelity": "draft", "renderer": "raster", "symmetric": True, "design": "tactip-127"}
+def _growth(options: PerformanceOptions) -> list[dict[str, Any]]:
+    """Return times of sets of more and more contacts, and the cost of one contact more."""
+    case: dict[str, Any] = {
+        "task": "surface",
+        "fidelity": "draft",
+        "renderer": "raster",
+        "symmetric": True,
+        "design": "tactip-127",
+    }
     cores, rows = int(machine()["cores"]), []
     for contacts in (options.contacts * 4**k for k in range(3)):
         seconds, peak = set_seconds(contacts, cores, **case)
         more = (seconds - rows[-1]["s"]) / (contacts - rows[-1]["contacts"]) if rows else None
         rows.append({
-            "contacts": contacts, "samples": contacts * _each(case), "s": seconds, "s more a contact more": more,
-            "a worker's memory, MiB": peak,
+            "contacts": contacts, "samples": contacts * _samples_per_contact(case), "s": seconds,
+            "s more a contact more": more, "a worker's memory, MiB": peak,
         })  # fmt: skip
     return rows
 
 
-def _name(case, plain):
-    """What a set is, in words."""
+def _name(case: dict[str, Any], plain: dict[str, Any]) -> str:
+    """Return the description of a set in the table."""
     words = [case["task"], case["fidelity"], case["renderer"], case["design"]]
     words += ["symmetric"] * (case["symmetric"] != plain["symmetric"])
     return ", ".join(words + [f"{looks} looks a contact" for looks in [case.get("looks", 1)] if looks > 1])
 
 
-def _images(options):
-    """Images a second of each renderer, alone, and of the drawing in training, in batches."""
+def _images(options: PerformanceOptions) -> list[dict[str, Any]]:
+    """Return images per second of each renderer, one at a time, and of augmentation in training, in batches."""
     import torch
 
     from tactip_twin.learning.augmentation import OpticsAugmentation
@@ -209,7 +249,7 @@ def _images(options):
     from tactip_twin.tactip_model.renderer import renderer_named
     from tactip_twin.tactip_model.tactile_image import tactile_image
 
-    rows = []
+    rows: list[dict[str, Any]] = []
     for name in ("tactip-127", "nominal-331"):
         design = load_design(name)
         pins = neutral_pins(design)
@@ -228,21 +268,21 @@ def _images(options):
             for varied in ("lens", "real"):
                 drawn = OpticsAugmentation(samples, 1.0, OPTICS[varied])
                 with one_thread():
-                    seconds = _median(lambda d=drawn, c=chosen: d.draw(c))
+                    seconds = _median(lambda d=drawn, c=chosen: d.render(c))
                 what = f"drawn in training, `{varied}`, {_BATCH} at a time"
                 rows.append({"design": name, "what": what, "frames/s": len(samples) / seconds})
     return rows
 
 
-def _learning(options):
-    """Images a second in training, judged on as many as it learns from, and the time of an estimate."""
+def _learning(options: PerformanceOptions) -> list[dict[str, Any]]:
+    """Return images per second in training, validated on as many images as trained on, and the time of an estimate."""
     import torch
 
     from tactip_twin.learning.data import read_samples
     from tactip_twin.learning.device import one_thread
     from tactip_twin.learning.model import load_network
     from tactip_twin.learning.recipes import recipe_named
-    from tactip_twin.learning.train import Training
+    from tactip_twin.learning.training import Training
 
     rows = []
     with tempfile.TemporaryDirectory() as folder:
@@ -269,32 +309,33 @@ def _learning(options):
     return rows
 
 
-def _following(options):
-    """Servo steps a second, and where their time goes."""
-    from tactip_twin.control.options import Options, RouteOptions, Settings
-    from tactip_twin.control.servo_run import run as follow
+def _servo(options: PerformanceOptions) -> list[dict[str, Any]]:
+    """Return servo steps per second, and the time of each part of a step."""
+    from tactip_twin.control.options import RouteOptions, ServoOptions, Settings
+    from tactip_twin.control.servo_run import run_servo
 
-    rows = []
-    for task, thing in (("surface", "bust"), ("edge", "rim-round")):
+    rows: list[dict[str, Any]] = []
+    objects: tuple[tuple[Task, str], ...] = (("surface", "bust"), ("edge", "rim-round"))
+    for task, thing in objects:
         for arm in ("none", "dynamic"):
             for fidelity in ("draft", "standard"):
                 with tempfile.TemporaryDirectory() as folder:
-                    asked = Options(
+                    run_options = ServoOptions(
                         Path(folder) / "run", task, thing, arm=arm, fidelity=fidelity, route=RouteOptions(),
                         settings=Settings(most_steps=options.steps),
                     )  # fmt: skip
-                    done = follow(asked, say=lambda line: None)
+                    score = run_servo(run_options, log=lambda line: None)
                 what = f"{thing}, arm {arm}, {fidelity}"
-                rows.append({"what": what, "steps/s": done["steps_per_s"], **_split(done["ms_a_step"])})
+                rows.append({"what": what, "steps/s": score["steps_per_s"], **_split(score["ms_a_step"])})
     return rows
 
 
-def _split(milliseconds):
+def _split(milliseconds: dict[str, float]) -> dict[str, float]:
     return {f"ms, {name}": value for name, value in milliseconds.items()}
 
 
-def _faces(options):
-    """Time of a step on an object by the number of its triangles: a ball, pressed 3 mm and slid along."""
+def _faces(options: PerformanceOptions) -> list[dict[str, Any]]:
+    """Return the time of a step on an object by its number of triangles: a ball, pressed 3 mm deep and slid over."""
     import trimesh
 
     from tactip_twin.sim.contact.signed_distance import SignedDistanceMesh
@@ -318,7 +359,7 @@ def _faces(options):
         pose[2, 3] = 0.037
         finger.go(pose)
         seconds = []
-        for k in range(options.steps // _LEAST_STEPS):
+        for k in range(options.steps // _MIN_STEPS):
             turn = (k + 1) * 1e-3 / 0.04
             c, s = np.cos(turn), np.sin(turn)
             round_it = np.array([[c, 0, s, 0], [0, 1, 0, 0], [-s, 0, c, 0], [0, 0, 0, 1]])
@@ -332,42 +373,42 @@ def _faces(options):
 
 
 _PRESSED_M = (0.0, 0.0, -3e-3, 0.1, 0.0, 0.0)
-"""The pose of the contact that threads and processes play, m and rad."""
+"""Pose of the contact that threads and processes simulate, m and rad."""
 
 _SHEARED_M = (2e-3, 0.0, 0.0, 0.0, 0.0, 0.0)
 """Its shear."""
 
 
-def _played_contacts(count):
-    """Time (s) of `count` contacts by a player of its own, the first left out."""
-    player = ContactSimulator(load_design("tactip-127"), "surface", fidelity_named("standard"))
-    player.play(_PRESSED_M, _SHEARED_M)
+def _contacts_s(count: int) -> float:
+    """Return the time of a number of contacts by a simulator of their own, after a first one, s."""
+    simulator = ContactSimulator(load_design("tactip-127"), "surface", fidelity_named("standard"))
+    simulator.play(_PRESSED_M, _SHEARED_M)
     start = time.perf_counter()
     for _ in range(count):
-        player.play(_PRESSED_M, _SHEARED_M)
+        simulator.play(_PRESSED_M, _SHEARED_M)
     return time.perf_counter() - start
 
 
-def _threads(options):
-    """Contacts by processes and by threads of one process; steps of a pressed tip by MuJoCo's own batches, beside ours."""
+def _threads(options: PerformanceOptions) -> list[dict[str, Any]]:
+    """Return rates of contacts in processes and in threads, and of steps by MuJoCo's batches and by ours."""
     cores, count = int(machine()["cores"]), max(1, options.contacts // 4)
     rows = []
     spawned = multiprocessing.get_context("spawn")
     for workers in sorted({1, cores}):
         with ProcessPoolExecutor(workers, spawned) as pool:
-            seconds = max(pool.map(_played_contacts, [count] * workers))
+            seconds = max(pool.map(_contacts_s, [count] * workers))
         rows.append({"what": "contacts, processes", "workers": workers, "contacts/s": workers * count / seconds})
     with ThreadPoolExecutor(cores) as pool:
-        seconds = max(pool.map(_played_contacts, [count] * cores))
+        seconds = max(pool.map(_contacts_s, [count] * cores))
     rows.append({"what": "contacts, threads of one process", "workers": cores, "contacts/s": cores * count / seconds})
-    player = ContactSimulator(load_design("tactip-127"), "surface", fidelity_named("standard"))
-    player.play(_PRESSED_M, _SHEARED_M)
-    model, data, steps = player.scene.model, player.scene.data, 25 * count
+    simulator = ContactSimulator(load_design("tactip-127"), "surface", fidelity_named("standard"))
+    simulator.play(_PRESSED_M, _SHEARED_M)
+    model, data, steps = simulator.scene.model, simulator.scene.data, 25 * count
     size = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_INTEGRATION)
     state = np.empty(size)
     mujoco.mj_getState(model, data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
 
-    def rate(step):
+    def rate(step: Callable[[], object]) -> float:
         mujoco.mj_setState(model, data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
         step()
         start = time.perf_counter()
@@ -375,7 +416,7 @@ def _threads(options):
             step()
         return steps / (time.perf_counter() - start)
 
-    rows.append({"what": "steps, ours", "workers": 1, "steps/s": rate(player.scene.step)})
+    rows.append({"what": "steps, ours", "workers": 1, "steps/s": rate(simulator.scene.step)})
     rows.append({"what": "steps, mj_step", "workers": 1, "steps/s": rate(lambda: mujoco.mj_step(model, data))})
     for threads in sorted({1, cores}):
         many = batch.Batch(model, nsim=4 * cores, nthread=threads, persistent=True)
@@ -390,8 +431,8 @@ def _threads(options):
     return rows
 
 
-def _start_up(options):
-    """Time of every command's help: what is imported before anything is done."""
+def _start_up(options: PerformanceOptions) -> list[dict[str, Any]]:
+    """Return the time of every command's help, which is that of its imports."""
     rows = []
     for command in COMMANDS:
         words = [_program(), *command, "--help"]
@@ -400,9 +441,15 @@ def _start_up(options):
     return rows
 
 
-def _first_words(options):
-    """Time until a command that is given something to do says its first word; it is ended then."""
-    case = {"task": "surface", "fidelity": "draft", "renderer": "raster", "symmetric": False, "design": "tactip-127"}
+def _first_words(options: PerformanceOptions) -> list[dict[str, Any]]:
+    """Return the time until each command at work prints its first message; it is ended then."""
+    case: dict[str, Any] = {
+        "task": "surface",
+        "fidelity": "draft",
+        "renderer": "raster",
+        "symmetric": False,
+        "design": "tactip-127",
+    }
     rows = []
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
@@ -419,15 +466,15 @@ def _first_words(options):
             for k in range(3):
                 out = folder / f"out-{len(rows)}-{k}"
                 out = out.with_suffix(".png") if "show" in command else out
-                given = [] if {"verify", "evaluate"} & set(command) else ["--out", str(out)]
-                seconds.append(_first_word([_program(), *command, *given]))
-            told = (word for word in command if not word.startswith(place))
-            rows.append({"command": " ".join(["tactip", *told]), "s": statistics.median(seconds)})
+                out_option = [] if {"verify", "evaluate"} & set(command) else ["--out", str(out)]
+                seconds.append(_first_word([_program(), *command, *out_option]))
+            words = (word for word in command if not word.startswith(place))
+            rows.append({"command": " ".join(["tactip", *words]), "s": statistics.median(seconds)})
     return rows
 
 
-def _first_word(words):
-    """Time (s) from a command's start to its first byte, on either stream."""
+def _first_word(words: Sequence[str]) -> float:
+    """Return the time from a command's start to its first byte on either stream, s."""
     start = time.perf_counter()
     with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT) as process:  # noqa: S603
         first = process.stdout.read(1) if process.stdout else b""
@@ -438,16 +485,17 @@ def _first_word(words):
     return seconds
 
 
-def _program():
+def _program() -> str:
+    """Return the path of the command line program."""
     return str(Path(sys.executable).parent / "tactip")
 
 
-GROUPS = {
+GROUPS: dict[str, tuple[str, Callable[[PerformanceOptions], list[dict[str, Any]]]]] = {
     "samples": ("Sets: contacts and samples a second, from end to end", _samples),
     "growth": ("Sets of more and more contacts, draft", _growth),
     "images": ("Images a second, one core", _images),
     "learning": ("Training and estimates", _learning),
-    "servo": ("Servo steps a second", _following),
+    "servo": ("Servo steps a second", _servo),
     "faces": ("Steps on objects of more triangles", _faces),
     "threads": ("Threads against processes", _threads),
     "gpu-engine": ("MuJoCo's GPU engine", lambda options: gpu_engine.rows()),
@@ -457,13 +505,13 @@ GROUPS = {
 """Title and function of each group."""
 
 
-def page(record):
-    """The Markdown (str) of performance.json."""
+def markdown(record: dict[str, Any]) -> str:
+    """Return the Markdown of performance.json."""
     lines = [
         "# What it costs",
         "",
-        "Written by `tactip bench performance`; do not edit. Times on shared machines differ from day to day by a tenth and more: "
-        "ratios of rows of one table hold. Errors stand beside costs in [fidelity.md](fidelity.md), "
+        "Written by `tactip bench performance`; do not edit. Times on shared machines differ from day to day by a tenth and "
+        "more: ratios of rows of one table hold. Errors stand beside costs in [fidelity.md](fidelity.md), "
         "[learning.md](learning.md) and [servo.md](servo.md).",
     ]
     for name, group in record["groups"].items():
@@ -476,7 +524,7 @@ def page(record):
     return "\n".join(lines) + "\n"
 
 
-def _cell(value):
+def _cell(value: object) -> str:
     if value is None:
         return ""
     if not isinstance(value, float):

@@ -1,15 +1,19 @@
-"""What a million contacts cost on many machines, from rates measured on this one: `tactip bench scale` writes docs/scale.md.
+"""Cost of a million contacts on many machines, extrapolated from rates on this one: `tactip bench scale`.
 
-Measured: the time of a contact on a core, what a sample weighs on the disk, the driver's time to close a shard and to tell a
-task, and a reader's. The rest of the page is arithmetic on these, and says which of them is the limit.
+Measured are the time of a contact on a core, the size of a sample on the disk, the driver's time to close a shard and to
+hand out a task, and a reader's time. The rest of docs/scale.md is arithmetic on these, and shows which of them is the limit.
 """
 
 import json
 import tempfile
 import time
+from collections.abc import Callable
 from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
 
 from tactip_twin.benchmarks.hardware import machine, machine_text
+from tactip_twin.benchmarks.options import ScaleOptions
 from tactip_twin.benchmarks.scale.performance import made_set, set_seconds
 from tactip_twin.learning.data import read_samples
 from tactip_twin.sim.dataset.configuration import Configuration
@@ -20,48 +24,49 @@ from tactip_twin.sim.dataset.symmetry import SYMMETRIES
 from tactip_twin.sim.dataset.verify import verify
 from tactip_twin.sim.parallel.ray_pool import HELD_S, RayPool, joined
 from tactip_twin.sim.parallel.worker_pool import WorkerPool
-from tactip_twin.tactip_model.errors import TactipError
+from tactip_twin.tactip_model.bounds import require
 from tactip_twin.tactip_model.files import write_file
 
 CONTACTS = 1_000_000
-"""Contacts of the set that is reckoned."""
+"""Contacts of the extrapolated set."""
 
 MACHINES = (1, 10, 100)
-"""Machines as this one that it is reckoned for."""
+"""Numbers of machines like this one that costs are extrapolated to."""
 
-_LEAST = {"contacts": 1, "few": 1, "messages": 10}
-"""Options and what they are at least: of the messages the first tenth is left out, while workers come up."""
+_MIN = {"contacts": 1, "few": 1, "messages": 10}
+"""Minimum of each option. The first tenth of the messages is left out, because workers start up then."""
 
 _PUTS_PER_S = 3500
-"""Objects a second that an object store takes under one prefix (Amazon S3 User Guide, "Best practices design patterns:
+"""Objects per second that an object store accepts under one prefix (Amazon S3 User Guide, "Best practices design patterns:
 optimizing Amazon S3 performance")."""
 
 _DOLLARS_PER_PUT = 0.005 / 1000
-"""Price of writing one (Amazon S3 pricing, standard class, us-east-1)."""
+"""Price of writing one object, US dollars (Amazon S3 pricing, standard class, us-east-1)."""
 
 
-def run(options, say=print):
-    """Measure. options: benchmarks.options.ScaleOptions. Returns the record (dict). say: called with lines for the user.
+def run(options: ScaleOptions, log: Callable[[str], None] = print) -> dict[str, Any]:
+    """Measure, write scale.json and scale.md, and return the results.
 
-    Raises TactipError.
+    Progress goes to `log`. Raises TactipError.
     """
-    for name, least in _LEAST.items():
-        if getattr(options, name) < least:
-            raise TactipError(f"--{name} is {getattr(options, name)}: it must be at least {least}")
+    for name, minimum in _MIN.items():
+        value = getattr(options, name)
+        require(value >= minimum, f"--{name}", value, f"at least {minimum}")
     options.out.mkdir(parents=True, exist_ok=True)
     settings = f"contacts {options.contacts} after {options.few}, messages {options.messages}, one worker, seed 0"
-    record = {"machine": machine(), "settings": settings, "tasks": {}, "dispatch": {}}
+    record: dict[str, Any] = {"machine": machine(), "settings": settings, "tasks": {}, "dispatch": {}}
     for task in SYMMETRIES:
-        say(f"sets of the task {task}")
+        log(f"sets of the task {task}")
         record["tasks"][task] = _task(task, options)
-    say("messages")
+    log("messages")
     record["dispatch"] = _dispatch(options)
     write_file(options.out / "scale.json", (json.dumps(record, indent=1) + "\n").encode())
-    write_file(options.out / "scale.md", page(record).encode())
+    write_file(options.out / "scale.md", markdown(record).encode())
     return record
 
 
-def _task(task, options):
+def _task(task: str, options: ScaleOptions) -> dict[str, float]:
+    """Return the rates and sizes of a set of a task."""
     case = {"task": task, "fidelity": "standard", "renderer": "raster", "symmetric": True, "design": "tactip-127"}
     few, _ = set_seconds(options.few, 1, **case)
     many, peak = set_seconds(options.few + options.contacts, 1, **case)
@@ -70,7 +75,7 @@ def _task(task, options):
         folder = made_set(place, samples, 1, **case)
         files = [path for path in folder.rglob("*") if path.is_file()]
         configuration = read_configuration(read_meta(folder), folder)
-        close = _closing(folder, configuration)
+        close = _closing_s(folder, configuration)
         note = _seconds(lambda: [checksum((folder / "meta.json").read_bytes()), read_meta(folder)])
         return {
             "samples_a_contact": len(SYMMETRIES[task]),
@@ -85,57 +90,60 @@ def _task(task, options):
         }
 
 
-def _closing(folder, configuration):
-    """Time (s) that a worker takes to make a finished set of records."""
+def _closing_s(folder: Path, configuration: Configuration) -> float:
+    """Return the time that a worker takes to make a finished set of partial records, s."""
     times = []
     for _ in range(3):
         (folder / PARTIAL).mkdir()
-        unpack_finished_set(folder)  # as a kill leaves it after the last contact
+        unpack_finished_set(folder)  # the state after a kill behind the last contact
         times.append(_seconds(lambda: make([Job(configuration, folder)], 1, lambda line: None)))
     return sorted(times)[1]
 
 
-def _seconds(do):
+def _seconds(function: Callable[[], object]) -> float:
+    """Return the time of a call, s."""
     start = time.perf_counter()
-    do()
+    function()
     return time.perf_counter() - start
 
 
 class _Nothing:
-    def __call__(self, task):
+    """Function of a worker that does nothing."""
+
+    def __call__(self, task: int) -> None:
         pass
 
 
-def _begin():
+def _begin() -> _Nothing:
     return _Nothing()
 
 
-def _dispatch(options):
-    """Tasks a second that a driver gets done which take no time: what it can give out at most."""
-    given = _begin, (), list(range(options.messages)), "task", lambda line: None
-    rates = {"processes of this machine": _rate(lambda: WorkerPool(*given), options)}
+def _dispatch(options: ScaleOptions) -> dict[str, float]:
+    """Return how many empty tasks per second a driver hands out, by kind of worker pool."""
+    arguments = _begin, (), list(range(options.messages)), "task", lambda line: None
+    rates = {"processes of this machine": _rate(lambda: WorkerPool(*arguments), options)}
     if find_spec("ray"):
         with joined("local") as ray:
-            rates["Ray"] = _rate(lambda: RayPool(ray, *given), options)
-            rates["Ray, one task a message"] = _rate(lambda: _Single(ray, *given), options)
+            rates["Ray"] = _rate(lambda: RayPool(ray, *arguments), options)
+            rates["Ray, one task a message"] = _rate(lambda: _Single(ray, *arguments), options)
     return rates
 
 
 class _Single(RayPool):
-    """Gives its workers one task at a time."""
+    """A pool that gives each worker one task at a time."""
 
     max_held = 1
 
 
-def _rate(crew, options):
-    """Tasks a second, once workers are there."""
+def _rate(pool: Callable[[], WorkerPool], options: ScaleOptions) -> float:
+    """Return tasks per second, after the workers have started."""
     times, skip = [], options.messages // 10
-    crew().work(2, lambda *done: times.append(time.perf_counter()))
+    pool().work(2, lambda *done: times.append(time.perf_counter()))
     return (len(times) - skip) / (times[-1] - times[skip - 1])
 
 
-def page(record):
-    """The Markdown (str) of scale.json."""
+def markdown(record: dict[str, Any]) -> str:
+    """Return the Markdown of scale.json."""
     cores = int(record["machine"]["cores"])
     state = machine_text(record["machine"])
     lines = [
@@ -167,12 +175,12 @@ def page(record):
     if "Ray" not in record["dispatch"]:
         lines += ["", "Ray is not installed here: its messages were not measured."]
     for task, figures in record["tasks"].items():
-        lines += ["", f"## {task}", "", *_reckoned(figures, cores)]
+        lines += ["", f"## {task}", "", *_extrapolated(figures, cores)]
     return "\n".join([*lines, "", *_limits(record)]) + "\n"
 
 
-def _reckoned(figures, cores):
-    """Lines of what CONTACTS contacts of a task cost on MACHINES."""
+def _extrapolated(figures: dict[str, Any], cores: int) -> list[str]:
+    """Return the lines on the cost of CONTACTS contacts of a task on MACHINES."""
     samples = CONTACTS * figures["samples_a_contact"]
     second = _contact_s(figures)
     core_h = CONTACTS * second / 3600
@@ -200,13 +208,13 @@ def _reckoned(figures, cores):
     return out
 
 
-def _contact_s(figures):
-    """Time (s) of a core that a contact costs, with its share of the end of its shard."""
+def _contact_s(figures: dict[str, Any]) -> float:
+    """Return the time of a contact on a core, with its part of closing its shard, s."""
     return figures["contact_s"] + figures["samples_a_contact"] * figures["close_s_a_sample"]
 
 
-def _limits(record):
-    """Lines on what is the limit, and on object stores."""
+def _limits(record: dict[str, Any]) -> list[str]:
+    """Return the lines on what is the limit, and on object stores."""
     out = ["## What limits it", ""]
     for task, figures in record["tasks"].items():
         each, second = figures["samples_a_contact"], _contact_s(figures)
@@ -214,8 +222,8 @@ def _limits(record):
         if "Ray" in record["dispatch"]:
             limits["handing out tasks"] = record["dispatch"]["Ray"] * second
             limits["messages of a second's work"] = record["dispatch"]["Ray, one task a message"] * HELD_S
-        told = "; ".join(f"{what} by {workers:,.0f} workers" for what, workers in limits.items())
-        out.append(f"- {task}: the driver, which is one process, is kept busy: {told}.")
+        workers_by_limit = "; ".join(f"{what} by {workers:,.0f} workers" for what, workers in limits.items())
+        out.append(f"- {task}: the driver, which is one process, is kept busy: {workers_by_limit}.")
     samples = CONTACTS * record["tasks"]["surface"]["samples_a_contact"]
     shards = -(-samples // Configuration.shard_samples)
     out += [

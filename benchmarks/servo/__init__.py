@@ -1,1 +1,1 @@
-"""Accuracy of the servo, and its viewers."""
+"""Accuracy of the servo, and the cost of viewing its recordings."""

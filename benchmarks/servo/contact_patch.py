@@ -4,9 +4,11 @@ from os import PathLike
 
 import numpy as np
 
+from tactip_twin.sim.contact.signed_distance import SignedDistanceMesh
 from tactip_twin.sim.pose import inverse
+from tactip_twin.sim.robot.objects import SceneObject
 from tactip_twin.sim.robot.recording import read_recording
-from tactip_twin.sim.view.geometry import felt_frames
+from tactip_twin.sim.view.geometry import predicted_frames
 
 RADII_MM = (0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0)
 """Radii of the discs over which normals are averaged, mm; 0 is the nearest point itself."""
@@ -15,39 +17,51 @@ _ACROSS = 15
 """Points across a disc."""
 
 
-def contact_patch_normal(folder, thing):
-    """Angles between the normals that a recording felt and those of the surface, averaged over discs about where it is
-    nearest. folder: path of the recording. thing: objects.Thing that was followed.
+def contact_patch_normal(folder: str | PathLike[str], thing: SceneObject) -> dict[str, list[float]]:
+    """Return angles between predicted normals and the surface's normals, averaged over discs about the nearest points.
 
-    Returns a dict: `felt_deg` and `apart_deg`, lists by RADII_MM: mean angle (degrees) from the felt normal to the disc's,
-    and from the nearest place's to the disc's.
+    Args:
+        folder: Folder of a recording.
+        thing: The object that was followed.
+
+    Returns:
+        `felt_deg` and `apart_deg`, lists by RADII_MM: mean angle in degrees from the predicted normal to the disc's, and
+        from the nearest point's to the disc's.
     """
     arrays = read_recording(folder)[1]
-    frames, steps = felt_frames(arrays)
+    frames, steps = predicted_frames(arrays)
     T_object_base = inverse(thing.T_base_object)
-    felt = frames[:, :3, 2] @ T_object_base[:3, :3].T
+    predicted = frames[:, :3, 2] @ T_object_base[:3, :3].T
     apexes = arrays["T_base_tcp"][steps][:, :3, 3] @ T_object_base[:3, :3].T + T_object_base[:3, 3]
-    places = thing.solid.nearest(apexes).place
-    nearest = thing.solid.smooth_normal(places)
-    means = [_mean_normals(thing.solid, places, nearest, 1e-3 * radius) for radius in RADII_MM]
+    points = thing.solid.nearest(apexes).place
+    nearest = thing.solid.smooth_normal(points)
+    means = [_mean_normals(thing.solid, points, nearest, 1e-3 * radius) for radius in RADII_MM]
     return {
-        "felt_deg": [float(_angles(felt, mean).mean()) for mean in means],
+        "felt_deg": [float(_angles(predicted, mean).mean()) for mean in means],
         "apart_deg": [float(_angles(nearest, mean).mean()) for mean in means],
     }
 
 
-def _mean_normals(solid, places, normals, radius):
-    """Mean normals (n, 3), unit, of a Solid over discs about places (n, 3) m, square to normals (n, 3). radius: m."""
+def _mean_normals(solid: SignedDistanceMesh, centres: np.ndarray, normals: np.ndarray, radius: float) -> np.ndarray:
+    """Return mean unit normals (n, 3) of a solid over discs.
+
+    Args:
+        solid: The solid.
+        centres: (n, 3) m, of the discs.
+        normals: (n, 3), unit, of the discs.
+        radius: Radius of the discs, m.
+    """
     line = np.linspace(-1, 1, _ACROSS)
     u, v = (a.ravel() for a in np.meshgrid(line, line))
     disc = radius * np.stack([u, v], 1)[u**2 + v**2 <= 1]
     across = np.cross(normals, np.eye(3)[np.abs(normals).argmin(1)])
     across /= np.linalg.norm(across, axis=1, keepdims=True)
     axes = np.stack([across, np.cross(normals, across)], 1)
-    points = places[:, None] + np.einsum("dk,nkx->ndx", disc, axes)
+    points = centres[:, None] + np.einsum("dk,nkx->ndx", disc, axes)
     sums = solid.smooth_normal(points.reshape(-1, 3)).reshape(points.shape).sum(1)
     return sums / np.linalg.norm(sums, axis=1, keepdims=True)
 
 
-def _angles(a, b):
+def _angles(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return angles (n,) in degrees between unit vectors (n, 3)."""
     return np.degrees(np.arccos(np.clip((a * b).sum(1), -1, 1)))

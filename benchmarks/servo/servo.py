@@ -1,26 +1,28 @@
-"""What the servo reaches: objects, arms, fidelities, and what it withstands; scores beside run times, on one page.
+"""Servo accuracy over objects, arms and fidelities, and its robustness; scores beside run times, on one page.
 
-`tactip bench servo`: follows each object with the shipped networks, with each arm and at each fidelity, under other
-friction, stiffness, noise and step, and from random starts, and writes docs/servo.md, .json and .png. Stopped, it goes on
-where it was: each run is a folder of RUNS. Some hours.
+`tactip bench servo` follows each object with the shipped networks, with each arm and at each fidelity, under other friction,
+stiffness, noise and step, and from random starts, and writes docs/servo.md, servo.json and servo.png. It takes some hours.
+After an interruption it resumes: each run is a folder of RUNS.
 """
 
 import dataclasses
 import json
 import shutil
 from collections import Counter
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
+from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from tactip_twin.benchmarks.hardware import machine, machine_text
+from tactip_twin.benchmarks.options import ServoBenchOptions
 from tactip_twin.benchmarks.servo.contact_patch import RADII_MM, contact_patch_normal
-from tactip_twin.control.options import Options as ServoOptions
-from tactip_twin.control.options import RouteOptions, Settings
-from tactip_twin.control.servo_run import SCORE
-from tactip_twin.control.servo_run import run as follow
+from tactip_twin.control.options import RouteOptions, ServoOptions, Settings
+from tactip_twin.control.servo_run import SCORE, run_servo
 from tactip_twin.learning.model import load_network, weights_sha256
 from tactip_twin.sim.parallel.worker_pool import WorkerPool, worker_count
 from tactip_twin.sim.robot.objects import load_object
@@ -29,16 +31,16 @@ from tactip_twin.tactip_model.errors import TactipError, lookup
 from tactip_twin.tactip_model.files import write_file
 
 ERROR = "error.txt"
-"""What a run that could not be made leaves: a sentence."""
+"""File that a run leaves that was refused: the error message."""
 
 STARTS = 50
 """Random starts on each object."""
 
 _START_STEPS = 45
-"""Steps of such a run: some to find the object, 12 to come to the reference, the rest to follow."""
+"""Steps of such a run: some to find the object, 12 to reach the reference, the rest to follow."""
 
-_ASTRAY_MM = 35.0
-"""How far from the middle of its region a random start on a surface is, mm, at most."""
+_MAX_START_MM = 35.0
+"""Maximum distance of a random start on a surface from the middle of its region, mm."""
 
 GROUPS = {
     "objects": "Every object, with the dynamic arm",
@@ -48,23 +50,23 @@ GROUPS = {
     "robust": "What is withstood",
     "starts": f"{STARTS} random starts on each object",
 }
-"""Groups of runs, and their titles."""
+"""Titles of the groups of runs, by name."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """A run."""
+    """A servo run of the benchmark."""
 
     group: str
     """One of GROUPS."""
     name: str
-    """What is run, and what is different."""
+    """Object, and what is different."""
     options: ServoOptions
-    """But for its folder."""
+    """Options of the run, but for its folder."""
 
 
 DEPTHS_MM = (1.5, 2.0, 2.5, 3.0, 4.0)
-"""Depths that are kept in the group `robust`, mm."""
+"""Commanded depths in the group `robust`, mm."""
 
 _DEEP = "{:g} mm deep"
 _ON_THE_BUST = [f"bust, {_DEEP.format(mm)}" for mm in DEPTHS_MM]
@@ -84,11 +86,11 @@ _SHORT = {
     "bust": replace(_LONG["bust"], route=RouteOptions(kind="straight", length_mm=60)),
     "rim": replace(_LONG["rim-uneven"], route=RouteOptions(most_mm=120)),
 }
-"""A pass over the face, and a third of a rim: what everything else is measured on."""
+"""A pass over the face and a third of a rim, for everything else that is measured."""
 
 
-def cases(options):
-    """The runs (list of Case) there are. options: benchmarks.options.FollowedOptions."""
+def cases(options: ServoBenchOptions) -> list[Case]:
+    """Return all runs."""
     out = [Case("objects", name, run) for name, run in _LONG.items()]
     out += [Case("oracle", name, replace(run, model="oracle")) for name, run in _LONG.items()]
     others = {"bust": options.other_surface, "rim": options.other_edge}
@@ -101,7 +103,7 @@ def cases(options):
         for settle, pace in ((4, 1.0), (2, 1.0), (1, 1.0), (2, 2.0), (1, 2.0)):
             changed = replace(run, settle_steps=settle, pace=pace)
             out.append(Case("fidelity", f"{name}, standard, {settle} at rest, pace {pace:g}", changed))
-        changes = {"as it is": {}}
+        changes: dict[str, dict[str, Any]] = {"as it is": {}}
         changes |= {f"friction {mu:g}": {"friction": mu} for mu in (0.2, 0.4, 1.2)}
         changes |= {f"stiffness times {k:g}": {"stiffness": k} for k in (0.5, 1.5)}
         changes |= {f"noise of {grey:g} grey levels": {"noise_grey": grey} for grey in (5.0, 15.0, 30.0)}
@@ -115,135 +117,132 @@ def cases(options):
     for name, run in _LONG.items():
         middle = load_object(name).middle_m
         for seed in range(STARTS):
-            out.append(Case("starts", f"{name}, {seed}", _from_anywhere(run, seed, middle)))
+            out.append(Case("starts", f"{name}, {seed}", _random_start(run, seed, middle)))
     return out
 
 
-def _from_anywhere(run, seed, middle_m):
-    """A short run from a random place, off the mark, in a random direction."""
-    draw = np.random.default_rng((seed, 5))
+def _random_start(run: ServoOptions, seed: int, middle_m: np.ndarray) -> ServoOptions:
+    """Return a short run from a random place, with a random initial pose error, in a random direction."""
+    rng = np.random.default_rng((seed, 5))
     settings = Settings(most_steps=_START_STEPS)
     if run.task == "edge":
-        route = RouteOptions(start_share=float(draw.uniform()), backward=bool(draw.uniform() < 0.5))
+        route = RouteOptions(start_share=float(rng.uniform()), backward=bool(rng.uniform() < 0.5))
         return replace(run, seed=seed, route=route, settings=settings)
-    reach, turn = _ASTRAY_MM * np.sqrt(draw.uniform()), draw.uniform(0, 2 * np.pi)
+    reach, turn = _MAX_START_MM * np.sqrt(rng.uniform()), rng.uniform(0, 2 * np.pi)
     x, y = 1e3 * middle_m[:2] + reach * np.array([np.cos(turn), np.sin(turn)])
-    route = RouteOptions("straight", (float(x), float(y)), 60.0, heading_deg=float(draw.uniform(-180, 180)))
+    route = RouteOptions("straight", (float(x), float(y)), 60.0, heading_deg=float(rng.uniform(-180, 180)))
     return replace(run, seed=seed, route=route, settings=settings)
 
 
-class _Follower:
-    """Makes runs, in a worker."""
+class _Runner:
+    """Function of a worker that makes runs."""
 
-    def __init__(self, runs, options):
+    def __init__(self, runs: str, options: ServoBenchOptions) -> None:
         self._runs, self._cases = Path(runs), {(c.group, c.name): c for c in cases(options)}
 
-    def __call__(self, key):
-        """Make the run of a (group, name); what it could not do is a sentence in its folder."""
+    def __call__(self, key: tuple[str, str]) -> None:
+        """Make the run of a (group, name); an error message goes into its folder."""
         import torch
 
         torch.set_num_threads(1)
-        folder = open_builder(self._runs, *key)
+        folder = run_folder(self._runs, *key)
         shutil.rmtree(folder, ignore_errors=True)
         folder.parent.mkdir(parents=True, exist_ok=True)
         case = self._cases[key]
         try:
-            follow(replace(case.options, out=folder), say=lambda line: None)
+            run_servo(replace(case.options, out=folder), log=lambda line: None)
         except TactipError as error:
             folder.mkdir(parents=True, exist_ok=True)
             write_file(folder / ERROR, f"{error}\n".encode())
         write_file(folder / "case.json", identity(case).encode())
 
 
-def open_builder(runs, group, name):
-    """Folder (Path) of a run."""
+def run_folder(runs: str | PathLike[str], group: str, name: str) -> Path:
+    """Return the folder of a run."""
     return Path(runs) / group / name.replace(", ", "_").replace(" ", "-")
 
 
-def identity(case):
-    """What a Case is, as text: its options, the checksum of its network's weights, and the version that follows."""
+def identity(case: Case) -> str:
+    """Return options, checksum of the network's weights, and version as JSON: a run is made again where they change."""
     run = case.options
-    asked = json.loads(json.dumps(dataclasses.asdict(run), default=str))
-    return json.dumps([asked, weights_sha256(run.network), version("tactip-twin")])
+    options = json.loads(json.dumps(dataclasses.asdict(run), default=str))
+    return json.dumps([options, weights_sha256(run.network), version("tactip-twin")])
 
 
-def run(options, say=print):
-    """Make the runs that are not there yet, and write the page. Returns its record (dict). say: called with lines for the
-    user.
+def run(options: ServoBenchOptions, log: Callable[[str], None] = print) -> dict[str, Any]:
+    """Make the runs that are missing, write servo.json, servo.md and servo.png, and return the results.
 
-    Raises TactipError, and Interrupted at Ctrl-C.
+    Progress goes to `log`. Raises TactipError, and Interrupted at Ctrl-C.
     """
     groups = [lookup("group", name, dict(zip(GROUPS, GROUPS, strict=True))) for name in options.groups or GROUPS]
     chosen = [case for case in cases(options) if case.group in groups]
-    todo = [(c.group, c.name) for c in chosen if not _is_there(options.runs, c)]
+    todo = [(c.group, c.name) for c in chosen if not _is_done(options.runs, c)]
     workers = worker_count(options.workers)
     if todo:
-        crew = WorkerPool(
-            _Follower, (str(options.runs), options), todo, "run", say, lambda run: f"run {run[1]!r} of {run[0]}"
-        )
-        crew.work(workers, lambda *done: None)
+        pool = WorkerPool(_Runner, (str(options.runs), options), todo, "run", log, lambda run: f"run {run[1]!r} of {run[0]}")
+        pool.work(workers, lambda *done: None)
     path = options.out / "servo.json"
     before = _before(path)
     rows = before["groups"] | {c.group: [_row(options.runs, one) for one in chosen if one.group == c.group] for c in chosen}
     rows = {g: rows[g] for g in GROUPS if g in rows}
-    # A group of which every run was there already is as it was made then.
-    anew, now = {group for group, _ in todo}, _made(machine(), workers)
-    made = {g: now if g in anew else before["made"].get(g, now) for g in rows}
+    # A group whose runs all existed already keeps the description of how they were made.
+    new, now = {group for group, _ in todo}, _made(machine(), workers)
+    made = {g: now if g in new else before["made"].get(g, now) for g in rows}
     record = {"groups": rows, "made": made}
     deep = [case for case in chosen if case.name in _ON_THE_BUST and case.group == "robust"]
-    # What could not be made, or followed for no step, felt no normal.
+    # A run that was refused, or never followed, has no predicted normals.
     deep = [_patch(options.runs, case) for case in deep if _row(options.runs, case).get("steps_followed")]
     patches = deep if "robust" in groups else before.get("patches")
     record |= {"patches": patches} if patches else {}
-    given = {"surface": options.other_surface, "edge": options.other_edge}
-    others = {task: _learned(name) for task, name in given.items() if name} if "robust" in groups else before.get("others")
+    names = {"surface": options.other_surface, "edge": options.other_edge}
+    others = (
+        {task: _training_of(name) for task, name in names.items() if name} if "robust" in groups else before.get("others")
+    )
     record |= {"others": others} if others else {}
     options.out.mkdir(parents=True, exist_ok=True)
     write_file(path, (json.dumps(record, indent=1) + "\n").encode())
-    write_file(options.out / "servo.md", page(record).encode())
+    write_file(options.out / "servo.md", markdown(record).encode())
     if "fidelity" in record["groups"]:
-        draw(record["groups"]["fidelity"], options.out / "servo.png")
+        plot(record["groups"]["fidelity"], options.out / "servo.png")
     return record
 
 
-def _before(path):
-    """The record (dict) that was measured before; without groups if there is none."""
+def _before(path: Path) -> dict[str, Any]:
+    """Return the earlier results of servo.json, without groups if there are none."""
     return _by_groups(json.loads(path.read_text()) if path.exists() else {"groups": {}, "made": {}})
 
 
-def _by_groups(record):
-    """A record (dict) that says how each group was made; one of before says it of all at once, of two runs at a time."""
+def _by_groups(record: dict[str, Any]) -> dict[str, Any]:
+    """Return results that say of each group how it was made; older ones say it once, for two runs at a time."""
     if "made" in record:
         return record
     return record | {"made": dict.fromkeys(record["groups"], _made(record["machine"], 2))}
 
 
-def _made(machine, workers):
-    """How a group was made (dict). machine: dict of str. workers: int, runs at a time."""
+def _made(machine: dict[str, str], workers: int) -> dict[str, Any]:
+    """Return the description of how a group was made: the machine, and the number of runs at a time."""
     return {"machine": machine, "workers": workers}
 
 
-def _learned(name):
-    """What a network (str, its name or folder) has learned from, in words."""
-    told = load_network(name).provenance
-    made, count, looks = (
-        told["train"]["configuration"],
-        told["train"]["samples"],
-        told["train"]["configuration"].get("looks", 1),
-    )
-    walked = f", {looks} looks a contact" if looks > 1 else ""
-    begun = ", begun with another network's weights" if "begun_from" in told else ""
-    return f"{count} images of a set of seed {made['seed']}{walked}; training of seed {told['settings']['seed']}{begun}"
+def _training_of(name: str) -> str:
+    """Return what a network (name or folder) was trained on, in words."""
+    provenance = load_network(name).provenance
+    made, count = provenance["train"]["configuration"], provenance["train"]["samples"]
+    looks = made.get("looks", 1)
+    frames = f", {looks} looks a contact" if looks > 1 else ""
+    begun = ", begun with another network's weights" if "begun_from" in provenance else ""
+    seed = provenance["settings"]["seed"]
+    return f"{count} images of a set of seed {made['seed']}{frames}; training of seed {seed}{begun}"
 
 
-def _patch(runs, case):
-    """What contact_patch_normal (dict) tells of a Case that keeps a depth of its own."""
-    folder = open_builder(runs, case.group, case.name)
+def _patch(runs: Path, case: Case) -> dict[str, Any]:
+    """Return the depth of a run and the result of contact_patch_normal."""
+    folder = run_folder(runs, case.group, case.name)
     return {"depth_mm": case.options.depth_mm, **contact_patch_normal(folder, load_object(case.options.object))}
 
 
-def _is_there(runs, case):
-    path = open_builder(runs, case.group, case.name) / "case.json"
+def _is_done(runs: Path, case: Case) -> bool:
+    path = run_folder(runs, case.group, case.name) / "case.json"
     return path.exists() and path.read_text() == identity(case)
 
 
@@ -253,9 +252,9 @@ _KEPT = (
 )  # fmt: skip
 
 
-def _row(runs, case):
-    """What the page keeps (dict) of a run."""
-    folder = open_builder(runs, case.group, case.name)
+def _row(runs: Path, case: Case) -> dict[str, Any]:
+    """Return the row of servo.json for a run."""
+    folder = run_folder(runs, case.group, case.name)
     if (folder / ERROR).exists():
         return {"name": case.name, "version": version("tactip-twin"), "error": (folder / ERROR).read_text().strip()}
     score = json.loads((folder / SCORE).read_text())
@@ -276,11 +275,11 @@ COLUMNS = (
     ("steps/s", "steps_per_s", "{:.1f}"),
     ("ended", "stopped_because", "{}"),
 )
-"""Title, figure of the score, and how it is written."""
+"""Title, name in the score, and format of each column."""
 
 
-def page(record):
-    """The Markdown (str) of servo.json."""
+def markdown(record: dict[str, Any]) -> str:
+    """Return the Markdown of servo.json."""
     record = _by_groups(record)
     lines = [
         "# What the servo reaches",
@@ -293,8 +292,8 @@ def page(record):
         versions = sorted({row.get("version", "0.1.0") for row in rows})
         made = record["made"][group]
         runs = "one run at a time" if made["workers"] == 1 else f"{made['workers']} runs at a time"
-        told = f"version {' and '.join(versions)}, {runs}, one core each, on: {machine_text(made['machine'])}"
-        lines += ["", f"## {GROUPS[group]}", "", f"Measured with {told}.", ""]
+        state = f"version {' and '.join(versions)}, {runs}, one core each, on: {machine_text(made['machine'])}"
+        lines += ["", f"## {GROUPS[group]}", "", f"Measured with {state}.", ""]
         if group == "fidelity":
             lines += ["![error against run time](servo.png)", ""]
         if group == "starts":
@@ -320,14 +319,14 @@ def page(record):
             ]
         if group == "robust":
             others = record.get("others", {}).items()
-            lines += [line for task, told in others for line in ("", f"The other network of the {task}: {told}.")]
+            lines += [line for task, training in others for line in ("", f"The other network of the {task}: {training}.")]
         if group == "robust" and "patches" in record:
             lines += _patches(record["patches"])
     return "\n".join(lines) + "\n"
 
 
-def _patches(rows):
-    """Lines on which normal is felt. rows: list of dict, of contact_patch_normal."""
+def _patches(rows: Sequence[dict[str, Any]]) -> list[str]:
+    """Return the lines that compare predicted normals with those of discs; a row is a result of `_patch`."""
     lines = [
         "",
         "Which normal is felt, on the bust: mean angle, °, from the felt normal to the surface's, averaged over discs about "
@@ -343,25 +342,25 @@ def _patches(rows):
     return lines
 
 
-def _cell(row, name, form):
+def _cell(row: dict[str, Any], name: str, form: str) -> str:
     return "" if row[name] is None else form.format(row[name])
 
 
-def followed(row):
-    """Whether a run from a random start came to its reference and followed: ten steps and more, within a millimetre."""
+def followed(row: dict[str, Any]) -> bool:
+    """Return whether a run from a random start succeeded: at least ten steps of following, within a millimetre of depth."""
     return "error" not in row and row["steps_followed"] >= 10 and row["depth_mae_mm"] < 1.0
 
 
-def _starts(rows):
-    """Lines on the random starts: how many followed, and why the others ended."""
+def _starts(rows: Sequence[dict[str, Any]]) -> list[str]:
+    """Return the table of the random starts: how many followed, and why the others ended."""
     lines = ["| object | followed | depth, mm | angle, ° | the others |", "|---|---|---|---|---|"]
     for name in _LONG:
         mine = [row for row in rows if row["name"].startswith(f"{name}, ")]
         good = [row for row in mine if followed(row)]
-        why = Counter(row.get("error") or row["stopped_because"] for row in mine if not followed(row))
-        told = "; ".join(f"{n}: {reason}" for reason, n in why.most_common())
+        reasons = Counter(row.get("error") or row["stopped_because"] for row in mine if not followed(row))
+        others = "; ".join(f"{n}: {reason}" for reason, n in reasons.most_common())
         depth, angle = (np.mean([row[k] for row in good]) if good else np.nan for k in ("depth_mae_mm", "angle_mean_deg"))
-        lines.append(f"| {name} | {len(good)} of {len(mine)} | {depth:.2f} | {angle:.2f} | {told} |")
+        lines.append(f"| {name} | {len(good)} of {len(mine)} | {depth:.2f} | {angle:.2f} | {others} |")
     return lines
 
 
@@ -377,8 +376,8 @@ _MARKERS |= {"2 at rest, pace 2": "1", "1 at rest, pace 2": "2"}
 """Markers in the figure, by what differs."""
 
 
-def draw(rows, path):
-    """Error against time a step. rows: list of dict, of the group `fidelity`. path: Path, .png."""
+def plot(rows: Sequence[dict[str, Any]], path: Path) -> None:
+    """Plot error against time per step, for rows of the group `fidelity`, into a PNG file."""
     plt = pyplot()
     figure, axes = plt.subplots(1, 2, figsize=(10, 3.8))
     for axis, (name, label) in zip(axes, (("depth_mae_mm", "depth, mm"), ("angle_mean_deg", "angle, °")), strict=True):

@@ -1,33 +1,37 @@
-"""What a replay costs: how soon its page is there, pictures a second and processor of the host, and what a browser draws.
+"""Cost of a replay: start-up time of its page, frame rate and processor use of the host, and the frame rate of a browser.
 
-`tactip bench viewer`: records a servo run of some 500 steps (once), replays it in a process of its own, to no browser and
-to a headless Chromium without a GPU, and writes docs/viewer.md and .json. Without Chromium, that part is left out and said.
+`tactip bench viewer` records a servo run of some 500 steps (once), replays it in a process of its own, without a browser
+and with a headless Chromium without a GPU, and writes docs/viewer.md and viewer.json. Where Chromium is not installed, its
+part is left out with a message.
 """
 
 import json
 import shutil
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from multiprocessing import get_context
+from multiprocessing.connection import Connection
 from pathlib import Path
+from typing import Any
 
 from tactip_twin.benchmarks.hardware import machine, machine_text
+from tactip_twin.benchmarks.options import ViewerOptions
 from tactip_twin.benchmarks.servo.headless_browser import PROGRAM, Chromium
-from tactip_twin.control.options import Options as ServoOptions
-from tactip_twin.control.options import Settings
-from tactip_twin.control.servo_run import run as follow
+from tactip_twin.control.options import ServoOptions, Settings
+from tactip_twin.control.servo_run import run_servo
 from tactip_twin.sim.robot.recording import STEPS, read_recorded_scene, read_recording
 from tactip_twin.sim.view.replay_page import ReplayPage
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.files import write_file
 
 SPEED = 4.0
-"""Speed of the replay, so that every picture shows a step that is new."""
+"""Speed of the replay, -: high enough that every frame shows a new step."""
 
 _RUN = ServoOptions(
     Path("-"), "edge", "rim-round", model="oracle", arm="kinematic", settings=Settings(step_mm=0.4, most_steps=520)
 )
-"""What is recorded: the 127-pin tip at the standard fidelity; by the truth, which is there without waiting."""
+"""The recorded run: the 127-pin tip at standard fidelity, with the true pose, which takes no time to estimate."""
 
 _READY = "document.body && document.body.innerText.includes('step 0') && !!document.querySelector('canvas')"
 
@@ -35,24 +39,24 @@ _COUNT = """(() => { window.drawn = 0; const count = () => { window.drawn++; req
 requestAnimationFrame(count); })()"""
 
 
-def run(options, say=print):
-    """Measure. options: benchmarks.options.ViewerOptions. Returns the record (dict). say: called with lines for the user.
+def run(options: ViewerOptions, log: Callable[[str], None] = print) -> dict[str, Any]:
+    """Measure, write viewer.json and viewer.md, and return the results.
 
-    Raises TactipError.
+    Progress goes to `log`. Raises TactipError.
     """
     folder = options.runs / "recording"
     if not (folder / STEPS).exists():
         shutil.rmtree(folder, ignore_errors=True)
-        say("recording a run: some minutes")
-        follow(replace(_RUN, out=folder), say=say)
+        log("recording a run: some minutes")
+        run_servo(replace(_RUN, out=folder), log=log)
     alone = _measure(folder, options.seconds, browser=False)
-    say(f"no browser: {alone['pictures_per_s']:.1f} pictures/s at {alone['processor']:.0%} of a core")
+    log(f"no browser: {alone['pictures_per_s']:.1f} pictures/s at {alone['processor']:.0%} of a core")
     seen = None
     if PROGRAM is None:
-        say("there is no Chromium here: what a browser draws is not measured")
+        log("there is no Chromium here: what a browser draws is not measured")
     else:
         seen = _measure(folder, options.seconds, browser=True)
-        say(f"Chromium: ready in {seen['ready_s']:.1f} s, draws {seen['drawn_per_s']:.1f} pictures/s")
+        log(f"Chromium: ready in {seen['ready_s']:.1f} s, draws {seen['drawn_per_s']:.1f} pictures/s")
     record, arrays = read_recording(folder)
     size = sum(path.stat().st_size for path in folder.iterdir() if path.suffix in (".json", ".npz"))
     result = {
@@ -66,33 +70,34 @@ def run(options, say=print):
     }
     options.out.mkdir(parents=True, exist_ok=True)
     write_file(options.out / "viewer.json", (json.dumps(result, indent=1) + "\n").encode())
-    write_file(options.out / "viewer.md", page(result).encode())
+    write_file(options.out / "viewer.md", markdown(result).encode())
     return result
 
 
-def _measure(folder, seconds, browser):
-    """Figures (dict) of a replay in a process of its own."""
+def _measure(folder: Path, seconds: float, browser: bool) -> dict[str, float]:
+    """Return rates and times of a replay in a process of its own, with or without a browser."""
     context = get_context("spawn")
     here, there = context.Pipe()
-    began = time.perf_counter()
+    started = time.perf_counter()
     process = context.Process(target=_serve, args=(str(folder), seconds, there))
     process.start()
     there.close()
     try:
-        address = _told(here, "the page's address")
-        out = {"served_s": time.perf_counter() - began}
+        address = _received(here, "the page's address")
+        out = {"served_s": time.perf_counter() - started}
         chromium = Chromium(address, wait=False) if browser else None
         try:
             if chromium:
-                out |= _looked_at(chromium)
+                out["ready_s"] = _opening_s(chromium)
             here.send("play")
+            start = time.perf_counter()
             if chromium:
-                chromium.ask(_COUNT)
+                chromium.evaluate(_COUNT)
                 start = time.perf_counter()
-            out |= _told(here, "what it cost")
+            out |= _received(here, "what it cost")
             if chromium:
-                out["drawn_per_s"] = chromium.ask("window.drawn") / (time.perf_counter() - start)
-                out["heeded_s"] = _heeded(chromium)
+                out["drawn_per_s"] = chromium.evaluate("window.drawn") / (time.perf_counter() - start)
+                out["heeded_s"] = _pause_latency_s(chromium)
             here.send("end")
         finally:
             if chromium:
@@ -105,32 +110,32 @@ def _measure(folder, seconds, browser):
             process.terminate()
 
 
-def _told(pipe, what):
-    """What the process tells next. Raises TactipError where it ended."""
+def _received(pipe: Connection, what: str) -> Any:
+    """Return what the process sends next. Raises TactipError if it ended before."""
     try:
         return pipe.recv()
     except EOFError:
         raise TactipError(f"the replay ended before it told {what}") from None
 
 
-def _looked_at(chromium):
-    """How soon the page is there (dict), from when the browser is told its address."""
+def _opening_s(chromium: Chromium) -> float:
+    """Return the time from navigating to the page until it is rendered, s."""
     start = time.perf_counter()
     chromium.open()
-    chromium.until(lambda: chromium.ask(_READY))
-    return {"ready_s": time.perf_counter() - start}
+    chromium.until(lambda: chromium.evaluate(_READY))
+    return time.perf_counter() - start
 
 
-def _heeded(chromium):
-    """Time (s) from a click on Pause, while it plays, to when the page shows that it is heeded."""
+def _pause_latency_s(chromium: Chromium) -> float:
+    """Return the time from a click on Pause, during playback, until the page shows that it is paused, s."""
     start = time.perf_counter()
     chromium.click("Pause")
     chromium.until(lambda: "Pause" not in chromium.text())
     return time.perf_counter() - start
 
 
-def _serve(folder, seconds, pipe):
-    """A replay that plays when it is told to, and tells what that cost."""
+def _serve(folder: str, seconds: float, pipe: Connection) -> None:
+    """Serve a replay in this process: play it on command, and send what that cost."""
     record, arrays = read_recording(folder)
     viewer = ReplayPage(record, arrays, read_recorded_scene(folder))
     try:
@@ -139,16 +144,16 @@ def _serve(folder, seconds, pipe):
         viewer.playback.speed = SPEED
         viewer.playback.toggle()
         viewer.show()
-        clock, processor, pictures = time.perf_counter(), time.process_time(), viewer.pictures
+        started, processor, pictures = time.perf_counter(), time.process_time(), viewer.pictures
         viewer.run(seconds)
-        took = time.perf_counter() - clock
+        took = time.perf_counter() - started
         figures = {
             "pictures_per_s": (viewer.pictures - pictures) / took,
             "processor": (time.process_time() - processor) / took,
         }
         if not viewer.playback.playing:
             raise TactipError(f"the recording is over after less than {seconds:g} s: it has {record['steps']} steps")
-        # It goes on from the start, so that there is something to pause.
+        # Playback restarts at the beginning, so there is something to pause.
         viewer.playback.go(0)
         pipe.send(figures)
         _until(viewer, pipe, "end")
@@ -156,8 +161,8 @@ def _serve(folder, seconds, pipe):
         viewer.close()
 
 
-def _until(viewer, pipe, word):
-    """Serve until a word is told, or nothing can be any more."""
+def _until(viewer: ReplayPage, pipe: Connection, word: str) -> None:
+    """Serve until a word arrives, or the pipe is closed."""
     while True:
         viewer.run(0.1)
         if pipe.poll():
@@ -168,8 +173,8 @@ def _until(viewer, pipe, word):
                 return
 
 
-def page(result):
-    """The Markdown (str) of viewer.json."""
+def markdown(result: dict[str, Any]) -> str:
+    """Return the Markdown of viewer.json."""
     state = machine_text(result["machine"])
     alone, seen = result["alone"], result["seen"]
     lines = [

@@ -9,10 +9,8 @@ import pytest
 from helpers.learning_sets import write_fake_set
 from tactip_twin.benchmarks.learning import learning as learned
 from tactip_twin.benchmarks.options import LearningOptions
-from tactip_twin.learning.model import find_model
-from tactip_twin.learning.posenet import PoseNetConfig
-from tactip_twin.learning.recipes import Recipe
-from tactip_twin.learning.train import TrainSettings
+from tactip_twin.learning.configuration import PoseNetConfig, Recipe, TrainSettings
+from tactip_twin.learning.model import load_network
 from tactip_twin.sim.dataset.sampling import Ranges
 from tactip_twin.tactip_model.errors import TactipError
 
@@ -83,39 +81,39 @@ def test_bent_surfaces_are_of_the_surface_task():
 def test_what_is_taught_further_fits_what_it_begins_with():
     further = [row for task in learned.PAPER for row in learned.rows(task, False) if row.start]
     assert [row.name for row in further] == ["laptop-further", "laptop-bent", "laptop-further"]
-    assert all(find_model(row.start).config.shape() == row.recipe.network.shape() for row in further)
+    assert all(load_network(row.start).config.shape() == row.recipe.network.shape() for row in further)
 
 
 def test_a_page_is_written_and_what_was_trained_is_kept(options):
-    first = learned.run(options, say=lambda line: None)
+    first = learned.run(options, log=lambda line: None)
     assert [r["name"] for r in first["rows"]] == [r.name for r in learned.rows("surface", False)]
     page = (options.out / "learning.md").read_text()
     assert "| taps | sheared contacts |" in page and "| bent surfaces | flat surfaces |" in page
     assert f"{first['rows'][0]['mae']['sheared']['pose_z']:.3f}" in page
     assert (options.out / "learning.png").stat().st_size > 5000
     said = []
-    again = learned.run(options, say=said.append)
+    again = learned.run(options, log=said.append)
     assert sum("finished already" in line for line in said) == len(first["rows"])
     assert [r["mae"] for r in again["rows"]] == [r["mae"] for r in first["rows"]]
     assert list(json.loads((options.out / "learning.json").read_text())) == ["surface"]
-    one = learned.run(replace(options, only=("laptop",)), say=lambda line: None)
+    one = learned.run(replace(options, only=("laptop",)), log=lambda line: None)
     assert [r["name"] for r in one["rows"]] == [r["name"] for r in first["rows"]]
     with pytest.raises(TactipError, match="unknown row 'lap': choose one of paper-16, laptop-plain"):
         learned.run(replace(options, only=("lap",)))
 
 
 def test_rows_of_fewer_contacts_are_not_kept(options):
-    learned.run(replace(options, only=("laptop",)), say=lambda line: None)
-    other = learned.run(replace(options, contacts=1, only=("laptop-most",)), say=lambda line: None)
+    learned.run(replace(options, only=("laptop",)), log=lambda line: None)
+    other = learned.run(replace(options, contacts=1, only=("laptop-most",)), log=lambda line: None)
     assert [r["name"] for r in other["rows"]] == ["laptop-most"]
 
 
 def test_rows_of_other_sets_are_kept_and_those_of_another_count_are_not(options):
     """Contacts on bent surfaces, and contacts with looks, are of some rows alone."""
     only = ("laptop-plain", "laptop-looks", "laptop-bent")
-    first = learned.run(replace(options, only=only), say=lambda line: None)
+    first = learned.run(replace(options, only=only), log=lambda line: None)
     assert [row.get("contacts") for row in first["rows"]] == [None, 1, 2]
-    quiet = {"say": lambda line: None}
+    quiet = {"log": lambda line: None}
     assert _names(learned.run(replace(options, only=("laptop",)), **quiet)) == [*only[:2], "laptop", "laptop-bent"]
     assert _names(learned.run(replace(options, bent=1, only=("laptop",)), **quiet)) == [*only[:2], "laptop"]
     assert _names(learned.run(replace(options, looked=2, only=("laptop",)), **quiet)) == ["laptop-plain", "laptop"]
@@ -127,16 +125,16 @@ def _names(record):
 
 def test_rows_keep_the_machine_that_they_were_measured_on(options, monkeypatch):
     monkeypatch.setattr(learned, "machine", lambda: {"processor": "old"})
-    record = learned.run(replace(options, only=("laptop", "laptop-4")), say=lambda line: None)
+    record = learned.run(replace(options, only=("laptop", "laptop-4")), log=lambda line: None)
     page = (options.out / "learning.md").read_text()
     assert page.count("processor old") == 1 and "without shear 8. On: processor old." in page
     # As rows were kept before: the record says it for all.
     before = {**record, "machine": {"processor": "older"}}
     before["rows"] = [{k: v for k, v in row.items() if k != "machine"} for row in record["rows"]]
-    assert "On: processor older." in learned.page({"surface": before})
+    assert "On: processor older." in learned.markdown({"surface": before})
     (options.out / "learning.json").write_text(json.dumps({"surface": before}))
     monkeypatch.setattr(learned, "machine", lambda: {"processor": "new"})
-    again = learned.run(replace(options, only=("laptop-4",)), say=lambda line: None)
+    again = learned.run(replace(options, only=("laptop-4",)), log=lambda line: None)
     assert [row["machine"]["processor"] for row in again["rows"]] == ["older", "new"]
     page = (options.out / "learning.md").read_text()
     assert "`laptop` on: processor older." in page and "`laptop-4` on: processor new." in page

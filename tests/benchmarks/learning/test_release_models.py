@@ -9,20 +9,20 @@ import pytest
 from helpers.learning_sets import write_fake_splits
 from tactip_twin.assets import MODELS
 from tactip_twin.benchmarks.learning import release_models as shipped
+from tactip_twin.benchmarks.options import ReleaseModelsOptions
 from tactip_twin.commands import main as tactip
+from tactip_twin.learning.configuration import PoseNetConfig, Recipe, TrainSettings
 from tactip_twin.learning.data import read_splits
 from tactip_twin.learning.labels import labels_of
-from tactip_twin.learning.model import find_model, net_sha256, shipped_models
-from tactip_twin.learning.posenet import PoseNetConfig
-from tactip_twin.learning.recipes import Recipe
-from tactip_twin.learning.train import TrainSettings, train
+from tactip_twin.learning.model import load_network, net_sha256, shipped_models
+from tactip_twin.learning.train import train
 from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.contact.record import QualityLimits
 from tactip_twin.sim.contact.simulator import RetryingSimulator
 from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES, generator
 from tactip_twin.sim.pose import to_mm_deg
 from tactip_twin.tactip_model.errors import TactipError
-from tactip_twin.tactip_model.presets import find_design
+from tactip_twin.tactip_model.presets import load_design
 from tactip_twin.tactip_model.raster_renderer import Raster
 from tactip_twin.tactip_model.tactile_image import tactile_image
 
@@ -38,8 +38,8 @@ def test_what_is_shipped():
 def test_a_card_is_of_its_network(name):
     folder = MODELS / name
     record, card = json.loads((folder / "evaluation.json").read_text()), (folder / "card.md").read_text()
-    model = find_model(name)
-    assert (folder / "model.pt").stat().st_size < shipped.MOST_BYTES
+    model = load_network(name)
+    assert (folder / "model.pt").stat().st_size < shipped.MAX_BYTES
     # But for those that could not be trusted: few on the flat, more on ridges.
     asked, least = (500, 0.95) if "bent" in name else (2000, 0.995)
     assert least * asked <= record["samples"] <= asked
@@ -51,21 +51,21 @@ def test_a_card_is_of_its_network(name):
     told = re.search(r"Begun from the weights of `([\w-]+)`", card)
     assert bool(told) == ("begun_from" in model.provenance)
     if told:
-        same = net_sha256(find_model(told.group(1)).net) == model.provenance["begun_from"]
+        same = net_sha256(load_network(told.group(1)).net) == model.provenance["begun_from"]
         assert same == ("as an earlier version shipped it" not in card)
 
 
 @pytest.mark.parametrize("name", shipped_models())
 def test_it_reads_contacts_of_another_seed(name):
     """A dozen contacts, drawn and played now; their mean error is of the size that the card says."""
-    model, design = find_model(name), find_design("tactip-127")
+    model, design = load_network(name), load_design("tactip-127")
     task = model.labels.task
     player = RetryingSimulator(design, task, fidelity_named("standard"), QualityLimits())
     raster = Raster(design)
     images, labels = [], []
     for number in range(CONTACTS):
         draw = generator(991, task, "test", number)
-        contact, _ = player.play(POSE_RANGES[task].draw(draw), SHEAR_RANGES.draw(draw))
+        contact, _ = player.play(POSE_RANGES[task].sample(draw), SHEAR_RANGES.sample(draw))
         images.append(tactile_image(raster.render(contact.tips, contact.directions), design.image))
         labels.append(to_mm_deg(contact.pose))
     errors = model.predict(np.stack(images)) - model.labels.of(np.array(labels))
@@ -83,20 +83,20 @@ def test_it_reads_contacts_of_another_seed(name):
 def test_shipping(tmp_path, kind, name, changes):
     """A finished training is copied, judged on the test set of its kind, and its card names how it is made again."""
     data = write_fake_splits(tmp_path / "data" / kind / "surface", **changes)
-    options = shipped.Options(data=tmp_path / "data", runs=tmp_path / "runs", out=tmp_path / "models")
+    options = ReleaseModelsOptions(data=tmp_path / "data", runs=tmp_path / "runs", out=tmp_path / "models")
     with pytest.raises(TactipError, match="there is no model in"):
-        shipped.ship(options)
+        shipped.release_model(options)
     train(*read_splits(data), TINY.network, TINY.settings, tmp_path / "runs" / "surface" / "laptop-most", quiet=True)
-    folder = shipped.ship(options)
+    folder, record = shipped.release_model(options)
     assert folder.name == name
-    record = json.loads((folder / "evaluation.json").read_text())
+    assert record == json.loads((folder / "evaluation.json").read_text())
     card = (folder / "card.md").read_text()
     assert card.startswith(f"# {name}\n")
     assert f"{record['mae']['pose_z']:.3f} mm" in card
     assert ("the paper, real sensor" in card) == (kind == "plain")
     assert ("bent by -20 to 50 /m" in card) == (kind == "bent")
     assert "tactip bench learning --task surface --most 24 --only laptop-most" in card
-    model = find_model(folder)
+    model = load_network(folder)
     assert model.labels.task == "surface"
 
 

@@ -39,8 +39,8 @@ def test_the_sets_are_plain_ones(options):
 
 
 def test_a_page_is_written_and_a_search_made_longer(options):
-    searched.run(options, say=lambda line: None)
-    record = searched.run(replace(options, trials=3), say=lambda line: None)
+    searched.run(options, log=lambda line: None)
+    record = searched.run(replace(options, trials=3), log=lambda line: None)
     assert [t["trial"] for t in record["trials"]] == [0, 1, 2]
     page = (options.out / "search.md").read_text()
     assert "3 trials (3 ok), 12 contacts to train on and 8 to validate" in page
@@ -56,7 +56,7 @@ def test_a_page_is_written_and_a_search_made_longer(options):
 def test_the_papers_search_has_no_cuts():
     import dataclasses
 
-    assert searched.cuts(dataclasses.asdict(TuneSettings())) == []
+    assert searched.differences(dataclasses.asdict(TuneSettings())) == []
 
 
 def test_another_task_is_refused():
@@ -67,4 +67,4 @@ def test_another_task_is_refused():
 def test_a_record_from_before_a_field_came_is_not_a_cut():
     settings = dataclasses.asdict(TuneSettings())
     del settings["training"]["varied"]
-    assert searched.cuts(settings) == []
+    assert searched.differences(settings) == []

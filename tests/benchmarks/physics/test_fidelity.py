@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import tactip_twin.sim.contact.scene
-from tactip_twin.benchmarks.options import ErrorOptions
+from tactip_twin.benchmarks.options import FidelityOptions
 from tactip_twin.benchmarks.physics import contact_cache as played_contacts
 from tactip_twin.benchmarks.physics import fidelity as error_against_time
 from tactip_twin.benchmarks.physics import pose_sensitivity as label_worth
@@ -171,7 +171,7 @@ def small(monkeypatch, tmp_path):
     }
     for name, value in small.items():
         monkeypatch.setattr(error_against_time, name, value)
-    return ErrorOptions(contacts=1, swept=1, out=tmp_path / "docs", kept=tmp_path / "kept")
+    return FidelityOptions(contacts=1, swept=1, out=tmp_path / "docs", kept=tmp_path / "kept")
 
 
 def test_a_stopped_measurement_goes_on_and_gives_the_same(small, monkeypatch):
@@ -197,9 +197,9 @@ def test_a_stopped_measurement_goes_on_and_gives_the_same(small, monkeypatch):
 
 def test_nothing_to_redraw_from_is_an_error(tmp_path):
     with pytest.raises(TactipError, match="measure first"):
-        error_against_time.run(ErrorOptions(out=tmp_path, redraw=True))
+        error_against_time.run(FidelityOptions(out=tmp_path, redraw=True))
     with pytest.raises(TactipError, match="at least 1"):
-        error_against_time.run(ErrorOptions(out=tmp_path, swept=0))
+        error_against_time.run(FidelityOptions(out=tmp_path, swept=0))
 
 
 @pytest.mark.slow

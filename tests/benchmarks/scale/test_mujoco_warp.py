@@ -2,7 +2,7 @@
 
 import pytest
 
-from tactip_twin.benchmarks.options import SpeedOptions
+from tactip_twin.benchmarks.options import PerformanceOptions
 from tactip_twin.benchmarks.scale import mujoco_warp as gpu_engine
 from tactip_twin.benchmarks.scale import performance as speed
 from tactip_twin.tactip_model.errors import TactipError
@@ -11,7 +11,7 @@ from tactip_twin.tactip_model.errors import TactipError
 def test_without_it_a_sentence(monkeypatch, tmp_path):
     monkeypatch.setattr(gpu_engine, "find_spec", lambda name: None)
     with pytest.raises(TactipError, match=r"not installed: pip install 'tactip-twin\[gpu\]'"):
-        speed.run(SpeedOptions(groups=("gpu-engine",), out=tmp_path), lambda line: None)
+        speed.run(PerformanceOptions(groups=("gpu-engine",), out=tmp_path), lambda line: None)
 
 
 def test_what_was_measured_is_said_on_the_page():

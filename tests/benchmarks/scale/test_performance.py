@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from tactip_twin.benchmarks.options import SpeedOptions
+from tactip_twin.benchmarks.options import PerformanceOptions
 from tactip_twin.benchmarks.scale import performance as speed
 from tactip_twin.commands import main as tactip
 from tactip_twin.tactip_model.errors import TactipError
@@ -28,9 +28,9 @@ def test_the_page_keeps_what_was_measured(tmp_path, monkeypatch):
         "servo": ("Servo", lambda o: [{"s": None}]),
     }
     monkeypatch.setattr(speed, "GROUPS", measured)
-    options = SpeedOptions(("faces",), out=tmp_path)
-    speed.run(options, say=lambda line: None)
-    speed.run(replace(options, groups=("servo",)), say=lambda line: None)
+    options = PerformanceOptions(("faces",), out=tmp_path)
+    speed.run(options, log=lambda line: None)
+    speed.run(replace(options, groups=("servo",)), log=lambda line: None)
     page = (tmp_path / "performance.md").read_text()
     assert "| triangles | ms |" in page and "| 20 | 1.23 |" in page
     assert list(json.loads((tmp_path / "performance.json").read_text())["groups"]) == ["faces", "servo"]
@@ -41,7 +41,7 @@ def test_the_page_keeps_what_was_measured(tmp_path, monkeypatch):
 def test_the_rate_of_a_set_is_its_marginal_one(monkeypatch):
     """A set that takes 3 s and half a second a contact of each worker: what is paid once are the 3 s."""
     monkeypatch.setattr(speed, "set_seconds", lambda n, workers, **case: (3.0 + n / (2.0 * workers), 500))
-    for row in speed._samples(SpeedOptions(contacts=10)):
+    for row in speed._samples(PerformanceOptions(contacts=10)):
         assert row["contacts/s"] == pytest.approx(2.0 * row["workers"])
         assert row["once, s"] == pytest.approx(3.0)
         each = 8 if row["what"].endswith("symmetric") and "surface" in row["what"] else 1
@@ -77,12 +77,12 @@ def test_a_machine_that_is_too_busy_is_said(monkeypatch):
 )
 def test_too_few_are_refused(tmp_path, options, words):
     with pytest.raises(TactipError, match=words):
-        speed.run(SpeedOptions(("faces",), out=tmp_path, **options))
+        speed.run(PerformanceOptions(("faces",), out=tmp_path, **options))
 
 
 def test_sets_grow_by_fours(monkeypatch):
     monkeypatch.setattr(speed, "set_seconds", lambda n, workers, **case: (3.0 + n / 2, 500))
-    rows = speed._growth(SpeedOptions(contacts=10))
+    rows = speed._growth(PerformanceOptions(contacts=10))
     assert [row["contacts"] for row in rows] == [10, 40, 160]
     assert [row["s"] for row in rows] == [8.0, 23.0, 83.0]
     assert [row["s more a contact more"] for row in rows][1:] == [0.5, 0.5]

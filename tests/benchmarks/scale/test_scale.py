@@ -5,7 +5,7 @@ import json
 import pytest
 
 from tactip_twin.benchmarks.options import ScaleOptions
-from tactip_twin.benchmarks.scale.scale import page, run
+from tactip_twin.benchmarks.scale.scale import markdown, run
 from tactip_twin.tactip_model.errors import TactipError
 
 FIGURES = {
@@ -24,7 +24,7 @@ FIGURES = {
 def test_what_is_reckoned_is_what_a_hand_reckons():
     dispatch = {"processes of this machine": 9000.0, "Ray": 8000.0, "Ray, one task a message": 1000.0}
     record = {"machine": {"cores": "2"}, "settings": "none", "tasks": {"surface": FIGURES}, "dispatch": dispatch}
-    told = page(record)
+    told = markdown(record)
     assert "8,000,000 samples, 40 GB in as many image files, 100 core hours." in told
     # A contact is 0.3592 s, its eight samples' part of the end of their shard 0.0008 s. 200 workers make 555.6 contacts a
     # second, of 9 files and 40 kB each, and 0.044 s of taking note.

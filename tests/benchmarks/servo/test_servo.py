@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from tactip_twin.benchmarks.options import FollowedOptions
+from tactip_twin.benchmarks.options import ServoBenchOptions
 from tactip_twin.benchmarks.servo import servo as followed
 from tactip_twin.control.options import RouteOptions
 from tactip_twin.tactip_model.errors import TactipError
@@ -23,7 +23,7 @@ def options(tmp_path, monkeypatch):
     runs += [followed.Case("objects", "plate", plate), followed.Case("starts", "bust, 0", away)]
     monkeypatch.setattr(followed, "cases", lambda options: runs)
     monkeypatch.setattr(followed, "WorkerPool", _Here)
-    return FollowedOptions(runs=tmp_path / "runs", out=tmp_path / "out")
+    return ServoBenchOptions(runs=tmp_path / "runs", out=tmp_path / "out")
 
 
 class _Here:
@@ -75,7 +75,7 @@ def test_groups_keep_the_machine_that_made_them(options, monkeypatch):
     assert page.count("3 runs at a time, one core each, on: processor new.") == 1
     before = {"machine": {"processor": "older"}, "groups": record["groups"]}
     (options.out / "servo.json").write_text(json.dumps(before))
-    assert followed.page(before).count("2 runs at a time, one core each, on: processor older.") == 3
+    assert followed.markdown(before).count("2 runs at a time, one core each, on: processor older.") == 3
     again = followed.run(replace(options, groups=("starts",), workers="1"))
     assert again["made"]["robust"] == {"machine": {"processor": "older"}, "workers": 2}
     assert again["made"]["starts"] == {"machine": {"processor": "new"}, "workers": 1}
@@ -95,7 +95,7 @@ def test_a_run_that_felt_nothing_has_no_patch(options, monkeypatch):
 def test_what_has_no_figures_is_not_drawn(tmp_path):
     row = {"name": "bust, draft", "steps_per_s": None, "depth_mae_mm": 0.1, "angle_mean_deg": 1.0}
     rows = [row, row | {"steps_per_s": 0.0}, row | {"steps_per_s": 9.0, "depth_mae_mm": None, "angle_mean_deg": None}]
-    followed.draw([*rows, {"name": "bust, standard", "error": "it is out of reach"}], tmp_path / "servo.png")
+    followed.plot([*rows, {"name": "bust, standard", "error": "it is out of reach"}], tmp_path / "servo.png")
     assert (tmp_path / "servo.png").stat().st_size > 3000
 
 
@@ -109,7 +109,7 @@ def test_a_run_of_other_options_is_made_anew(options, monkeypatch):
 
 
 def test_there_is_a_run_for_all_that_is_promised():
-    every = followed.cases(FollowedOptions(other_surface="a"))
+    every = followed.cases(ServoBenchOptions(other_surface="a"))
     names = [(c.group, c.name) for c in every]
     assert len(set(names)) == len(names)
     assert {c.group for c in every} == set(followed.GROUPS)
@@ -124,7 +124,7 @@ def test_there_is_a_run_for_all_that_is_promised():
 
 def test_a_group_that_is_none_is_refused():
     with pytest.raises(TactipError, match="unknown group 'speed': choose one of objects, oracle, arm"):
-        followed.run(FollowedOptions(groups=("speed",)))
+        followed.run(ServoBenchOptions(groups=("speed",)))
 
 
 def test_what_another_network_learned_from_stands_beside_it(options):
