@@ -318,8 +318,11 @@ def test_what_is_hidden_is_another_sensor_and_the_same_from_its_seed(tmp_path, c
 
 
 def test_an_unknown_experiment_and_a_set_without_a_neutral_image(lab, tmp_path, capsys):
-    assert tactip.main(["transfer", "many-shot", "--real", str(lab), "--out", str(tmp_path / "out")]) == 1
-    assert "choose one of zero-shot, ablate, few-shot, gap, pseudo-real" in capsys.readouterr().err
+    with pytest.raises(SystemExit) as ended:
+        tactip.main(["transfer", "many-shot", "--real", str(lab), "--out", str(tmp_path / "out")])
+    assert ended.value.code == 2
+    told = " ".join(capsys.readouterr().err.replace("│", " ").split())
+    assert "Expected one of ('zero-shot', 'ablate', 'few-shot', 'gap', 'pseudo-real')" in told
     (tmp_path / "set").mkdir()
     with pytest.raises(TactipError, match=r"has no neutral\.png, it was imported by an earlier version"):
         fit_design_to_neutral_image(tmp_path / "set", 128)
