@@ -1,1 +1,1 @@
-"""The command line, a file a subject. Nothing heavy is imported before a command runs."""
+"""The command line, one file per command. Nothing heavy is imported before a command runs."""

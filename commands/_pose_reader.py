@@ -1,19 +1,33 @@
-"""What a network feels of an image, for commands that show it."""
+"""The network's prediction for commands that show it beside an image."""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 from tactip_twin.tactip_model.errors import TactipError
 
+if TYPE_CHECKING:
+    import numpy as np
 
-def reader_of(name, task, design):
-    """The function of a tactile image to what a network feels (dict by component), or None.
+    from tactip_twin.tactip_model.design import Design
 
-    name: str, as of the option `model`. task: str. design: Design.
+
+def load_pose_reader(name: str, task: str, design: "Design") -> "Callable[[np.ndarray], dict[str, float]] | None":
+    """Return the function from a tactile image to the predicted pose by component, mm and degrees, or None.
+
+    Args:
+        name: A network, `none`, or empty for the shipped network of task and design.
+        task: Stimulus of the scene.
+        design: Design of the sensor.
+
+    Raises:
+        TactipError: There is no such network, or it takes images of another size.
     """
-    from tactip_twin.learning.model import find_model, shipped_models
+    from tactip_twin.learning.model import load_network, shipped_models
 
     chosen = name or f"{task}-{design.name}"
     if name == "none" or not (name or chosen in shipped_models()):
         return None
-    model, made = find_model(chosen), design.image.size_px
+    model, made = load_network(chosen), design.image.size_px
     if model.size != made:
         raise TactipError(f"the network {chosen} takes images of {model.size} px, and the design makes {made}")
     return lambda image: dict(zip(model.labels.components, model.predict(image[None])[0].tolist(), strict=True))

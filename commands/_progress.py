@@ -1,37 +1,34 @@
-"""A word where nothing is to be seen yet: libraries are loaded, sets are read."""
+"""Status messages on stderr for work that shows nothing yet, such as loading libraries and reading sets."""
 
 import sys
 import threading
+from types import TracebackType
 
 
-def to_stderr(line):
-    """Say a line (str) where it is not taken for a result."""
+def to_stderr(line: str) -> None:
+    """Print a line that is no result."""
     print(line, file=sys.stderr, flush=True)
 
 
 _PATIENCE_S = 1.0
-"""How long nothing is said, s: what fails at once is one line, the error's."""
+"""Delay of a message, s: a command that fails at once prints its error only."""
 
 
-class Waiting:
-    """Says on stderr what is being done, unless it is over in a moment; for a `with` block."""
+class DelayedStatus:
+    """A context manager that prints a status message on stderr, unless its block ends soon."""
 
-    def __init__(self, doing):
-        """doing: str, as `reading the sets`."""
-        self._timer = threading.Timer(_PATIENCE_S, self._say, (doing,))
+    def __init__(self, doing: str) -> None:
+        """Set the message, such as `reading the sets`."""
+        self._timer = threading.Timer(_PATIENCE_S, to_stderr, (f"{doing} …",))
         self._timer.daemon = True
 
-    def __enter__(self):
+    def __enter__(self) -> "DelayedStatus":
         self._timer.start()
         return self
 
-    def __exit__(self, *_):
-        self.over()
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.cancel()
 
-    def over(self):
-        """There is something else to be seen now."""
+    def cancel(self) -> None:
+        """Drop the message, because something else is shown now."""
         self._timer.cancel()
-
-    @staticmethod
-    def _say(doing):
-        to_stderr(f"{doing} …")

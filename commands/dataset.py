@@ -1,47 +1,35 @@
 """tactip dataset: make, verify, show and record data sets."""
 
 import sys
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Literal
 
 import tyro
 
-from tactip_twin.commands._overrides import with_options
-from tactip_twin.commands._pose_reader import reader_of
-from tactip_twin.commands._progress import Waiting, to_stderr
+from tactip_twin.commands._parsing import Command, Entry, last_value, parse_options, parse_subcommand
+from tactip_twin.commands._pose_reader import load_pose_reader
+from tactip_twin.commands._progress import DelayedStatus, to_stderr
+from tactip_twin.sim.dataset.mechanics_randomization import MechanicsName
+from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES, SPLITS, Ranges, Split
+from tactip_twin.sim.labels import TASKS, FidelityName, Task
+from tactip_twin.tactip_model.renderer import RendererName
 
-Range = tuple[float, float]
-
-
-@dataclass(frozen=True)
-class RangeOptions:
-    """Low and high of each component. What is not given is the paper's (Table 1) for the task."""
-
-    x_mm: Range | None = None
-    """Horizontal, square to the edge, mm."""
-    y_mm: Range | None = None
-    """Horizontal, along the edge, mm."""
-    depth_mm: Range | None = None
-    """Depth, negative into the object, mm."""
-    roll_deg: Range | None = None
-    """Rotation vector about x, degrees."""
-    pitch_deg: Range | None = None
-    """Rotation vector about y, degrees."""
-    yaw_deg: Range | None = None
-    """Rotation vector about the normal, degrees."""
+if TYPE_CHECKING:
+    from tactip_twin.sim.dataset.generate import Job
 
 
 @dataclass(frozen=True)
-class Make:
+class Make(Command):
     """Make labelled, sheared tactile images with the simulated sensor. Run again, it goes on where it stopped."""
 
     out: Path
     """Folder of the set; of the sets (OUT/TASK/SPLIT) if task or split is all."""
-    task: str = "surface"
-    """surface, edge, or all."""
-    split: str = "train"
-    """train, val, test, or all: independent draws."""
+    task: Task | Literal["all"] = "surface"
+    """Task."""
+    split: Split | Literal["all"] = "train"
+    """Set of the task; all are independent."""
     samples: int = 200
     """Samples of a set: contacts, or with --symmetric and --looks what is made of them; the paper has 2000."""
     seed: int = 0
@@ -51,13 +39,13 @@ class Make:
     cluster: str = ""
     """Address of a Ray cluster that makes it, auto for that of this machine, local for one of it alone; OUT is a folder that
     all its machines see. None if empty."""
-    fidelity: str = "standard"
-    """draft, standard or reference (sim/contact/fidelity.py)."""
+    fidelity: FidelityName = "standard"
+    """Fidelity of the simulation (sim/contact/fidelity.py)."""
     design: str = "tactip-127"
-    """tactip-127, tactip-331, or a design file (.json) as `tactip calibrate` writes it."""
+    """Sensor: tactip-127, tactip-331, or a design file (.json) as `tactip calibrate` writes it."""
     symmetric: bool = False
     """Make samples of each contact's turns and mirrors, too: 8 of a contact on the surface, 2 of one on the edge."""
-    curvature_per_m: Range = (0.0, 0.0)
+    curvature_per_m: tuple[float, float] = (0.0, 0.0)
     """Both principal curvatures of the surface, 1/m, drawn from LOW to HIGH for each contact; positive bulges out. Not a
     label."""
     uneven: float = 0.0
@@ -65,29 +53,47 @@ class Make:
     looks: int = 1
     """Times that each contact is looked at: once where it is pressed and sheared to, and then after each stride of a walk as
     the tip slides on, as in a servo. A look costs less than a contact."""
-    mechanics: str = "none"
-    """none, or real: stiffness, friction, thickness and pin length of the tip differ from contact to contact
-    (sim/dataset/mechanics_randomization.py)."""
-    renderer: str = "pyrender"
-    """pyrender, or raster: the same image without OpenGL."""
+    mechanics: MechanicsName = "none"
+    """Randomization of the mechanics; with real, stiffness, friction, thickness and pin length of the tip differ from
+    contact to contact (sim/dataset/mechanics_randomization.py)."""
+    renderer: RendererName = "pyrender"
+    """Renderer of the pins; raster makes the same image without OpenGL."""
     shard_samples: int = 10_000
     """Samples of a shard: a larger set is a folder of shards, which all commands take as one set."""
-    pose: RangeOptions = field(default_factory=RangeOptions)
-    """Labelled poses."""
-    shear: RangeOptions = field(default_factory=RangeOptions)
-    """Unlabelled perturbations."""
+    pose: Ranges = POSE_RANGES["surface"]
+    """Labelled poses: low and high of each component. The defaults are the paper's (Table 1) for the task."""
+    shear: Ranges = SHEAR_RANGES
+    """Unlabelled perturbations: low and high of each component. The defaults are the paper's (Table 1)."""
     json: bool = False
     """Print a JSON list, an object a set, and nothing else."""
 
-    def run(self):
+    @classmethod
+    def parse(cls, arguments: Sequence[str], prog: str) -> Command:
+        """Parse the command line, for --task all once per task, because each has its own default ranges."""
+        named = last_value(arguments, "task")
+        if named != "all":
+            return parse_options(cls, arguments, prog, cls._with_ranges("edge" if named == "edge" else "surface"))
+        makes = [replace(parse_options(cls, arguments, prog, cls._with_ranges(task)), task=task) for task in TASKS]
+        return _MakeTasks(tuple(makes))
+
+    @classmethod
+    def _with_ranges(cls, task: Task) -> "Make":
+        """Return the defaults for a task."""
+        return cls(out=tyro.MISSING, pose=POSE_RANGES[task])
+
+    def run(self) -> int:
+        return self.make_sets(self.jobs())
+
+    def make_sets(self, jobs: list["Job"]) -> int:
+        """Make the sets of some jobs. Return the exit status."""
         from json import dumps
 
         from tactip_twin.sim.dataset.generate import make
         from tactip_twin.sim.parallel.worker_pool import worker_count
 
         workers = 0 if self.cluster and self.workers == "auto" else worker_count(self.workers)
-        results = make(self._jobs(), workers, to_stderr, self.cluster)
-        # A set without a sample is no set that a script should go on with.
+        results = make(jobs, workers, to_stderr, self.cluster)
+        # An empty set is of no use to a script.
         status = 0 if all(r["kept"] for r in results) else 1
         if self.json:
             print(dumps(results))
@@ -104,47 +110,55 @@ class Make:
             print(f"{failed} samples failed each try and were left out: meta.json names them and says why")
         return status
 
-    def _jobs(self):
+    def jobs(self, several: bool = False) -> list["Job"]:
+        """Return the sets to make.
+
+        Args:
+            several: Whether the sets go into OUT/TASK/SPLIT though only one task and split is named.
+        """
         from tactip_twin.sim.contact.fidelity import fidelity_named
-        from tactip_twin.sim.dataset.format import Configuration
+        from tactip_twin.sim.dataset.configuration import Configuration
         from tactip_twin.sim.dataset.generate import Job
         from tactip_twin.sim.dataset.mechanics_randomization import MECHANICS_RANDOMIZATIONS
-        from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES, SPLITS
-        from tactip_twin.sim.labels import TASKS
-        from tactip_twin.tactip_model.errors import lookup
-        from tactip_twin.tactip_model.presets import find_design
+        from tactip_twin.tactip_model.presets import load_design
 
-        lookup("task", self.task, dict.fromkeys([*TASKS, "all"]))
-        lookup("split", self.split, dict.fromkeys([*SPLITS, "all"]))
-        tasks = TASKS if self.task == "all" else (self.task,)
-        splits = SPLITS if self.split == "all" else (self.split,)
-        several = "all" in (self.task, self.split)
+        several = several or self.split == "all"
         jobs = []
-        for task in tasks:
-            for split in splits:
-                configuration = Configuration(
-                    task=task,
-                    split=split,
-                    samples=self.samples,
-                    seed=self.seed,
-                    renderer=self.renderer,
-                    design=find_design(self.design),
-                    fidelity=fidelity_named(self.fidelity),
-                    pose=with_options(POSE_RANGES[task], self.pose),
-                    shear=with_options(SHEAR_RANGES, self.shear),
-                    symmetric=self.symmetric,
-                    curvature_per_m=self.curvature_per_m,
-                    uneven=self.uneven,
-                    shard_samples=self.shard_samples,
-                    looks=self.looks,
-                    mechanics=lookup("mechanics", self.mechanics, MECHANICS_RANDOMIZATIONS),
-                )
-                jobs.append(Job(configuration, self.out / task / split if several else self.out))
+        for split in SPLITS if self.split == "all" else (self.split,):
+            configuration = Configuration(
+                task=self.task,
+                split=split,
+                samples=self.samples,
+                seed=self.seed,
+                renderer=self.renderer,
+                design=load_design(self.design),
+                fidelity=fidelity_named(self.fidelity),
+                pose=self.pose,
+                shear=self.shear,
+                symmetric=self.symmetric,
+                curvature_per_m=self.curvature_per_m,
+                uneven=self.uneven,
+                shard_samples=self.shard_samples,
+                looks=self.looks,
+                mechanics=MECHANICS_RANDOMIZATIONS[self.mechanics],
+            )
+            jobs.append(Job(configuration, self.out / self.task / split if several else self.out))
         return jobs
 
 
 @dataclass(frozen=True)
-class Verify:
+class _MakeTasks(Command):
+    """`tactip dataset make --task all`."""
+
+    makes: tuple[Make, ...]
+    """The options for each of TASKS."""
+
+    def run(self) -> int:
+        return self.makes[0].make_sets([job for make in self.makes for job in make.jobs(several=True)])
+
+
+@dataclass(frozen=True)
+class Verify(Command):
     """Check that a set is whole: images, rows, pins, checksums, one configuration."""
 
     folder: tyro.conf.Positional[Path]
@@ -152,7 +166,7 @@ class Verify:
     json: bool = False
     """Print one JSON object and nothing else."""
 
-    def run(self):
+    def run(self) -> int:
         from json import dumps
 
         from tactip_twin.sim.dataset.format import read_meta
@@ -174,7 +188,7 @@ class Verify:
 
 
 @dataclass(frozen=True)
-class Show:
+class Show(Command):
     """Write a contact sheet of a set: images over their labels (x y depth, roll pitch yaw)."""
 
     folder: tyro.conf.Positional[Path]
@@ -186,7 +200,7 @@ class Show:
     columns: int = 6
     """Samples in a line."""
 
-    def run(self):
+    def run(self) -> int:
         from tactip_twin.sim.dataset.contact_sheet import write_sheet
 
         write_sheet(self.folder, self.out, self.count, self.columns)
@@ -195,7 +209,7 @@ class Show:
 
 
 @dataclass(frozen=True)
-class Record:
+class Record(Command):
     """Play a sample's contact once more, the same, and keep every time step: for `tactip replay`."""
 
     folder: tyro.conf.Positional[Path]
@@ -208,30 +222,24 @@ class Record:
     """A shipped network or the folder of a training, that says what it feels; the shipped one of task and design, if there
     is one and this is empty; `none` for none."""
 
-    def run(self):
-        with Waiting("playing the contact"):
+    def run(self) -> int:
+        with DelayedStatus("playing the contact"):
             from tactip_twin.sim.dataset.format import read_configuration, read_meta
             from tactip_twin.sim.view.record_contact import record_contact
 
             configuration = read_configuration(read_meta(self.folder), self.folder)
-            read = reader_of(self.model, configuration.task, configuration.design)
+            read = load_pose_reader(self.model, configuration.task, configuration.design)
             record, _ = record_contact(self.folder, self.sample, self.out, read)
         print(f"{record['object']}: {record['steps']} steps recorded; see them: tactip replay {self.out}")
         return 0
 
 
-@dataclass(frozen=True)
-class Dataset:
+class Dataset(Command):
     """Make, verify, show and record data sets."""
 
-    action: Annotated[
-        Annotated[Make, tyro.conf.subcommand("make")]
-        | Annotated[Verify, tyro.conf.subcommand("verify")]
-        | Annotated[Show, tyro.conf.subcommand("show")]
-        | Annotated[Record, tyro.conf.subcommand("record")],
-        tyro.conf.arg(name=""),
-    ]
-    """What is done."""
-
-    def run(self):
-        return self.action.run()
+    @classmethod
+    def parse(cls, arguments: Sequence[str], prog: str) -> Command:
+        """Parse the options of the action that is named."""
+        actions = {"make": Make, "verify": Verify, "show": Show, "record": Record}
+        table = {name: Entry(action.__doc__ or "", action.parse) for name, action in actions.items()}
+        return parse_subcommand(table, arguments, prog, cls.__doc__ or "")

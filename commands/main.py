@@ -1,17 +1,40 @@
-"""The command line: one subcommand for each job, and how each ends."""
+"""The command line: the list of commands, and how each ends."""
 
 import contextlib
 import signal
 import sys
 import threading
+from collections.abc import Callable, Iterator, Sequence
+from importlib import import_module
 from importlib.metadata import version
+from types import FrameType
+from typing import TYPE_CHECKING
 
 from tactip_twin.tactip_model.errors import Interrupted, TactipError
 
+if TYPE_CHECKING:
+    from tactip_twin.commands._parsing import Command
 
-def main(arguments=None):
-    """Run the command line. arguments: list of str, the process's own if None. Returns the exit status (int)."""
-    arguments = sys.argv[1:] if arguments is None else arguments
+COMMANDS = {
+    "dataset": ("dataset", "Dataset", "Make, verify, show and record data sets."),
+    "import": ("import_set", "Import", "Bring a set of a real sensor into the project's format."),
+    "calibrate": ("calibrate", "Calibrate", "Fit the sensor to real frames."),
+    "train": ("train", "Train", "Train a network on a data set."),
+    "tune": ("tune", "Tune", "Search for a network."),
+    "evaluate": ("evaluate", "Evaluate", "Measure the errors of a network on a set."),
+    "transfer": ("transfer", "Transfer", "Train in simulation, test on a real sensor."),
+    "camera": ("camera", "Camera", "Show a real sensor live."),
+    "servo": ("servo", "Servo", "Follow a surface or an edge by touch."),
+    "replay": ("replay", "Replay", "Show a recording in a browser, or write a film of it."),
+    "view": ("view", "View", "Show the live scene in a browser."),
+    "bench": ("bench", "Bench", "Measure the simulation and what is learned."),
+}
+"""Module in this folder, class and summary of each command."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command line, by default that of the process. Return the exit status."""
+    arguments = sys.argv[1:] if arguments is None else list(arguments)
     if arguments == ["--version"]:
         print(version("tactip-twin"))
         return 0
@@ -33,62 +56,52 @@ def main(arguments=None):
             return _stopped("", signals)
 
 
-def _stopped(what, signals):
-    """Tell that the command was stopped, and `what` is kept (str). signals: list of those that came. Returns its status."""
+def _stopped(what: str, signals: list[int]) -> int:
+    """Print that the command was stopped.
+
+    Args:
+        what: What is kept.
+        signals: Signals that were received.
+
+    Returns:
+        The exit status.
+    """
     print("tactip: stopped" + (f"; {what}" if what else ""), file=sys.stderr)
     return 128 + (signals or [signal.SIGINT])[0]
 
 
-def _is_from_stop(error):
-    """Whether an exception came of a KeyboardInterrupt (bool)."""
+def _is_from_stop(error: BaseException | None) -> bool:
+    """Return whether an exception was caused by a KeyboardInterrupt."""
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__cause__ or error.__context__
     return error is not None
 
 
-def _command(arguments):
-    """The command (an object of commands/) that is asked for."""
-    # Here, and not above: what is stopped while it loads ends as what is stopped later does.
-    import tyro
+def _command(arguments: Sequence[str]) -> "Command":
+    """Return the command of a command line."""
+    # Here, and not above: an interrupt while these load ends like a later one.
+    from tactip_twin.commands._parsing import Command, Entry, parse_subcommand
 
-    from tactip_twin.commands._help_text import flowing
-    from tactip_twin.commands.bench import Bench
-    from tactip_twin.commands.calibrate import Calibrate
-    from tactip_twin.commands.dataset import Dataset
-    from tactip_twin.commands.servo import Servo
-    from tactip_twin.commands.sim2real import Camera, Import, Transfer
-    from tactip_twin.commands.train import Evaluate, Train, Tune
-    from tactip_twin.commands.view import Replay, View
+    def parser(module: str, name: str) -> Callable[[Sequence[str], str], Command]:
+        """Return the parser of a command, which loads the command's module when it is called."""
 
-    with flowing():
-        return tyro.extras.subcommand_cli_from_dict(
-            {
-                "dataset": Dataset,
-                "import": Import,
-                "calibrate": Calibrate,
-                "train": Train,
-                "tune": Tune,
-                "evaluate": Evaluate,
-                "transfer": Transfer,
-                "camera": Camera,
-                "servo": Servo,
-                "replay": Replay,
-                "view": View,
-                "bench": Bench,
-            },
-            args=arguments,
-            prog="tactip",
-            description="A digital twin of the TacTip, a soft optical fingertip.",
-        )
+        def parse(arguments: Sequence[str], prog: str) -> Command:
+            command: type[Command] = getattr(import_module(f"tactip_twin.commands.{module}"), name)
+            return command.parse(arguments, prog)
+
+        return parse
+
+    table = {name: Entry(summary, parser(module, kind)) for name, (module, kind, summary) in COMMANDS.items()}
+    return parse_subcommand(table, arguments, "tactip", "A digital twin of the TacTip, a soft optical fingertip.")
 
 
 @contextlib.contextmanager
-def _terminable():
-    """For a `with` block in which SIGTERM, by which schedulers and services end what runs, is taken as Ctrl-C is. Yields the
-    list of those that came."""
-    came = []
+def _terminable() -> Iterator[list[int]]:
+    """Handle SIGTERM, by which schedulers and services end programs, like Ctrl-C in a `with` block. Yield the signals
+    received."""
+    came: list[int] = []
 
-    def take(number, _):
+    def take(number: int, _: FrameType | None) -> None:
         came.append(number)
         raise KeyboardInterrupt
 

@@ -2,37 +2,42 @@
 
 import sys
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-from tactip_twin.commands._progress import Waiting
-from tactip_twin.control.options import Options as ServoOptions
+from tactip_twin.commands._parsing import Command
+from tactip_twin.commands._progress import DelayedStatus
+from tactip_twin.control.options import ServoOptions
+
+if TYPE_CHECKING:
+    from tactip_twin.control.follow import Step
 
 
 @dataclass(frozen=True)
-class Servo(ServoOptions):
+class Servo(ServoOptions, Command):
     """Follow a surface or an edge by touch, with the soft tip on an arm: recording, score and picture into OUT."""
 
     json: bool = False
     """Print the score as one JSON object and nothing else."""
 
-    def run(self):
+    def run(self) -> int:
         from json import dumps
 
         from tqdm import tqdm
 
-        bars, waiting = [], Waiting("loading the object, the network and the arm")
+        bars, waiting = [], DelayedStatus("loading the object, the network and the arm")
 
-        def progress(step):
-            waiting.over()
+        def progress(step: "Step") -> None:
+            waiting.cancel()
             if not bars:  # nothing is shown before there is something to show: an error is one line
                 bars.append(tqdm(unit="step", file=sys.stderr, mininterval=0.5 if sys.stderr.isatty() else 15))
-            bars[0].set_postfix_str(f"{step.phase}, {1e3 * abs(float(step.sight.label[2])):.1f} mm deep", refresh=False)
+            bars[0].set_postfix_str(f"{step.phase}, {1e3 * abs(float(step.estimate.label[2])):.1f} mm deep", refresh=False)
             bars[0].update()
 
         try:
             with waiting:
-                from tactip_twin.control.servo_run import FIGURE, SCORE, run
+                from tactip_twin.control.servo_run import FIGURE, SCORE, run_servo
 
-                score = run(self, progress, say=(lambda line: None) if self.json else print)
+                score = run_servo(self, progress, log=(lambda line: None) if self.json else print)
         finally:
             for bar in bars:
                 bar.close()

@@ -30,7 +30,7 @@ class Train(Command):
     """A shipped network or the folder of a training, whose weights it begins with; at random if empty. Its layers are the
     recipe's then."""
     device: DeviceName = "auto"
-    """auto, cpu or cuda."""
+    """Device; auto is the GPU if there is one."""
     network: PoseNetConfig = field(default_factory=PoseNetConfig)
     """The network."""
     training: TrainSettings = field(default_factory=TrainSettings)

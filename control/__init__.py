@@ -1,1 +1,1 @@
-"""From the pose of what is felt to motion: the servo."""
+"""Tactile servoing: from the estimated pose of the touched surface or edge to the motion of the sensor."""

@@ -1,91 +1,151 @@
-"""What tells the servo the pose of what it feels: a network that sees the image; and, to hold it to, the truth."""
+"""Estimators of the sensor's pose on the object: a network or any function of the tactile image, and the ground truth.
+
+Any object with the method `estimate` of Estimator can take the network's place in a servo run, and so can a plain function
+from the tactile image to the label in mm and degrees.
+"""
 
 import time
-from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from tactip_twin.learning.model import Model
+from tactip_twin.sim.contact.tip_state import TipState
+from tactip_twin.sim.ground_truth import EdgeGroundTruth, SurfaceGroundTruth
 from tactip_twin.sim.labels import COMPONENTS
 from tactip_twin.sim.pose import from_mm_deg
+from tactip_twin.tactip_model.bounds import require
+from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.pins import neutral_pins
-from tactip_twin.tactip_model.renderer import renderer_named
+from tactip_twin.tactip_model.renderer import RendererName, renderer_named
 from tactip_twin.tactip_model.tactile_image import tactile_image
+
+LabelFunction = Callable[[np.ndarray], ArrayLike]
+"""A function from a tactile image (size, size) uint8 to a label, mm and degrees: all six components (sim/pose.py), or those
+that the task's networks predict (labels.LEARNED), in their order."""
+
+_MIN_CONTACT_FORCE_N = 0.02
+"""Force from which the ground truth counts as contact, N."""
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """What is told of one touch."""
+    """The estimate for one state of the tip."""
 
     label: np.ndarray
-    """(6,), m and rad (sim/pose.py); what is not learned of the task is 0."""
+    """(6,), m and rad (sim/pose.py); components that the task does not have are 0."""
     touching: float
-    """How far the image is from that of a tip in the air, 0 to 1; a half is far."""
-    image: np.ndarray | None
-    """(size, size) uint8; None where nothing is seen."""
+    """Difference of the image from that of a tip in the air, 0 to 1; at 0.5 they differ a lot."""
+    image: np.ndarray | None = None
+    """(size, size) uint8; None where no image was used."""
     image_s: float = 0.0
     """Time for the image, s."""
     network_s: float = 0.0
     """Time for the network, s."""
 
 
-class Estimator(ABC):
-    """Tells a Estimate of a touch."""
+@runtime_checkable
+class Estimator(Protocol):
+    """Anything that estimates the label from the state of the tip."""
 
-    @abstractmethod
-    def look(self, touch, T_base_tcp) -> Estimate:
-        """touch: sim.touch.TipState. T_base_tcp: (4, 4), where the sensor truly is: for the oracle alone."""
+    def estimate(self, touch: TipState, T_base_tcp: np.ndarray) -> Estimate:
+        """Return the estimate for the present state of the tip.
 
-
-class NetworkEstimator(Estimator):
-    """A network that sees the tactile image, and nothing else."""
-
-    def __init__(self, model, design, renderer="pyrender", noise_grey=0.0, seed=0):
-        """model: learning.model.Model. design: Design. renderer: `pyrender` or `raster`. noise_grey: float, standard
-        deviation of the camera's noise, of 255. seed: int, of the noise.
-
-        Raises TactipError where the design's images are not those that the network takes.
+        Args:
+            touch: Pins, skin and force of the tip.
+            T_base_tcp: (4, 4), the sensor's true pose, for estimators that return the ground truth.
         """
-        if design.image.size_px != model.size:
-            raise TactipError(f"the network takes images of {model.size} px and the design makes {design.image.size_px}")
-        self._model, self._settings = model, design.image
-        self._render = renderer_named(renderer, design)
-        self._noise, self._draw = noise_grey, np.random.default_rng(seed)
-        self._rows = [COMPONENTS.index(c) for c in model.labels.components]
-        self._neutral = self._image(*neutral_pins(design)) > 127
+        ...
 
-    def _image(self, tips, directions):
-        frame = self._render(tips, directions)
+
+class ImageEstimator:
+    """A function of the tactile image, with contact detected by the image's difference from the neutral one."""
+
+    def __init__(
+        self,
+        predict: LabelFunction,
+        components: Sequence[str],
+        design: Design,
+        renderer: RendererName = "pyrender",
+        noise_grey: float = 0.0,
+        seed: int = 0,
+    ) -> None:
+        """Prepare the renderer and the neutral image.
+
+        Args:
+            predict: Function from image to label.
+            components: Components of the label that the function may be limited to, of COMPONENTS.
+            design: Design of the sensor.
+            renderer: Renderer of the pins.
+            noise_grey: Standard deviation of the camera's noise, of 255.
+            seed: Seed of the noise.
+
+        Raises:
+            TactipError: The function does not return a label.
+        """
+        self._predict, self._settings = predict, design.image
+        self._render = renderer_named(renderer, design)
+        self._noise, self._rng = noise_grey, np.random.default_rng(seed)
+        self._rows = [COMPONENTS.index(c) for c in components]
+        neutral = self._image(*neutral_pins(design))
+        self._neutral = neutral > 127
+        self._label(neutral)  # a function that returns something else fails before anything is written
+
+    def _image(self, pin_tips: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        frame = self._render(pin_tips, directions)
         if self._noise:
-            frame = np.clip(frame + self._draw.normal(0, self._noise, frame.shape), 0, 255).round().astype(np.uint8)
+            frame = np.clip(frame + self._rng.normal(0, self._noise, frame.shape), 0, 255).round().astype(np.uint8)
         return tactile_image(frame, self._settings)
 
-    def look(self, touch, T_base_tcp):
-        """See Estimator."""
+    def _label(self, image: np.ndarray) -> np.ndarray:
+        """Return the label (6,), mm and degrees, of an image."""
+        predicted, label = np.asarray(self._predict(image), float), np.zeros(6)
+        sizes = (len(self._rows), 6)
+        require(predicted.ndim == 1 and len(predicted) in sizes, "the label", predicted.tolist(), "%d or %d numbers" % sizes)
+        label[self._rows if len(predicted) == len(self._rows) else slice(None)] = predicted
+        return label
+
+    def estimate(self, touch: TipState, T_base_tcp: np.ndarray) -> Estimate:
+        """Return the function's estimate; the true pose is not used."""
         start = time.perf_counter()
         image = self._image(touch.tips, touch.directions)
-        seen = time.perf_counter()
-        told = np.zeros(6)
-        told[self._rows] = self._model.predict(image[None])[0]
+        rendered = time.perf_counter()
+        label = self._label(image)
         end = time.perf_counter()
         white = image > 127
         union = int((white | self._neutral).sum())
-        apart = 1 - int((white & self._neutral).sum()) / union if union else 0.0
-        return Estimate(from_mm_deg(told), apart, image, seen - start, end - seen)
+        difference = 1 - int((white & self._neutral).sum()) / union if union else 0.0
+        return Estimate(from_mm_deg(label), difference, image, rendered - start, end - rendered)
 
 
-class Oracle(Estimator):
-    """The truth: for tests, and to tell errors of control from those of perception."""
+class NetworkEstimator(ImageEstimator):
+    """A network that predicts the label from the tactile image."""
 
-    def __init__(self, truth, T_base_object):
-        """truth: SurfaceGroundTruth or EdgeGroundTruth. T_base_object: (4, 4)."""
+    def __init__(
+        self, model: Model, design: Design, renderer: RendererName = "pyrender", noise_grey: float = 0.0, seed: int = 0
+    ) -> None:
+        """Prepare the network. The parameters are those of ImageEstimator.
+
+        Raises:
+            TactipError: The design's images do not have the size that the network takes.
+        """
+        if design.image.size_px != model.size:
+            raise TactipError(f"the network takes images of {model.size} px and the design makes {design.image.size_px}")
+        super().__init__(model.predict, model.labels.components, design, renderer, noise_grey, seed)
+
+
+class Oracle:
+    """The ground truth: for tests, and to separate errors of control from those of perception."""
+
+    def __init__(self, truth: SurfaceGroundTruth | EdgeGroundTruth, T_base_object: np.ndarray) -> None:
+        """Use the ground truth of an object at the pose T_base_object (4, 4)."""
         self._truth, self._to_object = truth, np.linalg.inv(T_base_object)
 
-    def look(self, touch, T_base_tcp):
-        """See Estimator."""
-        return Estimate(self._truth.label(self._to_object @ T_base_tcp), float(np.linalg.norm(touch.force) > _LEAST_N), None)
-
-
-_LEAST_N = 0.02
-"""Force from which the oracle says that there is contact, N."""
+    def estimate(self, touch: TipState, T_base_tcp: np.ndarray) -> Estimate:
+        """Return the true label."""
+        in_contact = float(np.linalg.norm(touch.force) > _MIN_CONTACT_FORCE_N)
+        return Estimate(self._truth.label(self._to_object @ T_base_tcp), in_contact)

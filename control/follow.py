@@ -1,27 +1,34 @@
-"""Following a surface or an edge by touch: make contact, keep the reference, go along a route; and what to do when it goes
-wrong.
+"""Following a surface or an edge by touch: make contact, keep the reference, move along a route, and react to trouble.
 
-The explorer knows the arm's joint angles and what its estimator sees. That it may not know the truth is seen to by what it
-is given. The force at which it stops is the arm's: a protective stop, as robots have.
+The follower knows the arm's measured pose and what its estimator returns. The force at which it stops is the arm's: a
+protective stop, as robots have.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
+from tactip_twin.control.estimator import Estimate, Estimator
+from tactip_twin.control.options import Settings
+from tactip_twin.control.routes import Route
+from tactip_twin.control.servo import Controller, pose_error
+from tactip_twin.learning.labels import Labels
 from tactip_twin.sim.contact.simulator import Diverged
+from tactip_twin.sim.contact.tip_state import TipState
 from tactip_twin.sim.labels import COMPONENTS
 from tactip_twin.sim.pose import from_mm_deg, inverse, sensor_in_contact, to_mm_deg
 from tactip_twin.sim.robot.irb120 import Unreachable
+from tactip_twin.sim.robot.mounted_tip import MountedTip
 from tactip_twin.tactip_model.errors import TactipError
 
 
 @dataclass(frozen=True)
 class Event:
-    """Something that was not planned, and what was done about it."""
+    """An unplanned event."""
 
     step: int
-    """Steps that were recorded before it."""
+    """Number of steps recorded before it."""
     kind: str
     """contact lost, estimate out of range, force, collision, diverged, unreachable."""
     what: str
@@ -30,218 +37,243 @@ class Event:
 
 @dataclass(frozen=True)
 class Step:
-    """One control step, as it is recorded."""
+    """One recorded control step."""
 
     phase: str
     """search, centre or follow."""
     part: int
     """Of the route."""
     T_base_tcp: np.ndarray
-    """(4, 4), where the sensor truly is."""
-    T_told: np.ndarray
-    """(4, 4), where its joints say it is."""
+    """(4, 4), the sensor's true pose."""
+    T_base_tcp_measured: np.ndarray
+    """(4, 4), the sensor's pose as measured by the joints."""
     angles: np.ndarray
     """(6,) rad."""
-    touch: object
-    """tactip_twin.sim.contact.tip_state.TipState."""
-    sight: object
-    """estimator.Estimate."""
-    seconds: dict
+    touch: TipState
+    """State of the tip."""
+    estimate: Estimate
+    """Estimate for that state."""
+    seconds: dict[str, float]
     """Time for simulation, image, network and control, s."""
 
 
 _SLOW_DEG = {"surface": 2.0, "edge": 0.0}
-"""Settings.slow_deg where it is not given, by task."""
+"""Default of Settings.slow_deg by task."""
 
-_LEAST_PACE = 0.2
-"""Least share of the tangential step, -: an estimate."""
+_MIN_STEP_FRACTION = 0.2
+"""Smallest fraction of the tangential step, - [?]."""
 
-_GOOD = 3
-"""Good steps after which troubles are forgotten."""
+_RECOVERED_STEPS = 3
+"""Good steps after which the count of reactions starts anew."""
 
 
 class ContourFollower:
     """Follows one route."""
 
-    def __init__(self, finger, estimator, servo, labels, settings, record, clock, note=lambda event: None):
-        """finger: MountedTip. estimator: Estimator. servo: Servo. labels: learning.labels.Labels, with the ranges that were
-        learned. settings: Settings. record: called with each Step. clock: function that tells s. note: called with each
-        Event."""
-        self._finger, self._estimator, self._servo = finger, estimator, servo
+    def __init__(
+        self,
+        finger: MountedTip,
+        estimator: Estimator,
+        controller: Controller,
+        labels: Labels,
+        settings: Settings,
+        record: Callable[[Step], None],
+        clock: Callable[[], float],
+        note: Callable[[Event], None] = lambda event: None,
+    ) -> None:
+        """Prepare to follow.
+
+        Args:
+            finger: Tip, arm and object.
+            estimator: Estimator of the label.
+            controller: Controller of the sensor's pose.
+            labels: Components of the label, with the ranges in which estimates are trusted.
+            settings: Limits and steps.
+            record: Called with each step.
+            clock: Returns the time, s.
+            note: Called with each event.
+        """
+        self._finger, self._estimator, self._controller = finger, estimator, controller
         self._labels, self._settings = labels, settings
-        self._record, self._clock, self._tell = record, clock, note
+        self._record, self._clock, self._on_event = record, clock, note
         self._phase, self._part, self._steps = "search", 0, 0
-        self.events = []
+        self.events: list[Event] = []
         """Events so far."""
         self.stopped_because = ""
-        """Why it came to its end."""
+        """Why the route ended."""
 
-    def run(self, T_start, route):
-        """Make contact from a pose (4, 4) off the object, and follow a Route to its end.
+    def run(self, T_start: np.ndarray, route: Route) -> None:
+        """Make contact and follow a route to its end; `stopped_because` then says why it ended.
 
-        Returns nothing: what came of it is recorded; `stopped_because` says how it ended. Raises what is no matter of
-        control: TactipError where the start is in the object.
+        Args:
+            T_start: (4, 4), a pose off the object.
+            route: The route.
+
+        Raises:
+            TactipError: The start is inside the object.
         """
         try:
-            self._finger.put(T_start, route.wrist_rad)
+            self._finger.reset_to(T_start, route.wrist_rad)
         except Unreachable as error:
             self.stopped_because = f"the start is out of reach: {error}"
             return
         try:
             self._follow(route)
-        except _GivesUp as reason:
+        except FollowingFailed as reason:
             self.stopped_because = str(reason)
 
-    def _follow(self, route):
-        sight, centred, good, trouble = self._search(self._settings.search_mm), 0, 0, 0
+    def _follow(self, route: Route) -> None:
+        estimate, centred, good, trouble = self._search(self._settings.search_mm), 0, 0, 0
         while self._steps < self._settings.most_steps:
-            told = self._finger.carrier.told()
-            fault = self._fault(sight)
+            measured = self._finger.arm_model.measured_pose()
+            fault = self._fault(estimate)
             if fault:
                 trouble, good = trouble + 1, 0
                 self._note(*fault)
                 if trouble > self._settings.most_trouble:
-                    raise _GivesUp(f"{fault[0]} again and again: {fault[1]}")
-                sight, centred = self._react(fault[0]), 0
+                    raise FollowingFailed(f"{fault[0]} again and again: {fault[1]}")
+                estimate, centred = self._react(fault[0]), 0
                 continue
             good += 1
-            trouble = 0 if good >= _GOOD else trouble
+            trouble = 0 if good >= _RECOVERED_STEPS else trouble
             start = self._clock()
             along = np.zeros(3)
             if centred < self._settings.centre_steps:
                 self._phase, centred = "centre", centred + 1
             else:
                 self._phase = "follow"
-                way = route.along(told, told @ inverse(sensor_in_contact(sight.label)))
+                direction = route.direction(measured, measured @ inverse(sensor_in_contact(estimate.label)))
                 self._part = route.part
-                if way is None:
+                if direction is None:
                     self.stopped_because = route.ended
                     return
-                along = told[:3, :3].T @ (self._pace(sight) * self._settings.step_mm / 1e3 * way)
-            T = told @ self._servo.move(sight.label, along)
-            sight = self._go(T, self._clock() - start)
+                along = measured[:3, :3].T @ (self._step_fraction(estimate) * self._settings.step_mm / 1e3 * direction)
+            T = measured @ self._controller.move(estimate.label, along)
+            estimate = self._go(T, self._clock() - start)
         self.stopped_because = f"it took {self._settings.most_steps} steps, as many as it may"
 
-    def _pace(self, sight):
-        """Share of the tangential step that is taken: less where the sensor leans, which follows the surface's turns with a
-        lag."""
+    def _step_fraction(self, estimate: Estimate) -> float:
+        """Return the fraction of the tangential step to take: smaller where the sensor tilts, because it lags behind the
+        surface's turns."""
         slow = _SLOW_DEG[self._labels.task] if self._settings.slow_deg is None else self._settings.slow_deg
-        lean = np.degrees(np.linalg.norm(self._servo.error(sight.label)[3:5]))
-        return max(_LEAST_PACE, 1 - lean / slow) if slow else 1.0
+        tilt = np.degrees(np.linalg.norm(pose_error(estimate.label, np.zeros(6))[3:5]))
+        return max(_MIN_STEP_FRACTION, 1 - tilt / slow) if slow else 1.0
 
-    def _fault(self, sight):
-        """Kind and sentence of what is wrong, or None."""
+    def _fault(self, estimate: Estimate) -> tuple[str, str] | None:
+        """Return kind and description of what is wrong, or None."""
         danger, s = self._danger(), self._settings
         if danger:
             return danger
-        if sight.touching < s.touch:
-            return "contact lost", f"the image is that of a tip in the air, to {sight.touching:.2f}"
+        if estimate.touching < s.touch:
+            return "contact lost", f"the image is that of a tip in the air, to {estimate.touching:.2f}"
         low, high = np.array(self._labels.low), np.array(self._labels.high)
-        told = to_mm_deg(sight.label)[[COMPONENTS.index(c) for c in self._labels.components]]
-        out = np.maximum(low - told, told - high) / ((high - low) / 2)
+        predicted = to_mm_deg(estimate.label)[[COMPONENTS.index(c) for c in self._labels.components]]
+        out = np.maximum(low - predicted, predicted - high) / ((high - low) / 2)
         worst = int(out.argmax())
-        if not np.isfinite(told).all() or out[worst] > s.beyond:
+        if not np.isfinite(predicted).all() or out[worst] > s.beyond:
             unit = self._labels.units[worst]
             return (
                 "estimate out of range",
-                f"{self._labels.names[worst]} is felt as {told[worst]:.1f} {unit} "
+                f"{self._labels.names[worst]} is felt as {predicted[worst]:.1f} {unit} "
                 f"(learned: {low[worst]:g} to {high[worst]:g})",
             )
         return None
 
-    def _danger(self):
-        """Kind and sentence of what would do harm, whatever is felt, or None."""
-        force, most = float(np.linalg.norm(self._touch.force)), self._settings.most_force_n
-        if force > most:
-            return "force", f"{force:.1f} N on the tip (at most {most:g} N)"
+    def _danger(self) -> tuple[str, str] | None:
+        """Return kind and description of what could do damage, whatever the estimate, or None."""
+        force, limit = float(np.linalg.norm(self._touch.force)), self._settings.most_force_n
+        if force > limit:
+            return "force", f"{force:.1f} N on the tip (at most {limit:g} N)"
         if self._touch.clearance_m < 0:
             return "collision", f"the sensor's housing runs against the object, {-1e3 * self._touch.clearance_m:.1f} mm"
         return None
 
-    def _react(self, kind):
-        """What is done about a fault: look for contact where it is lost, else back off and look again. Returns a
-        Estimate."""
+    def _react(self, kind: str) -> Estimate:
+        """Search for contact where it is lost, or else back off and search again. Return the new estimate."""
         self._phase = "search"
-        self._servo.forget()
+        self._controller.reset()
         if kind != "contact lost":
-            self._go(self._finger.carrier.told() @ _shift(-self._settings.back_off_mm))
+            self._go(self._finger.arm_model.measured_pose() @ _shift(-self._settings.back_off_mm))
         return self._search(self._settings.search_mm / 2)
 
-    def _search(self, most_mm):
-        """Go along the sensor's axis until something is felt. Returns its Estimate. Raises _GivesUp where nothing is, or
-        where the force or the housing says that it should have been."""
+    def _search(self, max_mm: float) -> Estimate:
+        """Move along the sensor's axis until contact is detected. Return the estimate there.
+
+        Raises:
+            FollowingFailed: There is no contact within `max_mm`, or the force or the housing says that it was missed.
+        """
         s, self._phase = self._settings, "search"
-        sight = self._look(0.0)
-        gone = 0.0
-        while sight.touching < s.touch:
+        estimate = self._estimate(0.0)
+        travelled_mm = 0.0
+        while estimate.touching < s.touch:
             danger = self._danger()
             if danger:
                 self._note(*danger)
-                raise _GivesUp(f"nothing is felt, and yet there is {danger[0]}: {danger[1]}")
-            if gone >= most_mm:
-                raise _GivesUp(f"nothing is felt within {most_mm:g} mm")
-            sight = self._go(self._finger.carrier.told() @ _shift(s.search_step_mm))
-            gone += s.search_step_mm
-        return sight
+                raise FollowingFailed(f"nothing is felt, and yet there is {danger[0]}: {danger[1]}")
+            if travelled_mm >= max_mm:
+                raise FollowingFailed(f"nothing is felt within {max_mm:g} mm")
+            estimate = self._go(self._finger.arm_model.measured_pose() @ _shift(s.search_step_mm))
+            travelled_mm += s.search_step_mm
+        return estimate
 
-    def _go(self, T, control_s=0.0):
-        """Go to a pose (4, 4) and look. Raises _GivesUp where that is out of reach, and where the tip is lost for good."""
+    def _go(self, T: np.ndarray, control_s: float = 0.0) -> Estimate:
+        """Move to a pose (4, 4) and estimate there. Raises FollowingFailed if it is out of reach or the tip stays lost."""
         start = self._clock()
         try:
             self._touch = self._finger.go(T)
         except Unreachable as error:
             self._note("unreachable", str(error))
-            raise _GivesUp(str(error)) from error
+            raise FollowingFailed(str(error)) from error
         except Diverged as error:
             self._note("diverged", str(error))
             self._recover()
-        return self._look(self._clock() - start, control_s)
+        return self._estimate(self._clock() - start, control_s)
 
-    def _recover(self):
-        """After the simulation lost the tip: an undeformed one, clear of the object, at the back of where it was."""
+    def _recover(self) -> None:
+        """Restart with an undeformed tip, clear of the object and behind the place where the simulation lost it."""
         self._phase = "search"
         lost = self._note_count("diverged")
         if lost > self._settings.most_trouble:
-            raise _GivesUp(f"the simulation lost the tip {lost} times")
-        T = self._finger.carrier.told() @ _shift(-3 * self._settings.back_off_mm)
+            raise FollowingFailed(f"the simulation lost the tip {lost} times")
+        T = self._finger.arm_model.measured_pose() @ _shift(-3 * self._settings.back_off_mm)
         try:
-            self._finger.put(T, float(np.nan_to_num(self._finger.carrier.angles[5])))
+            self._finger.reset_to(T, float(np.nan_to_num(self._finger.arm_model.angles[5])))
         except TactipError as error:
-            raise _GivesUp(f"the simulation lost the tip, and there is no room to begin again: {error}") from error
+            raise FollowingFailed(f"the simulation lost the tip, and there is no room to begin again: {error}") from error
         self._touch = self._finger.touch()
 
-    def _look(self, simulation_s, control_s=0.0):
-        """See what is touched now, and record the step."""
+    def _estimate(self, simulation_s: float, control_s: float = 0.0) -> Estimate:
+        """Estimate the label now, and record the step."""
         if not self._steps:
             self._touch = self._finger.touch()
-        carrier = self._finger.carrier
-        sight = self._estimator.look(self._touch, carrier.pose)
+        arm = self._finger.arm_model
+        estimate = self._estimator.estimate(self._touch, arm.pose)
         seconds = {
             "simulation": simulation_s,
-            "image": sight.image_s,
-            "network": sight.network_s,
+            "image": estimate.image_s,
+            "network": estimate.network_s,
             "control": control_s,
         }
         self._record(
-            Step(self._phase, self._part, carrier.pose, carrier.told(), carrier.angles, self._touch, sight, seconds)
+            Step(self._phase, self._part, arm.pose, arm.measured_pose(), arm.angles, self._touch, estimate, seconds)
         )
         self._steps += 1
-        return sight
+        return estimate
 
-    def _note(self, kind, what):
+    def _note(self, kind: str, what: str) -> None:
         self.events.append(Event(self._steps, kind, what))
-        self._tell(self.events[-1])
+        self._on_event(self.events[-1])
 
-    def _note_count(self, kind):
+    def _note_count(self, kind: str) -> int:
         return sum(e.kind == kind for e in self.events)
 
 
-class _GivesUp(Exception):
-    """The end of a route before its end."""
+class FollowingFailed(Exception):
+    """A route cannot be followed further; the message says why."""
 
 
-def _shift(forward_mm):
-    """The motion (4, 4) along the sensor's axis."""
+def _shift(forward_mm: float) -> np.ndarray:
+    """Return the motion (4, 4) along the sensor's axis."""
     T = np.eye(4)
     T[2, 3] = from_mm_deg([forward_mm, 0, 0, 0, 0, 0])[0]
     return T

@@ -1,10 +1,23 @@
-"""What may be asked of a servo run. Nothing heavy is imported here: the command line reads it to tell what there is."""
+"""Options of a servo run. Nothing heavy is imported here, because the command line is made from these classes."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal, get_args
 
+from tactip_twin.sim.labels import FidelityName, Task
+from tactip_twin.sim.robot.arm_names import ArmName
 from tactip_twin.tactip_model.bounds import check, within
 from tactip_twin.tactip_model.errors import lookup
+from tactip_twin.tactip_model.renderer import RendererName
+
+GainsName = Literal["paper", "later"]
+"""Names of the gains (servo.GAINS)."""
+
+RouteKind = Literal["serpentine", "straight", "geodesic"]
+"""Kinds of routes over a surface."""
+
+UnitName = Literal["mm", "cm", "m"]
+"""Units of mesh files."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +50,7 @@ class Settings:
     most_steps: int = within(1, 1000000, default=20000)
     """Steps after which it stops."""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         check(self)
 
 
@@ -45,7 +58,7 @@ class Settings:
 class RouteOptions:
     """Where to go."""
 
-    kind: str = "serpentine"
+    kind: RouteKind = "serpentine"
     """Over a surface: serpentine, straight, or geodesic, which keeps its heading as the sensor feels it."""
     middle_mm: tuple[float, float] | None = None
     """Middle of the region in the base frame, x and y, mm; that of the object (of the bust, its face) if not given."""
@@ -64,22 +77,22 @@ class RouteOptions:
     most_mm: float = within(1, 10000, default=1000.0)
     """Along an edge: longest way, mm."""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         check(self)
-        lookup("route", self.kind, dict.fromkeys(("serpentine", "straight", "geodesic")))
+        lookup("route", self.kind, dict.fromkeys(get_args(RouteKind)))
 
 
 @dataclass(frozen=True)
-class Options:
+class ServoOptions:
     """A servo run."""
 
     out: Path
     """Folder of the run."""
-    task: str = "surface"
-    """surface or edge."""
+    task: Task = "surface"
+    """Task."""
     object: str = "bust"
     """One of the project's objects, or a mesh file (.stl, .obj, .ply, .glb)."""
-    unit: str | None = None
+    unit: UnitName | None = None
     """What a file's numbers are in: mm, which it is if not given, cm or m."""
     scale: float = within(1e-6, 1e6, default=1.0)
     """Size of the object over that."""
@@ -92,14 +105,14 @@ class Options:
     which has felt bent ones."""
     design: str = "tactip-127"
     """Sensor."""
-    fidelity: str = "standard"
-    """draft, standard or reference."""
-    arm: str = "dynamic"
-    """none, kinematic or dynamic."""
-    renderer: str = "pyrender"
-    """pyrender, or raster: without OpenGL."""
-    gains: str = "paper"
-    """paper or later."""
+    fidelity: FidelityName = "standard"
+    """Fidelity of the simulation."""
+    arm: ArmName = "dynamic"
+    """Arm model."""
+    renderer: RendererName = "pyrender"
+    """Renderer of the pins; raster works without OpenGL."""
+    gains: GainsName = "paper"
+    """Gains of the controller: the paper's, or those of the authors' later work."""
     depth_mm: float | None = within(0.2, 8, default=None)
     """Depth that is kept, mm; if not given 2 over surfaces, where a shallow touch feels finer things, and 3 along edges."""
     noise_grey: float = within(0, 255, default=0.0)
@@ -122,14 +135,14 @@ class Options:
     settings: Settings = field(default_factory=Settings)
     """How to explore."""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         check(self)
 
     @property
-    def network(self):
-        """Name or folder (str) of the network, also where the truth stands in for it: its labels' ranges are used then."""
+    def network(self) -> str:
+        """Name or folder of the network. With the ground truth as estimator, its label ranges are still used."""
         return f"{_SHIPPED[self.task]}-{self.design}" if self.model in ("", "oracle") else self.model
 
 
-_SHIPPED = {"surface": "surface-bent", "edge": "edge"}
-"""What the shipped networks' names begin with, by task."""
+_SHIPPED: dict[Task, str] = {"surface": "surface-bent", "edge": "edge"}
+"""First part of the shipped networks' names by task."""

@@ -1,43 +1,50 @@
-"""Where to go on an object: ways along a surface, and along an edge. All in the arm's base frame, from what the arm
-knows."""
+"""Routes over a surface and along an edge, in the arm's base frame, from what the arm can measure."""
 
 from abc import ABC, abstractmethod
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-_AHEAD_M = 3e-3
-"""How far ahead on its line a route looks, m: three steps."""
+_LOOKAHEAD_M = 3e-3
+"""Distance to the point of the line that a route aims at, m: three steps."""
 
-STEEPEST = 0.25
-"""Least cosine between the sensor's axis and the direction that a route is seen from, -: steeper, a way on the plan is
-none on the surface."""
+MIN_TILT_COSINE = 0.25
+"""Smallest cosine between the sensor's axis and the direction of projection, -: on steeper surfaces, a direction in the
+plane has no useful counterpart on the surface."""
 
 
 class Route(ABC):
-    """A way to go, a step at a time."""
+    """A route, step by step."""
 
     part = 0
-    """Which part of the route it is on, int."""
+    """Index of the present part."""
     ended = ""
-    """Why it is over; empty while it is not."""
+    """Why it ended; empty until then."""
     closed = False
-    """Whether it came back to where it began."""
+    """Whether it returned to its start."""
     wrist_rad = 0.0
-    """Where joint 6 is to be at its start, rad."""
+    """Desired angle of joint 6 at the start, rad."""
 
     @abstractmethod
-    def along(self, T_base_tcp, T_base_contact):
-        """Direction (3,), unit, in the base frame and square to the sensor's axis; None where the route is over.
+    def direction(self, T_base_tcp: np.ndarray, T_base_contact: np.ndarray) -> np.ndarray | None:
+        """Return the next direction (3,), a unit vector in the base frame, square to the sensor's axis; None at the end.
 
-        T_base_tcp: (4, 4), the sensor. T_base_contact: (4, 4), the contact frame as it is felt (sim/pose.py).
+        Args:
+            T_base_tcp: (4, 4), measured pose of the sensor.
+            T_base_contact: (4, 4), estimated contact frame (sim/pose.py).
         """
 
 
 class PlanarPath(Route):
-    """Along a line that is drawn on a plane, and goes over the object below it."""
+    """A route along a line in a plane, projected onto the object below."""
 
-    def __init__(self, points, up):
-        """points: (n, 3) m, corners of the line in the base frame. up: (3,), unit: from where the plane is seen, outward."""
+    def __init__(self, points: ArrayLike, up: ArrayLike) -> None:
+        """Project a line.
+
+        Args:
+            points: (n, 3), corners of the line in the base frame, m.
+            up: (3,), outward normal of the plane, unit.
+        """
         up = np.asarray(up, float)
         flat = np.asarray(points, float)
         self._up, self._points = up, flat - np.outer(flat @ up, up)
@@ -45,65 +52,73 @@ class PlanarPath(Route):
         self._at = 0.0
 
     @property
-    def length_m(self):
-        """Length (m) of the line."""
+    def length_m(self) -> float:
+        """Length of the line, m."""
         return float(self._before[-1])
 
-    def along(self, T_base_tcp, T_base_contact):
-        """See Route."""
+    def direction(self, T_base_tcp: np.ndarray, T_base_contact: np.ndarray) -> np.ndarray | None:
+        """Return the next direction; see Route."""
         place, axis = T_base_tcp[:3, 3], T_base_tcp[:3, 2]
         place = place - (place @ self._up) * self._up
-        # On from where it was, to the nearest place within some steps.
-        ways = np.linspace(self._at, min(self._at + 2 * _AHEAD_M, self.length_m), 25)
-        self._at = float(ways[np.linalg.norm(self._point(ways) - place, axis=1).argmin()])
+        # Forward only, and within some steps, because the line may pass by itself.
+        candidates = np.linspace(self._at, min(self._at + 2 * _LOOKAHEAD_M, self.length_m), 25)
+        self._at = float(candidates[np.linalg.norm(self._point(candidates) - place, axis=1).argmin()])
         self.part = int(np.clip(np.searchsorted(self._before, self._at + 1e-9, "right") - 1, 0, len(self._before) - 2))
-        if self.length_m - self._at < _AHEAD_M / 6:
+        if self.length_m - self._at < _LOOKAHEAD_M / 6:
             self.ended = "the route is done"
             return None
-        if axis @ -self._up < STEEPEST:
+        if axis @ -self._up < MIN_TILT_COSINE:
             self.ended = f"the surface is too steep: {np.degrees(np.arccos(axis @ -self._up)):.0f} degrees from the plan"
             return None
-        way = self._point(np.array([min(self._at + _AHEAD_M, self.length_m)]))[0] - place
-        way = way - (way @ axis) / (self._up @ axis) * self._up
-        return way / np.linalg.norm(way)
+        heading = self._point(np.array([min(self._at + _LOOKAHEAD_M, self.length_m)]))[0] - place
+        heading = heading - (heading @ axis) / (self._up @ axis) * self._up
+        return heading / np.linalg.norm(heading)
 
-    def _point(self, ways):
-        return np.stack([np.interp(ways, self._before, c) for c in self._points.T], -1)
+    def _point(self, distances: np.ndarray) -> np.ndarray:
+        """Return the points (n, 3) at distances (n,) along the line."""
+        return np.stack([np.interp(distances, self._before, c) for c in self._points.T], -1)
 
 
 class Geodesic(Route):
-    """Straight ahead as the sensor feels it: always the same way in its own frame, which turns with the surface alone."""
+    """A route straight ahead: a constant direction in the sensor's frame, which turns with the surface only."""
 
-    def __init__(self, heading_rad, length_m):
-        """heading_rad: float, from the sensor's x axis towards its y axis. length_m: float."""
-        self._way = np.array([np.cos(heading_rad), np.sin(heading_rad), 0.0])
-        self._left, self._last = length_m, None
+    def __init__(self, heading_rad: float, length_m: float) -> None:
+        """Set the heading, from the sensor's x axis towards its y axis, and the length."""
+        self._heading = np.array([np.cos(heading_rad), np.sin(heading_rad), 0.0])
+        self._left = length_m
+        self._last: np.ndarray | None = None
 
-    def along(self, T_base_tcp, T_base_contact):
-        """See Route."""
+    def direction(self, T_base_tcp: np.ndarray, T_base_contact: np.ndarray) -> np.ndarray | None:
+        """Return the next direction; see Route."""
         if self._last is not None:
             self._left -= float(np.linalg.norm(T_base_tcp[:3, 3] - self._last))
         self._last = T_base_tcp[:3, 3].copy()
         if self._left <= 0:
             self.ended = "the route is done"
             return None
-        return T_base_tcp[:3, :3] @ self._way
+        return T_base_tcp[:3, :3] @ self._heading
 
 
 class EdgePath(Route):
-    """Along an edge as it is felt, until it comes back to its start or is too long."""
+    """A route along an estimated edge, until it returns to its start or is too long."""
 
-    def __init__(self, backward=False, most_m=1.0, step_m=1e-3):
-        """backward: bool, against the y axis of the contact frame. most_m: float, longest way. step_m: float, of the
-        servo."""
-        self._sense, self._most, self._close = (-1.0 if backward else 1.0), most_m, 1.5 * step_m
-        # Once round turns the sensor once round, and joint 6, which looks down, the other way.
+    def __init__(self, backward: bool = False, max_length_m: float = 1.0, step_m: float = 1e-3) -> None:
+        """Start a route.
+
+        Args:
+            backward: Whether it runs against the y axis of the contact frame.
+            max_length_m: Limit of its length, m.
+            step_m: Tangential step of the servo, m.
+        """
+        self._sense, self._limit, self._close = (-1.0 if backward else 1.0), max_length_m, 1.5 * step_m
+        # A full loop turns the sensor once, and joint 6, which points down, the other way.
         self.wrist_rad = self._sense * np.pi
-        self._start = self._last = None
+        self._start: np.ndarray | None = None
+        self._last = np.zeros(3)
         self._gone, self._farthest = 0.0, 0.0
 
-    def along(self, T_base_tcp, T_base_contact):
-        """See Route."""
+    def direction(self, T_base_tcp: np.ndarray, T_base_contact: np.ndarray) -> np.ndarray | None:
+        """Return the next direction; see Route."""
         place = T_base_tcp[:3, 3].copy()
         if self._start is None:
             self._start = self._last = place
@@ -114,20 +129,27 @@ class EdgePath(Route):
         if self._farthest > 4 * self._close and away < self._close and self._gone > 2 * self._farthest:
             self.closed, self.ended = True, "the loop is closed"
             return None
-        if self._gone > self._most:
-            self.ended = f"the way is longer than {1e3 * self._most:.0f} mm"
+        if self._gone > self._limit:
+            self.ended = f"the way is longer than {1e3 * self._limit:.0f} mm"
             return None
         axis = T_base_tcp[:3, 2]
-        way = self._sense * T_base_contact[:3, 1]
-        way = way - (way @ axis) * axis
-        return way / np.linalg.norm(way)
+        heading = self._sense * T_base_contact[:3, 1]
+        heading = heading - (heading @ axis) * axis
+        return heading / np.linalg.norm(heading)
 
 
-def serpentine(middle, along, across, length_m, width_m, spacing_m):
-    """Corners (n, 3), m, of a line to and fro over a rectangle.
+def serpentine(
+    middle: ArrayLike, along: ArrayLike, across: ArrayLike, length_m: float, width_m: float, spacing_m: float
+) -> np.ndarray:
+    """Return the corners (n, 3), m, of a serpentine line over a rectangle. Even parts are passes, odd ones lead to the next.
 
-    middle: (3,) m. along, across: (3,), unit: of the passes, and from pass to pass. length_m, width_m: of the rectangle.
-    spacing_m: between passes. Even parts of the line are passes, odd ones lead to the next.
+    Args:
+        middle: (3,), middle of the rectangle, m.
+        along: (3,), direction of the passes, unit.
+        across: (3,), direction from pass to pass, unit.
+        length_m: Length of a pass, m.
+        width_m: Width of the rectangle, m.
+        spacing_m: Distance between passes, m.
     """
     count = max(1, round(width_m / spacing_m) + 1)
     offsets = np.linspace(-width_m / 2, width_m / 2, count) if count > 1 else np.zeros(1)

@@ -1,31 +1,40 @@
-"""A trajectory held against the true geometry."""
+"""Scores of a trajectory, compared with the true geometry."""
+
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from tactip_twin.sim.labels import COMPONENTS
 from tactip_twin.sim.pose import to_mm_deg
+from tactip_twin.sim.robot.objects import SceneObject
 from tactip_twin.sim.robot.recording import PHASES
 
 COVERED_M = 7e-3
-"""How far from the tip's way a place of a surface counts as touched, m: as far as the patch of a press of 2 mm goes on the
-flat, 7 mm; that of 3 mm goes to 9 [M]."""
+"""Distance from the tip's path within which a point of a surface counts as touched, m: the contact patch of a 2 mm press on
+a flat surface reaches 7 mm, that of 3 mm 9 mm [M]."""
 
 EDGE_COVERED_M = 3e-3
-"""The same of an edge, m: a step or two, and what a rim is cut by."""
+"""The same for an edge, m: a step or two, and the distance by which corners of a rim are cut."""
 
 _FAR_M = 3.0
 """Beyond every object, m."""
 
 _SPACING_M = 2e-3
-"""Spacing of the places that are asked for on a surface, m."""
+"""Spacing of the target points on a surface, m."""
 
 
-def score(arrays, record, reference_mm_deg, targets):
-    """What a recording is worth (dict, JSON).
+def score(
+    arrays: Mapping[str, np.ndarray], record: Mapping[str, Any], reference_mm_deg: np.ndarray, targets: np.ndarray
+) -> dict[str, Any]:
+    """Return the scores of a recording, as JSON values.
 
-    arrays, record: of tactip_twin.sim.robot.recording.read_recording. reference_mm_deg: (6,), the label that was to be
-    kept, mm and degrees.
-    targets: (m, 3) m, places in the base frame that were to be touched.
+    Args:
+        arrays: Arrays of the recording (recording.read_recording).
+        record: Its record.
+        reference_mm_deg: (6,), the label to keep, mm and degrees.
+        targets: (m, 3), points to touch, base frame, m.
 
     Mean errors are over the steps of the phase `follow`: depth and, along an edge, x, of the true label against the
     reference; angle between the sensor's axis and the true normal.
@@ -34,7 +43,7 @@ def score(arrays, record, reference_mm_deg, targets):
     true, felt = to_mm_deg(arrays["true"][following]), to_mm_deg(arrays["felt"][following])
     edge = record["task"] == "edge"
     poses, seconds = arrays["T_base_tcp"][following], arrays["seconds"]
-    # Where the object is touched: the apex is below that by the depth.
+    # Points of contact: the apex is below them by the depth.
     places = poses[:, :3, 3] + arrays["true"][following][:, 2:3] * poses[:, :3, 2]
     whole = float(seconds.sum())
     force = np.linalg.norm(arrays["force_n"][following], axis=1)
@@ -66,8 +75,8 @@ def score(arrays, record, reference_mm_deg, targets):
     return out
 
 
-def coverage(places, targets, reach_m):
-    """Share (0 to 1) of targets (m, 3) that lie within reach_m of places (n, 3)."""
+def coverage(places: np.ndarray, targets: np.ndarray, reach_m: float) -> float:
+    """Return the fraction of targets (m, 3) that lie within `reach_m` of places (n, 3)."""
     from scipy.spatial import cKDTree
 
     if not len(places) or not len(targets):
@@ -75,11 +84,13 @@ def coverage(places, targets, reach_m):
     return float((cKDTree(places).query(targets)[0] < reach_m).mean())
 
 
-def surface_targets(thing, corners, up):
-    """Places (m, 3) m in the base frame on an object below a rectangle.
+def surface_targets(thing: SceneObject, corners: np.ndarray, up: ArrayLike) -> np.ndarray:
+    """Return points (m, 3), m, base frame, on an object below the bounding rectangle of a route.
 
-    thing: objects.Thing. corners: (n, 3) m, of a route. up: (3,), unit, from where it is seen. The rectangle is the
-    corners'.
+    Args:
+        thing: The object.
+        corners: (n, 3), corners of the route, m.
+        up: (3,), unit, direction from which the route is projected.
     """
     up = np.asarray(up, float)
     across = np.cross(up, [1.0, 0, 0]) if abs(up[0]) < 0.9 else np.cross(up, [0, 1.0, 0])
@@ -99,8 +110,8 @@ def surface_targets(thing, corners, up):
     return np.array(out).reshape(-1, 3)
 
 
-def _angles(labels):
-    """Angles (n,) degrees between the sensor's axis and the normal, of labels (n, 6), m and rad."""
+def _angles(labels: np.ndarray) -> np.ndarray:
+    """Return the angles (n,), degrees, between the sensor's axis and the normal, of labels (n, 6), m and rad."""
     from scipy.spatial.transform import Rotation
 
     if not len(labels):
@@ -109,8 +120,14 @@ def _angles(labels):
     return np.degrees(np.arccos(np.clip(leaning, -1, 1)))
 
 
-def _passes(arrays, following, true, angles, reference_mm_deg):
-    """Figures (list of dict) of each pass: the even parts of a route."""
+def _passes(
+    arrays: Mapping[str, np.ndarray],
+    following: np.ndarray,
+    true: np.ndarray,
+    angles: np.ndarray,
+    reference_mm_deg: np.ndarray,
+) -> list[dict[str, Any]]:
+    """Return the scores of each pass, the even parts of a route."""
     parts, out = arrays["part"][following], []
     for part in sorted(set(parts[parts % 2 == 0].tolist())):
         mine = parts == part
@@ -126,9 +143,9 @@ def _passes(arrays, following, true, angles, reference_mm_deg):
     return out
 
 
-def _mean(values):
+def _mean(values: np.ndarray) -> float | None:
     return float(np.mean(values)) if len(values) else None
 
 
-def _medians_ms(seconds):
+def _medians_ms(seconds: np.ndarray) -> list[float]:
     return [float(1e3 * x) for x in np.median(seconds, axis=0)] if len(seconds) else [0.0] * 4

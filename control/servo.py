@@ -1,6 +1,6 @@
-"""The servo law: proportional and integral, in SE(3) and in the sensor's frame [P].
+"""The servo law: proportional and integral control in SE(3), in the sensor's frame [P].
 
-    e(t) = the reference pose as seen from the sensor where it is felt to be, a translation and a rotation vector
+    e(t) = the reference pose relative to the estimated sensor pose: a translation and a rotation vector
     s(t) = Kp e(t) + Ki Σ e(t')
 
 An error is a product of poses and not a difference of numbers. [P] is Lepora & Lloyd, "Optimal Deep Learning for Robot
@@ -8,10 +8,14 @@ TipState" (2020); [L] the authors' later tactile_servo_control.
 """
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
+from tactip_twin.control.options import GainsName
+from tactip_twin.sim.labels import Task
 from tactip_twin.sim.pose import from_mm_deg, inverse, matrix, sensor_in_contact
 from tactip_twin.tactip_model.bounds import check, within
 from tactip_twin.tactip_model.errors import lookup
@@ -19,7 +23,7 @@ from tactip_twin.tactip_model.errors import lookup
 
 @dataclass(frozen=True)
 class Gains:
-    """Gains of the servo, by component of the sensor's frame: x, y, z, and turns about them."""
+    """Gains of the servo for each component in the sensor's frame: x, y, z, and rotations about them."""
 
     kp: tuple[float, float, float, float, float, float] = within(0, 2, default=(0.5, 0.5, 0.5, 0.5, 0.5, 0.5))
     """Proportional, - [P]."""
@@ -30,11 +34,11 @@ class Gains:
     most_deg: float = within(0, 180, default=45.0)
     """... and so many degrees [L]."""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         check(self)
 
 
-GAINS = {
+GAINS: dict[GainsName, dict[Task, Gains]] = {
     "paper": {"surface": Gains(), "edge": Gains()},
     "later": {
         "surface": Gains(kp=(1, 1, 0.5, 0.5, 0.5, 1), ki=(0, 0, 0.3, 0.1, 0.1, 0)),
@@ -43,48 +47,70 @@ GAINS = {
 }
 """By name and task: the paper's, and those of the authors' later work [L]."""
 
-DEPTHS_MM = {"surface": 2.0, "edge": 3.0}
-"""Depth that is kept by task, mm. What is felt is the mean normal of the patch that is touched: pressed 3 mm deep it is that
-of 4 mm about, which over the nose of the bust is 1.8 degrees off the normal where it is nearest; a shallower patch is a
-smaller one [M] (docs/servo.md). Along an edge it is the middle of the depths that were learned."""
+DEPTHS_MM: dict[Task, float] = {"surface": 2.0, "edge": 3.0}
+"""Default depth by task, mm. The networks predict the mean normal of the contact patch: over the nose of the bust, the patch
+of a 3 mm press (about 4 mm wide) tilts 1.8 degrees from the normal at its middle; a shallower patch is smaller [M]
+(docs/servo.md). Along an edge it is the middle of the trained depths."""
 
 
-def reference_mm_deg(depth_mm):
-    """The label (6,), mm and degrees, that the servo keeps at a depth (float): on the normal, and on the edge."""
+class Controller(Protocol):
+    """Anything that turns estimated labels into motions. Subclasses without a state need only `move`."""
+
+    def move(self, label: np.ndarray, along: ArrayLike = (0.0, 0.0, 0.0)) -> np.ndarray:
+        """Return the next motion (4, 4) of the sensor, in its own frame.
+
+        Args:
+            label: (6,), the estimated label, m and rad.
+            along: (3,), the tangential step to add, m, in the sensor's frame.
+        """
+        ...
+
+    def reset(self) -> None:
+        """Forget the errors so far: contact was lost, and the next label belongs to another place."""
+
+
+def reference_mm_deg(depth_mm: float) -> np.ndarray:
+    """Return the label (6,), mm and degrees, that the servo keeps at a depth: along the normal and on the edge."""
     return np.array([0.0, 0.0, -depth_mm, 0.0, 0.0, 0.0])
 
 
-def gains_named(name, task):
-    """The Gains of a name and a task. Raises TactipError that lists the names."""
+def pose_error(label: np.ndarray, reference: np.ndarray) -> np.ndarray:
+    """Return the pose of a reference label relative to a sensor at `label`: a translation (m) and a rotation vector (rad).
+
+    Args:
+        label: (6,), m and rad.
+        reference: (6,), m and rad.
+    """
+    T = inverse(sensor_in_contact(label)) @ sensor_in_contact(reference)
+    return np.concatenate([T[:3, 3], Rotation.from_matrix(T[:3, :3]).as_rotvec()])
+
+
+def gains_named(name: GainsName, task: Task) -> Gains:
+    """Return the gains of a name and a task. Raises TactipError that lists the names."""
     return lookup("task", task, lookup("gains", name, GAINS))
 
 
 class Servo:
-    """The law and its memory."""
+    """The paper's controller: proportional and integral, with a limited integral."""
 
-    def __init__(self, gains, depth_mm):
-        """gains: Gains. depth_mm: float, the depth to keep."""
+    def __init__(self, gains: Gains, depth_mm: float) -> None:
+        """Keep a depth, mm, by gains."""
         self._kp, self._ki = np.array(gains.kp), np.array(gains.ki)
-        self._most = from_mm_deg([gains.most_mm] * 3 + [gains.most_deg] * 3)
-        self._reference = sensor_in_contact(from_mm_deg(reference_mm_deg(depth_mm)))
-        self.forget()
+        self._limit = from_mm_deg([gains.most_mm] * 3 + [gains.most_deg] * 3)
+        self._reference = from_mm_deg(reference_mm_deg(depth_mm))
+        self.reset()
 
-    def forget(self):
-        """Let the summed error go: after contact was lost, it is of another place."""
+    def reset(self) -> None:
+        """Set the integral to zero."""
         self._sum = np.zeros(6)
 
-    def error(self, label):
-        """The reference (6,), m and rad, as seen from a sensor at `label` (6,): what is left to do, in the sensor's
-        frame."""
-        T = inverse(sensor_in_contact(label)) @ self._reference
-        return np.concatenate([T[:3, 3], Rotation.from_matrix(T[:3, :3]).as_rotvec()])
+    def error(self, label: np.ndarray) -> np.ndarray:
+        """Return the error (6,), m and rad, of a label (6,): the reference relative to the sensor, in the sensor's frame."""
+        return pose_error(label, self._reference)
 
-    def move(self, label, along=(0.0, 0.0, 0.0)):
-        """The motion (4, 4) of the sensor in its own frame that a felt `label` (6,), m and rad, asks for.
-
-        along: (3,) m in the sensor's frame, the tangential step that comes on top.
-        """
+    def move(self, label: np.ndarray, along: ArrayLike = (0.0, 0.0, 0.0)) -> np.ndarray:
+        """Return the motion (4, 4) for a label; see Controller."""
         error = self.error(label)
-        self._sum = np.clip(self._sum + error, -self._most, self._most)
+        self._sum = np.clip(self._sum + error, -self._limit, self._limit)
         motion = self._kp * error + self._ki * self._sum
-        return matrix(motion[:3] + along, Rotation.from_rotvec(motion[3:]))
+        return matrix(motion[:3] + np.asarray(along), Rotation.from_rotvec(motion[3:]))

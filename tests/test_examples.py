@@ -51,14 +51,15 @@ def test_one_contact_is_one_image(tmp_path):
     told = run(EXAMPLES / "one_contact.py", "--out", tmp_path / "contact.png", "--renderer", "raster")
     image = cv2.imread(str(tmp_path / "contact.png"), cv2.IMREAD_GRAYSCALE)
     assert image.shape == (128, 128) and set(np.unique(image)) == {0, 255}
-    assert " N, " in told
+    assert " N; " in told and "3.0" in told
 
 
 def test_a_narrower_pipe_presses_less(tmp_path):
     told = run(EXAMPLES / "own_stimulus.py", "--fidelity", "draft", "--radii-mm", "8", "20")
     narrow, wide = (float(x) for x in re.findall(r"mm: ([\d.]+) N", told))
     assert 0.3 < narrow < wide
-    assert all(int(x) < 50 for x in re.findall(r"is (\d+) µm inside", told))
+    overlaps = re.findall(r"overlap by (\d+) µm", told)
+    assert len(overlaps) == 2 and all(int(x) < 50 for x in overlaps)
 
 
 def test_a_network_is_trained_on_a_folder(tmp_path):
@@ -75,6 +76,14 @@ def test_an_estimator_of_ones_own_follows_a_sphere(followed):
     score = json.loads((folder / "score.json").read_text())
     assert "the route is done" in told
     assert score["contact_losses"] == 0 and score["depth_mae_mm"] < 1 and score["angle_mean_deg"] < 8
+
+
+def test_own_controller_follows_a_sphere(tmp_path):
+    printed = run(EXAMPLES / "own_controller.py", "--out", tmp_path / "run", "--length-mm", "8")
+    score = json.loads((tmp_path / "run" / "score.json").read_text())
+    assert "the route is done" in printed
+    assert score["contact_losses"] == 0 and score["depth_mae_mm"] < 0.6 and score["angle_mean_deg"] < 8
+    assert json.loads((tmp_path / "run" / "recording.json").read_text())["controller"] == "Proportional"
 
 
 def test_a_run_is_replayed_in_a_notebook(followed, tmp_path):

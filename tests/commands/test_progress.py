@@ -6,17 +6,17 @@ from importlib.metadata import version
 import pytest
 
 from tactip_twin.commands import main as tactip
-from tactip_twin.commands._progress import _PATIENCE_S, Waiting
+from tactip_twin.commands._progress import _PATIENCE_S, DelayedStatus
 
 
 def test_a_long_wait_is_told_once_and_a_short_one_is_not(capsys):
-    with Waiting("reading"):
+    with DelayedStatus("reading"):
         time.sleep(1.5 * _PATIENCE_S)
     assert capsys.readouterr().err == "reading …\n"
-    with Waiting("reading"):
+    with DelayedStatus("reading"):
         pass
-    with Waiting("reading") as waiting:
-        waiting.over()
+    with DelayedStatus("reading") as waiting:
+        waiting.cancel()
         time.sleep(1.5 * _PATIENCE_S)
     assert capsys.readouterr().err == ""
 

@@ -21,7 +21,7 @@ from tactip_twin.sim.robot.arm_models import arm_model_named
 from tactip_twin.sim.robot.mounted_tip import MountedTip
 from tactip_twin.sim.robot.objects import load_object
 from tactip_twin.tactip_model.errors import TactipError
-from tactip_twin.tactip_model.presets import find_design
+from tactip_twin.tactip_model.presets import load_design
 
 SURFACE = Labels("surface", (-5, -15, -15), (-1, 15, 15))
 EDGE = Labels("edge", (-5, -5, -15, -15, -45), (5, -1, 15, 15, 45))
@@ -34,7 +34,7 @@ class World:
         self.thing = load_object(name)
         self.labels = SURFACE if task == "surface" else EDGE
         self.truth = SurfaceGroundTruth(self.thing.solid) if task == "surface" else EdgeGroundTruth(self.thing.edge)
-        design, self.carrier = find_design("tactip-127"), arm_model_named(arm)
+        design, self.carrier = load_design("tactip-127"), arm_model_named(arm)
         self.finger = MountedTip(design, self.thing.solid, fidelity_named("draft"), self.carrier, self.thing.T_base_object)
         self.oracle = Oracle(self.truth, self.thing.T_base_object)
         self.steps = []
@@ -81,7 +81,7 @@ def test_a_ball_is_followed(arm):
     assert len(labels) >= 11
     assert np.abs(labels[:, 2] + 3).max() < 0.2
     assert np.linalg.norm(labels[:, 3:5], axis=1).max() < 2.5
-    told = np.array([s.T_told for s in world.steps])
+    told = np.array([s.T_base_tcp_measured for s in world.steps])
     true = np.array([s.T_base_tcp for s in world.steps])
     assert np.allclose(told, true, atol=1e-9)
     assert all(np.linalg.norm(s.touch.force) > 0.2 for s in world.steps if s.phase == "follow")
@@ -90,7 +90,7 @@ def test_a_ball_is_followed(arm):
 def test_an_edge_is_followed_to_its_end():
     world = World("edge", task="edge")
     start = world.start([0.06, 0, 0])
-    explorer = world.explore(start, EdgePath(most_m=0.01))
+    explorer = world.explore(start, EdgePath(max_length_m=0.01))
     assert "longer than 10 mm" in explorer.stopped_because
     labels = world.true_labels()
     assert np.abs(labels[:, 0]).max() < 0.1
@@ -103,8 +103,8 @@ def test_what_is_felt_is_what_counts():
     """With an estimator that is wrong by half a millimetre and two degrees, the servo is wrong by as much."""
 
     class Wrong(Oracle):
-        def look(self, touch, T_base_tcp):
-            sight = super().look(touch, T_base_tcp)
+        def estimate(self, touch, T_base_tcp):
+            sight = super().estimate(touch, T_base_tcp)
             return Estimate(sight.label + from_mm_deg([0, 0, 0.5, 2, 0, 0]), sight.touching, None)
 
     world = World("plate")
@@ -118,9 +118,9 @@ class Scripted(Estimator):
     def __init__(self, world, said):
         self.oracle, self.said, self.step = world.oracle, said, -1
 
-    def look(self, touch, T_base_tcp):
+    def estimate(self, touch, T_base_tcp):
         self.step += 1
-        sight = self.oracle.look(touch, T_base_tcp)
+        sight = self.oracle.estimate(touch, T_base_tcp)
         return self.said.get(self.step, lambda s: s)(sight)
 
 
@@ -196,7 +196,7 @@ def test_the_arm_s_reach_ends_a_route():
     world = World("plate", "kinematic")
     T = world.thing.T_base_object.copy()
     T[0, 3] += 0.16  # beyond what the arm reaches with the sensor pointing down, at its far end
-    finger = MountedTip(find_design("tactip-127"), world.thing.solid, fidelity_named("draft"), world.carrier, T)
+    finger = MountedTip(load_design("tactip-127"), world.thing.solid, fidelity_named("draft"), world.carrier, T)
     world.finger, world.thing = finger, replace(world.thing, T_base_object=T)
     world.oracle = Oracle(world.truth, T)
     explorer = world.explore(world.start([-0.06, 0, 0]), over(world, 0.2), centre_steps=3)
@@ -247,7 +247,7 @@ def test_it_slows_down_where_it_leans():
         explorer = world.explore(world.start(top), route, slow_deg=slow)
         assert explorer.stopped_because == "the route is done"
         following = [s for s in world.steps if s.phase == "follow"]
-        leans[slow] = np.mean([np.degrees(np.linalg.norm(s.sight.label[3:5])) for s in following])
+        leans[slow] = np.mean([np.degrees(np.linalg.norm(s.estimate.label[3:5])) for s in following])
         counts[slow] = len(following)
     assert leans[2.0] < 0.8 * leans[0.0]
     assert 1.2 * counts[0.0] < counts[2.0] < 5 * counts[0.0]
@@ -258,7 +258,7 @@ def test_the_housing_is_kept_off_the_object(monkeypatch):
     world = World("plate")
     for lean_deg in (0.0, 40.0, 60.0):
         T = world.thing.T_base_object @ sensor_in_contact(from_mm_deg([0, 0, 0.5, lean_deg, 0, 0]))
-        world.finger.carrier.put(T)
+        world.finger.arm_model.reset_to(T)
         lean = np.radians(lean_deg)
         height = 0.5e-3 + 20e-3 * np.cos(lean) - 22e-3 * np.sin(lean)
         assert world.finger.touch().clearance_m == pytest.approx(height, abs=1e-7)

@@ -43,7 +43,7 @@ def test_the_law_is_proportional_and_integral_and_its_sum_is_clipped():
     label = from_mm_deg([0, 0, -4, 0, 0, 0])  # 1 mm too deep: the reference is behind, at z = -1 mm of the sensor
     for told in (-0.5 - 0.3, -0.5 - 0.6, -0.5 - 0.6):
         assert servo.move(label)[2, 3] == pytest.approx(told * 1e-3)
-    servo.forget()
+    servo.reset()
     assert servo.move(label, along=(1e-3, 0, 0))[:3, 3] == pytest.approx([1e-3, 0, -0.8e-3])
 
 
@@ -105,7 +105,7 @@ def walk(route, T, steps, turn=STILL):
     """Go along a route with 1 mm a step, the contact frame as the sensor has it."""
     places = [T[:3, 3]]
     for _ in range(steps):
-        way = route.along(T, T @ inverse(sensor_in_contact(np.zeros(6))))
+        way = route.direction(T, T @ inverse(sensor_in_contact(np.zeros(6))))
         if way is None:
             break
         assert np.linalg.norm(way) == pytest.approx(1)
@@ -131,7 +131,7 @@ def test_a_plan_is_walked_to_its_end_and_told_by_its_parts():
 
 def test_a_plan_ends_where_the_surface_is_too_steep():
     route = PlanarPath([[0, 0, 0], [0.1, 0, 0]], [0, 0, 1])
-    assert route.along(matrix([0, 0, 0], DOWN * Rotation.from_rotvec([1.4, 0, 0])), np.eye(4)) is None
+    assert route.direction(matrix([0, 0, 0], DOWN * Rotation.from_rotvec([1.4, 0, 0])), np.eye(4)) is None
     assert "too steep" in route.ended
 
 
@@ -147,7 +147,7 @@ def test_a_loop_is_closed_and_an_endless_edge_is_not():
     places = walk(route, matrix([0.06, 0, 0], DOWN), 1000, Rotation.from_euler("z", 1e-3 / 0.06))
     assert route.closed
     assert len(places) == pytest.approx(2 * np.pi * 60, abs=3)
-    straight = EdgePath(most_m=0.05, backward=True)
+    straight = EdgePath(max_length_m=0.05, backward=True)
     places = walk(straight, matrix([0, 0, 0], DOWN), 1000)
     assert not straight.closed
     assert "longer than 50 mm" in straight.ended

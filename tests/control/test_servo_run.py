@@ -1,17 +1,21 @@
 """`tactip servo`: what it leaves behind, and what it says when it cannot."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from PIL import Image
+from scipy.spatial.transform import Rotation
 
 from tactip_twin.benchmarks.servo.contact_patch import contact_patch_normal
 from tactip_twin.commands import main as tactip
-from tactip_twin.control.options import Options
+from tactip_twin.control.estimator import Estimate
+from tactip_twin.control.options import RouteOptions, ServoOptions
 from tactip_twin.control.score import coverage
-from tactip_twin.control.servo import DEPTHS_MM
-from tactip_twin.sim.pose import to_mm_deg
+from tactip_twin.control.servo import DEPTHS_MM, Controller
+from tactip_twin.control.servo_run import run_servo
+from tactip_twin.sim.pose import from_mm_deg, matrix, to_mm_deg
 from tactip_twin.sim.robot.objects import load_object
 from tactip_twin.sim.robot.recording import PHASES, read_recording
 from tactip_twin.tactip_model.errors import TactipError
@@ -39,7 +43,7 @@ def ran(tmp_path_factory):
 )
 def test_options_out_of_bounds_are_refused_before_anything_is_made(tmp_path, asked, words):
     with pytest.raises(TactipError, match=words):
-        Options(tmp_path / "run", **asked)
+        ServoOptions(tmp_path / "run", **asked)
 
 
 def test_a_run_leaves_a_score_with_all_its_figures(ran):
@@ -140,20 +144,18 @@ def test_ctrl_c_keeps_what_was_recorded(tmp_path, monkeypatch, capsys):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--task", "corner"], "unknown task 'corner': choose one of surface, edge"),
         (["--object", "cup"], "there is no object 'cup': choose one of bust"),
-        (["--arm", "left"], "unknown arm 'left'"),
-        (["--gains", "high"], "unknown gains 'high'"),
-        (["--fidelity", "perfect"], "unknown fidelity"),
         (["--design", "tactip-331"], "no network of the surface is shipped for the tip 'tactip-331': give --model"),
         (["--model", "none"], "no shipped model of that name"),
         (["--task", "edge"], "plate has no edge that is known: the edge task takes one of edge, rim-round"),
         (["--task", "surface", "--model", "edge-tactip-127"], "was trained for the edge, not for the surface"),
         (["--route.middle-mm", "900", "0"], "must be above the object"),
-        (["--settings.step-mm", "99"], "--settings.step-mm is 99"),
-        (["--route.kind", "spiral"], "unknown route"),
-        (["--seed", "-1"], "tactip: --seed is -1"),
-        (["--place-mm", "nan", "0", "0"], "tactip: --place-mm is (nan, 0.0, 0.0)"),
+        (["--settings.step-mm", "99"], "step_mm must be a finite number from 0.05 to 10, got 99.0"),
+        (["--seed", "-1"], "tactip: seed must be a whole number from 0 to"),
+        (
+            ["--place-mm", "nan", "0", "0"],
+            "tactip: place_mm must be a finite number from -10000 to 10000, got (nan, 0.0, ",
+        ),
     ],
 )
 def test_wrong_input_is_one_sentence(ran, tmp_path, capsys, options, words):
@@ -164,6 +166,32 @@ def test_wrong_input_is_one_sentence(ran, tmp_path, capsys, options, words):
     assert words in error
     assert len(error.strip().splitlines()) == 1
     assert not (tmp_path / "run" / "recording.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "choices"),
+    [
+        ("--task", "corner", ("surface", "edge")),
+        ("--arm", "left", ("none", "kinematic", "dynamic")),
+        ("--gains", "high", ("paper", "later")),
+        ("--fidelity", "perfect", ("draft", "standard", "reference")),
+        ("--route.kind", "spiral", ("serpentine", "straight", "geodesic")),
+        ("--renderer", "blender", ("pyrender", "raster")),
+    ],
+)
+def test_servo_unknown_choice_exits_with_2_and_lists_the_choices(tmp_path, capsys, option, value, choices):
+    with pytest.raises(SystemExit) as ended:
+        tactip.main(["servo", option, value, "--out", str(tmp_path / "run")])
+    assert ended.value.code == 2
+    error = capsys.readouterr().err
+    assert option in error and all(repr(choice) in error for choice in (value, *choices))
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("wrong", [{"task": "corner"}, {"gains": "high"}, {"arm": "left"}, {"fidelity": "perfect"}])
+def test_run_servo_unknown_choice_is_refused(tmp_path, wrong):
+    with pytest.raises(TactipError, match=f"unknown {next(iter(wrong))} '{next(iter(wrong.values()))}'"):
+        run_servo(ServoOptions(tmp_path / "run", object="plate", **wrong))
 
 
 def test_a_folder_in_use_is_not_written_over(ran, capsys):
@@ -184,6 +212,55 @@ def test_the_truth_steers_a_tip_that_no_network_is_shipped_for(tmp_path):
     options = ["--design", "nominal-331", "--model", "oracle", "--settings.most-steps", "60"]
     assert tactip.main([*QUICK, *SHORT, *options, "--out", str(tmp_path / "run")]) == 0
     assert json.loads((tmp_path / "run" / "score.json").read_text())["depth_mae_mm"] is not None
+
+
+def own_options(tmp_path):
+    route = RouteOptions(kind="straight", length_mm=2)
+    return ServoOptions(tmp_path / "run", object="plate", arm="none", fidelity="draft", renderer="raster", route=route)
+
+
+@pytest.mark.parametrize("label", [(-2.0, 0.0, 0.0), (0.0, 0.0, -2.0, 0.0, 0.0, 0.0)])
+def test_run_servo_function_of_the_image_takes_the_networks_place(tmp_path, label):
+    images = []
+
+    def estimate(image):
+        images.append(image)
+        return label
+
+    score = run_servo(own_options(tmp_path), log=lambda line: None, estimator=estimate)
+    record, arrays = read_recording(tmp_path / "run")
+    assert score["stopped_because"] == "the route is done"
+    assert (record["estimator"], record["network"]) == ("ImageEstimator", None)
+    assert len(images) == 1 + len(arrays["felt"])  # one is the neutral image
+    assert images[0].shape == (128, 128)
+    assert np.allclose(to_mm_deg(arrays["felt"]), [0, 0, -2, 0, 0, 0])
+
+
+def test_run_servo_function_with_a_wrong_label_is_refused(tmp_path):
+    with pytest.raises(TactipError, match=r"the label must be 3 or 6 numbers, got \[1.0, 2.0\]"):
+        run_servo(own_options(tmp_path), log=lambda line: None, estimator=lambda image: [1, 2])
+
+
+def test_run_servo_own_parts_take_the_place_of_network_and_controller(tmp_path):
+    class Still(Controller):
+        moves = resets = 0
+
+        def move(self, label, along=(0.0, 0.0, 0.0)):
+            self.moves += 1
+            return matrix(along, Rotation.identity())
+
+    class Fixed:
+        def estimate(self, touch, T_base_tcp):
+            return Estimate(from_mm_deg([0, 0, -2, 0, 0, 0]), float(touch.force[2] != 0))
+
+    still = Still()
+    options = replace(own_options(tmp_path), design="nominal-331")  # no network is shipped for it
+    score = run_servo(options, log=lambda line: None, estimator=Fixed(), controller=still)
+    record, arrays = read_recording(tmp_path / "run")
+    assert (record["estimator"], record["controller"]) == ("Fixed", "Still")
+    assert 0 < still.moves <= score["steps"]
+    following = arrays["T_base_tcp"][arrays["phase"] == PHASES.index("follow"), :3, 3]
+    assert np.ptp(following[:, 2]) < 1e-9  # nothing corrects the depth
 
 
 def test_coverage_counts_what_is_near():

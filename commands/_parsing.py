@@ -1,0 +1,75 @@
+"""Commands, made from the command line: a command's options are the fields of a dataclass."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, make_dataclass
+from typing import Any, Self, TypeVar
+
+import tyro
+
+from tactip_twin.commands._help_text import REGISTRY
+
+T = TypeVar("T")
+
+
+class Command:
+    """A command; subclasses are dataclasses of its options."""
+
+    @classmethod
+    def parse(cls, arguments: Sequence[str], prog: str) -> "Command":
+        """Return the command of a command line.
+
+        Args:
+            arguments: Words after the command's name.
+            prog: The words before, for messages.
+
+        Raises:
+            TactipError: A value is not allowed.
+            SystemExit: For --help (0), and for options or choices that do not exist (2).
+        """
+        return parse_options(cls, arguments, prog, cls.defaults(arguments))
+
+    @classmethod
+    def defaults(cls, arguments: Sequence[str]) -> Self | None:
+        """Return the options' defaults as an instance, where a first look at the command line decides them."""
+        return None
+
+    def run(self) -> int:
+        """Run the command. Return the exit status."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A command in a list of commands."""
+
+    summary: str
+    """One line for the list."""
+    parse: Callable[[Sequence[str], str], Command]
+    """Makes the command from the words after its name and the words up to it."""
+
+
+def parse_options(options: type[T], arguments: Sequence[str], prog: str, default: T | None = None) -> T:
+    """Return a dataclass from a command line; `default` has its defaults, tyro.MISSING for what must be given."""
+    given: dict[str, Any] = {} if default is None else {"default": default}
+    return tyro.cli(options, args=arguments, prog=prog, registry=REGISTRY, **given)
+
+
+def parse_subcommand(table: Mapping[str, Entry], arguments: Sequence[str], prog: str, description: str) -> Command:
+    """Return the command that the first word names; without one, show the list of commands or refuse."""
+    if arguments and arguments[0] in table:
+        return table[arguments[0]].parse(arguments[1:], f"{prog} {arguments[0]}")
+    # Commands without options: enough for the list, and nothing of the commands' own is loaded for it.
+    listed = {name: make_dataclass("Listed", (), namespace={"__doc__": entry.summary}) for name, entry in table.items()}
+    tyro.extras.subcommand_cli_from_dict(listed, args=arguments, prog=prog, description=description)
+    raise SystemExit(2)
+
+
+def last_value(arguments: Sequence[str], option: str) -> str | None:
+    """Return the last value of an option in a command line that is not parsed yet; None where it is not given."""
+    name, value = f"--{option}", None
+    for word, after in zip(arguments, [*arguments[1:], None], strict=True):
+        if word == name:
+            value = after
+        elif word.startswith(f"{name}="):
+            value = word.partition("=")[2]
+    return value

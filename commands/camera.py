@@ -1,0 +1,112 @@
+"""tactip camera: a real sensor, live."""
+
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from tactip_twin.commands._parsing import Command
+from tactip_twin.sim2real.sensor.preprocessing_options import ImagePreprocessing
+from tactip_twin.tactip_model.bounds import check, within
+
+if TYPE_CHECKING:
+    from tactip_twin.sim2real.sensor.frame_sources import CameraFrames, ImageFrames
+    from tactip_twin.sim2real.sensor.live_page import CameraPage
+    from tactip_twin.sim2real.sensor.video_frames import FilmFrames
+
+
+@dataclass(frozen=True)
+class Camera(Command):
+    """A real sensor, live: pins, tactile image and what the network feels, a JSON line a frame, and in a browser. The first
+    frame should show the tip untouched."""
+
+    device: int | None = within(0, 1000, default=None)
+    """Number of a camera of this machine."""
+    video: Path | None = None
+    """A film in the camera's place."""
+    images: Path | None = None
+    """A folder of images in its place."""
+    model: str = "surface-tactip-127"
+    """A shipped network or the folder of a training; none for none."""
+    neutral: Path | None = None
+    """Image of the untouched tip; the first frame if not given."""
+    page: bool = False
+    """Show it in a browser, too."""
+    host: str = "127.0.0.1"
+    """Address that the page is served at."""
+    port: int = 8080
+    """Its port, or the next that is free."""
+    frames: int = within(0, 10**9, default=0)
+    """Stop after so many frames; 0: go on to the end."""
+    preprocessing: Annotated[ImagePreprocessing, tyro.conf.arg(name="")] = field(
+        default_factory=lambda: ImagePreprocessing(threshold=(61, -5.0))
+    )
+    """What its frames are like, and what is used of them."""
+
+    def __post_init__(self) -> None:
+        check(self)
+
+    def run(self) -> int:
+        from contextlib import suppress
+        from json import dumps
+        from threading import Event
+
+        from tactip_twin.learning.model import load_network
+        from tactip_twin.sim2real.sensor.live import LiveSensor
+        from tactip_twin.sim2real.sensor.preprocess import load_neutral
+
+        source = self._source()
+        page = None
+        try:
+            model = None if self.model == "none" else load_network(self.model)
+            neutral = None if self.neutral is None else load_neutral(self.neutral)
+            page = self._page()
+            count, faults, last = 0, 0, 0.0
+            # A camera never ends by itself: Ctrl-C is how it does.
+            with suppress(KeyboardInterrupt):
+                for sight in LiveSensor(source, self.preprocessing, model, neutral):
+                    print(dumps(sight.as_json()), flush=True)
+                    count, faults, last = count + 1, faults + bool(sight.fault), sight.time_s
+                    if page:
+                        page.show(sight, count / max(last, 1e-9))
+                    if count == self.frames:
+                        break
+                else:
+                    if page:
+                        print("that was the last frame, which the page goes on showing: Ctrl-C ends it", file=sys.stderr)
+                        Event().wait()
+            rate = (count - 1) / last if count > 1 else 0.0
+            print(f"{count} frames, {faults} of them faulty; {rate:.1f} frames/s", file=sys.stderr)
+        finally:
+            source.close()
+            if page:
+                page.close()
+        return 0
+
+    def _source(self) -> "CameraFrames | FilmFrames | ImageFrames":
+        """Return the source of the frames."""
+        from tactip_twin.sim2real.sensor.frame_sources import CameraFrames, ImageFrames
+        from tactip_twin.sim2real.sensor.video_frames import FilmFrames
+        from tactip_twin.tactip_model.errors import TactipError
+
+        count = sum(x is not None for x in (self.device, self.video, self.images))
+        if count == 1:
+            if self.device is not None:
+                return CameraFrames(self.device)
+            if self.video is not None:
+                return FilmFrames(self.video)
+            if self.images is not None:
+                return ImageFrames(self.images)
+        raise TactipError(f"{count} sources of frames are given: give one of --device, --video and --images")
+
+    def _page(self) -> "CameraPage | None":
+        """Return the page in a browser, if there is to be one."""
+        if not self.page:
+            return None
+        from tactip_twin.sim2real.sensor.live_page import CameraPage
+
+        page = CameraPage(f"camera, {self.model}", self.host, self.port)
+        print(f"the page is at {page.address}", file=sys.stderr)
+        return page

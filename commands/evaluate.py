@@ -1,0 +1,50 @@
+"""tactip evaluate: the errors of a network on a set."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from tactip_twin.commands._parsing import Command
+from tactip_twin.commands._progress import DelayedStatus
+from tactip_twin.learning.configuration import DeviceName
+
+
+@dataclass(frozen=True)
+class Evaluate(Command):
+    """Hold a model against a set that it has not seen: errors by component, label and shear, worst cases, latency."""
+
+    model: Path
+    """Folder of a training, or the name of a shipped model."""
+    data: Path
+    """Folder of a set."""
+    out: Path | None = None
+    """Folder for evaluation.json, evaluation.md and pictures."""
+    json: bool = False
+    """Print one JSON object and nothing else."""
+    device: DeviceName = "cpu"
+    """Device; auto is the GPU if there is one."""
+
+    def run(self) -> int:
+        from json import dumps
+
+        with DelayedStatus("reading the set and the network"):
+            from tactip_twin.learning.data import read_samples
+            from tactip_twin.learning.device import device_named
+            from tactip_twin.learning.evaluate import evaluate
+            from tactip_twin.learning.evaluation_page import write_evaluation
+            from tactip_twin.learning.model import load_network
+
+            model, samples = load_network(self.model, device_named(self.device)), read_samples(self.data)
+            evaluation = evaluate(model, samples)
+        if self.out:
+            write_evaluation(evaluation, samples, model, self.out)
+        figures = evaluation.figures
+        if self.json:
+            print(dumps(figures))
+            return 0
+        for name, unit in zip(model.labels.names, model.labels.units, strict=True):
+            mae, rmse, bias = (figures[key][name] for key in ("mae", "rmse", "bias"))
+            print(f"{name}: mean error {mae:.3f} {unit}, rms {rmse:.3f} {unit}, bias {bias:+.3f} {unit}")
+        print(f"{figures['samples']} samples; {figures['parameters']} parameters; {figures['latency_ms']:.1f} ms an image")
+        if self.out:
+            print(f"{self.out / 'evaluation.md'} written")
+        return 0

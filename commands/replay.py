@@ -1,0 +1,82 @@
+"""tactip replay: a recording in a browser, a window, a film or a GIF."""
+
+import contextlib
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+
+from tactip_twin.commands._pages import serve_until_interrupted
+from tactip_twin.commands._parsing import Command
+from tactip_twin.tactip_model.errors import TactipError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from tactip_twin.sim.robot.recording import RecordedScene
+
+
+@dataclass(frozen=True)
+class Replay(Command):
+    """Look at a recording again, in a browser, as a film or as a GIF; nothing is simulated anew."""
+
+    run_: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(name="run")]
+    """Folder of a servo run."""
+    video: Path | None = None
+    """Film to write, .mp4."""
+    gif: Path | None = None
+    """GIF to write, .gif."""
+    every: int = 1
+    """Steps a picture."""
+    rate: int = 25
+    """Pictures a second."""
+    window: bool = False
+    """Show it in MuJoCo's own window in the place of a page in a browser: for where there is a display."""
+    host: str = "127.0.0.1"
+    """Address to serve the page at: this machine alone."""
+    port: int = 8080
+    """Port, or the next that is free."""
+
+    def run(self) -> int:
+        from tqdm import tqdm
+
+        from tactip_twin.sim.robot.recording import read_recorded_scene, read_recording
+        from tactip_twin.sim.view.replay_video import render_frames
+        from tactip_twin.sim.view.video import write_video
+
+        if self.every < 1 or self.rate < 1:
+            raise TactipError(f"--every is {self.every} and --rate {self.rate}: both must be at least 1")
+        asked = [(path, ending) for path, ending in ((self.video, ".mp4"), (self.gif, ".gif")) if path is not None]
+        for path, ending in asked:
+            if path.suffix.lower() != ending:
+                raise TactipError(f"the name {path} does not end in {ending}")
+            path.parent.mkdir(parents=True, exist_ok=True)
+        (record, arrays), scenery = read_recording(self.run_), read_recorded_scene(self.run_)
+        if not record["complete"]:
+            print(f"{self.run_} was not completed: it has {record['steps']} steps", file=sys.stderr)
+        count = -(-record["steps"] // self.every)
+        for path, _ in asked:
+            drawn = render_frames(scenery, record, arrays, self.every)
+            write_video(path, tqdm(drawn, total=count, unit="picture", file=sys.stderr, disable=not count), self.rate)
+            print(f"{path} written")
+        if asked:
+            return 0
+        return self._open(record, arrays, scenery) if self.window else self._serve(record, arrays, scenery)
+
+    def _open(self, record: dict[str, Any], arrays: dict[str, "np.ndarray"], scenery: "RecordedScene") -> int:
+        """Show the recording in a window. Return the exit status."""
+        from tactip_twin.sim.view.replay_window import ReplayWindow
+
+        with contextlib.suppress(KeyboardInterrupt):
+            ReplayWindow(record, arrays, scenery).run()
+        return 0
+
+    def _serve(self, record: dict[str, Any], arrays: dict[str, "np.ndarray"], scenery: "RecordedScene") -> int:
+        """Show the recording in a browser. Return the exit status."""
+        from tactip_twin.sim.view.replay_page import ReplayPage
+
+        page = ReplayPage(record, arrays, scenery, self.host, self.port)
+        print(f"{page.address} shows {self.run_}; Ctrl-C ends it", flush=True)
+        return serve_until_interrupted(page)

@@ -1,0 +1,77 @@
+"""tactip transfer: networks that are trained in simulation, tested on a real sensor."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from tactip_twin.commands._parsing import Command
+from tactip_twin.commands._progress import DelayedStatus, to_stderr
+from tactip_twin.learning.configuration import DeviceName
+from tactip_twin.sim.labels import Task
+from tactip_twin.sim2real.transfer.settings import PseudoKind, TransferSettings
+
+
+@dataclass(frozen=True)
+class Transfer(Command):
+    """From simulation to a real sensor: train on simulated contacts of its twin, test on its frames. Run again, it goes on
+    where it stopped."""
+
+    experiment: tyro.conf.Positional[Literal["zero-shot", "ablate", "few-shot", "gap", "pseudo-real"]]
+    """Experiment: zero-shot (no real label is used), ablate (what each part of the simulation is worth), few-shot, gap
+    (pins and images side by side), or pseudo-real: all but the second on a hidden simulated sensor in the place of a
+    real one."""
+    out: Path
+    """Folder for sets, networks, results.json and results.md."""
+    real: Path | None = None
+    """Folder of an imported set (tactip import); pseudo-real makes its own."""
+    task: Task = "surface"
+    """Task of pseudo-real."""
+    kind: PseudoKind = "nominal-127"
+    """Nominal design of the hidden sensor of pseudo-real."""
+    frames: int = 2500
+    """Frames of pseudo-real."""
+    json: bool = False
+    """Print the results, as JSON, in the place of words."""
+    workers: str = "auto"
+    """Worker processes that make contacts; auto is one a core."""
+    device: DeviceName = "auto"
+    """Device; auto is the GPU if there is one."""
+    settings: Annotated[TransferSettings, tyro.conf.arg(name="")] = field(default_factory=TransferSettings)
+    """How the experiments are made."""
+
+    def run(self) -> int:
+        from json import dumps
+
+        with DelayedStatus("loading the libraries"):
+            from tactip_twin.sim2real.transfer.experiments import EXPERIMENTS, Experiment
+            from tactip_twin.sim2real.transfer.page import PAGE, write_page
+
+        log = to_stderr if self.json else print
+        pseudo = self.experiment == "pseudo-real"
+        names = ("zero-shot", "gap", "few-shot") if pseudo else (self.experiment,)
+        with DelayedStatus("reading the real set and its design"):
+            experiment = Experiment(self._real_set(log), self.out, self.settings, self.workers, self.device, log)
+        results = {}
+        for name in names:
+            results[name] = EXPERIMENTS[name](experiment)
+            write_page(experiment.keep(name, results[name]), experiment.task, self.out)
+        print(dumps(results if pseudo else results[self.experiment]) if self.json else f"{self.out / PAGE} written")
+        return 0
+
+    def _real_set(self, log: Callable[[str], None]) -> Path:
+        """Return the folder of the real set, or of the set of a hidden sensor, which is made here."""
+        from tactip_twin.sim.parallel.worker_pool import worker_count
+        from tactip_twin.sim2real.transfer.pseudo_real import make_pseudo_real
+        from tactip_twin.tactip_model.errors import TactipError
+
+        if self.experiment == "pseudo-real":
+            if self.real is not None:
+                raise TactipError(f"pseudo-real makes its own set, and --real {self.real} is given: leave it out")
+            seed, workers = self.settings.seed, worker_count(self.workers)
+            return make_pseudo_real(self.out / "hidden", self.task, self.kind, self.frames, seed, workers, log)
+        if self.real is None:
+            raise TactipError(f"{self.experiment} needs the folder of an imported set: give --real")
+        return self.real

@@ -1,0 +1,48 @@
+"""tactip tune: a search for a network."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from tactip_twin.commands._parsing import Command
+from tactip_twin.commands._progress import DelayedStatus, to_stderr
+from tactip_twin.learning.configuration import DeviceName, TuneSettings
+from tactip_twin.tactip_model.errors import TactipError
+
+
+@dataclass(frozen=True)
+class Tune(Command):
+    """Search for a network by TPE, each trial a training. Run again, it goes on where it stopped."""
+
+    data: Path
+    """Folder of a task's sets: DATA/train and DATA/val."""
+    out: Path
+    """Folder of the search."""
+    jobs: int = 1
+    """Trainings at a time."""
+    cluster: str | None = None
+    """Address of a Ray cluster (auto: this machine's; local: this machine alone). Needs the extra `cluster`."""
+    device: DeviceName = "auto"
+    """Device; auto is the GPU if there is one."""
+    settings: Annotated[TuneSettings, tyro.conf.arg(name="")] = field(default_factory=TuneSettings)
+    """The search."""
+
+    def run(self) -> int:
+        with DelayedStatus("loading the libraries"):
+            from tactip_twin.learning.device import device_named
+            from tactip_twin.learning.tune import tune
+
+        device_named(self.device)
+        if self.jobs < 1:
+            raise TactipError(f"{self.jobs} jobs cannot work: ask for at least 1")
+        if self.cluster:
+            from tactip_twin.learning.tune_ray import tune_on_cluster
+
+            results = tune_on_cluster(self.data, self.out, self.settings, self.jobs, self.cluster, self.device)
+        else:
+            results = tune(self.data, self.out, self.settings, self.jobs, self.device, to_stderr)
+        good = [r for r in results if r["status"] == "ok"]
+        print(f"{len(results)} trials, {len(good)} of them ended well: {self.out / 'best.json'} and tune.png written")
+        return 0

@@ -1,0 +1,228 @@
+"""The parts of a servo run, made from its options."""
+
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from tactip_twin.assets import MESHES, MODELS
+from tactip_twin.control.estimator import Estimator, ImageEstimator, LabelFunction, NetworkEstimator, Oracle
+from tactip_twin.control.options import ServoOptions
+from tactip_twin.control.routes import EdgePath, Geodesic, PlanarPath, Route, serpentine
+from tactip_twin.control.score import surface_targets
+from tactip_twin.control.servo import DEPTHS_MM, Controller, Servo, gains_named
+from tactip_twin.learning.labels import Labels
+from tactip_twin.learning.model import Model, load_network
+from tactip_twin.sim.contact.fidelity import Motion, fidelity_named
+from tactip_twin.sim.ground_truth import EdgeGroundTruth, SurfaceGroundTruth
+from tactip_twin.sim.pose import from_mm_deg, inverse, sensor_in_contact
+from tactip_twin.sim.robot.arm_models import arm_model_named
+from tactip_twin.sim.robot.mounted_tip import MountedTip
+from tactip_twin.sim.robot.objects import SceneObject, load_object
+from tactip_twin.tactip_model.bounds import require
+from tactip_twin.tactip_model.design import Design
+from tactip_twin.tactip_model.errors import TactipError, lookup
+from tactip_twin.tactip_model.presets import load_design
+
+UP = np.array([0.0, 0, 1])
+"""Direction from which routes over a surface are projected: from above the table."""
+
+_START_GAP_MM = 2.5
+"""Distance from the object at which a run starts, mm."""
+
+_SHIPPED_DESIGN = "tactip-127"
+"""Design that networks are shipped for."""
+
+
+@dataclass(frozen=True)
+class ServoSetup:
+    """The parts of a servo run."""
+
+    design: Design
+    """Sensor, with the options' friction and stiffness."""
+    thing: SceneObject
+    """Object to follow."""
+    truth: SurfaceGroundTruth | EdgeGroundTruth
+    """Ground truth on the object."""
+    finger: MountedTip
+    """Tip on its arm model."""
+    labels: Labels
+    """Components of the label and the ranges in which estimates are trusted."""
+    estimator: Estimator
+    """Estimator of the label."""
+    network: Model | None
+    """The network, where it is the estimator."""
+    controller: Controller
+    """Controller of the sensor's pose."""
+    depth_mm: float
+    """Depth to keep, mm."""
+    T_start: np.ndarray
+    """(4, 4), first pose of the sensor."""
+    route: Route
+    """Route to follow."""
+    targets: np.ndarray
+    """(m, 3), points to touch in the base frame, m."""
+
+
+def prepare(
+    options: ServoOptions,
+    log: Callable[[str], None],
+    estimator: Estimator | LabelFunction | None = None,
+    controller: Controller | None = None,
+) -> ServoSetup:
+    """Return the parts of a servo run.
+
+    Args:
+        options: Options of the run.
+        log: Called with lines for the user.
+        estimator: Replacement for the options' network.
+        controller: Replacement for the paper's controller.
+
+    Raises:
+        TactipError: The options cannot be met.
+    """
+    lookup("task", options.task, dict.fromkeys(DEPTHS_MM))
+    if options.film and options.renderer != "pyrender":
+        raise TactipError(f"a film is drawn by pyrender: --film does not go with --renderer {options.renderer}")
+    thing = load_object(options.object, options.unit, options.scale, options.place_mm, options.turn_deg)
+    for repair in thing.notes:
+        log(f"{options.object}: {repair}")
+    design = _with_overrides(load_design(options.design), options)
+    fidelity, arm_model = fidelity_named(options.fidelity), arm_model_named(options.arm)
+    gains = gains_named(options.gains, options.task)
+    truth = _ground_truth(options, thing)
+    model = load_network(_network_name(options, needed=estimator is None))
+    if model.labels.task != options.task:
+        raise TactipError(
+            f"the network {options.network} was trained for the {model.labels.task}, not for the {options.task}"
+        )
+    chosen = _estimator(estimator, options, model, design, truth, thing)
+    settle_steps = _settle_steps(options, fidelity.motion)
+    finger = MountedTip(design, thing.solid, fidelity, arm_model, thing.T_base_object, settle_steps, options.pace)
+    depth_mm = _depth_mm(options, model.labels)
+    T_start, route, targets = _plan(options, thing, truth)
+    network = model if isinstance(chosen, NetworkEstimator) else None
+    controller = Servo(gains, depth_mm) if controller is None else controller
+    return ServoSetup(
+        design, thing, truth, finger, model.labels, chosen, network, controller, depth_mm, T_start, route, targets
+    )
+
+
+def _estimator(
+    given: Estimator | LabelFunction | None,
+    options: ServoOptions,
+    model: Model,
+    design: Design,
+    truth: SurfaceGroundTruth | EdgeGroundTruth,
+    thing: SceneObject,
+) -> Estimator:
+    """Return the user's estimator, the ground truth or the network."""
+    if isinstance(given, Estimator):
+        return given
+    if given is not None:
+        return ImageEstimator(given, model.labels.components, design, options.renderer, options.noise_grey)
+    if options.model == "oracle":
+        return Oracle(truth, thing.T_base_object)
+    return NetworkEstimator(model, design, options.renderer, options.noise_grey)
+
+
+def _network_name(options: ServoOptions, needed: bool) -> str:
+    """Return name or folder of the network; where it is not needed, of one that has the task's label ranges."""
+    if options.model not in ("", "oracle") or (MODELS / options.network).is_dir():
+        return options.network
+    if options.model == "oracle" or not needed:
+        return dataclasses.replace(options, design=_SHIPPED_DESIGN).network
+    raise TactipError(f"no network of the {options.task} is shipped for the tip {options.design!r}: give --model")
+
+
+def _with_overrides(design: Design, options: ServoOptions) -> Design:
+    """Return the design with the friction and stiffness of the options."""
+    m = design.materials
+    friction = m.friction if options.friction is None else options.friction
+    materials = dataclasses.replace(
+        m,
+        friction=friction,
+        skin_young_pa=options.stiffness * m.skin_young_pa,
+        gel_young_pa=options.stiffness * m.gel_young_pa,
+    )
+    return dataclasses.replace(design, materials=materials)
+
+
+def _settle_steps(options: ServoOptions, motion: Motion) -> int:
+    """Return the time steps at rest before an image. Along an edge half as many as over a surface: a fifth more steps per
+    second, for 0.02 mm of depth and 0.1 degrees [M] (docs/servo.md)."""
+    if options.settle_steps is not None:
+        return options.settle_steps
+    return motion.pause_steps if options.task == "surface" else -(-motion.pause_steps // 2)
+
+
+def _depth_mm(options: ServoOptions, labels: Labels) -> float:
+    """Return the depth to keep, mm, which must be in the range of the network's labels."""
+    depth_mm = DEPTHS_MM[options.task] if options.depth_mm is None else options.depth_mm
+    k = labels.names.index("pose_z")
+    low, high = -labels.high[k], -labels.low[k]
+    if not low <= depth_mm <= high:
+        raise TactipError(f"--depth-mm is {depth_mm:g}: the network {options.network} has learned {low:g} to {high:g} mm")
+    return depth_mm
+
+
+def _ground_truth(options: ServoOptions, thing: SceneObject) -> SurfaceGroundTruth | EdgeGroundTruth:
+    """Return the ground truth of the task on the object."""
+    if options.task == "surface":
+        return SurfaceGroundTruth(thing.solid)
+    if thing.edge is None:
+        names = [path.name.removesuffix(".edge.csv") for path in sorted(MESHES.glob("*.edge.csv"))]
+        raise TactipError(f"{thing.name} has no edge that is known: the edge task takes one of {', '.join(names)}")
+    return EdgeGroundTruth(thing.edge)
+
+
+def _plan(
+    options: ServoOptions, thing: SceneObject, truth: SurfaceGroundTruth | EdgeGroundTruth
+) -> tuple[np.ndarray, Route, np.ndarray]:
+    """Return the first pose (4, 4), the route, and the points to touch (m, 3), base frame, m."""
+    r, T, edge = options.route, thing.T_base_object, thing.edge
+    if options.task == "edge" and edge is not None:
+        first = edge.points[round(r.start_share * (len(edge.points) - 1))]
+        route = EdgePath(r.backward, r.most_mm / 1e3, options.settings.step_mm / 1e3)
+        return _start(options, thing, truth, first), route, edge.points @ T[:3, :3].T + T[:3, 3]
+    corners = _corners(options, thing)
+    targets = surface_targets(thing, corners, UP)
+    T_start = _start(options, thing, truth, _above(thing, corners[0]))
+    if r.kind != "geodesic":
+        return T_start, PlanarPath(corners, UP), targets
+    heading = T_start[:3, :3].T @ (corners[1] - corners[0])
+    return T_start, Geodesic(float(np.arctan2(heading[1], heading[0])), r.length_mm / 1e3), targets
+
+
+def _corners(options: ServoOptions, thing: SceneObject) -> np.ndarray:
+    """Return the corners (n, 3), m, of the line over a surface."""
+    r = options.route
+    middle = np.array([*(thing.middle_m[:2] if r.middle_mm is None else np.array(r.middle_mm) / 1e3), 0.0])
+    heading = np.radians(r.heading_deg)
+    along, across = np.array([np.cos(heading), np.sin(heading), 0]), np.array([-np.sin(heading), np.cos(heading), 0])
+    width = r.width_mm / 1e3 if r.kind == "serpentine" else 0.0
+    return serpentine(middle, along, across, r.length_mm / 1e3, width, r.spacing_mm / 1e3)
+
+
+def _above(thing: SceneObject, corner: np.ndarray) -> np.ndarray:
+    """Return the point (3,) of the object, in its own frame, below a corner (3,) of the line."""
+    T = thing.T_base_object
+    hit = thing.solid.first_hit((inverse(T) @ [*corner[:2], 2.0, 1])[:3], inverse(T)[:3, :3] @ -UP)
+    place = f"{1e3 * corner[0]:.1f}, {1e3 * corner[1]:.1f} mm"
+    require(bool(np.isfinite(hit)), "the start of the route", place, "above the object")
+    return (inverse(T) @ [*corner[:2], 2.0 - hit, 1])[:3]
+
+
+def _start(
+    options: ServoOptions, thing: SceneObject, truth: SurfaceGroundTruth | EdgeGroundTruth, place: np.ndarray
+) -> np.ndarray:
+    """Return the first pose (4, 4), off a place (3,) of the object, with a random error where a seed is given."""
+    T_object_sensor = np.eye(4)
+    T_object_sensor[:3, :3] = np.linalg.inv(thing.T_base_object)[:3, :3] @ np.diag([-1.0, 1, -1])
+    T_object_sensor[:3, 3] = place
+    off = np.array([0, 0, _START_GAP_MM, 0, 0, 0])
+    if options.seed is not None:
+        rng = np.random.default_rng(options.seed)
+        off = off + rng.uniform([-3, -3, 0, -8, -8, -8], [3, 3, 3, 8, 8, 8])
+    return thing.T_base_object @ truth.frame(T_object_sensor) @ sensor_in_contact(from_mm_deg(off))
