@@ -136,16 +136,12 @@ def test_all_sets_of_a_job_by_one_crew(tmp_path):
 
 BAD = {
     "negative count": (["--samples", "-3"], "at least 1"),
-    "unknown task": (["--task", "corner"], "surface, edge"),
-    "unknown split": (["--split", "dev"], "train, val, test"),
     "unknown design": (["--design", "digit"], "tactip-127, tactip-331"),
-    "unknown fidelity": (["--fidelity", "best"], "draft, standard, reference"),
-    "unknown renderer": (["--renderer", "blender"], "pyrender, raster"),
-    "range upside down": (["--pose.depth-mm", "-1", "-5"], "low must not be above its high"),
+    "range upside down": (["--pose.depth-mm", "-1", "-5"], "depth_mm must be a low and a high, with low at most high, got (-1.0, -5.0)"),
     "depth out of the object": (["--pose.depth-mm", "1", "3"], "depth is negative into the object"),
     "no workers": (["--workers", "0"], "at least 1"),
     "words for workers": (["--workers", "many"], "auto"),
-    "negative seed": (["--seed", "-1"], "0 or more"),
+    "negative seed": (["--seed", "-1"], "seed must be non-negative, got -1"),
 }
 
 
@@ -156,6 +152,25 @@ def test_bad_options_give_one_sentence(tmp_path, capsys, case):
     told = capsys.readouterr().err.strip()
     assert words in told
     assert len(told.splitlines()) == 1
+    assert not (tmp_path / "never").exists()
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "choices"),
+    [
+        ("--task", "corner", ("surface", "edge", "all")),
+        ("--split", "dev", ("train", "val", "test", "all")),
+        ("--fidelity", "best", ("draft", "standard", "reference")),
+        ("--renderer", "blender", ("pyrender", "raster")),
+        ("--mechanics", "wild", ("none", "real")),
+    ],
+)
+def test_dataset_make_unknown_choice_exits_with_2_and_lists_the_choices(tmp_path, capsys, option, value, choices):
+    with pytest.raises(SystemExit) as ended:
+        tactip.main(["dataset", "make", "--out", str(tmp_path / "never"), option, value])
+    assert ended.value.code == 2
+    error = capsys.readouterr().err
+    assert option in error and all(repr(choice) in error for choice in (value, *choices))
     assert not (tmp_path / "never").exists()
 
 

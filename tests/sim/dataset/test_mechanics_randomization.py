@@ -94,8 +94,3 @@ def test_a_set_of_varied_tips_is_the_same_whoever_makes_it(tmp_path):
     _, arrays = record_contact(tmp_path / "a", 8, tmp_path / "run")
     with np.load(tmp_path / "a" / "pins.npz") as pins:
         assert np.allclose(arrays["tips_m"][-1], pins["tips"][8], atol=1e-7)
-
-
-def test_an_unknown_variation_is_refused(tmp_path, capsys):
-    assert tactip.main(["dataset", "make", "--mechanics", "wild", "--samples", "1", "--out", str(tmp_path / "a")]) == 1
-    assert "unknown mechanics 'wild': choose one of none, real" in capsys.readouterr().err
