@@ -39,7 +39,7 @@ VARIANTS = {
 }  # fmt: skip
 """Sets of other kinds: options of `tactip dataset make`."""
 
-_NOT_COMPARED = ("seconds", "latency_ms", "images_per_s", "samples_per_s", "steps_per_s")
+_NOT_COMPARED = ("seconds", "latency_ms", "ms_a_step", "images_per_s", "samples_per_s", "steps_per_s")
 """Parts of names of figures that are times."""
 
 
