@@ -1,12 +1,11 @@
 """Augmentation: training images rendered at every step from the pins of simulated contacts, under random optics.
 
-The mechanics are simulated once and the optics vary, because two sensors of a kind, and one sensor on two days, differ in
-the place of the camera, the size of the pins in the image and the threshold. Also, it is chance which pixels a pin of two or
-three pixels covers, and a network that always gets the same image of a contact memorizes that chance.
+The mechanics are simulated once and only the optics vary, because two sensors of the same design, or one sensor on two days,
+differ in camera position, apparent pin size and threshold. Moreover, which pixels a pin of two or three pixels covers is
+chance, and a network that always sees the same image of a contact memorizes that chance.
 
-A pin is a disc here, and a pixel is white if its middle lies on one; the radii are corrected so that as many pixels are
-white as in the set's own images. That is 50 times faster than a frame and its pipeline, and nine of ten white pixels are the
-same.
+Here a pin is a disc, and a pixel is white if its centre lies on one. The radii are corrected so the images have as many white
+pixels as those of the set. This is 50 times faster than rendering and processing a frame, and nine of ten white pixels agree.
 """
 
 from dataclasses import replace
@@ -20,24 +19,24 @@ from tactip_twin.learning.data import Samples
 from tactip_twin.learning.optics_ranges import OPTICS, OpticsRanges
 from tactip_twin.sim.dataset.format import read_pins
 from tactip_twin.tactip_model.design import Design
-from tactip_twin.tactip_model.design_file import design_from
+from tactip_twin.tactip_model.design_file import design_from_dict
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.optics import Lens
 from tactip_twin.tactip_model.pins import neutral_pins
 from tactip_twin.tactip_model.raster_renderer import Raster
 
-_BLOCK = 256
-"""Number of images whose pins are projected, and compared, at a time."""
+_BATCH = 256
+"""Number of images per batch when pins are projected and compared."""
 
-_CAMERAS = 64
-"""Number of random cameras, where heights and places vary: each has its own fit of the lens."""
+_CAMERA_COUNT = 64
+"""Number of random cameras, where their position varies; the lens is fitted for each."""
 
-_ARC = 24
-"""Number of discs of an arc of light."""
+_ARC_DISCS = 24
+"""Number of discs that make up an arc of light."""
 
 
 class OpticsAugmentation:
-    """The images of a set's samples under random optics."""
+    """Images of the samples of a set under random optics."""
 
     def __init__(
         self, samples: Samples, fraction: float = 1.0, ranges: OpticsRanges = OPTICS["lens"], device: str = "cpu"
@@ -46,16 +45,16 @@ class OpticsAugmentation:
 
         Args:
             samples: Samples of a simulated set.
-            fraction: Factor of the ranges.
+            fraction: Factor by which the ranges are scaled.
             ranges: Ranges of the optics.
             device: Torch device.
 
         Raises:
             TactipError: Where the set has no pins.
         """
-        tips, directions = _pins_of(samples)
-        design = design_from(samples.dataset.meta["configuration"]["design"], f"{samples.folder}: design")
-        centres, radii = _discs(tips, directions, design, samples.size)
+        tips, directions = _read_pins(samples)
+        design = design_from_dict(samples.dataset.meta["configuration"]["design"], f"{samples.folder}: design")
+        centres, radii = _project_discs(tips, directions, design, samples.size)
         self._size, self._device = samples.size, device
         self._centres, self._radii = torch.from_numpy(centres).to(device), torch.from_numpy(radii).to(device)
         r = ranges
@@ -68,51 +67,53 @@ class OpticsAugmentation:
                 design, fraction * r.camera_height_m, fraction * r.camera_offset_m, samples.size, device
             )
             self._tips = torch.from_numpy(tips.astype(np.float32)).to(device)
-        self._growth = self._fit_growth(samples.images[:_BLOCK])
+        self._radius_correction = self._fit_radius_correction(samples.images[:_BATCH])
 
     def render(self, chosen: torch.Tensor) -> torch.Tensor:
-        """Return images (m, size, size) uint8 of samples `chosen` (m,) int, under optics from torch's random generator."""
+        """Render images (m, size, size) uint8 of samples `chosen` (m,) int, under optics from torch's random generator."""
         zoom, turn, right, down, size = self._uniform(5, len(chosen), 1)
         middle = (self._size - 1) / 2
-        places = self._centres[chosen] if self._cameras is None else self._cameras.project(self._tips[chosen])
-        x, y = self._distorted(places - middle).unbind(-1)
+        positions = self._centres[chosen] if self._cameras is None else self._cameras.project(self._tips[chosen])
+        x, y = self._distort(positions - middle).unbind(-1)
         zoom, turn = 1 + self._zoom * zoom, self._turn * turn
         cos, sin = zoom * torch.cos(turn), zoom * torch.sin(turn)
         x, y = cos * x - sin * y + self._drift * right, sin * x + cos * y + self._drift * down
-        radii = (self._radii[chosen] + self._growth) * (1 + self._pin_size * size)
-        places, radii, soft = self._noisy(torch.stack([x, y], -1) + middle, radii)
-        return self._paint(places, radii) if soft is None else self._paint_soft(places, radii, soft)
+        radii = (self._radii[chosen] + self._radius_correction) * (1 + self._pin_size * size)
+        positions, radii, soft = self._add_noise(torch.stack([x, y], -1) + middle, radii)
+        return self._rasterize(positions, radii) if soft is None else self._rasterize_soft(positions, radii, soft)
 
     def _uniform(self, *shape: int) -> tuple[torch.Tensor, ...]:
         """Return random numbers (shape) from -1 to 1, unpacked along the first axis."""
         return (2 * torch.rand(*shape, device=self._device) - 1).unbind()
 
-    def _distorted(self, places: torch.Tensor) -> torch.Tensor:
-        """Return places (m, p, 2), px from the middle, stretched and distorted at random."""
+    def _distort(self, positions: torch.Tensor) -> torch.Tensor:
+        """Return positions (m, p, 2), px from the image centre, stretched and distorted at random."""
         r, fraction = self._ranges, self._fraction
         if r.distortion:
-            (bend,) = self._uniform(1, len(places), 1, 1)
-            places = places * (
-                1 + fraction * r.distortion * bend * (places / (self._size / 2)).square().sum(-1, keepdim=True)
+            (bend,) = self._uniform(1, len(positions), 1, 1)
+            positions = positions * (
+                1 + fraction * r.distortion * bend * (positions / (self._size / 2)).square().sum(-1, keepdim=True)
             )
         if r.stretch:
-            (wide,) = self._uniform(1, len(places), 1)
+            (wide,) = self._uniform(1, len(positions), 1)
             wide = 0.5 * fraction * r.stretch * wide
-            places = places * torch.stack([1 + wide, 1 - wide], -1)
-        return places
+            positions = positions * torch.stack([1 + wide, 1 - wide], -1)
+        return positions
 
-    def _noisy(self, places: torch.Tensor, radii: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor | None]:
-        """Add noise that is not the lens's: displaced, resized and missing pins, and lights.
+    def _add_noise(
+        self, positions: torch.Tensor, radii: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor | None]:
+        """Add effects other than the lens's: displaced, resized and missing pins, and lights.
 
         Args:
-            places: (m, p, 2), px.
+            positions: (m, p, 2), px.
             radii: (m, p), px.
 
         Returns:
-            Places and radii, of the pins and lights; and the softness of the discs' edges (m, 1, 1), px, or None.
+            Positions and radii of the pins and lights, and the softness of the discs' edges (m, 1, 1), px, or None.
         """
         r, fraction, soft = self._ranges, self._fraction, None
-        count = len(places)
+        count = len(positions)
 
         def up_to(high: float, *shape: int) -> torch.Tensor:
             """Return random numbers (m, *shape) from 0 to a fraction of `high`."""
@@ -122,36 +123,36 @@ class OpticsAugmentation:
             (each,) = self._uniform(1, *radii.shape)
             radii = radii * (1 + fraction * r.pin_each * each)
         if r.jitter_px:
-            places = places + fraction * r.jitter_px * self._px * torch.randn(places.shape, device=self._device)
+            positions = positions + fraction * r.jitter_px * self._px * torch.randn(positions.shape, device=self._device)
         if r.missing:
             radii = torch.where(torch.rand(radii.shape, device=self._device) < up_to(r.missing, 1), -9.0, radii)
         if r.speckles:
             number = int(np.ceil(r.speckles))
             shown = torch.arange(number, device=self._device) < up_to(number + 1, 1).floor()
             sizes = self._px * (0.5 + torch.rand(count, number, device=self._device))
-            places = torch.cat([places, self._size * torch.rand(count, number, 2, device=self._device)], 1)
+            positions = torch.cat([positions, self._size * torch.rand(count, number, 2, device=self._device)], 1)
             radii = torch.cat([radii, torch.where(shown, sizes, -9.0)], 1)
         if r.rim_lights:
             rim = _rim_lights(count, int(np.ceil(r.rim_lights)), fraction, self._device)
-            places = torch.cat([places, self._size * (0.5 + rim[0])], 1)
+            positions = torch.cat([positions, self._size * (0.5 + rim[0])], 1)
             radii = torch.cat([radii, torch.where(rim[1] > 0, self._size * rim[1], -9.0)], 1)
         if r.merged_px:
             soft = up_to(r.merged_px * self._px, 1, 1) + 1e-3
-        return places, radii, soft
+        return positions, radii, soft
 
-    def plain(self, chosen: torch.Tensor) -> torch.Tensor:
-        """Return images (m, size, size) uint8 under the design's own optics. chosen: (m,) int, of the samples."""
-        return self._paint(self._centres[chosen], self._radii[chosen] + self._growth)
+    def render_plain(self, chosen: torch.Tensor) -> torch.Tensor:
+        """Render images (m, size, size) uint8 of samples `chosen` (m,) int, under the optics of the design."""
+        return self._rasterize(self._centres[chosen], self._radii[chosen] + self._radius_correction)
 
-    def _paint(self, centres: torch.Tensor, radii: torch.Tensor) -> torch.Tensor:
-        """Return images (m, size, size) uint8 of discs with centres (m, p, 2) and radii (m, p), px."""
-        reach = int(np.ceil(float(radii.max()))) if radii.numel() else 1
-        span = torch.arange(-reach, reach + 1, device=self._device)
+    def _rasterize(self, centres: torch.Tensor, radii: torch.Tensor) -> torch.Tensor:
+        """Render images (m, size, size) uint8 of discs with centres (m, p, 2) and radii (m, p), px."""
+        half_width = int(np.ceil(float(radii.max()))) if radii.numel() else 1
+        span = torch.arange(-half_width, half_width + 1, device=self._device)
         offsets = torch.stack(torch.meshgrid(span, span, indexing="xy"), -1).reshape(-1, 2)
         near = torch.round(centres)
-        away = (near - centres)[:, :, None] + offsets
+        distance = (near - centres)[:, :, None] + offsets
         pixels = near.long()[:, :, None] + offsets
-        white = (away.square().sum(-1) < radii.clamp_min(0).square()[:, :, None]) & (
+        white = (distance.square().sum(-1) < radii.clamp_min(0).square()[:, :, None]) & (
             (pixels >= 0) & (pixels < self._size)
         ).all(-1)
         images = torch.zeros(len(centres), self._size**2, dtype=torch.uint8, device=self._device)
@@ -159,18 +160,18 @@ class OpticsAugmentation:
         images.view(-1)[(which + pixels[..., 1] * self._size + pixels[..., 0])[white]] = 255
         return images.view(-1, self._size, self._size)
 
-    def _paint_soft(self, centres: torch.Tensor, radii: torch.Tensor, soft: torch.Tensor) -> torch.Tensor:
-        """Return images as `_paint` does, with edges that fall off over `soft` (m, 1, 1) px on both sides.
+    def _rasterize_soft(self, centres: torch.Tensor, radii: torch.Tensor, soft: torch.Tensor) -> torch.Tensor:
+        """Render images as `_rasterize` does, with edges that fall off over `soft` (m, 1, 1) px on both sides.
 
-        Two discs nearer to each other than that merge, as in a blurred frame.
+        Two discs closer together than that merge, as in a blurred frame.
         """
-        reach = int(np.ceil(float((radii + soft[..., 0]).max())))
-        span = torch.arange(-reach, reach + 1, device=self._device)
+        half_width = int(np.ceil(float((radii + soft[..., 0]).max())))
+        span = torch.arange(-half_width, half_width + 1, device=self._device)
         offsets = torch.stack(torch.meshgrid(span, span, indexing="xy"), -1).reshape(-1, 2)
         near = torch.round(centres)
-        away = ((near - centres)[:, :, None] + offsets).square().sum(-1).sqrt()
+        distance = ((near - centres)[:, :, None] + offsets).square().sum(-1).sqrt()
         pixels = near.long()[:, :, None] + offsets
-        cover = ((radii[:, :, None] + soft - away) / (2 * soft)).clamp(0, 1)
+        cover = ((radii[:, :, None] + soft - distance) / (2 * soft)).clamp(0, 1)
         cover *= ((pixels >= 0) & (pixels < self._size)).all(-1)
         pixels = pixels.clamp(0, self._size - 1)
         field = torch.zeros(len(centres), self._size**2, device=self._device)
@@ -178,33 +179,33 @@ class OpticsAugmentation:
         field.scatter_add_(1, which, cover.reshape(len(centres), -1))
         return ((field > 0.5).to(torch.uint8) * 255).view(-1, self._size, self._size)
 
-    def _fit_growth(self, images: np.ndarray) -> float:
-        """Return the correction of the radii, px, with which as many pixels are white as in plain images, by bisection.
+    def _fit_radius_correction(self, images: np.ndarray) -> float:
+        """Return the radius correction, px, that gives as many white pixels as in the images of the set, by bisection.
 
         Args:
-            images: (m, size, size) uint8, of the first samples.
+            images: (m, size, size) uint8, the images of the first samples.
         """
         expected, low, high = int((images > 127).sum()), -1.0, 1.5
         chosen = torch.arange(len(images), device=self._device)
         for _ in range(12):
-            self._growth = (low + high) / 2
-            too_few = int((self.plain(chosen) > 127).sum()) < expected
-            low, high = (self._growth, high) if too_few else (low, self._growth)
+            self._radius_correction = (low + high) / 2
+            too_few = int((self.render_plain(chosen) > 127).sum()) < expected
+            low, high = (self._radius_correction, high) if too_few else (low, self._radius_correction)
         return (low + high) / 2
 
 
-def _pins_of(samples: Samples) -> tuple[np.ndarray, np.ndarray]:
-    """Return the pin tips (n, p, 3), m, and directions (n, p, 3) of samples. Raises TactipError where they are damaged."""
+def _read_pins(samples: Samples) -> tuple[np.ndarray, np.ndarray]:
+    """Return the pin tips (n, p, 3), m, and directions (n, p, 3) of samples. Raises TactipError if they are damaged."""
     tips, directions = read_pins(samples.folder, samples.dataset.meta)
     count = len(samples.dataset.images)
     if len(tips) != count:
         raise TactipError(
-            f"the pins of the set in {samples.folder} are damaged: it has {len(tips)} records for {count} images"
+            f"the set in {samples.folder} has pins of {len(tips)} samples for {count} images: generate the set again"
         )
     return tips[samples.rows], directions[samples.rows]
 
 
-def _discs(tips: np.ndarray, directions: np.ndarray, design: Design, size: int) -> tuple[np.ndarray, np.ndarray]:
+def _project_discs(tips: np.ndarray, directions: np.ndarray, design: Design, size: int) -> tuple[np.ndarray, np.ndarray]:
     """Return centres (n, p, 2) and radii (n, p), px, float32, of the pins in tactile images `size` px wide.
 
     Args:
@@ -217,8 +218,8 @@ def _discs(tips: np.ndarray, directions: np.ndarray, design: Design, size: int) 
     left, top, right, bottom = design.image.crop or (0, 0, design.optics.frame_px, design.optics.frame_px)
     scale = size / np.array([right - left, bottom - top])
     centres, radii = np.empty((*tips.shape[:2], 2), np.float32), np.empty(tips.shape[:2], np.float32)
-    for k in range(0, len(tips), _BLOCK):
-        part = slice(k, k + _BLOCK)
+    for k in range(0, len(tips), _BATCH):
+        part = slice(k, k + _BATCH)
         middle, axes = raster.ellipses(tips[part].astype(float), directions[part].astype(float))
         centres[part] = (middle - (left, top) + 0.5) * scale - 0.5
         radii[part] = np.sqrt(np.abs(np.linalg.det(axes)) * scale.prod())
@@ -226,15 +227,15 @@ def _discs(tips: np.ndarray, directions: np.ndarray, design: Design, size: int) 
 
 
 class _Cameras:
-    """Cameras at other heights and places behind the same tip, with lenses that keep the neutral image the same."""
+    """Cameras at random positions behind the same tip, each with a lens fitted to the same neutral image."""
 
     def __init__(self, design: Design, height: float, offset: float, size: int, device: str) -> None:
         """Sample the cameras.
 
         Args:
             design: Design of the sensor.
-            height: Range of the height in both directions, m.
-            offset: Range of the offset in both directions, m.
+            height: Half-width of the range of the height, m.
+            offset: Half-width of the range of the offsets, m.
             size: Width of the tactile image, px.
             device: Torch device.
         """
@@ -242,7 +243,7 @@ class _Cameras:
         left, top, right, bottom = design.image.crop or (0, 0, optics.frame_px, optics.frame_px)
         scale = size / np.array([right - left, bottom - top])
         cameras = []
-        for _ in range(_CAMERAS):
+        for _ in range(_CAMERA_COUNT):
             up, x, y = rng.uniform(-1, 1, 3) * (height, offset, offset)
             moved = replace(
                 optics,
@@ -259,10 +260,10 @@ class _Cameras:
 
         self._device = device
         self._positions = tensor([lens.position for lens in cameras])[:, None]
-        # The radius by angle to the axis, tabled for each camera.
+        # Table of the image radius by angle to the axis, for each camera.
         self._angles = tensor(_ANGLES)
         self._radii = tensor([lens.radius(_ANGLES) for lens in cameras])
-        # The image shifts so that the neutral pins stay in place, in the mean.
+        # Shift each image so the neutral pins stay in place on average.
         shift = [(base.project(neutral) - lens.project(neutral)).mean(0) for lens in cameras]
         self._centres = tensor(
             [(lens.centre + d - (left, top)) * scale - 0.5 for lens, d in zip(cameras, shift, strict=True)]
@@ -270,8 +271,8 @@ class _Cameras:
         self._scale = tensor(scale)
 
     def project(self, tips: torch.Tensor) -> torch.Tensor:
-        """Return places (m, p, 2), px, of pin tips (m, p, 3), m, each of the m by a random camera."""
-        which = torch.randint(_CAMERAS, (len(tips),), device=self._device)
+        """Project pin tips (m, p, 3), m, to positions (m, p, 2), px, each of the m samples with a random camera."""
+        which = torch.randint(_CAMERA_COUNT, (len(tips),), device=self._device)
         rays = tips - self._positions[which]
         plan = rays[..., :2].square().sum(-1).sqrt()
         angle = torch.atan2(plan, rays[..., 2])
@@ -286,30 +287,30 @@ class _Cameras:
 
 
 _ANGLES = np.linspace(0, np.pi / 2, 400)
-"""Angles to the axis, rad, of a lens's table."""
+"""Angles to the axis, rad, at which a lens is tabulated."""
 
 
 def _rim_lights(count: int, max_arcs: int, fraction: float, device: str) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return discs along random arcs of light at the rim.
+    """Sample discs along random arcs of light at the rim.
 
     Args:
         count: Number of images.
-        max_arcs: Maximum number of arcs of an image.
-        fraction: Factor of that maximum.
+        max_arcs: Maximum number of arcs per image.
+        fraction: Factor by which that maximum is scaled.
         device: Torch device.
 
     Returns:
-        Places (count, max_arcs * _ARC, 2) from the image's middle, and radii (count, max_arcs * _ARC), 0 where there is no
-        arc; both in widths of the image.
+        Positions (count, max_arcs * _ARC_DISCS, 2) from the image centre, and radii (count, max_arcs * _ARC_DISCS), 0 where there is no
+        arc; both as fractions of the image width.
     """
     number = (fraction * (max_arcs + 1) * torch.rand(count, 1, device=device)).floor()
     start = 2 * np.pi * torch.rand(count, max_arcs, 1, device=device)
     length = 0.2 + 0.6 * torch.rand(count, max_arcs, 1, device=device)
-    away = 0.46 + 0.03 * torch.rand(count, max_arcs, 1, device=device)
-    along = torch.linspace(0, 1, _ARC, device=device)
+    distance = 0.46 + 0.03 * torch.rand(count, max_arcs, 1, device=device)
+    along = torch.linspace(0, 1, _ARC_DISCS, device=device)
     angle = start + length * along
     # Crescents: thin at both ends.
     thick = (0.004 + 0.008 * torch.rand(count, max_arcs, 1, device=device)) * (4 * along * (1 - along)).clamp_min(0.1)
-    places = torch.stack([away * torch.cos(angle), away * torch.sin(angle)], -1)
+    positions = torch.stack([distance * torch.cos(angle), distance * torch.sin(angle)], -1)
     shown = torch.arange(max_arcs, device=device) < number
-    return places.reshape(count, -1, 2), torch.where(shown[..., None], thick, 0.0).reshape(count, -1)
+    return positions.reshape(count, -1, 2), torch.where(shown[..., None], thick, 0.0).reshape(count, -1)

@@ -1,5 +1,4 @@
-"""True labels of a sensor on an object: the reference for scores, and the labels of sliding contacts
-(sim/dataset/sliding.py).
+"""True labels of a sensor on an object, used to score a servo and to label sliding contacts (sim/dataset/sliding.py).
 
 On a curved object the local contact frame has its z along the surface normal at the point nearest to the apex, so depth is
 the distance of the undeformed apex below the surface.
@@ -36,7 +35,7 @@ class SurfaceGroundTruth:
         self._solid = solid
 
     def frame(self, T_object_sensor: np.ndarray) -> np.ndarray:
-        """Return T_object_contact (4, 4) of a sensor (4, 4): z is the normal, and the turn about it makes yaw zero."""
+        """Return T_object_contact (4, 4) of a sensor (4, 4): z is the normal, rotated about it so that yaw is zero."""
         apex = T_object_sensor[:3, 3]
         at = self._solid.nearest(apex[None])
         normal = self._solid.smooth_normal(apex[None])[0]

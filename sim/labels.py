@@ -6,7 +6,7 @@ Task = Literal["surface", "edge"]
 """Name of a task of the paper, which is also the stimulus of its data sets."""
 
 TASKS: tuple[Task, ...] = ("surface", "edge")
-"""The paper's tasks [P]. Their order is part of what a seed means."""
+"""The paper's tasks [P]. A seed's samples depend on their order."""
 
 FidelityName = Literal["draft", "standard", "reference"]
 """Name of a preset of sim/contact/fidelity.py."""
@@ -21,4 +21,4 @@ LABELS = tuple(f"pose_{c}" for c in COMPONENTS)
 """Columns of the pose, mm and degrees."""
 
 SHEARS = tuple(f"shear_{c}" for c in COMPONENTS)
-"""Columns of the motion in contact that led to the pose, mm and degrees."""
+"""Columns of the motion in contact before the pose, mm and degrees."""

@@ -1,6 +1,6 @@
 """Frames and labels.
 
-The contact frame F sits on the surface or edge: z is the outward normal, x is square to the edge and points off the
+The contact frame F sits on the surface or edge: z is the outward normal, x is perpendicular to the edge and points off the
 object, y runs along the edge. The sensor frame S has its origin at the apex of the undeformed tip, z out of the tip, x to
 the right and y down in the image. At pose zero the tip just touches and faces the object:
 

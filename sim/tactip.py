@@ -1,6 +1,7 @@
-"""A simulated TacTip in a few lines: press it on something, and take image, pins and force from the contact.
+"""A simulated TacTip in a few lines: press it on an object, and get the contact's image, pins and force.
 
-Every press is checked, and repeated with finer steps where a check fails: no record that cannot be trusted comes out.
+The record of every press is checked, and the press is repeated with finer steps if a check fails. If no try passes, an
+error is raised.
 """
 
 from collections.abc import Callable, Sequence
@@ -29,12 +30,12 @@ from tactip_twin.tactip_model.renderer import RendererName, renderer_named
 from tactip_twin.tactip_model.tactile_image import tactile_image
 
 Pressable = str | PathLike[str] | Stimulus | SceneObject | trimesh.Trimesh
-"""What a tip can be pressed on: a stimulus by name or as an object, a mesh file (mm), an object of `load_object`, or a mesh
-(m)."""
+"""Objects that a tip can be pressed on: a stimulus by name or as an object, a mesh file (mm), an object of `load_object`,
+or a mesh (m)."""
 
 
 class UntrustedContact(TactipError):
-    """A contact whose record failed its checks in every try; `record` is the last one."""
+    """Error for a contact whose record failed its checks in every try; `record` is the last one."""
 
     def __init__(self, message: str, record: Contact) -> None:
         super().__init__(message)
@@ -42,7 +43,7 @@ class UntrustedContact(TactipError):
 
 
 class TactileContact:
-    """One finished contact: what the sensor sees and the force on it."""
+    """One finished contact: the sensor's images, its pins and the force on it."""
 
     def __init__(self, tip: "TacTip", record: Contact, force: np.ndarray, tries: int) -> None:
         """Args:
@@ -63,12 +64,12 @@ class TactileContact:
 
     @cached_property
     def frame(self) -> np.ndarray:
-        """The camera's grey frame (h, w) uint8. Raises TactipError where the renderer cannot work."""
+        """The camera's grey frame (h, w) uint8. Raises TactipError if the renderer cannot be used."""
         return self._tip.render(self.record.tips, self.record.directions)
 
     @cached_property
     def image(self) -> np.ndarray:
-        """The binary tactile image (size, size) uint8, 0 and 255. Raises TactipError where the renderer cannot work."""
+        """The binary tactile image (size, size) uint8, 0 and 255. Raises TactipError if the renderer cannot be used."""
         return tactile_image(self.frame, self._tip.design.image)
 
 
@@ -85,11 +86,11 @@ class TacTip:
         """Args:
             design: A preset's name (tactip-127, tactip-331, nominal-127, nominal-331), a design file, or a Design.
             fidelity: draft, standard or reference, or a Fidelity.
-            renderer: pyrender, or raster, which needs no OpenGL. It starts when an image is asked for.
-            limits: What the record of a contact must keep.
+            renderer: pyrender, or raster, which needs no OpenGL. It is started for the first image.
+            limits: Limits of the checks of a contact's record.
 
         Raises:
-            TactipError: On unknown names, and on a file that is no design.
+            TactipError: A name is unknown, or the file holds no design.
         """
         self.design = design if isinstance(design, Design) else load_design(fspath(design))
         self.fidelity = fidelity if isinstance(fidelity, Fidelity) else fidelity_named(fidelity)
@@ -101,17 +102,17 @@ class TacTip:
 
     @cached_property
     def render(self) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-        """The function of pin tips and directions, (p, 3) each, m, to the camera's grey frame (h, w) uint8."""
+        """Function that renders pin tips (p, 3), m, and directions (p, 3) as the camera's grey frame (h, w) uint8."""
         return renderer_named(self._renderer, self.design)
 
     @cached_property
     def neutral_image(self) -> np.ndarray:
-        """The tactile image (size, size) uint8 of the untouched tip."""
+        """The tactile image (size, size) uint8 of the undeformed tip."""
         return tactile_image(self.render(*neutral_pins(self.design)), self.design.image)
 
     @property
     def neutral_pins_mm(self) -> np.ndarray:
-        """Pin tips (p, 3) of the untouched tip, mm, sensor frame."""
+        """Pin tips (p, 3) of the undeformed tip, mm, sensor frame."""
         return 1e3 * neutral_pins(self.design)[0]
 
     def press(
@@ -128,7 +129,7 @@ class TacTip:
         shear_deg: Sequence[float] = (0.0, 0.0, 0.0),
         at_mm: tuple[float, float] | None = None,
     ) -> TactileContact:
-        """Press the tip on a stimulus at a pose that is reached through a shear.
+        """Press the tip on a stimulus and shear it to a pose.
 
         The pose is the sensor's in the contact frame: z along the outward normal, x off an edge, y along it (sim/pose.py).
         On a mesh, the contact frame is where a vertical line through `at_mm` meets the surface from above.
@@ -136,21 +137,21 @@ class TacTip:
         Args:
             stimulus: Name of a stimulus, a mesh file in mm, or an object: see Pressable.
             depth_mm: Depth of the apex below the surface, mm.
-            x_mm: Position square to the edge, mm, positive off the object.
+            x_mm: Position perpendicular to the edge, mm, positive off the object.
             y_mm: Position along the edge, mm.
             roll_deg: Rotation vector's x, degrees.
             pitch_deg: Rotation vector's y, degrees.
             yaw_deg: Rotation vector's z, degrees.
-            shear_mm: (2,) or (3,) motion in contact that leads to the pose, mm.
+            shear_mm: (2,) or (3,) motion in contact before the pose, mm.
             shear_deg: (3,) rotation vector of that motion, degrees.
-            at_mm: x and y of the place on a mesh, mm, in the mesh's frame (an object's: the base frame); the middle if None.
+            at_mm: x and y of the contact on a mesh, mm, in its frame (of an object, the base frame); the middle if None.
 
         Returns:
-            The contact, whose record has passed its checks.
+            The contact; its record passed its checks.
 
         Raises:
-            UntrustedContact: If the record failed its checks in every try; the message says which.
-            TactipError: On what cannot be pressed on or reached.
+            UntrustedContact: The record failed its checks in every try; the message says which.
+            TactipError: The stimulus is unknown or unfit, or the pose is out of reach.
         """
         if len(shear_mm) not in (2, 3) or len(shear_deg) != 3:
             raise TactipError(
@@ -161,12 +162,14 @@ class TacTip:
         simulator = self._simulator_for(stimulus, at_mm)
         record, failures = simulator.play(pose, shear)
         if len(failures) == simulator.tries:
-            raise UntrustedContact(f"the contact cannot be trusted: {'; '.join(failures[-1])}", record)
+            raise UntrustedContact(
+                f"the contact failed its checks in {simulator.tries} tries: {'; '.join(failures[-1])}", record
+            )
         force = sensor_in_contact(pose)[:3, :3] @ simulator.last.scene.contact_force()
         return TactileContact(self, record, force, len(failures) + 1)
 
     def _simulator_for(self, stimulus: Pressable, at_mm: tuple[float, float] | None) -> RetryingSimulator:
-        """Return the simulator of a stimulus. That of the last press is kept, because building one takes a while."""
+        """Return the simulator of a stimulus. That of the last press is kept, because building one is slow."""
         name = str(stimulus) if isinstance(stimulus, str | PathLike) else None
         changed = Path(name).stat().st_mtime_ns if name and Path(name).is_file() else 0
         # An object without a name is known by its identity; holding it keeps the identity from being used again.
@@ -180,7 +183,7 @@ class TacTip:
 def _stimulus_of(stimulus: Pressable, at_mm: tuple[float, float] | None) -> Stimulus:
     if isinstance(stimulus, Stimulus) or (isinstance(stimulus, str) and stimulus in STIMULI):
         if at_mm is not None:
-            raise TactipError(f"at_mm is for meshes, got {at_mm} with a stimulus: give x_mm and y_mm")
+            raise TactipError(f"at_mm must be None with a stimulus that is not a mesh, got {at_mm}: give x_mm and y_mm")
         return stimulus if isinstance(stimulus, Stimulus) else stimulus_named(stimulus)
     if isinstance(stimulus, str | PathLike) and not Path(stimulus).is_file():
         raise TactipError(f"unknown stimulus {str(stimulus)!r}: choose one of {', '.join(STIMULI)}, or a mesh file")
@@ -201,7 +204,9 @@ def _from_above(solid: SignedDistanceMesh, at: np.ndarray) -> SolidStimulus:
     top = np.array([*at, solid.vertices[:, 2].max() + 1e-3])
     gap = solid.first_hit(top, np.array([0.0, 0.0, -1.0]))
     if not np.isfinite(gap):
-        raise TactipError(f"there is no surface below x, y = {1e3 * at[0]:g}, {1e3 * at[1]:g} mm: give at_mm on the mesh")
+        raise TactipError(
+            f"at_mm must lie on the mesh, which has no surface below x, y = {1e3 * at[0]:g}, {1e3 * at[1]:g} mm"
+        )
     place = top - [0, 0, gap]
     normal = solid.smooth_normal(place[None])[0]
     # The shortest turn from the vertical: x stays as near to the mesh's x as it can.

@@ -32,19 +32,19 @@ def write_design(path: str | Path, design: Design, provenance: dict[str, Any]) -
     write_file(Path(path), (json.dumps(content, indent=1) + "\n").encode())
 
 
-def write_fitted(path: str | Path, design: Design, provenance: dict[str, Any]) -> None:
+def write_fitted_design(path: str | Path, design: Design, provenance: dict[str, Any]) -> None:
     """Write a design that was fitted to frames, with the camera as it was when the neutral image was taken.
 
     The camera's change between that image and the frames (Optics.zoom, drift) belongs to the recording and not to the
-    sensor, so it is written to the provenance, from which `read_in_use` reads it.
+    sensor, so it is written to the provenance, from which `read_design_with_drift` reads it.
     """
     camera_drift = {"zoom": design.optics.zoom, "drift": design.optics.drift}
     neutral = replace(design, optics=replace(design.optics, zoom=1.0, drift=(0.0, 0.0)))
     write_design(path, neutral, provenance | {"camera_in_use": camera_drift})
 
 
-def read_in_use(path: str | Path) -> Design:
-    """Return the design in a JSON file with the camera as it was when the frames of the fit were taken.
+def read_design_with_drift(path: str | Path) -> Design:
+    """Return the design in a JSON file with the zoom and drift of the camera in the frames of the fit.
 
     Raises:
         TactipError: `read_design` fails, or the design was not fitted to frames.
@@ -52,7 +52,7 @@ def read_in_use(path: str | Path) -> Design:
     design, content = read_design(path), json.loads(Path(path).read_text())
     camera = content["provenance"].get("camera_in_use")
     if not isinstance(camera, dict) or set(camera) != {"zoom", "drift"}:
-        raise TactipError(f"the design file {path} does not say how the camera was in use: only fitted ones do")
+        raise TactipError(f"the design file {path} lacks provenance.camera_in_use, which only designs fitted to frames have")
     return replace(design, optics=replace(design.optics, zoom=camera["zoom"], drift=_tuples(camera["drift"])))
 
 
@@ -66,11 +66,11 @@ def read_design(path: str | Path) -> Design:
     except ValueError as error:
         raise TactipError(f"the design file {path} is not JSON: {error}") from error
     if not isinstance(content, dict) or content.get("format") != FORMAT or not isinstance(content.get("provenance"), dict):
-        raise TactipError(f"{path} is not a design file: its format must be {FORMAT!r}, with a provenance")
-    return design_from(content.get("design"), f"{path}: design")
+        raise TactipError(f"{path} is not a design file: it must have the format {FORMAT!r} and a provenance")
+    return design_from_dict(content.get("design"), f"{path}: design")
 
 
-def design_from(value: object, where: str) -> Design:
+def design_from_dict(value: object, where: str) -> Design:
     """Return the design of a JSON object; `where` is its origin, for the message of a TactipError if it is not a design."""
     return from_dict(Design, value, where)
 
@@ -104,7 +104,7 @@ def from_dict(kind: type[T], value: object, where: str) -> T:
             given[name] = _tuples(item)
             text = hints[name] is str or get_origin(hints[name]) is Literal
             if text != isinstance(item, str) or isinstance(item, dict):
-                raise TactipError(f"{where}.{name} is {item!r}: it must be {'a text' if text else 'a number or numbers'}")
+                raise TactipError(f"{where}.{name} must be {'a string' if text else 'a number or numbers'}, got {item!r}")
     return kind(**given)
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 
 def write_file(path: Path, data: bytes) -> None:
-    """Write bytes so that an interruption at any moment leaves the old file or the new one.
+    """Write a file atomically: an interruption leaves either the old file or the new one.
 
     Raises:
         OSError: The file cannot be written; the old one is unchanged.

@@ -25,7 +25,7 @@ def pin_area(images: Iterable[np.ndarray], margin: float = 1.0) -> np.ndarray:
             spacing when the tip is pressed [M].
 
     Raises:
-        TactipError: No image shows enough pins.
+        TactipError: Fewer than 20 pins are detected in every image.
     """
     area, max_pins = None, 0
     for image in images:
@@ -42,17 +42,15 @@ def pin_area(images: Iterable[np.ndarray], margin: float = 1.0) -> np.ndarray:
         disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
         area = np.maximum(area, cv2.dilate(grown, disc))
     if area is None or not area.any():
-        raise TactipError(
-            f"at most {max_pins} pins are seen in an image: at least {_MIN_PINS} are needed to tell where they are"
-        )
+        raise TactipError(f"at least {_MIN_PINS} pins must be detected in an image, got {max_pins}")
     return area.astype(bool)
 
 
-def pins_of(image: np.ndarray) -> np.ndarray:
+def detect_pins(image: np.ndarray) -> np.ndarray:
     """Return the positions (n, 2) px of the pins in a binary image (h, w) uint8; raise TactipError if there are too few."""
     points = _pins(find_blobs(image).centres)
     if len(points) < _MIN_PINS:
-        raise TactipError(f"{len(points)} pins are seen: at least {_MIN_PINS} are needed")
+        raise TactipError(f"at least {_MIN_PINS} pins must be detected in an image, got {len(points)}")
     return points
 
 

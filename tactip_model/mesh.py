@@ -168,7 +168,7 @@ def _skin_triangles(points: np.ndarray, tetrahedra: np.ndarray, surface_count: i
     return faces
 
 
-def in_order(elements: np.ndarray) -> np.ndarray:
+def sorted_elements(elements: np.ndarray) -> np.ndarray:
     """Sort elements (m, c) of vertex indices, c at least 3, and keep their orientation.
 
     The corners of each element ascend, except for the last two where the orientation requires it, and the elements ascend
@@ -194,7 +194,7 @@ def build_mesh(shape: TipGeometry, resolution: Resolution) -> Mesh:
     for name in ("surface_m", "rim_m"):
         spacing = getattr(resolution, name)
         if not 0 < spacing <= shape.radius_m / 2:
-            raise ValueError(f"a mesh's {name} of {spacing} m does not do: above 0 and at most half the dome's radius")
+            raise ValueError(f"{name} must be above 0 and at most half the dome's radius, got {spacing}")
     radius = shape.radius_m - CONTACT_RADIUS_M
     sets = _layers(radius, resolution)
     surface_count = len(sets[0])
@@ -223,9 +223,11 @@ def build_mesh(shape: TipGeometry, resolution: Resolution) -> Mesh:
     tetrahedra = _tetrahedralise(points)
     triangles = _skin_triangles(points, tetrahedra, surface_count, bonded)
     if len(np.unique(triangles)) != surface_count or len(np.unique(tetrahedra)) != len(points):
-        raise ValueError(f"spacings of {resolution.surface_m} and {resolution.rim_m} m leave points outside the mesh")
+        raise ValueError(
+            f"surface_m {resolution.surface_m:g} and rim_m {resolution.rim_m:g} leave points outside the mesh: choose others"
+        )
     centre = np.array([0.0, 0.0, -shape.radius_m])
-    mesh = Mesh(points + centre, surface_count, in_order(tetrahedra), in_order(triangles), bonded, centre)
+    mesh = Mesh(points + centre, surface_count, sorted_elements(tetrahedra), sorted_elements(triangles), bonded, centre)
     for array in (mesh.vertices, mesh.tetrahedra, mesh.triangles, mesh.bonded, mesh.centre):
         array.setflags(write=False)
     return mesh

@@ -63,11 +63,11 @@ def fit_neutral(design: Design, image: np.ndarray) -> tuple[Design, NeutralFit]:
         TactipError: The image is not square, or its blobs are not the design's pins.
     """
     if image.shape[0] != image.shape[1]:
-        raise TactipError(f"a neutral image of {image.shape[1]} by {image.shape[0]} px does not do: it must be square")
+        raise TactipError(f"the neutral image must be square, got {image.shape[1]}×{image.shape[0]} px")
     blobs = reference_pixels(find_blobs(image).centres, image.shape[1])
     count = len(plan_positions(replace(design.pins, as_built_m=())))
     if not _MIN_PIN_FRACTION * count <= len(blobs) <= 1.2 * count:
-        raise TactipError(f"the neutral image shows {len(blobs)} pins: the design {design.name!r} has {count}")
+        raise TactipError(f"the neutral image must show the {count} pins of the design {design.name!r}, got {len(blobs)}")
     before = neutral_px(design)
     lattice = LAYOUTS[design.pins.layout](design.pins.rings)
     detected = 0
@@ -79,8 +79,8 @@ def fit_neutral(design: Design, image: np.ndarray) -> tuple[Design, NeutralFit]:
             break
     else:
         raise TactipError(
-            f"only {detected} of {count} pins of the design {design.name!r} are found in the neutral image: is it of "
-            "another tip, or pressed?"
+            f"only {detected} of {count} pins of the design {design.name!r} were found in the neutral image: "
+            "use an image of this tip without contact"
         )
     # This map treats the pins as flat; with the camera off the axis, the dome's height matters.
     fitted, on_lattice = fit_pins(_design_of(design, guess), seen)
@@ -102,7 +102,7 @@ def fit_pins(design: Design, seen: np.ndarray) -> tuple[Design, np.ndarray]:
     guess = np.array([np.radians(pins.rotation_deg), *centre, *optics.neutral_radius, *offset])
     guess = least_squares(lambda p: (neutral_px(_design_of(design, p)) - seen)[known].ravel(), guess, x_scale=_SCALE).x
     fitted = _design_of(design, guess)
-    return as_built(fitted, seen), neutral_px(fitted)
+    return with_pin_offsets(fitted, seen), neutral_px(fitted)
 
 
 _SCALES = (1.0, 0.97, 0.94, 0.91, 0.88, 0.85, 1.03)
@@ -230,7 +230,7 @@ def _design_of(design: Design, guess: np.ndarray) -> Design:
     return replace(design, optics=optics, pins=replace(design.pins, rotation_deg=turn, as_built_m=()))
 
 
-def as_built(design: Design, seen: np.ndarray) -> Design:
+def with_pin_offsets(design: Design, seen: np.ndarray) -> Design:
     """Return the design with each detected pin's root moved to match its position in a neutral image.
 
     The camera's change since that image (zoom and drift) is ignored.

@@ -1,4 +1,4 @@
-"""The one place that chooses the OpenGL platform.
+"""Choice of the OpenGL platform.
 
 EGL needs no display and is used wherever it is found. Values of PYOPENGL_PLATFORM and MUJOCO_GL that the user has set
 stay as they are.

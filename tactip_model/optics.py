@@ -31,11 +31,11 @@ class Lens:
         self.centre = (np.array(optics.centre) + optics.drift) * self.width
         self.position = np.array([*optics.camera_offset_m, -design.shape.radius_m - optics.camera_height_m])
         self._scale = optics.zoom * self.width / REFERENCE_PX
-        tips, _ = neutral_pins(lattice)
+        pin_tips, _ = neutral_pins(lattice)
         off_axis = np.linalg.norm(plan_positions(lattice.pins) - optics.camera_offset_m, axis=1)
-        wanted = _odd(off_axis / design.pins.pitch_m) @ optics.neutral_radius
-        angle = self.angle_to(tips)
-        self.coefficients = np.linalg.lstsq(_odd(angle), wanted, rcond=None)[0]
+        radii = _odd(off_axis / design.pins.pitch_m) @ optics.neutral_radius
+        angle = self.angle_to(pin_tips)
+        self.coefficients = np.linalg.lstsq(_odd(angle), radii, rcond=None)[0]
         self._straight = angle.max()
         self._slope = float((_odd(self._straight) / self._straight) @ (self.coefficients * [1, 3, 5]))
 
@@ -102,7 +102,7 @@ class LedRing:
         return np.minimum(self._scale * albedo * self._irradiance(points, normals), 255.0)
 
 
-def tip_radii(design: Design) -> np.ndarray:
+def pin_radii(design: Design) -> np.ndarray:
     """Return the apparent radius (p,), m, of each pin's white tip; see design.Pins.diameter_m."""
     _, directions = neutral_pins(design)
     plan = np.linalg.norm(directions[:, :2], axis=1)

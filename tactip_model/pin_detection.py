@@ -101,7 +101,7 @@ class PinMatcher:
         self._reach = 2.2 * float(np.median(spacing)) + 0.03 * float(np.ptp(self.neutral))
 
     def match(self, blobs: Blobs) -> np.ndarray:
-        """Return the positions (p, 2), px, of the pins; NaN where a pin is not seen, all NaN if none can be identified."""
+        """Return the positions (p, 2), px, of the pins; NaN where one is not detected, all NaN if none can be identified."""
         positions = np.full_like(self.neutral, np.nan)
         if len(blobs.centres) < 3:
             return positions

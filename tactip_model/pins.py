@@ -29,7 +29,7 @@ def circular(rings: int) -> np.ndarray:
 
 
 LAYOUTS: dict[PinLayout, Callable[[int], np.ndarray]] = {"hexagonal": hexagonal, "circular": circular}
-"""Functions of the number of rings to plan positions in pitches, by layout."""
+"""Functions that return plan positions, in pitches, for a number of rings; by layout."""
 
 
 def plan_positions(pins: Pins) -> np.ndarray:
@@ -42,7 +42,9 @@ def plan_positions(pins: Pins) -> np.ndarray:
     c, s = np.cos(np.radians(pins.rotation_deg)), np.sin(np.radians(pins.rotation_deg))
     points = points @ np.array([[c, s], [-s, c]])
     count = len(pins.as_built_m)
-    require(count in (0, len(points)), "the number of Pins.as_built_m", count, f"{len(points)}, one a pin, or 0")
+    require(
+        count in (0, len(points)), "the number of offsets in Pins.as_built_m", count, f"{len(points)}, one per pin, or 0"
+    )
     return points + np.reshape(pins.as_built_m, (-1, 2)) if count else points
 
 

@@ -4,8 +4,8 @@ pyrender has no wide-angle lens. Each vertex is placed at its pixel as the lens 
 an orthographic camera renders the result: the lens is exact at every vertex, and the edges between vertices are shorter
 than a pixel. Light is computed per vertex from the LED ring (optics.py), so the scene needs no lights.
 
-Run as a program (`python -m tactip_twin.tactip_model.pyrender_renderer`) it renders a square and exits with 0, or with 1
-and one sentence.
+Run as a program (`python -m tactip_twin.tactip_model.pyrender_renderer`) it renders a square and exits with status 0,
+or prints one sentence and exits with status 1.
 """
 
 import sys
@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.opengl import install_hint
-from tactip_twin.tactip_model.optics import LedRing, Lens, inner_skin, perpendicular_axes, tip_radii
+from tactip_twin.tactip_model.optics import LedRing, Lens, inner_skin, perpendicular_axes, pin_radii
 from tactip_twin.tactip_model.raster_renderer import blur_and_quantize
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ _SIDES = 24
 """Sides of the polygon that approximates a pin's round tip; its radius makes up for the 1 % of the area it lacks."""
 
 _BACKDROP_DEPTH = 9.0
-"""Depth of the backdrop, in the canvas's range."""
+"""Depth of the backdrop, in the renderer's range."""
 
 
 @cache
@@ -48,20 +48,20 @@ def renderer() -> tuple[ModuleType, Any]:
     except (ImportError, AttributeError, OSError, RuntimeError, ValueError, TypeError, *_gl_error()) as error:
         raise TactipError(
             f"OpenGL cannot be used here ({type(error).__name__}: {_first_line(error)}): on Debian install it with "
-            f"'{install_hint()}', or draw without it by --renderer raster"
+            f"'{install_hint()}', or use --renderer raster, which does not need it"
         ) from error
     return pyrender, renderer
 
 
 def check_opengl() -> None:
     """Render a square off screen; raise TactipError if OpenGL cannot be used."""
-    canvas = OffscreenRenderer(16, 16)
+    renderer = OffscreenRenderer(16, 16)
     corners = np.array([[-1, -1, 1.0], [40, -1, 1.0], [-1, 40, 1.0]])
-    image, _ = canvas.render(canvas.mesh(corners, np.array([[0, 1, 2]]), np.full(3, 255.0)))
+    image, _ = renderer.render(renderer.mesh(corners, np.array([[0, 1, 2]]), np.full(3, 255.0)))
     if image.min() < 255:
         raise TactipError(
-            f"OpenGL draws wrongly here: a white square came out {image.min():.0f} of 255; draw without it by "
-            "--renderer raster"
+            f"OpenGL renders incorrectly here: a white square must have the grey level 255, got {image.min():.0f}; "
+            "use --renderer raster, which does not need OpenGL"
         )
 
 
@@ -134,12 +134,12 @@ class PinCamera:
         # The polygon has the disc's area.
         radius = np.sqrt(np.pi / (_SIDES / 2 * np.sin(2 * np.pi / _SIDES)))
         self._rim = radius * np.stack([np.cos(angle), np.sin(angle)], 1)
-        self._radii = tip_radii(design)
+        self._radii = pin_radii(design)
         fan = np.stack([np.zeros(_SIDES, int), 1 + np.arange(_SIDES), 1 + (np.arange(_SIDES) + 1) % _SIDES], 1)
         self._fans = (fan + (_SIDES + 1) * np.arange(len(self._radii))[:, None, None]).reshape(-1, 3)
-        self._canvas = OffscreenRenderer(self._lens.width, self._lens.width)
+        self._renderer = OffscreenRenderer(self._lens.width, self._lens.width)
         # The backdrop never moves, so it is rendered once, which saves more than half of an image's time.
-        self._backdrop, _ = self._canvas.render(self._skin())
+        self._backdrop, _ = self._renderer.render(self._skin())
 
     def render(self, pin_tips: ArrayLike, directions: ArrayLike) -> np.ndarray:
         """Return the grey frame (h, w) uint8 of pins with tips (p, 3), m, and directions (p, 3), sensor frame."""
@@ -147,14 +147,14 @@ class PinCamera:
         plane = np.einsum("sk,kpj->psj", self._rim, perpendicular_axes(directions))
         discs = np.concatenate([pin_tips[:, None], pin_tips[:, None] + self._radii[:, None, None] * plane], 1)
         grey = self._leds.grey(pin_tips, directions, self._design.optics.pin_albedo)
-        mesh = self._canvas.mesh(self._project(discs.reshape(-1, 3)), self._fans, np.repeat(grey, _SIDES + 1))
-        image, covered = self._canvas.render(mesh)
+        mesh = self._renderer.mesh(self._project(discs.reshape(-1, 3)), self._fans, np.repeat(grey, _SIDES + 1))
+        image, covered = self._renderer.render(mesh)
         return blur_and_quantize(image + (1 - covered) * self._backdrop, self._design.optics)
 
     def _project(self, points: np.ndarray) -> np.ndarray:
         """Return pixels and depth (n, 3) of points (n, 3), m."""
         depth = np.linalg.norm(points - self._lens.position, axis=1)
-        # Depth in units of 10 mm, inside the canvas's range.
+        # Depth in units of 10 mm, inside the renderer's range.
         return np.concatenate([self._lens.project(points), depth[:, None] * 100], 1)
 
     def _skin(self) -> "pyrender.Mesh":
@@ -173,7 +173,7 @@ class PinCamera:
         i, j = (a.ravel() for a in np.meshgrid(np.arange(rings + 1), np.arange(sides), indexing="ij"))
         a, b, c, d = i * sides + j, i * sides + (j + 1) % sides, (i + 1) * sides + j, (i + 1) * sides + (j + 1) % sides
         triangles = np.concatenate([np.stack([a, c, b], 1), np.stack([b, c, d], 1)])
-        return self._canvas.mesh(np.concatenate([vertices, rim]), triangles, np.concatenate([grey, grey[-sides:]]))
+        return self._renderer.mesh(np.concatenate([vertices, rim]), triangles, np.concatenate([grey, grey[-sides:]]))
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tactip_twin.tactip_model.design import Design, Optics
-from tactip_twin.tactip_model.optics import LedRing, Lens, backdrop, perpendicular_axes, tip_radii
+from tactip_twin.tactip_model.optics import LedRing, Lens, backdrop, perpendicular_axes, pin_radii
 
 
 class Raster:
@@ -15,7 +15,7 @@ class Raster:
         self._design = design
         self._lens = Lens(design)
         self._leds = LedRing(design)
-        self._radii = tip_radii(design)
+        self._radii = pin_radii(design)
         self._backdrop = backdrop(design, self._lens, self._leds).ravel()
         self._blank = self._backdrop.astype(np.float32)
 

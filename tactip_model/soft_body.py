@@ -3,8 +3,8 @@
 The gel is a 3D flex of stable neo-Hookean tetrahedra, the skin a 2D flex (stretching and bending) over the gel's surface
 vertices. They share bodies, so the skin adds no degrees of freedom.
 
-Only the skin makes contact, in two ways. Its vertices are small spheres that collide with whatever is flat on the scale of
-a facet: one contact per vertex, with the right normal at corners too. Its facets collide with what fits between the
+Only the skin makes contact, in two ways. Its vertices are small spheres that collide with surfaces flat on the scale of a
+facet: one contact per vertex, with the correct normal at corners too. Its facets collide with shapes that fit between the
 vertices, such as an edge. (A facet against a box gives each of its corners a contact: six on a vertex and, beside an edge
 of the box, contacts where there is no box, which drag the tip along by a millimetre.)
 """
@@ -29,8 +29,8 @@ STRETCHING_AND_BENDING = 3
 
 TOUCHES_VERTICES = 2
 TOUCHES_FACETS = 4
-"""Contact bits: `contype` of the skin's vertices and of its facets, `conaffinity` of what collides with them. The skin has
-no affinity of its own, so it never collides with itself."""
+"""Contact bits: `contype` of the skin's vertices and of its facets, `conaffinity` of geoms that collide with them. The skin
+has no affinity of its own, so it never collides with itself."""
 
 
 _REFERENCE = Materials()
@@ -44,13 +44,13 @@ _MAX_CONTACT = (1e9, 1e7)
 """Largest stiffness, 1/s^2, and damping, 1/s, of contact; above them the solver is badly conditioned."""
 
 
-STEP_OF_RESTING_S = 7e-3
+RESTING_STEP_S = 7e-3
 """Time step for which `ContactModel.resting` is chosen, s; its stiffness is the largest that this step resolves."""
 
 _LOCKING = (0.35, 0.45)
 """Poisson's ratios at which `mesh.Resolution.locked_stiffness` starts to act and acts fully, -."""
 
-STIFFENED = 4.0
+MAX_STIFFENING = 4.0
 """Largest factor on contact damping for a shorter step, -; stiffness is raised by up to its square."""
 
 

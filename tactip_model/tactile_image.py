@@ -9,11 +9,11 @@ from tactip_twin.tactip_model.errors import TactipError
 
 
 def binary_frame(frame: ArrayLike, threshold: tuple[int, float] | None) -> np.ndarray:
-    """Return a camera frame (h, w) uint8 with the pins white.
+    """Convert a camera frame to a binary image (h, w) uint8, pins white.
 
     Args:
         frame: (h, w) uint8 grey, or (h, w, 3) uint8 BGR.
-        threshold: Block and constant as in design.TactileImage; None converts the frame to grey only.
+        threshold: Block and constant as in design.TactileImage; None for conversion to grey only.
 
     Raises:
         TactipError: The frame has another type or shape, or the block is even or below 3.
@@ -21,15 +21,14 @@ def binary_frame(frame: ArrayLike, threshold: tuple[int, float] | None) -> np.nd
     frame = np.asarray(frame)
     if frame.dtype != np.uint8 or frame.ndim not in (2, 3) or (frame.ndim == 3 and frame.shape[2] != 3):
         raise TactipError(
-            f"a frame of {frame.dtype} {frame.shape} is no camera image: it must be uint8, (height, width) grey or "
-            "(height, width, 3) colour"
+            f"a frame must be uint8, (height, width) grey or (height, width, 3) colour, got {frame.dtype} {frame.shape}"
         )
     if frame.ndim == 3:
         frame = cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY)
     if threshold is not None:
         block, constant = threshold
         if block % 2 == 0 or block < 3:
-            raise TactipError(f"a threshold block of {block} px does not do: it must be odd and at least 3")
+            raise TactipError(f"the threshold block must be odd and at least 3 px, got {block}")
         frame = cv2.adaptiveThreshold(frame, 255, cv2.ADAPTIVE_THRESH_MEAN_C, cv2.THRESH_BINARY, block, constant)
     return frame
 
@@ -53,7 +52,7 @@ def tactile_image(frame: ArrayLike, settings: TactileImage) -> np.ndarray:
         height, width = binary.shape
         if not (0 <= left < right <= width and 0 <= top < bottom <= height):
             raise TactipError(
-                f"a crop of left, top, right, bottom {settings.crop} does not fit a frame of {width} by {height} px"
+                f"the crop (left, top, right, bottom) must lie within the frame of {width}×{height} px, got {settings.crop}"
             )
         binary = binary[top:bottom, left:right]
     shrink = settings.size_px <= min(binary.shape)

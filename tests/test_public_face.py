@@ -110,7 +110,7 @@ def test_record_that_never_passes_is_refused_with_its_reason():
         ({"stimulus": "nothing"}, "unknown stimulus 'nothing': choose one of surface, edge"),
         ({"depth_mm": 20}, "must be at most 8 mm, got 20 mm"),
         ({"shear_mm": (1,)}, "shear_mm must be 2 or 3 numbers"),
-        ({"at_mm": (1, 1)}, "at_mm is for meshes"),
+        ({"at_mm": (1, 1)}, "at_mm must be None with a stimulus that is not a mesh"),
         ({"stimulus": trimesh.Trimesh()}, "mesh has no triangles"),
     ],
 )

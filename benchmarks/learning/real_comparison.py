@@ -20,7 +20,7 @@ from tactip_twin.sim.contact.simulator import ContactSimulator
 from tactip_twin.sim.pose import from_mm_deg
 from tactip_twin.sim.view.plot import pyplot
 from tactip_twin.tactip_model.design import Design, Pins
-from tactip_twin.tactip_model.design_file import read_in_use
+from tactip_twin.tactip_model.design_file import read_design_with_drift
 from tactip_twin.tactip_model.neutral_image import neutral_px, reference_pixels
 from tactip_twin.tactip_model.optics import REFERENCE_PX, Lens
 from tactip_twin.tactip_model.pins import LAYOUTS, neutral_pins
@@ -105,8 +105,10 @@ def simulated_shift_px(simulator: ContactSimulator) -> tuple[np.ndarray, np.ndar
     lens = Lens(simulator.scene.design)
 
     def shifts(depth: float, shear: float) -> np.ndarray:
-        stages = simulator.stages(from_mm_deg([0, 0, -depth, 0, 0, 0]), from_mm_deg([shear, 0, 0, 0, 0, 0]), MOVE_FRACTIONS)
-        x = [reference_pixels(lens.project(c.tips), lens.width)[:, 0].mean() for c in stages]
+        contacts = simulator.simulate_partial_shears(
+            from_mm_deg([0, 0, -depth, 0, 0, 0]), from_mm_deg([shear, 0, 0, 0, 0, 0]), MOVE_FRACTIONS
+        )
+        x = [reference_pixels(lens.project(c.tips), lens.width)[:, 0].mean() for c in contacts]
         return x[0] - np.array(x)
 
     table = np.array([[shifts(d, s) for s in SHEARS_MM] for d in DEPTHS_MM])
@@ -131,7 +133,7 @@ def rms(values: np.ndarray) -> float:
 def run(options: RealComparisonOptions, log: Callable[[str], None] = print) -> dict[str, Any]:
     """Measure, plot real_and_simulated.png, and return the results; they also go to `log`."""
     plt = pyplot()
-    design = read_in_use(FITTED["tactip-127"])
+    design = read_design_with_drift(FITTED["tactip-127"])
     simulator = ContactSimulator(design, "surface", fidelity_named(options.fidelity))
     offset, residuals, without = best_offset(simulator)
     simulated, contacts = simulated_outward_px(simulator, np.array(DEPTHS_MM) + offset)

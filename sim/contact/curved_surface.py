@@ -14,7 +14,7 @@ MAX_CURVATURE_PER_M = 100.0
 """Maximum curvature, 1/m: a radius of 10 mm."""
 
 MAX_HOLLOW_PER_M = 30.0
-"""Maximum curvature of a hollow, 1/m. A hollow of 20 mm radius would leave the tip no room."""
+"""Maximum curvature of a hollow, 1/m. The tip does not fit into a hollow of 20 mm radius."""
 
 _SPACING_M = 1e-3
 """Spacing of the triangles' corners, m: the surface is less than 40 µm off at the maximum curvature
@@ -31,7 +31,7 @@ STRETCHES_M = (4e-3, 40e-3)
 def sample_curved_surface(
     rng: np.random.Generator, low_per_m: float, high_per_m: float, uneven: float
 ) -> SignedDistanceMesh:
-    """Return a curved_surface with random principal curvatures and a random turn about the normal.
+    """Return a curved surface with random principal curvatures and a random rotation about the normal.
 
     Args:
         rng: Random generator.
@@ -41,7 +41,7 @@ def sample_curved_surface(
             solids with round parts. Their values are sampled from twice the range and clipped to it, so surfaces are often
             as curved as allowed.
     """
-    # A constant curvature takes no number for `uneven`, so sets made before that option keep their bytes.
+    # Without varying curvature no number is sampled for it, so sets made before that option keep their bytes.
     if not (uneven and rng.uniform() < uneven):
         first_per_m, second_per_m = rng.uniform(low_per_m, high_per_m, 2)
         return curved_surface(first_per_m, second_per_m, rng.uniform(0, np.pi))
@@ -51,14 +51,14 @@ def sample_curved_surface(
 
 def _sample_profile(rng: np.random.Generator, low_per_m: float, high_per_m: float) -> "Profile":
     """Return a random profile over the whole piece of surface."""
-    spare, ends = (high_per_m - low_per_m) / 2, []
+    margin, ends = (high_per_m - low_per_m) / 2, []
     end = -HALF_WIDTH_M * np.sqrt(2)
     while not ends or ends[-1] < HALF_WIDTH_M * np.sqrt(2):
         length = np.exp(rng.uniform(*np.log(STRETCHES_M)))
-        # The piece begins at a random place within its first stretch.
+        # The piece begins at a random position within its first stretch.
         end += length * (rng.uniform() if not ends else 1.0)
         ends.append(end)
-    values = np.clip(rng.uniform(low_per_m - spare, high_per_m + spare, len(ends)), low_per_m, high_per_m)
+    values = np.clip(rng.uniform(low_per_m - margin, high_per_m + margin, len(ends)), low_per_m, high_per_m)
     return Profile(tuple(ends[:-1]), tuple(values))
 
 

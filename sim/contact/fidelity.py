@@ -11,16 +11,16 @@ from tactip_twin.tactip_model.errors import lookup
 from tactip_twin.tactip_model.mesh import Resolution
 from tactip_twin.tactip_model.soft_body import ContactModel
 
-SHORTEST_STEP_S = 0.05e-3
+MIN_STEP_S = 0.05e-3
 """Shortest time step, s. The shortest in docs/stability.md is 0.2 ms, and a retry halves it twice."""
 
 MIN_TOLERANCE = 1e-14
 """Smallest relative tolerance of the solver, -; below it is rounding error."""
 
-FASTEST_M_S = 0.5
+MAX_APPROACH_SPEED_M_S = 0.5
 """Highest mean speed of an approach, m/s."""
 
-FASTEST_SHEAR_M_S = 0.15
+MAX_SHEAR_SPEED_M_S = 0.15
 """Highest mean speed of a shear, m/s. Above it, damping holds the skin back and the result depends on the speed."""
 
 
@@ -28,7 +28,7 @@ FASTEST_SHEAR_M_S = 0.15
 class Motion:
     """Time steps, speeds, and the criterion for a tip at rest."""
 
-    step_s: float = within(SHORTEST_STEP_S, 20e-3, default=0.007)
+    step_s: float = within(MIN_STEP_S, 20e-3, default=0.007)
     """Time step, s. The integrator is implicit and stable from 0.2 ms to 20 ms."""
     press_step_m: float = within(1e-7, 10e-3, default=1.2e-3)
     """Mean approach per step, m."""
@@ -51,7 +51,7 @@ class Motion:
 
     def __post_init__(self) -> None:
         check(self)
-        for name, speed in (("press_step_m", FASTEST_M_S), ("shear_step_m", FASTEST_SHEAR_M_S)):
+        for name, speed in (("press_step_m", MAX_APPROACH_SPEED_M_S), ("shear_step_m", MAX_SHEAR_SPEED_M_S)):
             step, max_step = getattr(self, name), speed * self.step_s
             require(step <= max_step * (1 + 1e-9), name, step, f"at most {speed} m/s times step_s, {max_step:g} m")
         require(self.settle_limit >= self.settle_steps, "settle_limit", self.settle_limit, "at least settle_steps")
@@ -136,7 +136,7 @@ def finer(fidelity: Fidelity) -> Fidelity:
         fidelity,
         motion=replace(
             motion,
-            step_s=max(motion.step_s / 2, SHORTEST_STEP_S),
+            step_s=max(motion.step_s / 2, MIN_STEP_S),
             press_step_m=motion.press_step_m / 2,
             shear_step_m=motion.shear_step_m / 2,
             least_steps=2 * motion.least_steps,

@@ -1,4 +1,4 @@
-"""A tip in continuous contact that follows commanded poses, so its skin keeps the shear of earlier motions."""
+"""A tip that moves to commanded poses while in contact, so its skin keeps the shear of earlier motions."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,7 +20,7 @@ class InteractiveContact:
     """A tip and a stimulus. The tip moves to the commanded pose at the fidelity's speed, a few time steps per call."""
 
     def __init__(self, design: Design, stimulus: str | Stimulus, fidelity: Fidelity, label: ArrayLike) -> None:
-        """Start with the tip clear above a label.
+        """Place the tip clear of the stimulus, above a label.
 
         Args:
             design: The tip.
@@ -29,22 +29,22 @@ class InteractiveContact:
             label: (6,), m and rad, the first target.
 
         Raises:
-            TactipError: The scene cannot be built, or `aim` refuses the label.
+            TactipError: The scene cannot be built, or `set_target` rejects the label.
         """
         self._simulator = ContactSimulator(design, stimulus, fidelity)
         self.scene = self._simulator.scene
-        """The scene in its present state."""
+        """The scene in its current state."""
         self._steps_at_rest = 0
-        self.aim(label)
+        self.set_target(label)
         self.lift()
 
-    def aim(self, label: ArrayLike) -> None:
-        """Set the target pose (6,), m and rad. Raises TactipError if it is out of reach; the last target then stays."""
+    def set_target(self, label: ArrayLike) -> None:
+        """Set the target pose (6,), m and rad. Raise TactipError if it is out of reach; the old target is then kept."""
         check_motion(np.asarray(label, float), np.zeros(6), min(MAX_DEPTH_M, self.scene.stimulus.max_depth_m))
         self._target, self._steps_at_rest = np.array(label, float), 0
 
     def lift(self) -> None:
-        """Lift the tip, undeformed, clear above its target: it then comes down without shear."""
+        """Move the tip, undeformed, clear of the stimulus and above its target, from where it descends without shear."""
         self.scene.reset()
         rise = max(0.0, self._simulator.lift(self._target)) + _ABOVE_M
         self._label, self._steps_at_rest = self._target + np.array([0, 0, rise, 0, 0, 0]), 0
@@ -56,10 +56,10 @@ class InteractiveContact:
         return self._steps_at_rest >= self.scene.fidelity.motion.settle_limit
 
     def advance(self, steps: int) -> TipState:
-        """Simulate at most `steps` time steps and return the state they lead to.
+        """Simulate at most `steps` time steps and return the state after them.
 
         Raises:
-            Diverged: The state is lost; only `lift` recovers from it.
+            Diverged: The state diverged; only `lift` recovers from it.
         """
         motion = self.scene.fidelity.motion
         travel = np.linalg.norm(self._target[:3] - self._label[:3]) + LEVER_M * turn_between(self._label, self._target)
@@ -78,13 +78,13 @@ class InteractiveContact:
                 self._steps_at_rest = motion.settle_limit if settled else self._steps_at_rest + 1
                 if self.at_rest:
                     break
-        return self.touch()
+        return self.tip_state()
 
     @property
     def label(self) -> np.ndarray:
-        """Present pose (6,), m and rad (sim/pose.py)."""
+        """Current pose (6,), m and rad (sim/pose.py)."""
         return self._label.copy()
 
-    def touch(self) -> TipState:
-        """Return the present state of the tip."""
+    def tip_state(self) -> TipState:
+        """Return the current state of the tip."""
         return read_tip_state(self.scene, self._simulator.reader)

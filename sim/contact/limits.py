@@ -33,7 +33,7 @@ def check_motion(pose: np.ndarray, shear: np.ndarray, max_depth_m: float = MAX_D
         TactipError: Pose or shear are not finite, too deep, too steep or too long.
     """
     numbers = np.concatenate([pose, shear])
-    require(np.isfinite(numbers).all(), "a pose or shear", numbers.tolist(), "finite in all components")
+    require(np.isfinite(numbers).all(), "pose and shear", numbers.tolist(), "finite in all components")
     for label, which in ((pose, "pose"), (before_shear(pose, shear), "pose before the shear")):
         _check_reach(-label[2], max_depth_m, tilt(label), which)
     slide = float(np.linalg.norm(shear[:3]))
@@ -72,7 +72,7 @@ def check_ranges(pose: "Ranges", shear: "Ranges") -> None:
 
 
 def _check_reach(depth: float, max_depth: float, tilt: float, name: str) -> None:
-    """Check a depth (m) and a tilt (rad) of what the messages call `name`."""
+    """Check a depth (m) and a tilt (rad) of the pose that messages call `name`."""
     require(depth <= max_depth + 1e-12, f"the depth of the {name}", f"{1e3 * depth:g} mm", f"at most {1e3 * max_depth:g} mm")
     degrees, limit = np.degrees([tilt, MAX_TILT_RAD])
     require(tilt <= MAX_TILT_RAD + 1e-9, f"the tilt of the {name}", f"{degrees:g} degrees", f"at most {limit:g} degrees")

@@ -33,7 +33,7 @@ class _WarningRouter:
         return before
 
     def _route(self, message: str) -> None:
-        # A warning of a thread that does not count them, of a pool say, goes to all: better to refuse a record too many.
+        # A warning of a thread without a list goes to all lists, because a needless rejection does less harm.
         own = self._lists.get(threading.get_ident())
         for messages in list(self._lists.values()) if own is None else [own]:
             messages.append(message)

@@ -7,7 +7,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class QualityLimits:
-    """Limits of a trustworthy record."""
+    """Limits of the checks of a record."""
 
     penetration_m: float = 0.05e-3
     """Maximum penetration, m."""
@@ -31,7 +31,7 @@ class QualityLimits:
     """Maximum distance (rms) between the pins at two step sizes, where skin may snag by chance, m."""
 
     def while_sliding(self) -> "QualityLimits":
-        """Return the limits of a tip that has just slid and is not fully at rest: none on the balance of forces and the
+        """Return the limits for a tip that has just slid and is not fully at rest: no limit on the balance of forces and the
         energy, and three times the penetration [M]."""
         return replace(self, imbalance=np.inf, creep_m_s=np.inf, penetration_m=3 * self.penetration_m)
 
@@ -43,7 +43,7 @@ class Contact:
     pose: np.ndarray
     """(6,) label, m and rad (sim/pose.py)."""
     shear: np.ndarray
-    """(6,) motion in contact that led to the pose, m and rad."""
+    """(6,) motion in contact before the pose, m and rad."""
     tips: np.ndarray
     """(p, 3) pin tips, m."""
     directions: np.ndarray
@@ -59,12 +59,12 @@ class Contact:
     speed_m_s: float
     """Speed of the fastest vertex, m/s."""
     overlap_m: float
-    """Maximum depth of the skin's facets inside the object's true shape, m. It also shows contacts that MuJoCo missed."""
+    """Maximum depth of the skin's facets inside the object's true shape, m. It also reveals contacts that MuJoCo missed."""
     imbalance: float
     """Norm of the unbalanced force on the vertices over that of the contact force on them, -; zero at rest."""
     creep_m_s: float
-    """Rate of change of the tip's elastic energy divided by the contact force: the speed of a stimulus that would do as
-    much work, m/s."""
+    """Rate of change of the tip's elastic energy divided by the contact force, m/s: the speed of a stimulus that would do
+    as much work."""
     area_ratio: float
     """Minimum ratio of a facet's area to its undeformed one, -."""
     fold_rad: float
@@ -105,7 +105,7 @@ class Contact:
             ),
             (
                 self.creep_m_s <= limits.creep_m_s,
-                f"the stored energy drifts like a press at {mm * self.creep_m_s:.1f} mm/s "
+                f"the elastic energy over the contact force drifts by {mm * self.creep_m_s:.1f} mm/s "
                 f"(allowed: {mm * limits.creep_m_s} mm/s)",
             ),
             (

@@ -17,13 +17,13 @@ from tactip_twin.sim.contact.stimuli import Stimulus, add_stimulus, stimulus_nam
 from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.mesh import CONTACT_RADIUS_M, build_mesh
-from tactip_twin.tactip_model.soft_body import STEP_OF_RESTING_S, STIFFENED, add_soft_tip
+from tactip_twin.tactip_model.soft_body import MAX_STIFFENING, RESTING_STEP_S, add_soft_tip
 
 _STIMULUS_QPOS = 7
 _STIMULUS_QVEL = 6
 
 _NO_SOLVE = 1e30
-"""Tolerance that every initial guess meets, so the solver does nothing, -."""
+"""Tolerance that every initial guess satisfies, so the solver does nothing, -."""
 
 _LOST_M = 1.0
 """Distance of a vertex from which the state has diverged, m."""
@@ -99,20 +99,19 @@ class Scene:
         """Reset to the undeformed tip without history, so a contact does not depend on earlier ones."""
         mujoco.mj_resetData(self.model, self.data)
         if self._proxies:
-            self._proxies.forget()
+            self._proxies.reset()
         if self._slip:
             self._slip.reset()
 
     def stiffen(self, resting: bool) -> None:
         """Set contact stiffness and solver tolerance to those of a tip at rest (True) or in motion (False).
 
-        A stimulus that could come through the skin presses on few points, so its contact is always as stiff as the step
-        allows.
+        A stimulus that could pierce the skin presses on few points, so its contact is always as stiff as the step allows.
         """
         contact, solver = self.fidelity.contact, self.fidelity.solver
         solref = -np.array(contact.resting if resting else contact.moving)
         if np.isfinite(self.stimulus.width_m):
-            ratio = np.clip(STEP_OF_RESTING_S / self.fidelity.motion.step_s, 1.0, STIFFENED)
+            ratio = np.clip(RESTING_STEP_S / self.fidelity.motion.step_s, 1.0, MAX_STIFFENING)
             solref = -np.array(contact.resting) * [ratio**2, ratio]
         for attribute in (self.model.geom_solref, self.model.flex_solref, self.model.pair_solref):
             attribute[:] = solref
@@ -121,19 +120,19 @@ class Scene:
     def step(self) -> None:
         """Advance by one time step, as mujoco.mj_step does, with these differences.
 
-        - The spheres on a solid's surface follow the skin (sim/contact/solid_stimulus.py).
+        - The contact proxies on a solid's surface follow the skin (sim/contact/solid_stimulus.py).
         - Contacts become active before they touch (ContactModel.margin_m), but their force still begins at the surface: the
           margin is removed from their rows.
         - MuJoCo's friction cone is convex, which lifts skin that slides at v by friction * v * (step + damping / stiffness).
-          The surface is lowered by as much (De Saxcé's correction, with the speed of the last step), so sliding skin stays
-          at the height that it would have at rest.
+          The surface is lowered by the same amount (De Saxcé's correction, with the speed of the last step), so sliding skin
+          stays at the height it has at rest.
         - Friction falls where the skin has slid, if the materials have it (sim/contact/slip_weakening.py).
         - The motion without contacts, which MuJoCo solves first, is only one of two initial guesses if there are contacts.
           It is left unsolved, which saves a third of the time; the result is the same to the solver's tolerance.
         """
         model, data = self.model, self.data
         if self._proxies:
-            self._proxies.follow(model, self.skin_in_stimulus())
+            self._proxies.update(model, self.skin_in_stimulus())
         tolerance, before = model.opt.tolerance, data.qacc_warmstart.copy()
         mujoco.mj_fwdPosition(model, data)
         touching = data.nefc > 0
@@ -148,7 +147,7 @@ class Scene:
             data.qacc_warmstart[:] = before
             mujoco.mj_fwdConstraint(model, data)
             if self._slip:
-                self._slip.remember(data)
+                self._slip.store_sliding(data)
         elif self._slip:
             self._slip.reset()  # the whole skin has left the object
         data.qacc_warmstart[:] = data.qacc
@@ -162,15 +161,15 @@ class Scene:
     def _correct_sliding_friction(self) -> None:
         """Weaken the friction of sliding contacts, and lower their surface: see `step`."""
         data, contacts, step = self.data, self.data.contact, self.model.opt.timestep
-        acting = contacts.efc_address >= 0
-        row = contacts.efc_address[acting]
+        active = contacts.efc_address >= 0
+        row = contacts.efc_address[active]
         rates = np.zeros(data.nefc)
         mujoco.mj_mulJacVec(self.model, data, rates, data.qvel)
         speed = np.zeros(data.ncon)
-        speed[acting] = np.hypot(rates[row + 1], rates[row + 2])
+        speed[active] = np.hypot(rates[row + 1], rates[row + 2])
         if self._slip:
             self._slip.weaken(data, speed * step)
-        data.efc_margin[row] = -self._lift(speed)[acting]
+        data.efc_margin[row] = -self._lift(speed)[active]
 
     def _lift(self, speed: np.ndarray) -> np.ndarray:
         """Return the height (contacts,) m by which MuJoCo lifts contacts that slide at a speed (contacts,) m/s."""
@@ -204,9 +203,9 @@ class Scene:
 
     def skin_in_stimulus(self) -> np.ndarray:
         """Return the vertices (s, 3) m of the deformed skin, in the stimulus's frame."""
-        place, quaternion = self.data.qpos[:3], self.data.qpos[3:_STIMULUS_QPOS]
-        turn = Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
-        return (self.vertices()[: self.mesh.surface_count] - place) @ turn
+        position, quaternion = self.data.qpos[:3], self.data.qpos[3:_STIMULUS_QPOS]
+        rotation = Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
+        return (self.vertices()[: self.mesh.surface_count] - position) @ rotation
 
     def max_vertex_speed(self) -> float:
         """Return the speed of the fastest vertex, m/s."""
@@ -220,29 +219,29 @@ class Scene:
     def contact_wrench(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the force (3,) N and the torque (3,) N m about the apex of the stimulus on the tip at the last step, in the
         sensor frame."""
-        forces, places = self._contact_forces()
-        return forces.sum(0), np.cross(places, forces).sum(0)
+        forces, points = self._contact_forces()
+        return forces.sum(0), np.cross(points, forces).sum(0)
 
     def _contact_forces(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return forces (c, 3) N on the tip and places (c, 3) m of the active contacts, in the sensor frame."""
+        """Return forces (c, 3) N on the tip and positions (c, 3) m of the active contacts, in the sensor frame."""
         contacts, forces = self.data.contact, self.data.efc_force
-        acting = contacts.efc_address >= 0
-        if not acting.any():
+        active = contacts.efc_address >= 0
+        if not active.any():
             return np.zeros((0, 3)), np.zeros((0, 3))
         # With elliptic cones there is a row per axis of the contact's frame; without friction, only for the first.
-        rows = contacts.efc_address[acting, None] + np.arange(contacts.dim[acting][0])
+        rows = contacts.efc_address[active, None] + np.arange(contacts.dim[active][0])
         # The frame points from the first geom to the second.
-        first = contacts.geom[acting, 0]
+        first = contacts.geom[active, 0]
         sign = np.where((first >= 0) & (self.model.geom_bodyid[first] == self._stimulus_body), 1.0, -1.0)
-        axes = contacts.frame[acting].reshape(-1, 3, 3)[:, : rows.shape[1]]
-        return np.matmul((sign[:, None] * forces[rows])[:, None], axes)[:, 0], contacts.pos[acting]
+        axes = contacts.frame[active].reshape(-1, 3, 3)[:, : rows.shape[1]]
+        return np.matmul((sign[:, None] * forces[rows])[:, None], axes)[:, 0], contacts.pos[active]
 
     def penetration(self) -> float:
         """Return the maximum depth (m) of a contact point inside the stimulus at the last step; 0 without contact."""
         return max(0.0, -float(self.data.contact.dist.min())) if self.data.ncon else 0.0
 
     def hit_iteration_limit(self) -> bool:
-        """Return whether the solver ran out of iterations at the last step."""
+        """Return whether the solver reached its iteration limit at the last step."""
         return bool(self.data.solver_niter.max() >= self.model.opt.iterations)
 
     def overlap(self, T_contact_sensor: np.ndarray) -> float:
@@ -261,9 +260,9 @@ class Scene:
         deepest = max(0.0, float(depth.max()))
         corners = skin[self.mesh.triangles]
         side = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(1)
-        # No point of a facet is further than this from a corner, and the distance cannot change by more than that.
+        # No point of a facet is farther than this from a corner, and the distance cannot change by more than that.
         near = depth[self.mesh.triangles].max(1) + side / np.sqrt(3) > deepest
-        spacing = np.sqrt(6 * OVERLAP_ERROR_M * (self.stimulus.sharpest_m + CONTACT_RADIUS_M))
+        spacing = np.sqrt(6 * OVERLAP_ERROR_M * (self.stimulus.min_radius_m + CONTACT_RADIUS_M))
         if np.isinf(spacing) or not near.any():
             return deepest
         samples = _barycentric(int(np.ceil(side[near].max() / spacing))) @ corners[near]

@@ -2,7 +2,7 @@
 
 Distances are exact, to the triangles themselves, whatever their number: libigl's tree finds the nearest points of 300 points
 on 300,000 triangles in half a millisecond. The side comes from pseudonormals (Baerentzen & Aanaes, "Signed distance
-computation using the angle weighted pseudonormal", 2005), which are right at edges and corners too.
+computation using the angle weighted pseudonormal", 2005), which are also correct at edges and corners.
 """
 
 from dataclasses import dataclass

@@ -50,10 +50,10 @@ _MIN_FORCE_N = 1e-2
 """Minimum force by which the rate of the elastic energy is divided, N: a hundredth of a light press."""
 
 TRIES = 3
-"""Maximum number of simulations of a contact, each with finer steps, before it is refused."""
+"""Maximum number of simulations of a contact, each with finer steps, before it is rejected."""
 
-UNPROVEN = "twice the step has not been seen to give the same"
-"""The failed check of a first good record on a stimulus that the skin may snag on."""
+UNCONFIRMED = "not yet confirmed by a simulation with half the step"
+"""Failed check of the first good record on a stimulus that the skin may snag on."""
 
 
 Watch = Callable[[str, np.ndarray], None]
@@ -99,16 +99,16 @@ class ContactSimulator:
 
         Raises:
             TactipError: Pose or shear are out of reach (check_motion), or the contact would start inside a stimulus that is
-                not flat: chance would decide to which side the skin is pushed.
+                not flat, where the side to which the skin is pushed would depend on chance.
         """
         pose, shear = np.asarray(pose, float), np.asarray(shear, float)
         check_motion(pose, shear, min(MAX_DEPTH_M, self.scene.stimulus.max_depth_m))
-        flat = np.isinf(self.scene.stimulus.sharpest_m)
+        flat = np.isinf(self.scene.stimulus.min_radius_m)
         require(approach or flat, "approach", approach, "True with a stimulus that is not flat")
         self.scene.reset()
         self._start, self._pose = before_shear(pose, shear), pose
         self._steps = self._unsolved = 0
-        # A diverged state does not recover: the record shows it, and more steps would only take long.
+        # A diverged state does not recover; the record shows it, and more steps would only cost time.
         with counted_warnings() as messages, contextlib.suppress(Diverged):
             for phase, labels in self._motions(pose, shear, approach):
                 self._phase = phase
@@ -117,14 +117,14 @@ class ContactSimulator:
         return self._record(pose, shear, len(messages))
 
     def slide(self, pose: ArrayLike, label: np.ndarray) -> Contact:
-        """Continue from the end of the last contact: slide to `pose`, and rest as a servo does (Motion.pause_steps).
+        """Continue the last contact: slide to `pose`, then pause as in servoing (Motion.pause_steps).
 
         Args:
             pose: (6,), m and rad, in the stimulus's frame. Depth and tilt are not checked.
             label: (6,), m and rad: the same pose relative to the surface where the tip touches it.
 
         Returns:
-            The contact. Its shear is the whole motion since the first touch; its steps are those of the slide.
+            The contact. Its shear is the whole motion since the tip touched down; its steps are those of the slide.
         """
         start, self._pose = self._pose, np.asarray(pose, float)
         self._steps = self._unsolved = 0
@@ -137,8 +137,8 @@ class ContactSimulator:
                 self.hold(self._pose)
         return self._record(self._pose, shear_between(self._start, self._pose), len(messages), label)
 
-    def stages(self, pose: ArrayLike, shear: ArrayLike, fractions: ArrayLike) -> Iterator[Contact]:
-        """Simulate one contact that comes to rest at several fractions of its shear.
+    def simulate_partial_shears(self, pose: ArrayLike, shear: ArrayLike, fractions: ArrayLike) -> Iterator[Contact]:
+        """Simulate one contact and let it come to rest at several fractions of its shear.
 
         Args:
             pose: (6,), m and rad.
@@ -146,7 +146,7 @@ class ContactSimulator:
             fractions: (n,) of the shear, increasing, 0 to 1.
 
         Yields:
-            The contact at each fraction, with the shear so far; the scene is then in that state.
+            The contact at each fraction, with the shear up to there; the scene is in that state meanwhile.
 
         Raises:
             TactipError: Pose or shear are out of reach (check_motion).
@@ -156,16 +156,16 @@ class ContactSimulator:
         self.scene.reset()
         self._steps = self._unsolved = warnings = 0
         start = before_shear(pose, shear)
-        here, approach = start, True
+        current, approach = start, True
         for label in path(start, pose, fractions):
             with counted_warnings() as messages, contextlib.suppress(Diverged):
-                for phase, labels in self._motions(label, shear_between(here, label), approach):
+                for phase, labels in self._motions(label, shear_between(current, label), approach):
                     self._phase = phase
                     self.move(labels)
                 self._settle(label)
             warnings += len(messages)
             yield self._record(label, shear_between(start, label), warnings)
-            here, approach = label, False
+            current, approach = label, False
 
     def _step_sizes(self) -> tuple[float, float]:
         """Return the mean approach and the mean travel of the skin per step, m."""
@@ -179,7 +179,7 @@ class ContactSimulator:
         return min(steps[0], max_step), min(steps[1], max_step)
 
     def lift(self, label: np.ndarray) -> float:
-        """Return the height (m) by which a tip at a label (6,) must rise along z to be clear; negative if it is already."""
+        """Return the height (m) by which a tip at a label (6,) must rise along z to be clear; negative if it is clear."""
         radius = self.scene.design.shape.radius_m
         dome_centre = sensor_in_contact(label) @ [0, 0, -radius, 1]
         return self.scene.stimulus.height_to_clear(dome_centre[:3], radius) + _CLEARANCE_M
@@ -225,7 +225,7 @@ class ContactSimulator:
         self._steps += 1
         self._unsolved += self.scene.hit_iteration_limit()
         if not np.isfinite(self.scene.max_vertex_speed()):
-            raise Diverged("the simulated tip is lost: its state is not finite any more")
+            raise Diverged("the simulation diverged: the state of the tip is no longer finite")
         if self.watch:
             self.watch(self._phase, label)
 
@@ -234,7 +234,7 @@ class ContactSimulator:
         self.scene.place(T[:3, 3], quaternion, linear, angular)
 
     def _record(self, pose: np.ndarray, shear: np.ndarray, warnings: int, label: np.ndarray | None = None) -> Contact:
-        """Return the record of the present state, at `pose` (6,) in the stimulus's frame; the label defaults to the pose."""
+        """Return the record of the current state, at `pose` (6,) in the stimulus's frame; the label defaults to the pose."""
         scene, label = self.scene, pose if label is None else label
         vertices = scene.vertices()
         tips, directions = self.reader.read(vertices[: scene.mesh.surface_count])
@@ -299,7 +299,7 @@ class RetryingSimulator:
         """ContactSimulator.watch for the steps of every try."""
         self._must_agree = self.stimulus.can_snag or design.materials.friction > STICKY_FRICTION
         self.tries = TRIES + self._must_agree
-        """Maximum number of tries before a contact is refused."""
+        """Maximum number of tries before a contact is rejected."""
 
     def replace_solid(self, solid: SignedDistanceMesh) -> None:
         """Replace the solid of the stimulus for the next contacts. Raises TypeError if it is not a SolidStimulus."""
@@ -321,20 +321,19 @@ class RetryingSimulator:
             self._last = self._simulator(attempt)
             self._last.watch = self.watch
             contact = self._last.play(pose, shear, approach)
-            found = contact.faults(self._limits)
+            failed = contact.faults(self._limits)
             if self._must_agree:
-                found, good = (found, None) if found else (self._disagreement(contact, good), contact)
-            # Of two records that agree, the coarser is good as well and slides on in half the steps.
-            self._slider = self._simulators[attempt - 1] if self._must_agree and not found else self._last
-            if found:
-                faults.append(found)
+                failed, good = (failed, None) if failed else (self._disagreement(contact, good), contact)
+            # Of two records that agree, the coarser is good as well, and its simulator needs half the steps for a slide.
+            self._slider = self._simulators[attempt - 1] if self._must_agree and not failed else self._last
+            if failed:
+                faults.append(failed)
             attempt += 1
-            if not found or attempt == self.tries:
+            if not failed or attempt == self.tries:
                 return RetriedContact(contact, faults)
 
     def slide(self, pose: ArrayLike, label: np.ndarray) -> Contact:
-        """Continue from the end of the last contact, as ContactSimulator.slide does: once, with the coarsest steps that
-        passed for it."""
+        """Continue the last contact as ContactSimulator.slide does: once, with the coarsest steps that passed for it."""
         self._last = self._slider
         return self._last.slide(pose, label)
 
@@ -349,14 +348,14 @@ class RetryingSimulator:
         return scene.vertices()[: scene.mesh.surface_count], scene.mesh
 
     def _disagreement(self, contact: Contact, coarser: Contact | None) -> list[str]:
-        """Return the failed checks of a good contact against the one before, which is None if that was not good."""
+        """Compare a good contact with the one before (None if that was not good), and return the failed checks."""
         if coarser is None:
-            return [UNPROVEN]
+            return [UNCONFIRMED]
         apart = float(np.sqrt(np.mean(((contact.tips - coarser.tips) ** 2).sum(1))))
         allowed = self._limits.disagreement_m
         if apart <= allowed:
             return []
-        return [f"the pins are {1e3 * apart:.3f} mm (rms) from where twice the step has them (allowed: {1e3 * allowed} mm)"]
+        return [f"halving the step moves the pins by {1e3 * apart:.3f} mm rms (allowed: {1e3 * allowed} mm)"]
 
     def _simulator(self, attempt: int) -> ContactSimulator:
         """Return the simulator of a try; it is built when it is first needed."""

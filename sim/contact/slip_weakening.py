@@ -1,4 +1,4 @@
-"""Static and kinetic friction, part by part of the skin: skin that has slid holds less than skin that sticks.
+"""Static and kinetic friction of each part of the skin: skin that has slid has less friction than skin that sticks.
 
 The friction of a part of the skin falls linearly with its sliding distance, from the static to the kinetic one over
 Materials.kinetic_after_m (a slip-weakening law, as used for earthquake faults), and stays there until the part leaves the
@@ -10,7 +10,7 @@ import numpy as np
 
 from tactip_twin.tactip_model.design import Materials
 
-_SLIDES = int(mujoco.mjtConstraintState.mjCNSTRSTATE_CONE)
+_SLIDING = int(mujoco.mjtConstraintState.mjCNSTRSTATE_CONE)
 
 
 class SlipWeakening:
@@ -26,25 +26,25 @@ class SlipWeakening:
         self._is_stimulus = model.geom_bodyid == stimulus_body
         self._first_facet = model.ngeom
         self._distance = np.zeros(model.ngeom + int(model.flex_elemnum.max()))
-        self._slides = np.zeros(len(self._distance), bool)
+        self._sliding = np.zeros(len(self._distance), bool)
         self._parts = np.zeros(0, int)
 
     def reset(self) -> None:
         """Set all sliding distances to zero."""
-        self._distance[:], self._slides[:] = 0.0, False
+        self._distance[:], self._sliding[:] = 0.0, False
 
     def weaken(self, data: mujoco.MjData, travel: np.ndarray) -> None:
         """Lower the friction of the contacts of a step before it is solved.
 
         Args:
             data: State with its contacts made.
-            travel: (contacts,) m, by which each contact slides in a step if it slides.
+            travel: (contacts,) m, travel of each contact in a step if it slides.
         """
         contacts = data.contact
         geom = np.where(self._is_stimulus[contacts.geom[:, 0]], contacts.geom[:, 1], contacts.geom[:, 0])
         self._parts = np.where(geom >= 0, geom, self._first_facet + contacts.elem.max(1))
         distance = np.zeros_like(self._distance)
-        slid = np.where(self._slides[self._parts], travel, 0.0)
+        slid = np.where(self._sliding[self._parts], travel, 0.0)
         np.maximum.at(distance, self._parts, self._distance[self._parts] + slid)
         self._distance = distance
         fraction = np.minimum(distance[self._parts] / self._materials.kinetic_after_m, 1.0)
@@ -53,12 +53,12 @@ class SlipWeakening:
         friction[:, :2] *= remaining[:, None]
         cone *= remaining
 
-    def remember(self, data: mujoco.MjData) -> None:
-        """Note which parts slide in a step that was solved."""
-        self._slides[:] = False
-        np.logical_or.at(self._slides, self._parts, self.slides(data))
+    def store_sliding(self, data: mujoco.MjData) -> None:
+        """Store which parts slide in a step that was solved."""
+        self._sliding[:] = False
+        np.logical_or.at(self._sliding, self._parts, self.sliding(data))
 
-    def slides(self, data: mujoco.MjData) -> np.ndarray:
+    def sliding(self, data: mujoco.MjData) -> np.ndarray:
         """Return which contacts (contacts,) bool slide in a step that was solved."""
         row = data.contact.efc_address
-        return (row >= 0) & (data.efc_state[row] == _SLIDES)
+        return (row >= 0) & (data.efc_state[row] == _SLIDING)

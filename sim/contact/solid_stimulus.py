@@ -1,12 +1,12 @@
-"""Any solid as a stimulus, with its true shape: no convex hull, no facets of its own to snag on.
+"""Any solid as a stimulus, with its true shape instead of a convex hull or facets on which the skin could snag.
 
 MuJoCo collides convex pieces, or triangles one by one. A rigid flex makes so many contacts with the skin's facets, with so
 many normals, that a slide over an edge is less accurate and slower the finer the mesh is (docs/mesh_contact.md). Here,
-spheres on the solid's surface follow the skin instead. At every step each vertex of the skin gets a sphere that touches the
-surface at its nearest point, with the surface normal: the contact is that of the true surface, to first order in the motion
-of the vertex per step. Where the solid is higher in the middle of a facet than at its corners, as on an edge, the facet gets
-a probe: the largest sphere inside the solid that touches the surface there. The cost does not depend on the number of
-triangles.
+contact proxies, spheres on the solid's surface, follow the skin instead. At every step each vertex of the skin gets a sphere
+that touches the surface at its nearest point, with the surface normal: the contact is that of the true surface, to first
+order in the motion of the vertex per step. Where the solid is higher in the middle of a facet than at its corners, as on an
+edge, the facet gets a probe: the largest sphere inside the solid that touches the surface there. The cost does not depend on
+the number of triangles.
 """
 
 import mujoco
@@ -31,38 +31,38 @@ _PROTRUSION = 0.02
 _PROBES = 64
 """Number of probes: more than the facets of a contact patch on an edge."""
 
-_ODD_M = 0.02e-3
+_MAX_PREDICTION_ERROR_M = 0.02e-3
 """Error of the distance predicted for a facet's middle from its corners, m, above which the whole facet is searched ..."""
 
-_CREASED = 0.35
+_CREASE = 0.35
 """... and difference of the normals at two corners, -, above which it is: 20 degrees, more than on a radius of 8 mm."""
 
 _GRID = 4
 """Intervals per side of a facet in the search for its deepest point."""
 
-_WORTH_M = 0.02e-3
-"""Minimum difference of the distances to a facet and to its corners for a probe, m."""
+_MIN_PROBE_GAIN_M = 0.02e-3
+"""Minimum difference between the distances to a facet and to its corners that gives the facet a probe, m."""
 
-_AWAY = (0.0, 0.0, -1.0)
-"""Position of balls and probes that are not needed, m."""
+_PARKED = (0.0, 0.0, -1.0)
+"""Position of balls and probes that are not in use, m."""
 
 
 class SolidStimulus(Stimulus):
     """A solid as a stimulus; the contact frame is the solid's own."""
 
-    def __init__(self, solid: SignedDistanceMesh, sharpest_m: float = EDGE_RADIUS_M) -> None:
+    def __init__(self, solid: SignedDistanceMesh, min_radius_m: float = EDGE_RADIUS_M) -> None:
         """Args:
         solid: The solid.
-        sharpest_m: Minimum radius of its edges, m; it sets how densely overlaps are sampled.
+        min_radius_m: Minimum radius of its edges, m; it sets how densely overlaps are sampled.
         """
         self.solid = solid
         """The solid. It may be replaced between contacts, because the compiled model does not contain it."""
-        self._sharpest_m = sharpest_m
+        self._min_radius_m = min_radius_m
 
     @property
-    def sharpest_m(self) -> float:
+    def min_radius_m(self) -> float:
         """See Stimulus."""
-        return self._sharpest_m
+        return self._min_radius_m
 
     @property
     def top_m(self) -> float:
@@ -70,7 +70,7 @@ class SolidStimulus(Stimulus):
         return float(self.solid.vertices[:, 2].max())
 
     def add_geoms(self, spec: mujoco.MjSpec, body: mujoco.MjsBody, touch: ContactAttributes) -> None:
-        """See Stimulus. Adds nothing: the geoms follow the skin, and SurfaceContactProxies adds them."""
+        """See Stimulus. Adds nothing, because SurfaceContactProxies adds the geoms, which follow the skin."""
 
     def distance(self, points: np.ndarray) -> np.ndarray:
         """See Stimulus; of the triangles themselves."""
@@ -78,7 +78,7 @@ class SolidStimulus(Stimulus):
 
 
 class SurfaceContactProxies:
-    """Spheres on the surface of a solid that follow the skin of one tip, for MuJoCo to collide it with."""
+    """Contact proxies: spheres on a solid's surface that follow the skin of one tip and collide with it."""
 
     def __init__(
         self, spec: mujoco.MjSpec, stimulus: SolidStimulus, mesh: Mesh, friction: float, contact: ContactModel
@@ -99,11 +99,11 @@ class SurfaceContactProxies:
         self._inside = _inside(_GRID)
         self._near = CONTACT_RADIUS_M + contact.margin_m
         self._max_distance = float(self._reach.max()) + self._near
-        self.forget()
+        self.reset()
         touch, sphere = contact_attributes(friction, contact), mujoco.mjtGeom.mjGEOM_SPHERE
         body = spec.body("stimulus")
         for i in self._vertices:
-            body.add_geom(name=f"ball/{i}", type=sphere, size=[_BALL_M, 0, 0], pos=_AWAY, contype=0, conaffinity=0)
+            body.add_geom(name=f"ball/{i}", type=sphere, size=[_BALL_M, 0, 0], pos=_PARKED, contype=0, conaffinity=0)
             spec.add_pair(
                 geomname1=f"tip/{i}",
                 geomname2=f"ball/{i}",
@@ -116,7 +116,7 @@ class SurfaceContactProxies:
                 name=f"probe/{k}",
                 type=sphere,
                 size=[radius, 0, 0],
-                pos=_AWAY,
+                pos=_PARKED,
                 contype=0,
                 conaffinity=TOUCHES_FACETS,
                 **touch,
@@ -132,12 +132,12 @@ class SurfaceContactProxies:
         tree = slice(model.body_bvhadr[body], model.body_bvhadr[body] + model.body_bvhnum[body])
         model.bvh_aabb[tree] = [0, 0, 0, 2, 2, 2]
 
-    def forget(self) -> None:
-        """Compute the distance of every vertex anew at the next step."""
-        self._seen_from = np.full((self._mesh.surface_count, 3), np.inf)
+    def reset(self) -> None:
+        """Discard the known distances, so the next step computes all of them."""
+        self._last_position = np.full((self._mesh.surface_count, 3), np.inf)
         self._distance = np.zeros(self._mesh.surface_count)
 
-    def follow(self, model: mujoco.MjModel, skin: np.ndarray) -> None:
+    def update(self, model: mujoco.MjModel, skin: np.ndarray) -> None:
         """Move the spheres to the skin.
 
         Args:
@@ -147,7 +147,7 @@ class SurfaceContactProxies:
         at, due = self._nearest(skin)
         touch = np.flatnonzero(due[self._vertices])
         i = self._vertices[touch]
-        model.geom_pos[self._balls] = _AWAY
+        model.geom_pos[self._balls] = _PARKED
         model.geom_pos[self._balls[touch]] = at.place[i] - _BALL_M * at.normal[i]
         model.geom_conaffinity[self._probes] = 0
         places, normals = self._ridges(skin, at)
@@ -164,11 +164,11 @@ class SurfaceContactProxies:
         The distance of a vertex falls at most by the distance that it has moved since it was last computed. Vertices that
         cannot touch are skipped; their distance is then this lower bound.
         """
-        away = np.linalg.norm(skin - self._seen_from, axis=1)
+        away = np.linalg.norm(skin - self._last_position, axis=1)
         lower_bound = self._distance - away
         due = ~(lower_bound > self._max_distance)
         found = self._stimulus.solid.nearest(skin[due])
-        self._seen_from[due], self._distance[due] = skin[due], found.distance
+        self._last_position[due], self._distance[due] = skin[due], found.distance
         distance, place, normal = np.where(due, 0.0, lower_bound), np.zeros_like(skin), np.zeros_like(skin)
         distance[due], place[due], normal[due] = found.distance, found.place, found.normal
         return Nearest(distance, place, normal), due
@@ -190,10 +190,12 @@ class SurfaceContactProxies:
         middle = self._stimulus.solid.distance(skin[triangles[facets]].mean(1))
         predicted, normals = self._predicted(skin, at, triangles[facets]), at.normal[triangles[facets]]
         spread = np.linalg.norm(normals - np.roll(normals, 1, axis=1), axis=2).max(1)
-        odd = (np.abs(predicted[:, -1] - middle) > _ODD_M) | (spread > _CREASED)
+        odd = (np.abs(predicted[:, -1] - middle) > _MAX_PREDICTION_ERROR_M) | (spread > _CREASE)
         predicted, low = predicted[:, :-1], lowest[facets]
         deepest, least = predicted.argmin(1), predicted.min(1)
-        smooth = np.flatnonzero(~odd & (least < low - _WORTH_M / 2) & (least < self._near + _ODD_M))
+        smooth = np.flatnonzero(
+            ~odd & (least < low - _MIN_PROBE_GAIN_M / 2) & (least < self._near + _MAX_PREDICTION_ERROR_M)
+        )
         odd = np.flatnonzero(odd)
         if not len(smooth) + len(odd):
             return np.zeros((0, 3)), np.zeros((0, 3))
@@ -208,7 +210,7 @@ class SurfaceContactProxies:
         rows = len(smooth) + len(self._inside) * np.arange(len(odd)) + every.argmin(1)
         rows = np.concatenate([np.arange(len(smooth)), rows])
         depth, low = close.distance[rows], low[np.concatenate([smooth, odd])]
-        worth = np.flatnonzero((depth < self._near) & (depth < low - _WORTH_M))
+        worth = np.flatnonzero((depth < self._near) & (depth < low - _MIN_PROBE_GAIN_M))
         chosen = rows[worth[np.argsort(depth[worth], kind="stable")[:_PROBES]]]
         return close.place[chosen], close.normal[chosen]
 

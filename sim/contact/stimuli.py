@@ -1,8 +1,8 @@
 """Stimuli: rigid objects to press the tip on, each in its own contact frame (sim/pose.py).
 
 `surface` and `edge` are the paper's. The others test the model: round, pointed, sharp, cornered and hollow ones. Each has
-its highest point at z = 0, and its true shape as a signed distance, against which MuJoCo's contacts are checked. A new named
-stimulus is a class and a line in STIMULI (and in StimulusName).
+its highest point at z = 0 and a signed distance to its true shape, against which MuJoCo's contacts are checked. A new named
+stimulus needs a class, a line in STIMULI and one in StimulusName.
 """
 
 from abc import ABC, abstractmethod
@@ -61,17 +61,18 @@ ContactAttributes = dict[str, int | list[float]]
 class Stimulus(ABC):
     """A rigid object to press the tip on.
 
-    A subclass has `add_geoms` and `distance`; the rest has defaults for an object that is blunt against the skin's mesh.
+    A subclass defines `add_geoms` and `distance`. The other members have defaults for an object without features
+    smaller than a facet of the skin.
     """
 
     @property
-    def sharpest_m(self) -> float:
+    def min_radius_m(self) -> float:
         """Minimum radius of a part that fits between the skin's vertices, m; infinite without one."""
         return np.inf
 
     @property
     def width_m(self) -> float:
-        """Width of a part that could come through the skin, m; infinite without one."""
+        """Width of a part that could pierce the skin, m; infinite without one."""
         return np.inf
 
     @property
@@ -81,7 +82,7 @@ class Stimulus(ABC):
 
     @property
     def can_snag(self) -> bool:
-        """Whether sliding skin can snag on it by chance: the last step decides which vertex or facet does."""
+        """Whether sliding skin can snag on it by chance, on a vertex or facet that depends on the step size."""
         return False
 
     @property
@@ -109,7 +110,7 @@ class Stimulus(ABC):
     def height_to_clear(self, centre: np.ndarray, radius: float) -> float:
         """Return the height (m) by which a sphere must rise along z to clear the stimulus.
 
-        It may be too high, but never too low: the sphere is lowered repeatedly, each time by its present clearance.
+        It is never too low, but may be too high. The sphere is lowered repeatedly, each time by its current clearance.
 
         Args:
             centre: (3,) m, centre of the sphere in the contact frame.
@@ -164,7 +165,7 @@ class StraightEdge(Stimulus):
     """Rounding of the edge, m."""
 
     @property
-    def sharpest_m(self) -> float:
+    def min_radius_m(self) -> float:
         """See Stimulus."""
         return self.radius_m
 
@@ -196,7 +197,7 @@ class Thin(Stimulus):
     """Radius of the part that touches the skin, m."""
 
     @property
-    def sharpest_m(self) -> float:
+    def min_radius_m(self) -> float:
         """See Stimulus."""
         return self.radius_m
 
@@ -320,7 +321,7 @@ class Hole(Stimulus):
     """Rounding of the rim, m."""
 
     @property
-    def sharpest_m(self) -> float:
+    def min_radius_m(self) -> float:
         """See Stimulus."""
         return self.rim_m
 
@@ -396,7 +397,7 @@ def add_stimulus(spec: mujoco.MjSpec, stimulus: Stimulus, friction: float, conta
 def _add_mesh(
     spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, vertices: np.ndarray, touches: int, touch: ContactAttributes
 ) -> None:
-    """Add the convex hull of vertices (n, 3) m to a body. `touches` are the contact bits of what collides with it."""
+    """Add the convex hull of vertices (n, 3) m to a body. `touches` are the contact bits of the geoms it collides with."""
     spec.add_mesh(name=name, uservert=vertices.ravel())
     kind = mujoco.mjtGeom.mjGEOM_MESH
     body.add_geom(name=name, type=kind, meshname=name, contype=0, conaffinity=touches, **touch)

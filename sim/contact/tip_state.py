@@ -31,7 +31,7 @@ class TipState:
 
 
 def read_tip_state(scene: Scene, reader: PinReader, steps: int = 0, clearance_m: float = np.inf) -> TipState:
-    """Return the present state of the tip.
+    """Return the current state of the tip.
 
     Args:
         scene: The scene.

@@ -1,4 +1,4 @@
-"""Frames: group axioms, conventions, and the path of a motion."""
+"""Frames: inverses, conventions, and the path of a motion."""
 
 import numpy as np
 from hypothesis import given
@@ -21,12 +21,12 @@ labels = st.lists(component, min_size=6, max_size=6).map(np.array)
 
 
 @given(labels)
-def test_label_and_matrix_are_inverse(label):
+def test_label_of_inverts_sensor_in_contact(label):
     assert np.allclose(label_of(sensor_in_contact(label)), label, atol=1e-9)
 
 
 @given(labels)
-def test_inverse_is_inverse(label):
+def test_inverse_times_transform_is_identity(label):
     T = sensor_in_contact(label)
     assert np.allclose(T @ inverse(T), np.eye(4), atol=1e-12)
 
@@ -37,8 +37,8 @@ def test_units_round_trip(label):
 
 
 @given(labels, labels)
-def test_shear_leads_to_the_pose(pose, shear):
-    """The sensor's motion from the start to the pose is the shear, apex by apex and turn by turn."""
+def test_shear_leads_from_start_to_pose(pose, shear):
+    """The motion from the start to the pose is the shear, in translation and in rotation."""
     start = before_shear(pose, shear)
     assert np.allclose(start[:3] + shear[:3], pose[:3])
     turned = Rotation.from_rotvec(shear[3:]) * Rotation.from_rotvec(start[3:])
@@ -46,20 +46,20 @@ def test_shear_leads_to_the_pose(pose, shear):
 
 
 @given(labels, labels)
-def test_path_goes_from_start_to_end_at_a_steady_turn(start, end):
-    way = path(start, end, [0, 0.25, 0.5, 1])
-    assert np.allclose(way[0], start, atol=1e-9)
-    assert np.allclose(way[-1][:3], end[:3])
+def test_path_leads_from_start_to_end_at_constant_turn_rate(start, end):
+    labels = path(start, end, [0, 0.25, 0.5, 1])
+    assert np.allclose(labels[0], start, atol=1e-9)
+    assert np.allclose(labels[-1][:3], end[:3])
     whole = turn_between(start, end)
-    assert np.isclose(turn_between(start, way[1]), 0.25 * whole, atol=1e-7)
-    assert np.isclose(turn_between(way[2], end), 0.5 * whole, atol=1e-7)
+    assert np.isclose(turn_between(start, labels[1]), 0.25 * whole, atol=1e-7)
+    assert np.isclose(turn_between(labels[2], end), 0.5 * whole, atol=1e-7)
 
 
-def test_sensor_frame_at_zero():
-    """Facing the object: z into it, x to the right, y down where label axes have it up."""
+def test_sensor_frame_at_pose_zero_faces_object():
+    """z points into the object, x to the right and y down, where label axes have y up."""
     T = sensor_in_contact(np.zeros(6))
     assert np.allclose(T[:3, :3], np.diag([1, -1, -1]))
 
 
-def test_depth_is_negative_into_the_object():
+def test_depth_is_negative_into_object():
     assert sensor_in_contact(from_mm_deg([0, 0, -3, 0, 0, 0]))[2, 3] == -3e-3

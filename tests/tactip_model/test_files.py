@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all, and images in them."""
+"""Atomic writing of files, and encoding of images."""
 
 import os
 from pathlib import Path
@@ -14,8 +14,8 @@ from tactip_twin.tactip_model.files import write_file
 from tactip_twin.tactip_model.presets import design_named
 
 
-def test_what_cannot_be_written_leaves_what_was_there(tmp_path, monkeypatch):
-    """Of a design as of any file; and nothing beside it."""
+def test_write_design_failing_keeps_old_file(tmp_path, monkeypatch):
+    """No temporary file stays behind either."""
     path = tmp_path / "design.json"
     write_design(path, design_named("nominal-127"), {})
 
@@ -30,13 +30,13 @@ def test_what_cannot_be_written_leaves_what_was_there(tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_the_new_file_takes_the_place_of_the_old(tmp_path):
+def test_write_file_replaces_old_file(tmp_path):
     for data in (b"old", b"new"):
         write_file(tmp_path / "file", data)
         assert (tmp_path / "file").read_bytes() == data
 
 
-def test_an_image_that_cannot_be_a_png_is_a_sentence(monkeypatch):
+def test_encode_image_failing_raises_error(monkeypatch):
     monkeypatch.setattr(cv2, "imencode", lambda kind, image: (False, None))
     with pytest.raises(TactipError, match=r"an image of uint8 \(2, 3\) cannot be written as PNG"):
         encode_image(np.zeros((2, 3), np.uint8))

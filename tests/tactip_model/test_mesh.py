@@ -1,11 +1,11 @@
-"""The mesh: whole, well shaped, on the sphere, and its parts in their places."""
+"""The mesh: complete, of good quality, on the sphere; and the pins on it."""
 
 import numpy as np
 import pytest
 
 from tactip_twin.tactip_model.design import TipGeometry
 from tactip_twin.tactip_model.errors import TactipError
-from tactip_twin.tactip_model.mesh import CONTACT_RADIUS_M, Resolution, build_mesh, in_order, tetrahedron_quality
+from tactip_twin.tactip_model.mesh import CONTACT_RADIUS_M, Resolution, build_mesh, sorted_elements, tetrahedron_quality
 from tactip_twin.tactip_model.pins import PinReader, neutral_pins
 from tactip_twin.tactip_model.presets import design_named
 
@@ -17,27 +17,27 @@ def mesh(request):
     return build_mesh(TipGeometry(), request.param)
 
 
-def test_volume_is_the_domes(mesh):
+def test_mesh_volume_is_that_of_dome(mesh):
     radius = TipGeometry().radius_m - CONTACT_RADIUS_M
     assert (mesh.volumes > 0).all()
     assert mesh.volumes.sum() == pytest.approx(2 / 3 * np.pi * radius**3, rel=0.025)
 
 
-def test_elements_are_well_shaped(mesh):
+def test_mesh_elements_have_good_quality(mesh):
     quality = tetrahedron_quality(mesh.vertices, mesh.tetrahedra)
     assert quality.min() > 0.05
     assert np.quantile(quality, 0.01) > 0.3
     assert quality.mean() > 0.75
 
 
-def test_quality_of_known_tetrahedra():
+def test_tetrahedron_quality_of_known_shapes():
     regular = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]], float)
     flat = regular * [1, 1, 1e-9]
     assert tetrahedron_quality(regular, np.array([[0, 1, 2, 3]]))[0] == pytest.approx(1)
     assert tetrahedron_quality(flat, np.array([[0, 1, 2, 3]]))[0] < 1e-3
 
 
-def test_skin_is_a_closed_cap_facing_out(mesh):
+def test_skin_is_closed_cap_facing_outward(mesh):
     corners = mesh.vertices[mesh.triangles] - mesh.centre
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     assert ((normal * corners.mean(1)).sum(1) > 0).all()
@@ -52,36 +52,36 @@ def test_skin_is_a_closed_cap_facing_out(mesh):
 
 
 @pytest.mark.parametrize("corners", [3, 4])
-def test_elements_in_order_are_the_same_elements_turned_the_same_way(corners):
+def test_sorted_elements_keep_corners_and_orientation(corners):
     points = np.random.default_rng(0).normal(size=(40, 3))
     elements = np.array([np.random.default_rng(seed).permutation(40)[:corners] for seed in range(200)])
-    ordered = in_order(elements)
+    ordered = sorted_elements(elements)
     assert np.array_equal(np.unique(np.sort(ordered), axis=0), np.unique(np.sort(elements), axis=0))
     assert (np.diff(ordered[:, : corners - 1]) > 0).all() and (ordered[:, -1] > ordered[:, -3]).all()
     assert np.array_equal(np.sort(ordered), np.array(sorted(np.sort(elements).tolist())))
 
-    def turns(elements):
-        """What tells one orientation of the same corners from the other, by the corners."""
+    def orientations(elements):
+        """Return the sign of each element's orientation, by its corners."""
         a, *edges = (points[elements[:, i]] for i in range(corners))
         edges = np.stack([edge - a for edge in edges], 1)
         sides = np.linalg.det(edges) if corners == 4 else np.cross(edges[:, 0], edges[:, 1])[:, 2]
         return {tuple(sorted(e)): side for e, side in zip(elements.tolist(), np.sign(sides), strict=True)}
 
-    assert turns(ordered) == turns(elements)
+    assert orientations(ordered) == orientations(elements)
 
 
-def test_the_mesh_is_in_order(mesh):
+def test_mesh_elements_are_sorted(mesh):
     for elements in (mesh.tetrahedra, mesh.triangles):
-        assert np.array_equal(in_order(elements), elements)
+        assert np.array_equal(sorted_elements(elements), elements)
 
 
-def test_no_two_surface_points_near_the_apex_share_a_height(mesh):
-    """What keeps the force from going up in stairs."""
+def test_surface_points_near_apex_differ_in_height(mesh):
+    """So the force does not rise in steps."""
     z = np.sort(mesh.vertices[: mesh.surface_count, 2])[::-1][:40]
     assert (np.diff(z) < -1e-6).all()
 
 
-def test_a_column_behind_the_rim_is_bonded_all_round():
+def test_cylinder_behind_rim_is_bonded_all_round():
     mesh = build_mesh(TipGeometry(cylinder_m=5e-3), Resolution())
     local = mesh.vertices - mesh.centre
     wall = np.hypot(local[:, 0], local[:, 1]) > (TipGeometry().radius_m - CONTACT_RADIUS_M) * (1 - 1e-6)
@@ -92,12 +92,12 @@ def test_a_column_behind_the_rim_is_bonded_all_round():
 
 
 @pytest.mark.parametrize("spacing", [0.0, -1e-3, 15e-3, float("nan")])
-def test_unfit_spacings_are_refused(spacing):
+def test_resolution_with_invalid_spacing_raises_error(spacing):
     with pytest.raises(TactipError, match="surface_m"):
         build_mesh(TipGeometry(), Resolution(surface_m=spacing))
 
 
-def test_a_spacing_too_wide_for_the_dome_is_refused():
+def test_build_mesh_with_spacing_too_wide_raises_error():
     with pytest.raises(ValueError, match="rim_m"):
         build_mesh(TipGeometry(radius_m=10e-3), Resolution(rim_m=6e-3))
 
@@ -109,15 +109,15 @@ def reader(request):
     return PinReader(design, mesh), mesh.vertices[: mesh.surface_count], mesh
 
 
-def test_undeformed_pins_are_the_designs(reader):
+def test_pin_reader_on_undeformed_skin_returns_neutral_pins(reader):
     pins, skin, _ = reader
     tips, directions = pins.read(skin)
     assert np.allclose(tips, pins.tips, atol=1e-15)
     assert np.allclose(directions, pins.directions)
 
 
-def test_pins_move_with_a_rigid_skin(reader):
-    """A turned and shifted skin carries its pins along: 4 degrees to 5 µm."""
+def test_pin_reader_on_rigidly_moved_skin_moves_pins(reader):
+    """Pins follow a skin that is rotated by 4 degrees and shifted."""
     pins, skin, mesh = reader
     a = np.radians(4)
     turn = np.array([[np.cos(a), 0, np.sin(a)], [0, 1, 0], [-np.sin(a), 0, np.cos(a)]])
@@ -128,7 +128,7 @@ def test_pins_move_with_a_rigid_skin(reader):
     assert np.degrees(np.arccos(np.clip((directions * (pins.directions @ turn.T)).sum(1), -1, 1))).max() < 0.5
 
 
-def test_pins_are_read_in_batches(reader):
+def test_pin_reader_reads_batches(reader):
     pins, skin, _ = reader
     many = np.stack([skin, skin * 1.01, skin + 1e-3])
     tips, directions = pins.read(many)
@@ -136,6 +136,6 @@ def test_pins_are_read_in_batches(reader):
     assert np.allclose(directions[2], pins.directions)
 
 
-def test_counts_of_pins():
+def test_neutral_pins_have_the_designs_count():
     assert len(neutral_pins(design_named("tactip-127"))[0]) == 127
     assert len(neutral_pins(design_named("tactip-331"))[0]) == 331

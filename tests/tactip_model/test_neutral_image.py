@@ -1,4 +1,4 @@
-"""Lens, camera and pins from a neutral image."""
+"""Fit of lens, camera and pins to a neutral image, and design files."""
 
 from dataclasses import replace
 
@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tactip_twin.tactip_model.design import Optics, Pins
-from tactip_twin.tactip_model.design_file import read_design, read_in_use, write_design, write_fitted
+from tactip_twin.tactip_model.design_file import read_design, read_design_with_drift, write_design, write_fitted_design
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.neutral_image import fit_neutral, neutral_px
 from tactip_twin.tactip_model.optics import Lens
@@ -19,21 +19,21 @@ from tactip_twin.tactip_model.tactile_image import tactile_image
 
 
 def neutral_image(design, size=360):
-    """The design's own neutral image, binary."""
+    """Return the design's own neutral image, binary."""
     design = replace(design, optics=replace(design.optics, frame_px=720), image=replace(design.image, size_px=size))
     return tactile_image(Raster(design).render(*neutral_pins(design)), replace(design.image, threshold=(121, -5.0)))
 
 
 @pytest.fixture(scope="module")
 def hidden():
-    """A tip that nobody has described: another lens, a camera off its axis, a turned layout, pins where they came to be."""
+    """Return a tip with another lens, a camera off the axis, a rotated layout and pins off the lattice."""
     offsets = np.random.default_rng(3).normal(0, 0.08e-3, (127, 2))
     pins = Pins(rotation_deg=48.0, as_built_m=tuple(map(tuple, offsets.tolist())))
     optics = Optics(neutral_radius=(10.4, 0.06, 0.002), centre=(0.47, 0.53), camera_offset_m=(0.4e-3, -0.3e-3))
     return replace(design_named("nominal-127"), pins=pins, optics=optics)
 
 
-def test_a_hidden_tip_is_found_from_its_image(hidden):
+def test_fit_neutral_recovers_unknown_tip(hidden):
     fitted, fit = fit_neutral(design_named("nominal-127"), neutral_image(hidden))
     assert fit.before_px > 3 and fit.after_px < 0.01
     # 0.11 mm of scatter is 0.4 px in the middle.
@@ -44,7 +44,7 @@ def test_a_hidden_tip_is_found_from_its_image(hidden):
     assert np.allclose(fitted.optics.neutral_radius[0], 10.4, rtol=0.02)
 
 
-def test_specks_of_light_far_out_do_not_mislead(hidden):
+def test_fit_neutral_ignores_distant_specks(hidden):
     image = neutral_image(hidden)
     for x, y in [(x, y) for x in (6, 20, 340, 354) for y in (120, 160, 200)]:
         cv2.circle(image, (x, y), 4, 255, -1)
@@ -53,21 +53,21 @@ def test_specks_of_light_far_out_do_not_mislead(hidden):
     assert np.sqrt(((neutral_px(fitted) - neutral_px(hidden)) ** 2).sum(1).mean()) < 0.25
 
 
-def test_a_perfect_tip_is_left_as_it_is():
+def test_fit_neutral_of_own_image_keeps_design():
     design = design_named("nominal-331")
     fitted, fit = fit_neutral(design, neutral_image(design))
     assert fit.before_px < 0.35 and fit.lattice_px < 0.3
     assert abs(fitted.pins.rotation_deg - design.pins.rotation_deg) < 0.2
 
 
-def test_another_tip_is_refused(hidden):
-    with pytest.raises(TactipError, match=r"127 pins.*has 331"):
+def test_fit_neutral_of_other_tip_raises_error(hidden):
+    with pytest.raises(TactipError, match=r"must show the 331 pins.*got 127"):
         fit_neutral(design_named("tactip-331"), neutral_image(hidden))
     with pytest.raises(TactipError, match="square"):
         fit_neutral(design_named("nominal-127"), np.zeros((200, 300), np.uint8))
 
 
-def test_zoom_and_drift_move_the_image_and_nothing_else(hidden):
+def test_zoom_and_drift_move_only_the_image(hidden):
     moved = replace(hidden, optics=replace(hidden.optics, zoom=1.02, drift=(0.01, -0.005)))
     centre = np.array(hidden.optics.centre) * 256 - 0.5
     expected = centre + 1.02 * (neutral_px(hidden) - centre) + np.array([0.01, -0.005]) * 256
@@ -75,20 +75,20 @@ def test_zoom_and_drift_move_the_image_and_nothing_else(hidden):
     assert np.allclose(Lens(moved).coefficients, Lens(hidden).coefficients)
 
 
-def test_a_design_survives_its_file(hidden, tmp_path):
+def test_read_design_returns_written_design(hidden, tmp_path):
     write_design(tmp_path / "d.json", hidden, {"by": "a test"})
     assert read_design(tmp_path / "d.json") == hidden == load_design(tmp_path / "d.json")
     assert load_design("tactip-331") == design_named("tactip-331")
 
 
-def test_a_fitted_design_is_as_at_rest_and_knows_its_camera_in_use(hidden, tmp_path):
+def test_fitted_design_file_keeps_camera_drift_apart(hidden, tmp_path):
     warm = replace(hidden, optics=replace(hidden.optics, zoom=1.01, drift=(0.001, -0.002)))
-    write_fitted(tmp_path / "d.json", warm, {"by": "a test"})
+    write_fitted_design(tmp_path / "d.json", warm, {"by": "a test"})
     assert read_design(tmp_path / "d.json") == hidden
-    assert read_in_use(tmp_path / "d.json") == warm
+    assert read_design_with_drift(tmp_path / "d.json") == warm
     write_design(tmp_path / "e.json", hidden, {})
-    with pytest.raises(TactipError, match="only fitted ones"):
-        read_in_use(tmp_path / "e.json")
+    with pytest.raises(TactipError, match="lacks provenance.camera_in_use, which only designs fitted to frames have"):
+        read_design_with_drift(tmp_path / "e.json")
 
 
 @pytest.mark.parametrize(
@@ -96,13 +96,13 @@ def test_a_fitted_design_is_as_at_rest_and_knows_its_camera_in_use(hidden, tmp_p
     [
         ('"format": "tactip-design 1"', '"format": "other"', "is not a design file"),
         ('"friction": 0', '"fricton": 0', "has no field 'fricton'"),
-        ('"name": "nominal-127"', '"name": 3', "must be a text"),
+        ('"name": "nominal-127"', '"name": 3', "must be a string, got 3"),
         ('"friction": 0', '"friction": -1e', "not JSON"),
         ('"pitch_m": 0.003', '"pitch_m": 0.3', "got 0.3"),
-        ('"pitch_m": 0.003', '"pitch_m": "wide"', "pitch_m is 'wide'"),
+        ('"pitch_m": 0.003', '"pitch_m": "wide"', "pitch_m must be a number or numbers, got 'wide'"),
     ],
 )
-def test_a_broken_design_file_is_refused_by_name(tmp_path, old, new, words):
+def test_read_design_of_invalid_file_names_field(tmp_path, old, new, words):
     path = tmp_path / "d.json"
     write_design(path, design_named("nominal-127"), {})
     text = path.read_text()
@@ -112,14 +112,14 @@ def test_a_broken_design_file_is_refused_by_name(tmp_path, old, new, words):
         read_design(path)
 
 
-def test_a_missing_design_file_lists_the_presets(tmp_path):
+def test_load_design_of_missing_file_lists_presets(tmp_path):
     with pytest.raises(TactipError, match="presets are tactip-127, tactip-331, nominal-127, nominal-331"):
         load_design(tmp_path / "none.json")
 
 
-def test_as_built_pins_are_one_a_pin():
+def test_pin_offsets_of_wrong_count_or_size_raise_error():
     design = design_named("nominal-127")
-    with pytest.raises(TactipError, match="127, one a pin"):
+    with pytest.raises(TactipError, match="must be 127, one per pin, or 0, got 1"):
         neutral_pins(replace(design, pins=replace(design.pins, as_built_m=((0.0, 0.0),))))
     with pytest.raises(TactipError, match="as_built_m"):
         Pins(as_built_m=((0.01, 0.0),))

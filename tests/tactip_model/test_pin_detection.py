@@ -1,4 +1,4 @@
-"""Which blob is which pin."""
+"""Detection and identification of pins."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from tactip_twin.tactip_model.presets import design_named
 
 
 def discs(centres, radius, size=256):
-    """A binary image of discs at centres (n, 2) px."""
+    """Return a binary image of discs at centres (n, 2) px."""
     y, x = np.mgrid[:size, :size]
     image = np.zeros((size, size), np.uint8)
     for cx, cy in centres:
@@ -17,16 +17,16 @@ def discs(centres, radius, size=256):
     return image
 
 
-def pressed(neutral, shift, swell, turn):
-    """Pins (p, 2) of a tip that is pressed: a bulge outward, a turn and a shift."""
+def pressed(neutral, shift, expansion, turn):
+    """Return the pins (p, 2) of a pressed tip: displaced outward, rotated and shifted."""
     middle = neutral.mean(0)
     away = neutral - middle
     r = np.linalg.norm(away, axis=1, keepdims=True) / 100
     c, s = np.cos(turn), np.sin(turn)
-    return middle + (away * (1 + swell * r * np.exp(-6 * r**2))) @ np.array([[c, s], [-s, c]]) + shift
+    return middle + (away * (1 + expansion * r * np.exp(-6 * r**2))) @ np.array([[c, s], [-s, c]]) + shift
 
 
-def test_a_blob_is_found_where_it_is():
+def test_find_blobs_returns_centres():
     image = discs([(40, 50), (80.0, 51), (120, 160)], 3.0)
     image[200:203, 20:120] = 255  # a crescent at the rim
     blobs = find_blobs(image)
@@ -37,7 +37,7 @@ def test_a_blob_is_found_where_it_is():
 
 @pytest.mark.parametrize("name", ["tactip-127", "tactip-331"])
 @pytest.mark.parametrize("shift", [(0.0, 0.0), (9.0, -6.0), (-13.0, 4.0)])
-def test_pins_are_told_apart_when_they_move_by_more_than_their_spacing(name, shift):
+def test_match_identifies_pins_moved_by_about_their_spacing(name, shift):
     neutral = neutral_px(design_named(name))
     moved = pressed(neutral, np.array(shift), 1.6, 0.05)
     spacing = np.sort(np.linalg.norm(neutral[:, None] - neutral[None], axis=2), 1)[:, 1].min()
@@ -49,7 +49,7 @@ def test_pins_are_told_apart_when_they_move_by_more_than_their_spacing(name, shi
     assert np.linalg.norm(found - moved, axis=1).max() < 1.5
 
 
-def test_a_hidden_pin_is_not_made_up():
+def test_match_leaves_hidden_pins_nan():
     neutral = neutral_px(design_named("tactip-127"))
     hidden = [5, 60, 100]
     blobs = find_blobs(discs([], 1))

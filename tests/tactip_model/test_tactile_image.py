@@ -35,7 +35,7 @@ def raster(design):
 
 
 def blobs(frame, settings):
-    """Centres (n, 2) and diameters (n,), px of a 256 px image, of the white blobs of a thresholded frame."""
+    """Return centres (n, 2) and diameters (n,), px of 256, of the white blobs of a thresholded frame."""
     block, constant = settings.threshold
     binary = cv2.adaptiveThreshold(frame, 255, cv2.ADAPTIVE_THRESH_MEAN_C, cv2.THRESH_BINARY, block, constant)
     _, _, stats, centres = cv2.connectedComponentsWithStats(binary)
@@ -44,8 +44,8 @@ def blobs(frame, settings):
 
 
 @pytest.mark.parametrize("renderer", ["camera", "raster"])
-def test_neutral_image_of_the_127_pin_tip_is_the_real_ones(request, design, renderer):
-    """The real map: r = 11.31 ρ + 0.0516 ρ³ + 0.00235 ρ⁵ about (126.2, 129.8), first ring turned by 29 degrees."""
+def test_neutral_image_of_127_pin_tip_matches_real_one(request, design, renderer):
+    """The real map: r = 11.31 ρ + 0.0516 ρ³ + 0.00235 ρ⁵ about (126.2, 129.8), first ring rotated by 29 degrees."""
     tips, directions = neutral_pins(design)
     frame = request.getfixturevalue(renderer).render(tips, directions)
     centres, diameters = blobs(frame, design.image)
@@ -65,7 +65,7 @@ def test_neutral_image_of_the_127_pin_tip_is_the_real_ones(request, design, rend
         assert mean == pytest.approx(size, rel=0.1), f"shell {n}"
 
 
-def test_neutral_image_of_the_331_pin_tip_has_its_rings():
+def test_neutral_image_of_331_pin_tip_has_its_rings():
     tip = design_named("nominal-331")
     frame = Raster(tip).render(*neutral_pins(tip))
     centres, _ = blobs(frame, tip.image)
@@ -77,25 +77,25 @@ def test_neutral_image_of_the_331_pin_tip_has_its_rings():
 
 
 @pytest.mark.parametrize("name", DESIGNS)
-def test_lens_is_monotonic_and_inverted(name):
+def test_lens_is_monotonic_and_invertible(name):
     design = design_named(name)
     lens = Lens(design)
     angle = np.linspace(0, 1.4, 500)
     radius = lens.radius(angle)
     assert (np.diff(radius) > 0).all()
     assert np.abs(lens.angle(radius) - angle).max() < 1e-4
-    # A lens about the camera's axis cannot meet a map about it exactly where the dome is not: as-built pins take that up.
+    # With the camera off the dome's axis, a lens cannot match the map exactly; the pins' offsets absorb the rest.
     lattice = replace(design, pins=replace(design.pins, as_built_m=()))
     tips, _ = neutral_pins(lattice)
     off_axis = np.linalg.norm(plan_positions(lattice.pins) - design.optics.camera_offset_m, axis=1) / design.pins.pitch_m
-    wanted = np.stack([off_axis, off_axis**3, off_axis**5], -1) @ design.optics.neutral_radius
-    missed = lens.radius(lens.angle_to(tips)) * REFERENCE_PX / lens.width - wanted
-    assert np.sqrt((missed**2).mean()) < (0.5 if name in NOMINAL else 1.0)
+    radii = np.stack([off_axis, off_axis**3, off_axis**5], -1) @ design.optics.neutral_radius
+    residual = lens.radius(lens.angle_to(tips)) * REFERENCE_PX / lens.width - radii
+    assert np.sqrt((residual**2).mean()) < (0.5 if name in NOMINAL else 1.0)
 
 
 @pytest.mark.parametrize("name", FITTED)
-def test_pins_of_a_fitted_tip_stay_near_their_lattice_and_come_out_in_its_image(name):
-    """As they were built: a tenth of a millimetre off the lattice, all seen, where the lens puts them."""
+def test_fitted_pins_stay_near_lattice_and_are_visible(name):
+    """About a tenth of a millimetre off the lattice, and all visible where the lens projects them."""
     tip = design_named(name)
     offsets = np.array(tip.pins.as_built_m)
     assert rms(offsets) > 0.02e-3 and np.abs(offsets).max() < 0.3 * tip.pins.pitch_m
@@ -106,11 +106,11 @@ def test_pins_of_a_fitted_tip_stay_near_their_lattice_and_come_out_in_its_image(
     assert rms(distance.min(1)) < 0.5
 
 
-def test_led_ring_falls_off_with_the_square_of_the_distance(design):
+def test_led_ring_follows_inverse_square_law(design):
     leds = LedRing(design)
     facing = np.array([0, 0, -1.0])
-    far, further = (leds._irradiance(np.array([0, 0, z]), facing) for z in (10.0, 20.0))
-    assert far / further == pytest.approx(4, rel=0.02)
+    far, farther = (leds._irradiance(np.array([0, 0, z]), facing) for z in (10.0, 20.0))
+    assert far / farther == pytest.approx(4, rel=0.02)
     assert leds._irradiance(np.zeros(3), -facing) == 0
 
 
@@ -123,8 +123,8 @@ def deformed(on_edge):
         yield on_edge(pose, shear)
 
 
-def test_raster_agrees_with_pyrender(camera, raster, on_edge, design):
-    """Deformed pins: grey within 1 level in the mean and 12 rms on the pins; 1.5 % of the tactile image's pixels."""
+def test_renderers_agree_on_deformed_pins(camera, raster, on_edge, design):
+    """Mean difference below 0.5 grey levels, 12 rms on the pins, and 1.5 % of the tactile image's pixels."""
     for contact in deformed(on_edge):
         a = camera.render(contact.tips, contact.directions).astype(float)
         b = raster.render(contact.tips, contact.directions).astype(float)
@@ -136,12 +136,12 @@ def test_raster_agrees_with_pyrender(camera, raster, on_edge, design):
 
 def test_renderers_show_every_pin(camera, raster, on_edge, design):
     for contact in deformed(on_edge):
-        for eye in (camera, raster):
-            centres, _ = blobs(eye.render(contact.tips, contact.directions), design.image)
+        for renderer in (camera, raster):
+            centres, _ = blobs(renderer.render(contact.tips, contact.directions), design.image)
             assert len(centres) == 127
 
 
-def test_raster_draws_a_batch_as_it_draws_one(raster, on_edge):
+def test_raster_of_batch_equals_single_images(raster, on_edge):
     contacts = list(deformed(on_edge))
     tips = np.stack([c.tips for c in contacts])
     directions = np.stack([c.directions for c in contacts])
@@ -150,7 +150,7 @@ def test_raster_draws_a_batch_as_it_draws_one(raster, on_edge):
     assert (batch[1] == raster.render(tips[1], directions[1])).all()
 
 
-def test_two_designs_can_be_drawn_in_one_process(camera, design):
+def test_pyrender_renders_two_designs_in_one_process(camera, design):
     other = design_named("tactip-331")
     before = camera.render(*neutral_pins(design))
     PinCamera(other).render(*neutral_pins(other))
@@ -158,13 +158,13 @@ def test_two_designs_can_be_drawn_in_one_process(camera, design):
 
 
 def resident_mib():
-    """Memory (MiB) that this process holds now."""
+    """Return the resident memory of this process, MiB."""
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
 
 
-def test_drawing_does_not_eat_memory(camera, design):
-    """300 images after the first ones: less than 10 MB more, 35 KB an image; one frame's colours alone are 390 KB."""
+def test_pyrender_does_not_leak_memory(camera, design):
+    """300 images add less than 10 MiB, 35 KiB per image; a single RGB frame has 390 KB."""
     pins = neutral_pins(design)
     for _ in range(30):
         camera.render(*pins)
@@ -174,15 +174,15 @@ def test_drawing_does_not_eat_memory(camera, design):
     assert resident_mib() - before < 10
 
 
-def test_tactile_image_is_binary_and_128(raster, design):
+def test_tactile_image_is_binary_and_128_px_wide(raster, design):
     image = tactile_image(raster.render(*neutral_pins(design)), design.image)
     assert image.shape == (128, 128)
     assert image.dtype == np.uint8
     assert set(np.unique(image)) == {0, 255}
 
 
-def test_tactile_image_of_a_real_frames_size(raster, design):
-    """A 640×480 colour frame with the pins somewhere in it, cropped as the real rigs do: the same image."""
+def test_tactile_image_of_cropped_real_size_frame_is_the_same(raster, design):
+    """A 640×480 colour frame with the pins off its centre, cropped as on real rigs."""
     grey = raster.render(*neutral_pins(design))
     frame = np.full((480, 640), grey[0, 0], np.uint8)
     frame[60:420, 140:500] = grey
@@ -191,14 +191,14 @@ def test_tactile_image_of_a_real_frames_size(raster, design):
     assert (colour != tactile_image(grey, design.image)).mean() < 0.002
 
 
-def test_tactile_image_of_a_binary_frame_keeps_it(design):
+def test_tactile_image_without_threshold_keeps_binary_frame(design):
     rng = np.random.default_rng(0)
     small = np.where(rng.random((128, 128)) < 0.1, 255, 0).astype(np.uint8)
     doubled = np.kron(small, np.ones((2, 2), np.uint8))
     assert (tactile_image(doubled, replace(design.image, threshold=None)) == small).all()
 
 
-def test_threshold_does_not_depend_on_brightness(raster, design):
+def test_tactile_image_does_not_depend_on_brightness(raster, design):
     grey = raster.render(*neutral_pins(design))
     brighter = np.clip(grey.astype(int) + 60, 0, 255).astype(np.uint8)
     assert (tactile_image(grey, design.image) != tactile_image(brighter, design.image)).mean() < 0.001
@@ -213,6 +213,6 @@ def test_threshold_does_not_depend_on_brightness(raster, design):
         (np.zeros((100, 100), np.uint8), TactileImage(threshold=(60, 5.0)), "odd"),
     ],
 )
-def test_unfit_frames_are_refused(frame, settings, words):
+def test_tactile_image_of_invalid_frame_raises_error(frame, settings, words):
     with pytest.raises(TactipError, match=words):
         tactile_image(frame, settings)

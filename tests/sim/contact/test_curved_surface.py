@@ -1,4 +1,4 @@
-"""Bent surfaces: their shape, and data sets of contacts with them."""
+"""Curved surfaces: their shape, and data sets of contacts with them."""
 
 import json
 
@@ -8,7 +8,7 @@ import trimesh
 from scipy.integrate import cumulative_trapezoid
 
 from tactip_twin.commands import main as tactip
-from tactip_twin.sim.contact import curved_surface as bent
+from tactip_twin.sim.contact import curved_surface as curved_surface_module
 from tactip_twin.sim.contact.curved_surface import MAX_CURVATURE_PER_M, Profile, curved_surface
 from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.contact.record import QualityLimits
@@ -21,10 +21,10 @@ from tactip_twin.sim.pose import from_mm_deg
 from tactip_twin.tactip_model.presets import load_design
 
 
-@pytest.mark.parametrize("bend", [(0.0, 0.0, 0.0), (50.0, -20.0, 0.4), (MAX_CURVATURE_PER_M, MAX_CURVATURE_PER_M, 1.0)])
-def test_its_top_is_the_paraboloid_and_it_is_closed(bend):
-    first, second, turn = bend
-    solid = curved_surface(*bend)
+@pytest.mark.parametrize("curvature", [(0.0, 0.0, 0.0), (50.0, -20.0, 0.4), (MAX_CURVATURE_PER_M, MAX_CURVATURE_PER_M, 1.0)])
+def test_curved_surface_top_is_paraboloid_and_solid_is_closed(curvature):
+    first, second, turn = curvature
+    solid = curved_surface(*curvature)
     mesh = trimesh.Trimesh(solid.vertices, solid.triangles)
     assert mesh.is_watertight
     assert mesh.is_winding_consistent
@@ -40,25 +40,25 @@ def test_its_top_is_the_paraboloid_and_it_is_closed(bend):
     assert np.degrees(np.arccos(np.clip((solid.smooth_normal(top) * normal).sum(1), -1, 1))).max() < 0.8
 
 
-def test_the_more_it_bulges_the_less_it_presses():
-    """Hertz: the force goes with the root of 1 / (1/R + k); a hollow that the tip nearly fills is beyond him."""
-    shape = SolidStimulus(curved_surface(0, 0, 0), sharpest_m=0.01)
-    player = ContactSimulator(load_design("tactip-127"), shape, fidelity_named("draft"))
+def test_force_falls_with_curvature_as_in_hertz():
+    """The force is proportional to (1/R + k)^(-1/2), less exactly in a hollow that the tip nearly fills."""
+    stimulus = SolidStimulus(curved_surface(0, 0, 0), min_radius_m=0.01)
+    player = ContactSimulator(load_design("tactip-127"), stimulus, fidelity_named("draft"))
     forces = []
     for curvature in (-20.0, 0.0, 30.0, 60.0):
-        shape.solid = curved_surface(curvature, curvature, 0.0)
+        stimulus.solid = curved_surface(curvature, curvature, 0.0)
         contact = player.play(from_mm_deg([0, 0, -2.0, 0, 0, 0]), np.zeros(6))
         assert not contact.faults(QualityLimits(penetration_m=0.1e-3))
         forces.append(contact.normal_force_n)
     hertz = [(1 / 0.02 + k) ** -0.5 for k in (-20.0, 0.0, 30.0, 60.0)]
     assert np.allclose(np.array(forces) / forces[1], np.array(hertz) / hertz[1], rtol=0.2)
-    shape.solid = curved_surface(0.0, 0.0, 0.0)
+    stimulus.solid = curved_surface(0.0, 0.0, 0.0)
     flat = ContactSimulator(load_design("tactip-127"), "surface", fidelity_named("draft"))
     pose = from_mm_deg([0, 0, -3.0, 5, 0, 0]), from_mm_deg([2.0, 0, 0, 0, 0, 0])
     assert np.allclose(player.play(*pose).tips, flat.play(*pose).tips, atol=2e-6)
 
 
-def test_a_set_of_bent_surfaces_is_the_same_whoever_makes_it(tmp_path):
+def test_curved_set_does_not_depend_on_worker_count(tmp_path):
     command = ["dataset", "make", "--fidelity", "draft", "--renderer", "raster", "--curvature-per-m", "-20", "60"]
     for name, workers in (("a", "1"), ("b", "2")):
         assert tactip.main([*command, "--samples", "3", "--workers", workers, "--out", str(tmp_path / name)]) == 0
@@ -74,11 +74,9 @@ def test_a_set_of_bent_surfaces_is_the_same_whoever_makes_it(tmp_path):
         assert np.abs(a["tips"] - b["tips"]).max() > 0.1e-3
 
 
-def test_a_flat_configuration_is_what_it_was():
-    still = Ranges()
-    made = Configuration(
-        "surface", "train", 1, 0, "raster", load_design("tactip-127"), fidelity_named("draft"), still, still
-    )
+def test_flat_configuration_omits_curvature():
+    zero = Ranges()
+    made = Configuration("surface", "train", 1, 0, "raster", load_design("tactip-127"), fidelity_named("draft"), zero, zero)
     assert "curvature_per_m" not in made.as_json()
     assert json.dumps(made.as_json())
 
@@ -86,12 +84,12 @@ def test_a_flat_configuration_is_what_it_was():
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--curvature-per-m", "0", "500"], "the range of curvature is (0.0, 500.0) 1/m"),
-        (["--curvature-per-m", "10", "-10"], "it must be rising"),
-        (["--task", "edge", "--curvature-per-m", "0", "10"], "only a surface can be bent"),
+        (["--curvature-per-m", "0", "500"], "between -30 and 100 1/m, got (0.0, 500.0)"),
+        (["--curvature-per-m", "10", "-10"], "curvature_per_m must be a low and a high"),
+        (["--task", "edge", "--curvature-per-m", "0", "10"], "applies to the task 'surface' only, got the task 'edge'"),
     ],
 )
-def test_wrong_curvatures_are_one_sentence(tmp_path, capsys, options, words):
+def test_invalid_curvatures_give_one_sentence(tmp_path, capsys, options, words):
     assert tactip.main(["dataset", "make", *options, "--out", str(tmp_path / "set")]) == 1
     assert words in capsys.readouterr().err
 
@@ -99,8 +97,8 @@ def test_wrong_curvatures_are_one_sentence(tmp_path, capsys, options, words):
 PROFILES = (Profile((-6e-3, 1e-3, 5e-3), (80.0, -20.0, 60.0, 10.0)), Profile((2e-3,), (-28.0, 30.0)))
 
 
-def test_an_unevenly_bent_surface_has_the_curvature_of_its_profiles():
-    """By integrating twice, from the origin, what the docstring says that it is."""
+def test_varying_curvature_is_that_of_profiles():
+    """The curvature, integrated twice from the origin, gives the height."""
     fine = np.linspace(0, 8e-3, 8001)
     for profile in PROFILES:
         for sign in (-1, 1):
@@ -108,7 +106,7 @@ def test_an_unevenly_bent_surface_has_the_curvature_of_its_profiles():
             slope = cumulative_trapezoid(-curvature, x=fine, initial=0)
             assert np.allclose(
                 profile.top(sign * fine), cumulative_trapezoid(slope, x=fine, initial=0), atol=2e-7
-            )  # a cell at each change
+            )  # one grid cell at each change
     first, second, turn = 10.0, -10.0, 0.7
     solid = curved_surface(first, second, turn, PROFILES)
     mesh = trimesh.Trimesh(solid.vertices, solid.triangles)
@@ -117,44 +115,46 @@ def test_an_unevenly_bent_surface_has_the_curvature_of_its_profiles():
     cos, sin = np.cos(turn), np.sin(turn)
     height = -(first * u**2 + second * v**2) / 2 + PROFILES[0].top(u) + PROFILES[1].top(v)
     assert np.abs(solid.distance(np.stack([cos * u - sin * v, sin * u + cos * v, height], -1))).max() < 40e-6
-    # At the origin it is level, however it is bent: the label's frame is there.
+    # It is level at the origin, where the label's frame is.
     assert np.allclose(solid.smooth_normal(np.zeros((1, 3))), [0, 0, 1], atol=0.02)
 
 
-def test_curvatures_of_a_drawn_surface_stay_in_their_range(monkeypatch):
-    """Everywhere on the piece; they are often at an end of the range, and change as often as told."""
+def test_sampled_curvatures_stay_in_range(monkeypatch):
+    """They are often at a limit of the range, and change after stretches of the documented length."""
     low, high = -28.0, 80.0
-    drawn = []
-    monkeypatch.setattr(bent, "curved_surface", lambda *given: drawn.append(given))
+    sampled = []
+    monkeypatch.setattr(curved_surface_module, "curved_surface", lambda *given: sampled.append(given))
     for seed in range(200):
-        bent.sample_curved_surface(np.random.default_rng(seed), low, high, 1.0)
+        curved_surface_module.sample_curved_surface(np.random.default_rng(seed), low, high, 1.0)
     lengths, values = [], []
-    for first, second, _, profiles in drawn:
+    for first, second, _, profiles in sampled:
         assert first == second == 0
         for profile in profiles:
             assert len(profile.per_m) == len(profile.changes_m) + 1
-            assert profile.changes_m[0] < 0.05 and np.abs(profile.changes_m).max() < bent.HALF_WIDTH_M * np.sqrt(2)
+            assert profile.changes_m[0] < 0.05 and np.abs(
+                profile.changes_m
+            ).max() < curved_surface_module.HALF_WIDTH_M * np.sqrt(2)
             lengths += np.diff(profile.changes_m).tolist()
             values += profile.per_m
-    assert bent.STRETCHES_M[0] <= min(lengths) and max(lengths) <= bent.STRETCHES_M[1]
+    assert curved_surface_module.STRETCHES_M[0] <= min(lengths) and max(lengths) <= curved_surface_module.STRETCHES_M[1]
     values = np.array(values)
     assert (values.min(), values.max()) == (low, high)
-    # A half of what is drawn from twice the range is beyond it, a quarter to each side.
+    # Half of the values from twice the range lie outside it, a quarter on each side.
     assert np.mean(values == low) == pytest.approx(0.25, abs=0.03)
     assert np.mean(values == high) == pytest.approx(0.25, abs=0.03)
 
 
-def test_the_share_of_uneven_surfaces_is_kept_and_the_others_are_even(monkeypatch):
-    drawn = []
-    monkeypatch.setattr(bent, "curved_surface", lambda *given: drawn.append(given))
+def test_fraction_of_varying_curvature_is_as_configured(monkeypatch):
+    sampled = []
+    monkeypatch.setattr(curved_surface_module, "curved_surface", lambda *given: sampled.append(given))
     for seed in range(400):
-        bent.sample_curved_surface(np.random.default_rng(seed), -28.0, 80.0, 0.3)
-    even = np.array([given[:2] for given in drawn if len(given) == 3])
+        curved_surface_module.sample_curved_surface(np.random.default_rng(seed), -28.0, 80.0, 0.3)
+    even = np.array([given[:2] for given in sampled if len(given) == 3])
     assert len(even) == pytest.approx(280, abs=30)
     assert even.mean() == pytest.approx(26.0, abs=4.0) and even.min() < -20 and even.max() > 70
 
 
-def test_an_even_set_keeps_the_digest_that_it_had():
+def test_constant_curvature_keeps_digest():
     given = {"task": "surface", "split": "test", "samples": 1, "seed": 0, "renderer": "raster"}
     given |= {"design": load_design("nominal-127"), "fidelity": fidelity_named("draft"), "pose": Ranges(), "shear": Ranges()}
     even = Configuration(**given, curvature_per_m=(-10.0, 30.0))
@@ -165,10 +165,10 @@ def test_an_even_set_keeps_the_digest_that_it_had():
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--uneven", "0.5"], "give --curvature-per-m, too"),
-        (["--uneven", "2", "--curvature-per-m", "0", "10"], "it must be from 0 to 1"),
+        (["--uneven", "0.5"], "uneven needs a range of curvature: give --curvature-per-m too"),
+        (["--uneven", "2", "--curvature-per-m", "0", "10"], "uneven must be between 0 and 1, got 2.0"),
     ],
 )
-def test_wrong_unevenness_is_one_sentence(tmp_path, capsys, options, words):
+def test_invalid_varying_curvature_gives_one_sentence(tmp_path, capsys, options, words):
     assert tactip.main(["dataset", "make", *options, "--out", str(tmp_path / "set"), "--samples", "1"]) == 1
     assert words in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""A tip that is pressed by hand: as a contact of a data set where it was moved alike, and with a memory of its shear."""
+"""InteractiveContact: equal to a contact of a data set after the same motion, and it keeps its shear."""
 
 import numpy as np
 import pytest
@@ -19,32 +19,32 @@ def press():
 
 
 def _settled(press, label=None):
-    """The Touch at a label, come to by the shortest way."""
+    """Return the TipState at rest, after a direct motion to a label if there is one."""
     if label is not None:
-        press.aim(label)
+        press.set_target(label)
     for _ in range(300):
-        touch = press.advance(3)
+        state = press.advance(3)
         if press.at_rest:
-            return touch
-    raise AssertionError("it does not come to rest")
+            return state
+    raise AssertionError("the tip did not come to rest")
 
 
 def _apart_mm(a, b):
     return 1e3 * float(np.linalg.norm(a.tips - b.tips, axis=1).max())
 
 
-def test_a_press_is_that_of_a_data_set(press):
-    press.aim(DEEP)
+def test_press_equals_contact_of_data_set(press):
+    press.set_target(DEEP)
     press.lift()
-    touch = _settled(press)
+    state = _settled(press)
     contact = ContactSimulator(design_named("nominal-127"), "surface", fidelity_named("draft")).play(DEEP, np.zeros(6))
     assert np.allclose(press.label, DEEP)
-    assert -touch.force[2] == pytest.approx(contact.normal_force_n, rel=0.02)
-    assert _apart_mm(touch, contact) < 0.05
+    assert -state.force[2] == pytest.approx(contact.normal_force_n, rel=0.02)
+    assert _apart_mm(state, contact) < 0.05
 
 
-def test_the_skin_remembers_a_slide_until_it_is_lifted(press):
-    press.aim(DEEP)
+def test_skin_keeps_shear_until_lifted(press):
+    press.set_target(DEEP)
     press.lift()
     straight = _settled(press)
     aside = _settled(press, DEEP + from_mm_deg([3, 0, 0, 0, 0, 0]))
@@ -57,26 +57,26 @@ def test_the_skin_remembers_a_slide_until_it_is_lifted(press):
     assert np.array_equal(again.tips, straight.tips)
 
 
-def test_it_begins_clear(press):
-    press.aim(from_mm_deg([0, 0, -4, 10, 5, 0]))
+def test_lift_leaves_tip_clear(press):
+    press.set_target(from_mm_deg([0, 0, -4, 10, 5, 0]))
     press.lift()
-    touch = press.touch()
-    assert np.linalg.norm(touch.force) == 0
+    state = press.tip_state()
+    assert np.linalg.norm(state.force) == 0
     assert press.label[2] > 0
 
 
-def test_a_move_may_be_changed_on_the_way(press):
-    press.aim(DEEP)
+def test_target_can_change_during_motion(press):
+    press.set_target(DEEP)
     press.lift()
     press.advance(2)
-    there = from_mm_deg([1, 1, -2, 0, 0, 5])
-    assert np.allclose(_settled(press, there) and press.label, there)
+    target = from_mm_deg([1, 1, -2, 0, 0, 5])
+    assert np.allclose(_settled(press, target) and press.label, target)
 
 
-def test_what_is_out_of_reach_is_said_and_not_gone_to(press):
+def test_set_target_out_of_reach_raises_error_and_keeps_target(press):
     _settled(press, DEEP)
     with pytest.raises(TactipError, match="depth"):
-        press.aim(from_mm_deg([0, 0, -20, 0, 0, 0]))
+        press.set_target(from_mm_deg([0, 0, -20, 0, 0, 0]))
     with pytest.raises(TactipError, match="tilt"):
-        press.aim(from_mm_deg([0, 0, -2, 50, 0, 0]))
+        press.set_target(from_mm_deg([0, 0, -2, 50, 0, 0]))
     assert np.allclose(_settled(press) and press.label, DEEP)

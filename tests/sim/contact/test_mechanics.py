@@ -1,4 +1,4 @@
-"""Force and shape against closed forms and an independent code; symmetry; smoothness."""
+"""Force and shape against closed forms and an independent code, symmetry, smoothness."""
 
 from dataclasses import replace
 
@@ -11,7 +11,7 @@ from tactip_twin.sim.contact.simulator import ContactSimulator
 from tactip_twin.sim.pose import from_mm_deg
 from tactip_twin.tactip_model.mesh import Resolution, tetrahedron_volumes
 
-GEL_ALONE = {"skin_young_pa": 1.0}  # a skin of 1 Pa is none
+GEL_ALONE = {"skin_young_pa": 1.0}  # a skin of 1 Pa has no effect
 
 
 def pressed(player, depth_mm):
@@ -22,31 +22,31 @@ def hertz(young, poisson, radius, depth):
     return 4 / 3 * young / (1 - poisson**2) * np.sqrt(radius) * depth**1.5
 
 
-def test_reference_code_against_hertz():
-    """Where Hertz holds, at a hundredth of the radius: the dome's bonded base makes it a little stiffer still."""
+def test_independent_code_agrees_with_hertz():
+    """At a hundredth of the radius, where Hertz holds; the dome's bonded base makes it slightly stiffer."""
     young, poisson, radius, depth = 2e4, 0.3, 20e-3, 0.1e-3
     force, _ = next(Dome([Layer(radius, young, poisson, 10)], polar_elements=60).press([depth]))
     ratio = force / hertz(young, poisson, radius, depth)
     assert 1.0 < ratio < 1.06
 
 
-def test_reference_code_conserves_volume_of_incompressible_gel():
+def test_independent_code_conserves_volume_of_incompressible_gel():
     dome = Dome([Layer(20e-3, 2e4, 0.499, 8)], polar_elements=24)
     *_, (_, u) = dome.press(np.arange(0.25, 2.1, 0.25) * 1e-3)
     corners = dome.surface[::2]
 
     def volume(nodes):
-        """Of the body under an outline of cones between corner nodes."""
+        """Return the volume inside cones between corner nodes."""
         r, z = nodes[corners].T
         return abs(np.sum(np.pi / 3 * (r[1:] ** 2 + r[1:] * r[:-1] + r[:-1] ** 2) * np.diff(z)))
 
     assert volume(dome.nodes + u) == pytest.approx(volume(dome.nodes), rel=2e-3)
 
 
-def test_force_against_hertz(frictionless, standard):
-    """Half a millimetre on a gel of Poisson's ratio 0.3, which does not lock, on a column that takes the base away.
+def test_force_agrees_with_hertz(frictionless, standard):
+    """At 0.5 mm, on a gel of Poisson's ratio 0.3, which does not lock, with a column that moves the base away.
 
-    Wholly at rest: a column so soft takes longer than a tip does.
+    Settling takes longer than for a tip because such a column is soft.
     """
     materials = replace(frictionless.materials, gel_poisson=0.3, **GEL_ALONE)
     tip = replace(frictionless, materials=materials, shape=replace(frictionless.shape, cylinder_m=20e-3))
@@ -62,7 +62,7 @@ def test_force_against_hertz(frictionless, standard):
 
 @pytest.fixture(scope="module")
 def references(design):
-    """Forces (N) at 1 to 4 mm and outer surfaces of the independent code: the whole sensor, and its gel alone."""
+    """Return the independent code's domes and their steps (force, displacements) by depth, of sensor and gel alone."""
     m, r = design.materials, design.shape.radius_m
     gel = (m.gel_young_pa, m.gel_poisson)
     sensor = [Layer(r - m.skin_thickness_m, *gel, 10), Layer(r, m.skin_young_pa, m.skin_poisson, 2)]
@@ -76,24 +76,24 @@ def references(design):
 
 
 @pytest.mark.parametrize("depth_mm", [1.0, 2.0, 3.0, 4.0])
-def test_force_of_the_sensor_against_an_independent_code(on_ice, references, depth_mm):
+def test_force_of_sensor_agrees_with_independent_code(on_ice, references, depth_mm):
     expected, _ = references["sensor"][1][depth_mm]
     assert on_ice([0, 0, -depth_mm, 0, 0, 0]).normal_force_n == pytest.approx(expected, rel=0.1)
 
 
 @pytest.mark.parametrize("depth_mm", [1.0, 2.0, 3.0, 4.0])
-def test_force_of_the_gel_against_an_independent_code(frictionless, standard, references, depth_mm):
+def test_force_of_gel_agrees_with_independent_code(frictionless, standard, references, depth_mm):
     tip = replace(frictionless, materials=replace(frictionless.materials, **GEL_ALONE))
     force = pressed(ContactSimulator(tip, "surface", standard), depth_mm).normal_force_n
     assert force == pytest.approx(references["gel"][1][depth_mm][0], rel=0.1)
 
 
-def test_shape_of_the_sensor_against_an_independent_code(on_ice, references):
-    """Outer surface at 3 mm: 0.12 mm rms; most of it is gel of 0.49 meshed as 0.47 (mesh.Resolution)."""
+def test_shape_of_sensor_agrees_with_independent_code(on_ice, references):
+    """At 3 mm the outer surface differs by 0.12 mm rms, mostly because a gel of 0.49 is meshed as 0.47 (mesh.Resolution)."""
     dome, steps = references["sensor"]
     _, u = steps[3.0]
     on_ice([0, 0, -3.0, 0, 0, 0])
-    scene = on_ice.player.scene
+    scene = on_ice.simulator.scene
     rest = scene.mesh.vertices[: scene.mesh.surface_count] - scene.mesh.centre
     moved = scene.vertices()[: scene.mesh.surface_count] - scene.mesh.centre
     surface = dome.nodes[dome.surface]
@@ -106,7 +106,7 @@ def test_shape_of_the_sensor_against_an_independent_code(on_ice, references):
     assert np.sqrt(np.mean(error_r**2 + error_z**2)) < 0.15e-3
 
 
-def test_force_does_not_go_up_in_stairs(on_surface):
+def test_force_rises_smoothly_with_depth(on_surface):
     """Within 5 % of a smooth curve, every 0.1 mm."""
     depth = np.arange(0.5, 5.01, 0.1)
     force = np.array([on_surface([0, 0, -d, 0, 0, 0]).normal_force_n for d in depth])
@@ -121,16 +121,16 @@ def turned(tips, angle):
 
 
 def matched(tips, neutral, images, neutral_images):
-    """For each pin the distance (m) to the pin whose neutral image is its own."""
+    """Return for each pin the distance (m) to the image of the pin with the same neutral position."""
     which = np.linalg.norm(neutral[:, None] - neutral_images[None], axis=2).argmin(1)
     return np.linalg.norm(tips - images[which], axis=1)
 
 
 @pytest.mark.parametrize("depth_mm", [2.0, 4.0])
-def test_centred_press_has_the_symmetry_of_the_pins(on_surface, depth_mm):
-    """Turned by 60 degrees, and mirrored in a line of pins, the pin field is itself."""
+def test_centred_press_has_symmetry_of_pins(on_surface, depth_mm):
+    """The pin field equals itself rotated by 60 degrees, and mirrored in a line of pins."""
     tips = on_surface([0, 0, -depth_mm, 0, 0, 0]).tips
-    neutral = on_surface.player.reader.tips
+    neutral = on_surface.simulator.reader.tips
     axis = np.radians(29.5)
     mirror = np.diag([1.0, -1.0, 1.0])
     for image in (
@@ -143,21 +143,21 @@ def test_centred_press_has_the_symmetry_of_the_pins(on_surface, depth_mm):
         assert error.max() < 0.1 * moved.max()
 
 
-def test_pressed_gel_keeps_its_volume(on_surface):
-    """Meshed with a Poisson's ratio of 0.47, the gel yields by pressure over bulk modulus: 2 % at 4 mm."""
+def test_pressed_gel_keeps_volume(on_surface):
+    """Meshed with a Poisson's ratio of 0.47, the gel shrinks by pressure over bulk modulus: 2 % at 4 mm."""
     on_surface([0, 0, -4, 0, 0, 0])
-    scene = on_surface.player.scene
+    scene = on_surface.simulator.scene
     volume = tetrahedron_volumes(scene.vertices(), scene.mesh.tetrahedra).sum()
     assert volume == pytest.approx(scene.mesh.volumes.sum(), rel=0.025)
 
 
-def test_force_obeys_coulomb(on_surface, design):
+def test_sheared_force_obeys_coulomb(on_surface, design):
     sheared = on_surface([0, 0, -3, 0, 0, 0], [5, 0, 0, 0, 0, 0])
     ratio = sheared.tangential_force_n / sheared.normal_force_n
     assert 0.85 * design.materials.friction < ratio < 1.01 * design.materials.friction
 
 
-def test_a_contact_does_not_depend_on_the_one_before(on_edge):
+def test_contact_does_not_depend_on_earlier_one(on_edge):
     pose, shear = [1, 0, -3, 5, -5, 20], [2, -2, 0, 1, 1, 1]
     first = on_edge(pose, shear)
     on_edge([-3, 0, -5, -10, 10, -40], [-5, 5, 0, 0, 0, 0])
@@ -168,8 +168,8 @@ def test_a_contact_does_not_depend_on_the_one_before(on_edge):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("what", ["gel", "sensor"])
-def test_locking_is_cured(what, design, standard):
-    """A gel of 0.49 meshed as it is would be more than a third too stiff, and half as much again off in shape."""
+def test_standard_fidelity_corrects_locking(what, design, standard):
+    """Without the correction a gel of 0.49 is more than 30 % too stiff and its shape 40 % farther off."""
     expected, ratio, off = mechanics.Expected(design, what, 0.49), {}, {}
     for cure, fidelity in (("cured", standard), ("as it is", mechanics.as_it_is(standard))):
         player = ContactSimulator(mechanics.frictionless(what), "surface", fidelity)

@@ -1,4 +1,4 @@
-"""Distances to surfaces against closed forms, and the project's own objects against what they are made from."""
+"""Distances to surfaces against closed forms, and the project's objects against the solids they are cut from."""
 
 import numpy as np
 import pytest
@@ -22,12 +22,12 @@ def box():
     return SignedDistanceMesh(mesh.vertices, mesh.faces)
 
 
-def test_the_distance_of_a_box_is_its_closed_form(box):
+def test_distance_of_box_is_closed_form(box):
     points = np.random.default_rng(0).uniform(-4, 4, (3000, 3))
     assert np.allclose(box.distance(points), box_distance(points, [1, 1.5, 2]), atol=1e-12)
 
 
-def test_the_normal_is_the_slope_of_the_distance(box):
+def test_normal_is_gradient_of_distance(box):
     points = np.random.default_rng(1).uniform(-3, 3, (300, 3))
     h = 1e-6
     slope = np.stack([(box.distance(points + h * e) - box.distance(points - h * e)) / (2 * h) for e in np.eye(3)], -1)
@@ -36,17 +36,17 @@ def test_the_normal_is_the_slope_of_the_distance(box):
     assert np.allclose(box.nearest(points).normal[smooth], slope[smooth], atol=1e-5)
 
 
-def test_on_the_surface_corners_and_edges_point_outward(box):
+def test_normals_at_corners_and_edges_point_outward(box):
     normals = box.nearest(np.array([[1.0, 1.5, 2.0], [1.0, 1.5, 0.0], [1.0, 0.2, 0.3]])).normal
     assert np.allclose(normals, [np.ones(3) / np.sqrt(3), [np.sqrt(0.5), np.sqrt(0.5), 0], [1, 0, 0]], atol=1e-9)
 
 
-def test_a_ray_meets_the_box_where_it_should_or_not_at_all(box):
+def test_first_hit_of_box_is_exact_or_infinite(box):
     assert box.first_hit([0.3, 0.2, 7], [0, 0, -1]) == pytest.approx(5)
     assert box.first_hit([3, 0, 7], [0, 0, -1]) == np.inf
 
 
-def test_smooth_normals_of_a_sphere_are_radial():
+def test_smooth_normals_of_sphere_are_radial():
     mesh = trimesh.creation.icosphere(subdivisions=4)
     points = np.random.default_rng(2).normal(size=(200, 3))
     points /= np.linalg.norm(points, axis=1, keepdims=True)
@@ -54,14 +54,14 @@ def test_smooth_normals_of_a_sphere_are_radial():
 
 
 @pytest.mark.parametrize("name", object_names())
-def test_the_project_s_objects_are_sound(name):
-    thing = load_object(name)
-    assert not thing.notes
-    low = (thing.solid.vertices @ thing.T_base_object[:3, :3].T + thing.T_base_object[:3, 3]).min(0)
+def test_bundled_objects_need_no_repair(name):
+    item = load_object(name)
+    assert not item.notes
+    low = (item.solid.vertices @ item.T_base_object[:3, :3].T + item.T_base_object[:3, 3]).min(0)
     assert low[2] == pytest.approx(0.07 if name == "bust" else 0, abs=1e-9)
 
 
-def test_meshes_lie_on_the_solids_they_are_cut_from():
+def test_meshes_lie_on_their_solids():
     mesh = load_object("saddle").solid
     middles = mesh.vertices[mesh.triangles].mean(1)
     assert np.abs(saddle(1e3 * mesh.vertices)).max() < 0.02  # mm
@@ -70,9 +70,11 @@ def test_meshes_lie_on_the_solids_they_are_cut_from():
     assert np.abs(1e3 * radii - SPHERE_MM).max() < 1e-3
 
 
-def test_the_bust_is_as_round_as_it_is_said_to_be():
-    """A ball of 36 mm that touches it from outside, at any place, and one of 12.5 mm from inside, touch nothing else; and
-    where the solid that it is made from is as round already, it is that solid."""
+def test_bust_has_documented_roundness():
+    """A ball of 36 mm that touches it from outside, and one of 12.5 mm from inside, touch it at one point only.
+
+    Where the original solid is as round, the mesh equals it.
+    """
     mesh = load_object("bust").solid
     normals = mesh.smooth_normal(mesh.vertices)
     face = mesh.vertices[:, 0] > 0.03
@@ -86,29 +88,29 @@ def test_the_bust_is_as_round_as_it_is_said_to_be():
 
 
 @pytest.mark.parametrize("name", RIMS)
-def test_a_rim_s_edge_is_that_of_a_block(name):
-    """Along the edge the top falls away at its normal, the wall at a right angle, and between them is the rounding."""
-    thing, rim = load_object(name), RIMS[name]
+def test_rim_edge_is_that_of_block(name):
+    """Along the edge, the top is perpendicular to the normal, the wall to the top, and a rounding joins them."""
+    item, rim = load_object(name), RIMS[name]
     turn = np.linspace(0, 2 * np.pi, 50)
     edge, (tangent, normal, off) = rim.edge(turn), rim.frames(turn)
     assert np.allclose((normal * off).sum(1), 0, atol=1e-9)
     assert np.allclose((normal * tangent).sum(1), 0, atol=1e-9)
     r = rim.edge_mm
-    rounded = thing.solid.distance((edge - r * off - r * np.array([0, 0, 1])) / 1e3) * 1e3
+    rounded = item.solid.distance((edge - r * off - r * np.array([0, 0, 1])) / 1e3) * 1e3
     assert np.allclose(rounded, -r, atol=0.04 * r)  # tilted by up to 15 degrees, an ellipse
-    assert np.allclose(thing.solid.distance((edge - 3 * off + 1 * normal) / 1e3) * 1e3, 1, atol=0.03)
-    assert np.allclose(thing.solid.distance((edge + 1 * off - 5 * normal) / 1e3) * 1e3, 1, atol=0.03)
-    points = thing.edge.points * 1e3
-    assert thing.edge.closed
+    assert np.allclose(item.solid.distance((edge - 3 * off + 1 * normal) / 1e3) * 1e3, 1, atol=0.03)
+    assert np.allclose(item.solid.distance((edge + 1 * off - 5 * normal) / 1e3) * 1e3, 1, atol=0.03)
+    points = item.edge.points * 1e3
+    assert item.edge.closed
     assert np.allclose(points[::72], rim.edge(np.linspace(0, 2 * np.pi, 11)), atol=1e-4)
 
 
-def test_no_ray_passes_between_triangles():
-    """On the bust, three in a hundred did: what they met was its far side."""
+def test_first_hit_does_not_pass_between_triangles():
+    """Three of a hundred of libigl's rays did on the bust, and hit its far side."""
     solid = load_object("bust").solid
-    draw = np.random.default_rng(0)
-    faces = solid.triangles[draw.integers(0, len(solid.triangles), 400)]
-    # Straight at the middle of a side, and at a corner: where a ray that misses misses.
+    rng = np.random.default_rng(0)
+    faces = solid.triangles[rng.integers(0, len(solid.triangles), 400)]
+    # At the middle of a side and at a corner, where rays miss.
     for target in (solid.vertices[faces[:, :2]].mean(1), solid.vertices[faces[:, 0]]):
         normals = solid.smooth_normal(target)
         far = [solid.first_hit(p + 1e-3 * n, -n) for p, n in zip(target, normals, strict=True)]

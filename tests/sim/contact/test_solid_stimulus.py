@@ -1,4 +1,4 @@
-"""Contact with a solid of any shape: the same as with the stimulus whose shape it has, and without it leaving a trace."""
+"""Contact with a solid equals that with the named stimulus of the same shape, and leaves no history."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ POSE, SHEAR = from_mm_deg([1.0, 0, -3, 5, -6, 20]), from_mm_deg([2.0, -1, 0, 2, 
 
 
 def solid(mesh, size=None):
-    """A Solid of a trimesh.Trimesh in mm, cut up to triangles of at most `size` mm."""
+    """Return a SignedDistanceMesh of a trimesh.Trimesh in mm, with triangles of at most `size` mm."""
     if size:
         mesh = trimesh.Trimesh(*trimesh.remesh.subdivide_to_size(mesh.vertices, mesh.faces, size, max_iter=20))
         mesh.merge_vertices()
@@ -40,39 +40,42 @@ def flat():
 
 
 @pytest.fixture(scope="module")
-def play():
+def simulate():
     design, fidelity = load_design("tactip-127"), fidelity_named("draft")
     return lambda stimulus: ContactSimulator(design, stimulus, fidelity).play(POSE, SHEAR)
 
 
-def apart_mm(one, other):
+def distance_mm(one, other):
     return 1e3 * np.sqrt(((one.tips - other.tips) ** 2).sum(1).mean())
 
 
-def test_a_flat_solid_is_the_flat_surface(play):
-    """Each vertex meets the plane where it is nearest: the same contact, to what the solver leaves."""
-    true, made = play("surface"), play(SolidStimulus(solid(flat())))
-    assert apart_mm(true, made) < 1e-3
+def test_flat_solid_equals_flat_surface(simulate):
+    """Each vertex touches the plane at its nearest point, so contacts agree to the solver's tolerance."""
+    true, made = simulate("surface"), simulate(SolidStimulus(solid(flat())))
+    assert distance_mm(true, made) < 1e-3
     assert made.normal_force_n == pytest.approx(true.normal_force_n, rel=1e-3)
 
 
-@pytest.mark.parametrize(("name", "mesh", "most_mm"), [("edge", edge, 0.1), ("sphere", ball, 0.15)])
-def test_a_rounded_solid_is_what_it_is_a_mesh_of(play, name, mesh, most_mm):
-    """An edge and a ball of 5 mm pass between the skin's vertices: without the probes the pins are 0.2 mm off, and a facet
-    is 0.4 mm inside."""
-    true, made = play(name), play(SolidStimulus(solid(mesh()), sharpest_m=0.5e-3 if name == "edge" else SPHERE_RADIUS_M))
-    assert apart_mm(true, made) < most_mm
+@pytest.mark.parametrize(("name", "mesh", "max_mm"), [("edge", edge, 0.1), ("sphere", ball, 0.15)])
+def test_rounded_solid_equals_named_stimulus(simulate, name, mesh, max_mm):
+    """An edge and a ball of 5 mm fit between the skin's vertices: without probes the pins are 0.2 mm off and a facet is
+    0.4 mm inside."""
+    true, made = (
+        simulate(name),
+        simulate(SolidStimulus(solid(mesh()), min_radius_m=0.5e-3 if name == "edge" else SPHERE_RADIUS_M)),
+    )
+    assert distance_mm(true, made) < max_mm
     assert made.normal_force_n == pytest.approx(true.normal_force_n, rel=0.03)
     assert made.overlap_m < QualityLimits().overlap_m
     assert made.penetration_m < max(QualityLimits().penetration_m, true.penetration_m)
 
 
-def test_how_finely_a_solid_is_cut_does_not_matter(play):
-    coarse, fine = play(SolidStimulus(solid(edge()))), play(SolidStimulus(solid(edge(), 2.0)))
-    assert apart_mm(coarse, fine) < 0.02
+def test_contact_does_not_depend_on_triangle_size(simulate):
+    coarse, fine = simulate(SolidStimulus(solid(edge()))), simulate(SolidStimulus(solid(edge(), 2.0)))
+    assert distance_mm(coarse, fine) < 0.02
 
 
-def test_a_contact_with_a_solid_leaves_nothing_behind():
+def test_contact_with_solid_does_not_depend_on_earlier_one():
     player = ContactSimulator(load_design("tactip-127"), SolidStimulus(solid(edge())), fidelity_named("draft"))
     first = player.play(POSE, SHEAR)
     player.play(from_mm_deg([-2.0, 0, -4, 0, 0, 0]), np.zeros(6))

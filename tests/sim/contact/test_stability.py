@@ -1,4 +1,4 @@
-"""The corners of the map: good records or refusals with a reason, and every check able to fail."""
+"""Limits of the stability map: good records or rejections with a reason, and every check can fail."""
 
 import json
 from dataclasses import replace
@@ -13,11 +13,11 @@ from tactip_twin.benchmarks.options import StabilityOptions
 from tactip_twin.benchmarks.physics import stability
 from tactip_twin.commands import main as tactip
 from tactip_twin.sim.contact import stimuli
-from tactip_twin.sim.contact.fidelity import SHORTEST_STEP_S, Fidelity, Motion, Solver, fidelity_named, finer
+from tactip_twin.sim.contact.fidelity import MIN_STEP_S, Fidelity, Motion, Solver, fidelity_named, finer
 from tactip_twin.sim.contact.limits import check_ranges
 from tactip_twin.sim.contact.record import QualityLimits
 from tactip_twin.sim.contact.scene import Scene
-from tactip_twin.sim.contact.simulator import TRIES, UNPROVEN, ContactSimulator, RetryingSimulator
+from tactip_twin.sim.contact.simulator import TRIES, UNCONFIRMED, ContactSimulator, RetryingSimulator
 from tactip_twin.sim.contact.stimuli import STIMULI, stimulus_named
 from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES, Ranges
 from tactip_twin.sim.labels import TASKS
@@ -42,7 +42,7 @@ def good(on_surface):
     return contact
 
 
-# Stimuli: their shape, and how far the tip must rise to clear them.
+# Stimuli: their shape, and the height at which the tip clears them.
 
 
 class Probe:
@@ -65,8 +65,8 @@ class Probe:
 
 
 @pytest.mark.parametrize("name", STIMULI)
-def test_distance_is_that_of_the_shape(name):
-    """Outside: to a few µm, as coarse as the rounding's facets are. And the highest point is at zero."""
+def test_stimulus_distance_agrees_with_mujoco(name):
+    """Outside it agrees to a few µm, the error of the rounding's facets; the highest point is at zero."""
     probe, thing, rng = Probe(name, 0.2e-3), stimulus_named(name), np.random.default_rng(0)
     points = rng.uniform([-8e-3, -8e-3, -8e-3], [8e-3, 8e-3, 4e-3], (60, 3))
     distance = thing.distance(points)
@@ -80,7 +80,7 @@ def test_distance_is_that_of_the_shape(name):
 
 
 @pytest.mark.parametrize("name", STIMULI)
-def test_height_to_clear_against_brute_force(name):
+def test_height_to_clear_agrees_with_brute_force(name):
     probe, thing, rng = Probe(name, DOME_M), stimulus_named(name), np.random.default_rng(1)
     more_than_needed = stimuli.EDGE_RADIUS_M if name == "edge" else 20e-6
     for centre in rng.uniform([-25e-3, -10e-3, 5e-3], [25e-3, 10e-3, 30e-3], (8, 3)):
@@ -96,7 +96,7 @@ def test_height_to_clear_against_brute_force(name):
             assert slack < more_than_needed + 1e-6
 
 
-def test_unknown_stimuli_are_refused_with_a_list(design, standard):
+def test_unknown_stimulus_error_lists_names(design, standard):
     with pytest.raises(TactipError, match=r"unknown stimulus 'banana': choose one of surface, edge, sphere"):
         ContactSimulator(design, "banana", standard)
     assert set(TASKS) < set(STIMULI)
@@ -104,19 +104,19 @@ def test_unknown_stimuli_are_refused_with_a_list(design, standard):
 
 @pytest.fixture(scope="module")
 def pressed(design, standard):
-    """The 3 mm press of every stimulus: dict of name to Contact, its fault lists and the tries that were allowed."""
+    """Return for each stimulus the 3 mm press: Contact, its failed checks and the allowed number of tries."""
     players = {name: RetryingSimulator(design, name, standard, QualityLimits()) for name in STIMULI}
     return {name: (*press(player, 3), player.tries) for name, player in players.items()}
 
 
-def test_every_stimulus_gives_a_good_record(pressed):
+def test_press_on_every_stimulus_passes_checks(pressed):
     for name, (contact, faults, tries) in pressed.items():
         assert len(faults) < tries, name
         assert contact.faults(QualityLimits()) == [], name
         assert contact.penetration_m < QualityLimits().penetration_m, name
 
 
-def test_blunter_things_press_harder(pressed):
+def test_force_grows_with_bluntness(pressed):
     forces = [pressed[name][0].normal_force_n for name in ("needle", "point", "sphere", "knife", "edge", "surface")]
     assert (np.diff(forces[1:]) > 0).all()
     # Between vertices 2 mm apart, a needle is as blunt as a point.
@@ -125,16 +125,16 @@ def test_blunter_things_press_harder(pressed):
 
 
 @pytest.mark.parametrize("name", ["surface", "sphere", "point", "needle", "hole"])
-def test_round_things_press_evenly(pressed, design, name, on_surface):
-    """No side force, and no pin field that drifts to a side."""
+def test_press_on_symmetric_stimulus_has_no_side_force(pressed, design, name, on_surface):
+    """The pin field does not drift to a side either."""
     contact = pressed[name][0]
     assert contact.tangential_force_n < 0.05 * contact.normal_force_n
-    moved = contact.tips - on_surface.player.reader.tips
+    moved = contact.tips - on_surface.simulator.reader.tips
     assert np.linalg.norm(moved.mean(0)[:2]) < 0.03 * np.linalg.norm(moved, axis=1).max()
 
 
-def test_what_comes_through_between_the_vertices_is_seen(design, standard, monkeypatch):
-    """Played as if it were not thin, the needle comes through a facet: no contact is left to tell, the shape does."""
+def test_overlap_detects_stimulus_between_vertices(design, standard, monkeypatch):
+    """Simulated as if it were not thin, the needle pierces a facet; no contact shows it, but the shape does."""
     monkeypatch.setattr(stimuli.Rod, "width_m", np.inf)
     contact = press(ContactSimulator(design, "needle", standard), 3)
     assert contact.penetration_m == 0.0
@@ -142,7 +142,7 @@ def test_what_comes_through_between_the_vertices_is_seen(design, standard, monke
     assert any("overlap" in fault for fault in contact.faults(QualityLimits()))
 
 
-# Records: each check can fail, and measures what it says.
+# Records: each check can fail, and measures the named quantity.
 
 
 @pytest.mark.parametrize(
@@ -161,14 +161,14 @@ def test_what_comes_through_between_the_vertices_is_seen(design, standard, monke
         ({"unsolved": 0.5}, "iterations"),
     ],
 )
-def test_a_spoiled_record_is_refused(good, change, word):
+def test_faults_of_bad_record_name_the_check(good, change, word):
     (fault,) = replace(good, **change).faults(QualityLimits())
     assert word in fault
 
 
 @pytest.mark.parametrize("name", ["surface", "edge", "needle"])
-def test_overlap_is_that_of_the_shapes(design, standard, name):
-    """Undeformed, 2 mm inside: exactly 2 mm less what the mesh's facets lie inside the sphere."""
+def test_overlap_of_undeformed_tip_is_exact(design, standard, name):
+    """At 2 mm depth it is 2 mm, less the depth of the mesh's facets inside the sphere."""
     scene = Scene(design, name, standard)
     overlap = scene.overlap(sensor_in_contact(from_mm_deg([0, 0, -2, 0, 0, 0])))
     depth = {"surface": 2e-3, "edge": 2e-3, "needle": stimuli.NEEDLE_RADIUS_M + CONTACT_RADIUS_M}[name]
@@ -176,8 +176,8 @@ def test_overlap_is_that_of_the_shapes(design, standard, name):
     assert scene.overlap(sensor_in_contact(from_mm_deg([0, 0, 1, 0, 0, 0]))) == 0.0
 
 
-def test_folds_and_shrunk_facets_are_measured(on_surface):
-    scene = on_surface.player.scene
+def test_skin_shape_measures_folds_and_shrunk_facets(on_surface):
+    scene = on_surface.simulator.scene
     rest = scene.mesh.vertices
     area, fold = scene.skin_shape(rest)
     assert area == pytest.approx(1.0)
@@ -194,8 +194,8 @@ def test_folds_and_shrunk_facets_are_measured(on_surface):
     assert scene.skin_shape(squashed)[0] < 0.05
 
 
-def test_a_moving_tip_is_out_of_balance(design, standard, monkeypatch):
-    """A press looked at in full motion: energy goes on being stored."""
+def test_record_of_moving_tip_has_energy_drift(design, standard, monkeypatch):
+    """In a press recorded in motion, elastic energy is still being stored."""
     jerky = replace(standard, motion=replace(standard.motion, ease_in=0.0, ease_out=0.0))
     player = ContactSimulator(design, "surface", jerky)
     assert not press(player, 3).faults(QualityLimits())
@@ -203,7 +203,7 @@ def test_a_moving_tip_is_out_of_balance(design, standard, monkeypatch):
     assert any("drifts" in fault for fault in press(player, 3).faults(QualityLimits()))
 
 
-def test_a_starved_solver_is_seen(design, standard):
+def test_record_shows_solver_at_iteration_limit(design, standard):
     player = ContactSimulator(design, "surface", standard)
     player.scene.model.opt.iterations = 10
     contact = press(player, 3, 2)
@@ -211,12 +211,12 @@ def test_a_starved_solver_is_seen(design, standard):
     assert any("iterations" in fault for fault in contact.faults(QualityLimits()))
 
 
-# Materials and steps: what is similar comes out similar.
+# Materials and steps.
 
 
 @pytest.mark.parametrize("scale", [0.05, 50.0])
-def test_a_tip_stiffer_in_all_is_the_same_tip(design, standard, good, scale):
-    """Moduli times a number: the same shape under that many times the force. Contact goes with the moduli."""
+def test_force_scales_with_all_moduli(design, standard, good, scale):
+    """With all moduli scaled, the shape is the same and the force scales, because contact stiffness does, too."""
     m = design.materials
     other = replace(m, skin_young_pa=scale * m.skin_young_pa, gel_young_pa=scale * m.gel_young_pa)
     contact = press(ContactSimulator(replace(design, materials=other), "surface", standard), 3, 1)
@@ -235,18 +235,18 @@ def test_a_tip_stiffer_in_all_is_the_same_tip(design, standard, good, scale):
         {"density_kg_m3": 10500.0, "damping_s": 2e-3},
     ],
 )
-def test_corners_of_the_materials(materials):
+def test_extreme_materials_converge(materials):
     result = stability.judge(stability.Cell("", "", "", slide_mm=2, materials=materials), fidelity_named("standard"))
     assert result["verdict"] in ("converged", "after refinement"), result["reasons"]
 
 
 @pytest.mark.parametrize("name", ["needle", "edge", "hole", "sphere"])
-def test_a_start_inside_something_that_is_not_flat_is_refused(design, standard, name):
+def test_start_inside_non_flat_stimulus_raises_error(design, standard, name):
     with pytest.raises(TactipError, match=r"approach must be True .*, got False"):
         press(ContactSimulator(design, name, standard), 1, approach=False)
 
 
-def test_a_plane_that_starts_inside_pushes_the_skin_out(design, standard):
+def test_start_inside_plane_equals_approach(design, standard):
     player = RetryingSimulator(design, "surface", standard, QualityLimits())
     contact, faults = press(player, 1, approach=False)
     assert len(faults) < player.tries
@@ -254,34 +254,34 @@ def test_a_plane_that_starts_inside_pushes_the_skin_out(design, standard):
     assert contact.normal_force_n == pytest.approx(approached.normal_force_n, rel=0.05)
 
 
-def test_where_skin_catches_two_steps_must_agree(design, standard):
-    """The first good record is not enough, nor are two that differ."""
+def test_snagging_stimulus_needs_agreement_of_two_steps(design, standard):
+    """Neither a single good record nor two that differ suffice."""
     player = RetryingSimulator(design, "knife", standard, QualityLimits())
     contact, faults = press(player, 1, 3)
-    assert faults[-1] == [UNPROVEN]
+    assert faults[-1] == [UNCONFIRMED]
     assert len(faults) < player.tries
     again = ContactSimulator(design, "knife", finer(player._simulator(len(faults)).scene.fidelity))
     apart = np.linalg.norm(press(again, 1, 3).tips - contact.tips, axis=1)
     assert np.sqrt(np.mean(apart**2)) < QualityLimits().disagreement_m
     _, faults = press(RetryingSimulator(design, "knife", standard, QualityLimits(disagreement_m=1e-9)), 1, 3)
     assert len(faults) == player.tries
-    assert "from where twice the step has them" in faults[-1][0]
+    assert "halving the step moves the pins by" in faults[-1][0]
 
 
-def test_two_good_records_about_a_bad_one_prove_nothing(design, monkeypatch, good):
-    """They differ by a quarter of the step, and the one between them is no coarser record to go on from."""
+def test_good_records_around_bad_one_do_not_confirm(design, monkeypatch, good):
+    """Their steps differ by a factor of four, and the bad record between them cannot serve as the coarser one."""
     bad = replace(good, penetration_m=1e-3)
     player = RetryingSimulator(design, "knife", fidelity_named("draft"), QualityLimits())
     script = iter([good, bad, good, good])
     monkeypatch.setattr(ContactSimulator, "play", lambda *_: next(script))
     contact, faults = player.play(good.pose, good.shear)
     assert contact is good
-    assert [f == [UNPROVEN] for f in faults] == [True, False, True]
+    assert [f == [UNCONFIRMED] for f in faults] == [True, False, True]
     assert player._slider is player._simulators[2] and player.last is player._simulators[3]
 
 
 @pytest.mark.parametrize(("name", "friction", "tries"), [("surface", 1.0, 3), ("surface", 1.1, 4), ("corner", 0.3, 4)])
-def test_high_friction_and_sharp_things_must_be_proven(design, name, friction, tries):
+def test_high_friction_and_sharp_stimuli_need_one_more_try(design, name, friction, tries):
     rough = replace(design, materials=replace(design.materials, friction=friction))
     assert RetryingSimulator(rough, name, fidelity_named("draft"), QualityLimits()).tries == tries
 
@@ -297,7 +297,7 @@ def test_high_friction_and_sharp_things_must_be_proven(design, name, friction, t
     depth=st.floats(0.2, 8),
     slide=st.floats(0, 3),
 )
-def test_any_configuration_is_refused_or_good(skin, gel, poisson, friction, density, name, depth, slide):
+def test_any_configuration_is_rejected_or_good(skin, gel, poisson, friction, density, name, depth, slide):
     try:
         materials = Materials(
             skin_young_pa=10**skin,
@@ -321,7 +321,7 @@ def test_any_configuration_is_refused_or_good(skin, gel, poisson, friction, dens
     assert contact.normal_force_n > -1e-6
 
 
-# What is known beforehand.
+# Checks before the simulation.
 
 
 @pytest.mark.parametrize(
@@ -382,15 +382,15 @@ def test_any_configuration_is_refused_or_good(skin, gel, poisson, friction, dens
         ),
     ],
 )
-def test_what_cannot_do_is_refused_by_name_and_bound(make, words):
-    with pytest.raises(TactipError) as refused:
+def test_invalid_value_error_names_field_and_limits(make, words):
+    with pytest.raises(TactipError) as caught:
         make()
     for word in words:
-        assert word in str(refused.value)
-    assert "\n" not in str(refused.value)
+        assert word in str(caught.value)
+    assert "\n" not in str(caught.value)
 
 
-def test_numbers_of_numpy_and_none_where_it_is_allowed_are_taken():
+def test_numpy_numbers_and_allowed_none_are_accepted():
     image = TactileImage(crop=tuple(np.arange(4)), threshold=None, size_px=np.int32(64))
     assert image.crop is not None and TactileImage(crop=None).crop is None
     assert Materials(friction=np.float32(0.5), gel_young_pa=20000).friction == 0.5
@@ -407,19 +407,19 @@ def test_numbers_of_numpy_and_none_where_it_is_allowed_are_taken():
         ([0, 0, np.nan, 0, 0, 0], [0] * 6, ["finite"]),
     ],
 )
-def test_poses_out_of_reach_are_refused(on_surface, pose, shear, words):
-    with pytest.raises(TactipError) as refused:
+def test_pose_out_of_reach_raises_error(on_surface, pose, shear, words):
+    with pytest.raises(TactipError) as caught:
         on_surface(pose, shear)
     for word in words:
-        assert word in str(refused.value)
+        assert word in str(caught.value)
 
 
-def test_a_needle_is_not_pressed_deeper_than_it_holds(design, standard):
+def test_needle_has_smaller_depth_limit(design, standard):
     with pytest.raises(TactipError, match="must be at most 5 mm, got 6 mm"):
         press(ContactSimulator(design, "needle", standard), 6)
 
 
-def test_ranges_out_of_reach_are_refused():
+def test_ranges_out_of_reach_raise_error():
     for task in TASKS:
         check_ranges(POSE_RANGES[task], SHEAR_RANGES)
     with pytest.raises(TactipError, match="must be at most 8 mm, got 9 mm"):
@@ -430,27 +430,27 @@ def test_ranges_out_of_reach_are_refused():
         check_ranges(Ranges(depth_mm=(-3, -1), roll_deg=(-31, 25)), SHEAR_RANGES)
 
 
-def test_refinement_stays_within_bounds():
-    """From any allowed fidelity: the finer one is allowed, too."""
-    extreme = Fidelity("x", motion=Motion(step_s=SHORTEST_STEP_S, press_step_m=2e-5, shear_step_m=7e-6))
+def test_finer_fidelity_stays_within_limits():
+    """The finer one of any allowed fidelity is allowed, too."""
+    extreme = Fidelity("x", motion=Motion(step_s=MIN_STEP_S, press_step_m=2e-5, shear_step_m=7e-6))
     extreme = replace(extreme, contact=ContactModel(resting=(1e9, 1e7)), solver=Solver(tolerance=1e-14))
     for _ in range(TRIES):
         extreme = finer(extreme)
-    assert extreme.motion.step_s == SHORTEST_STEP_S
+    assert extreme.motion.step_s == MIN_STEP_S
 
 
 # The map.
 
 
-def test_a_cell_that_is_not_confirmed_is_wrong(monkeypatch):
-    """Half the step with another result: the map must say so."""
+def test_cell_that_half_the_step_contradicts_is_wrong(monkeypatch):
+    """The map must show that half the step gives another result."""
     monkeypatch.setattr(stability, "PINS_MM", 1e-6)
     result = stability.judge(stability.Cell("", "", "", depth_mm=1.0), fidelity_named("draft"))
     assert result["verdict"] == "wrong"
     assert "half the step" in result["reasons"][0]
 
 
-def test_a_map_is_made_resumed_and_written(tmp_path, monkeypatch):
+def test_stability_map_is_resumed_and_written(tmp_path, monkeypatch):
     """Two cells here (workers choose their own from the whole map), a third known from an earlier run."""
     monkeypatch.setattr(stability, "_chosen", lambda quick: stability.cells()[:1] + stability.cells()[-3:])
     chosen = stability._chosen(True)
@@ -467,18 +467,18 @@ def test_a_map_is_made_resumed_and_written(tmp_path, monkeypatch):
     assert not folder.exists()
 
 
-def test_cells_have_a_place_of_their_own():
+def test_stability_cells_have_distinct_positions():
     places = [(c.panel, c.row, c.column) for c in stability.cells()]
     assert len(set(places)) == len(places)
     assert len(places) > 300
 
 
 @pytest.mark.slow
-def test_no_cell_of_the_quick_map_is_wrong(tmp_path):
+def test_quick_stability_map_has_no_wrong_cell(tmp_path):
     assert tactip.main(["bench", "stability", "--quick", "--out", str(tmp_path)]) == 0
 
 
-def test_a_needle_beside_the_axis_is_met_where_it_is(design, standard):
+def test_needle_beside_axis_moves_nearest_pins(design, standard):
     """The pins nearest to the needle move most."""
     player = RetryingSimulator(design, "needle", standard, QualityLimits())
     contact, faults = player.play(from_mm_deg([3, 0, -2, 0, 0, 0]), np.zeros(6))
@@ -490,8 +490,8 @@ def test_a_needle_beside_the_axis_is_met_where_it_is(design, standard):
 
 
 @pytest.mark.parametrize("away", [1e200, float("nan"), 10.0])
-def test_a_state_that_is_lost_overlaps_without_end(design, standard, away):
-    """It is not sampled: its facets are larger than any number of samples."""
+def test_overlap_of_diverged_state_is_infinite(design, standard, away):
+    """It is not sampled, because its facets are too large for any number of samples."""
     scene = Scene(design, "edge", standard)
     scene.reset()
     scene.data.qpos[7 + 30] = away
