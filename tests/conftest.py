@@ -1,4 +1,4 @@
-"""Fixtures shared by several tests that take a while to make."""
+"""Shared fixtures that are slow to build."""
 
 import shutil
 from dataclasses import replace
@@ -52,11 +52,11 @@ def on_ice(frictionless, standard):
 class Press:
     """A simulator that takes labels in mm and degrees."""
 
-    def __init__(self, player):
-        self.player = player
+    def __init__(self, simulator):
+        self.simulator = simulator
 
     def __call__(self, pose, shear=(0, 0, 0, 0, 0, 0)):
-        return self.player.play(from_mm_deg(pose), from_mm_deg(shear))
+        return self.simulator.play(from_mm_deg(pose), from_mm_deg(shear))
 
 
 @pytest.fixture(scope="session")

@@ -22,7 +22,7 @@ from tactip_twin.sim.dataset.generate import Job, make
 from tactip_twin.sim.dataset.partial_record import unpack_finished_set
 from tactip_twin.sim.dataset.symmetry import SYMMETRIES
 from tactip_twin.sim.dataset.verify import verify
-from tactip_twin.sim.parallel.ray_pool import HELD_S, RayPool, joined
+from tactip_twin.sim.parallel.ray_pool import BLOCK_S, RayPool, joined
 from tactip_twin.sim.parallel.worker_pool import WorkerPool
 from tactip_twin.tactip_model.bounds import require
 from tactip_twin.tactip_model.files import write_file
@@ -132,7 +132,7 @@ def _dispatch(options: ScaleOptions) -> dict[str, float]:
 class _Single(RayPool):
     """A pool that gives each worker one task at a time."""
 
-    max_held = 1
+    max_block = 1
 
 
 def _rate(pool: Callable[[], WorkerPool], options: ScaleOptions) -> float:
@@ -201,7 +201,7 @@ def _extrapolated(figures: dict[str, Any], cores: int) -> list[str]:
             f"{rate:,.0f}",
             f"{rate * each * figures['bytes_a_sample'] / 1e6:,.1f}",
             f"{rate * (each + 1):,.0f}",
-            f"{min(rate, workers / HELD_S):,.0f}",
+            f"{min(rate, workers / BLOCK_S):,.0f}",
             f"{100 * busy:.1f} %",
         ]
         out.append(f"| {machines} | {' | '.join(cells)} |")
@@ -221,7 +221,7 @@ def _limits(record: dict[str, Any]) -> list[str]:
         limits = {"taking note of shards": second / (each * figures["note_s_a_sample"])}
         if "Ray" in record["dispatch"]:
             limits["handing out tasks"] = record["dispatch"]["Ray"] * second
-            limits["messages of a second's work"] = record["dispatch"]["Ray, one task a message"] * HELD_S
+            limits["messages of a second's work"] = record["dispatch"]["Ray, one task a message"] * BLOCK_S
         workers_by_limit = "; ".join(f"{what} by {workers:,.0f} workers" for what, workers in limits.items())
         out.append(f"- {task}: the driver, which is one process, is kept busy: {workers_by_limit}.")
     samples = CONTACTS * record["tasks"]["surface"]["samples_a_contact"]

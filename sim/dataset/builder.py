@@ -1,4 +1,4 @@
-"""The folder of a data set while it is made: who may write in it, what is done, and how records become a finished set."""
+"""The folder of a data set while it is made: its lock, its progress, and how records become a finished set."""
 
 import contextlib
 import io
@@ -76,7 +76,7 @@ class DatasetBuilder:
                 return
             if not meta:
                 check_resumable(self._path, _KIND, None, identity)
-        # This folder marks the set as begun. It comes first, so a kill before the next line leaves a resumable set.
+        # This folder marks the set as started. It comes first, so a kill before the next line leaves a resumable set.
         self._partial.mkdir(parents=True, exist_ok=True)
         if self._alone:
             stack.enter_context(locked(self._partial / "lock", f"making the set in {self._path}"))
@@ -84,11 +84,11 @@ class DatasetBuilder:
         if self._is_complete(meta):
             shutil.rmtree(self._partial, ignore_errors=True)  # a kill came between the last two steps
             return
-        begun = self._partial / "configuration.json"
-        if begun.exists() and not meta:
-            self._check_same(json.loads(begun.read_text()), identity)
+        started = self._partial / "configuration.json"
+        if started.exists() and not meta:
+            self._check_same(json.loads(started.read_text()), identity)
         else:
-            write_file(begun, json.dumps(identity, indent=1).encode())
+            write_file(started, json.dumps(identity, indent=1).encode())
         for folder in (self._path, self._partial, self._path / "images"):
             for leftover in folder.glob(".*.tmp"):
                 leftover.unlink(missing_ok=True)  # a worker that outlived its command may just have renamed it
@@ -114,7 +114,7 @@ class DatasetBuilder:
         return True
 
     def _begin(self, stack: contextlib.ExitStack, meta: dict[str, Any] | None) -> None:
-        """Make what samples need.
+        """Prepare the folder for samples.
 
         Args:
             stack: Contexts that are closed at the end.
@@ -131,10 +131,10 @@ class DatasetBuilder:
             _, old, new = difference
             if not first_difference(recorded, _with_samples(requested, json.loads(old))):
                 finished = (self._path / "meta.json").exists()
-                unfinished = f"an unfinished set of {old} samples: ask for {old} to finish it, and for more after that"
-                holds = f"a set of {old} samples: ask for more of them" if finished else unfinished
+                allowed = f"at least {old}" if finished else f"{old} until the set is finished"
                 raise TactipError(
-                    f"{new} samples are asked for, and the folder {self._path} holds {holds}, or name another folder"
+                    f"the {'finished' if finished else 'unfinished'} set in {self._path} has {old} samples: samples must be "
+                    f"{allowed}, got {new}; or choose another folder"
                 )
         check_resumable(self._path, _KIND, recorded, requested)
 
@@ -151,7 +151,7 @@ class DatasetBuilder:
             number: Number of the contact.
             cost: Seconds, and peak memory of the worker in MiB.
             workers: Number of workers.
-            seconds: Time since the command began, s.
+            seconds: Time since the start of the command, s.
 
         Returns:
             Tasks for a worker that finish shards.
@@ -166,7 +166,7 @@ class DatasetBuilder:
         self._missing.discard(number)
         return None if self._missing else self._run_json(workers, seconds)
 
-    def closed_elsewhere(self) -> None:
+    def mark_finished(self) -> None:
         """Note that a worker has finished the set."""
         self._samples = read_meta(self._path)["samples"]
 
@@ -188,7 +188,7 @@ class DatasetBuilder:
 
         Args:
             workers: Number of workers.
-            seconds: Time since the command began, s.
+            seconds: Time since the start of the command, s.
 
         Returns:
             A result with folder, asked, kept, failed, made and seconds.

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 
 from tactip_twin.sim.dataset.format import encode_image, read_dataset
+from tactip_twin.tactip_model.bounds import require
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.files import write_file
 
@@ -26,8 +27,8 @@ def contact_sheet(folder: str | Path, count: int = 24, columns: int = 6) -> np.n
     Raises:
         TactipError: The set or an image cannot be read, or `count` or `columns` is below 1.
     """
-    if count < 1 or columns < 1:
-        raise TactipError(f"a sheet of {count} images in {columns} columns cannot be drawn: both must be at least 1")
+    require(count >= 1, "count", count, "at least 1")
+    require(columns >= 1, "columns", columns, "at least 1")
     dataset = read_dataset(folder)
     if not dataset.images:
         raise TactipError(f"the set in {folder} has no images to show")
@@ -47,7 +48,7 @@ def contact_sheet(folder: str | Path, count: int = 24, columns: int = 6) -> np.n
 def write_sheet(folder: str | Path, out: Path, count: int = 24, columns: int = 6) -> None:
     """Write `contact_sheet` to a PNG file. Raises TactipError and OSError."""
     if out.suffix.lower() != ".png":
-        raise TactipError(f"the sheet is written as PNG: {out} must end in .png")
+        raise TactipError(f"the file of a contact sheet must end in .png, got {out}")
     sheet = contact_sheet(folder, count, columns)
     out.parent.mkdir(parents=True, exist_ok=True)
     write_file(out, encode_image(sheet))

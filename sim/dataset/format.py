@@ -50,7 +50,7 @@ COLUMNS = ("sensor_image", *LABELS, *SHEARS, *MEASURES, "index", "seed")
 """Columns of targets.csv of a simulated set; every set has the first thirteen."""
 
 PARTIAL = ".partial"
-"""Folder inside an unfinished set with what is made so far."""
+"""Folder inside an unfinished set with the results so far."""
 
 
 def checksum(data: bytes) -> str:
@@ -179,7 +179,7 @@ def read_meta(folder: str | Path) -> dict[str, Any]:
     path = Path(folder) / "meta.json"
     if not path.exists():
         if (Path(folder) / PARTIAL).exists():
-            raise TactipError(f"the set in {folder} is unfinished: the command that makes it goes on where it stopped")
+            raise TactipError(f"the set in {folder} is unfinished: run the command that makes it again to resume it")
         raise TactipError(f"there is no data set in {folder}: it has no meta.json")
     try:
         meta = json.loads(path.read_text())
@@ -188,7 +188,7 @@ def read_meta(folder: str | Path) -> dict[str, Any]:
     if not isinstance(meta, dict) or meta.get("format") != FORMAT:
         raise TactipError(f"{path} does not describe a data set of this project: its format is not {FORMAT!r}")
     if meta.get("version") != VERSION:
-        raise TactipError(f"{path} is of version {meta.get('version')!r}: this program reads version {VERSION}")
+        raise TactipError(f"{path} has version {meta.get('version')!r}, but this program reads version {VERSION}")
     return meta
 
 
@@ -203,7 +203,7 @@ def read_configuration(meta: dict[str, Any], folder: str | Path) -> Configuratio
         TactipError: It has no configuration, or one of another version of the project.
     """
     if not isinstance(meta.get("configuration"), dict) or "fidelity" not in meta["configuration"]:
-        raise TactipError(f"the set in {folder} was not simulated: it has no configuration to play its contacts by")
+        raise TactipError(f"the set in {folder} was not simulated: it has no configuration to simulate its contacts from")
     return from_dict(Configuration, meta["configuration"], f"{folder}: configuration")
 
 
@@ -244,7 +244,7 @@ def read_dataset(folder: str | Path) -> Dataset:
             poses.append(np.array([[float(row[c]) for c in LABELS] for row in rows]).reshape(-1, 6))
             shears.append(np.array([[float(row[c]) for c in SHEARS] for row in rows]).reshape(-1, 6))
         except (TypeError, ValueError) as error:
-            raise TactipError(f"{part / 'targets.csv'} has a cell that is no number: {error}") from error
+            raise TactipError(f"{part / 'targets.csv'} has a cell that is not a number: {error}") from error
         names += [row["sensor_image"] for row in rows]
         ends.append(len(names))
     return Dataset(folder, meta, tuple(names), np.concatenate(poses), np.concatenate(shears), tuple(ends))
@@ -271,9 +271,7 @@ def read_pins(folder: str | Path, meta: dict[str, Any]) -> tuple[np.ndarray, np.
                 pin_tips.append(pins["tips"])
                 directions.append(pins["directions"])
         except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile) as error:
-            raise TactipError(
-                f"{path} cannot be read ({error}): only simulated sets, which have pins, can do this"
-            ) from error
+            raise TactipError(f"{path} cannot be read ({error}): only simulated sets have pins") from error
     return np.concatenate(pin_tips), np.concatenate(directions)
 
 

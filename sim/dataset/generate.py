@@ -2,8 +2,8 @@
 
 A contact and its samples are done once its record is in the set's `.partial` folder; its images are written before. Resuming
 makes the contacts without a record, and the bytes are the same, because a contact depends only on the configuration and its
-number. When all are done, the records become targets.csv, pins.npz and, last, meta.json. A finished set grows in the same
-way: it becomes records again, and the missing ones are made.
+number. When all are done, the records become targets.csv, pins.npz and, last, meta.json. A finished set grows
+likewise: it becomes records again, and the missing ones are made.
 """
 
 import contextlib
@@ -36,6 +36,7 @@ from tactip_twin.sim.dataset.symmetry import SymmetricReader, ranges_are_symmetr
 from tactip_twin.sim.parallel.ray_pool import RayPool, joined, ray_here
 from tactip_twin.sim.parallel.worker_pool import WorkerPool
 from tactip_twin.sim.pose import to_mm_deg
+from tactip_twin.tactip_model.bounds import require
 from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.errors import TactipError, lookup
 from tactip_twin.tactip_model.files import write_file
@@ -60,61 +61,48 @@ class Job:
 
 
 def check(configuration: Configuration) -> None:
-    """Raise TactipError where no set of a configuration can be made."""
-    if configuration.samples < 1:
-        raise TactipError(f"a set of {configuration.samples} samples cannot be made: ask for at least 1")
-    if configuration.seed < 0:
-        raise TactipError(f"the seed {configuration.seed} does not do: it must be 0 or more")
+    """Raise TactipError where a configuration is invalid."""
+    require(configuration.samples >= 1, "samples", configuration.samples, "at least 1")
+    require(configuration.seed >= 0, "seed", configuration.seed, "non-negative")
     lookup("renderer", configuration.renderer, dict.fromkeys(RENDERERS))
     rng = generator(configuration.seed, configuration.task, configuration.split, 0)
     configuration.pose.check("pose")
     configuration.shear.check("shear")
     depth = configuration.pose.depth_mm
-    if depth[1] > 0:
-        raise TactipError(f"the range pose.depth_mm is {depth}: depth is negative into the object, and it must be at most 0")
+    require(depth[1] <= 0, "pose.depth_mm", depth, "at most 0 (depth is negative into the object)")
     check_ranges(configuration.pose, configuration.shear)
     _sample_motion(configuration, rng)
-    _check_looks(configuration)
+    _check_snapshots(configuration)
     _check_curvature(configuration)
     for name in ("pose", "shear"):
         if not ranges_are_symmetric(configuration.symmetries, getattr(configuration, name)):
             raise TactipError(
-                f"the ranges of the {name} are not as wide to one side as to the other, and samples by symmetry would leave "
-                "them: leave --symmetric out, or make the ranges even"
+                f"the {name} ranges are not symmetric, so samples made by symmetry would lie outside them: make the ranges "
+                "symmetric, or leave --symmetric out"
             )
 
 
-def _check_looks(configuration: Configuration) -> None:
+def _check_snapshots(configuration: Configuration) -> None:
     c = configuration
-    if not 1 <= c.looks <= MAX_LOOKS:
-        raise TactipError(f"{c.looks} looks at a contact cannot be had: it must be 1 to {MAX_LOOKS}")
-    if c.shard_samples < c.samples_per_contact:
-        raise TactipError(
-            f"shards of {c.shard_samples} samples cannot be made: it must be {c.samples_per_contact}, of a contact, or more"
-        )
+    require(1 <= c.looks <= MAX_LOOKS, "looks", c.looks, f"between 1 and {MAX_LOOKS}")
+    allowed = f"at least {c.samples_per_contact}, the number of samples of one contact"
+    require(c.shard_samples >= c.samples_per_contact, "shard_samples", c.shard_samples, allowed)
     names = ("x_mm", "y_mm", "yaw_deg") if c.task == "surface" else ("y_mm",)
     for name in names if c.looks > 1 else ():
         low, high = getattr(c.pose, name)
-        if not low <= 0 <= high:
-            raise TactipError(
-                f"the range pose.{name} is ({low}, {high}): with more than one look at a contact 0 must be in it, as it is "
-                "after a walk"
-            )
+        allowed = "a range that includes 0 where looks is above 1, because the samples of a sliding path have 0 there"
+        require(low <= 0 <= high, f"pose.{name}", (low, high), allowed)
 
 
 def _check_curvature(configuration: Configuration) -> None:
     low, high = configuration.curvature_per_m
     if configuration.is_curved and configuration.task != "surface":
-        raise TactipError(f"a curvature is asked for with the task {configuration.task!r}: only a surface can be bent")
-    if not 0 <= configuration.uneven <= 1:
-        raise TactipError(f"the share of uneven surfaces is {configuration.uneven}: it must be from 0 to 1")
+        raise TactipError(f"curvature_per_m applies to the task 'surface' only, got the task {configuration.task!r}")
+    require(0 <= configuration.uneven <= 1, "uneven", configuration.uneven, "between 0 and 1")
     if configuration.uneven and not configuration.is_curved:
-        raise TactipError("an unevenly bent surface is asked for without a range of curvature: give --curvature-per-m, too")
-    if not -MAX_HOLLOW_PER_M <= low <= high <= MAX_CURVATURE_PER_M:
-        raise TactipError(
-            f"the range of curvature is ({low}, {high}) 1/m: it must be rising, and from -{MAX_HOLLOW_PER_M:g} "
-            f"to {MAX_CURVATURE_PER_M:g}"
-        )
+        raise TactipError("uneven needs a range of curvature: give --curvature-per-m too")
+    allowed = f"a low and a high between -{MAX_HOLLOW_PER_M:g} and {MAX_CURVATURE_PER_M:g} 1/m"
+    require(-MAX_HOLLOW_PER_M <= low <= high <= MAX_CURVATURE_PER_M, "curvature_per_m", (low, high), allowed)
 
 
 def make(jobs: list[Job], workers: int, say: Callable[[str], None] = print, cluster: str = "") -> list[dict[str, Any]]:
@@ -148,13 +136,13 @@ def make(jobs: list[Job], workers: int, say: Callable[[str], None] = print, clus
         total = sum(job.configuration.samples for job in jobs)
         missing = sum(len(sample_indices(jobs[k].configuration, number)) for k, number in contacts)
         if todo and missing < total:
-            say(f"{total - missing} of {total} samples are there already")
+            say(f"{total - missing} of {total} samples already exist")
         start = time.perf_counter()
 
         def done(task: _Task, seconds: float, peak_mib: float) -> list[_Task]:
             job, item = task
             if isinstance(item, ShardFinalizer):
-                builders[job].closed(item.name)
+                builders[job].mark_shard_finished(item.name)
                 return []
             finalizers = builders[job].done(item, (seconds, peak_mib), workers, time.perf_counter() - start)
             return [(job, finalizer) for finalizer in finalizers]
@@ -168,8 +156,8 @@ def make(jobs: list[Job], workers: int, say: Callable[[str], None] = print, clus
 
         if todo:
             arguments = [job.configuration for job in jobs], [str(job.folder.resolve()) for job in jobs]
-            given = _SampleMakers, arguments, todo, unit, say, name_of
-            pool = RayPool(stack.enter_context(joined(cluster)), *given) if cluster else WorkerPool(*given)
+            settings = _SampleMakers, arguments, todo, unit, say, name_of
+            pool = RayPool(stack.enter_context(joined(cluster)), *settings) if cluster else WorkerPool(*settings)
             workers = min(workers or pool.places(), len(todo))
             pool.work(workers, done)
         return [builder.finish(workers, time.perf_counter() - start) for builder in builders]
@@ -217,27 +205,27 @@ class _SampleMaker:
     def make(self, number: int) -> None:
         """Write the images and the record of contact `number`. Raises OSError."""
         c = self._configuration
-        given = sample_contact(c, number)
+        sample = sample_contact(c, number)
         simulator, reader = self._simulator, self._reader
         if not c.mechanics.is_identity:
-            simulator = simulator_for(c, given.design)
-            reader = SymmetricReader(given.design, simulator.skin()[1], c.symmetries) if c.symmetric else None
-        if given.solid is not None:
-            simulator.replace_solid(given.solid)
+            simulator = simulator_for(c, sample.design)
+            reader = SymmetricReader(sample.design, simulator.skin()[1], c.symmetries) if c.symmetric else None
+        if sample.solid is not None:
+            simulator.replace_solid(sample.solid)
         indices, folder = sample_indices(c, number), shard_dir(c, self._folder, number)
         seed = seed_text(c.seed, c.task, c.split, number)
-        contact, faults = simulator.play(given.pose, given.shear)
+        contact, faults = simulator.play(sample.pose, sample.shear)
         tries, failed = len(faults) + 1, len(faults) == simulator.tries
         kept, rows, images, missed = [], [], {}, []
         if failed:
             kept, rows = [contact], [row_of(contact, indices[0], tries, seed)]
         each = len(c.symmetries)
-        for k, (seen, wrong) in enumerate([] if failed else self._looks(simulator, contact, given)):
+        for k, (state, violations) in enumerate([] if failed else self._snapshots(simulator, contact, sample)):
             own = indices[k * each : (k + 1) * each]
-            if wrong:
-                missed += [{"index": index, "seed": seed, "tries": [wrong]} for index in own]
+            if violations:
+                missed += [{"index": index, "seed": seed, "tries": [violations]} for index in own]
                 continue
-            contacts = reader.read(seen, simulator.skin()[0]) if reader else [seen]
+            contacts = reader.read(state, simulator.skin()[0]) if reader else [state]
             for index, one in zip(own, contacts, strict=False):
                 kept.append(one)
                 rows.append(row_of(one, index, tries, seed))
@@ -248,22 +236,22 @@ class _SampleMaker:
         pins = ([getattr(one, k) for one in kept] for k in ("tips", "directions"))
         write_file(record_path(folder, number), pack_record(record, *pins))
 
-    def _looks(
-        self, simulator: RetryingSimulator, contact: Contact, given: "ContactSample"
+    def _snapshots(
+        self, simulator: RetryingSimulator, contact: Contact, sample: "ContactSample"
     ) -> Iterator[tuple[Contact, list[str]]]:
-        """Yield the state at each image, and what is wrong with it: `contact`, then those on a sliding path from there."""
+        """Yield the state at each image and its violations of the limits: `contact`, then states on a sliding path."""
         c = self._configuration
         yield contact, []
         if c.looks == 1:
             return
-        path = SlidingPath(c.task, given.solid, c.pose, given.pose, given.rng)
+        path = SlidingPath(c.task, sample.solid, c.pose, sample.pose, sample.rng)
         low, high = c.pose.bounds().T
         for _ in range(c.looks - 1):
             contact = simulator.slide(path.stride(), path.label())
-            label, wrong = to_mm_deg(contact.pose), contact.faults(c.bounds.while_sliding())
+            label, violations = to_mm_deg(contact.pose), contact.faults(c.bounds.while_sliding())
             if not ((label > low - _ROUNDING) & (label < high + _ROUNDING)).all():
-                wrong = [*wrong, "on the bent surface, its label is out of the ranges"]
-            yield contact, wrong
+                violations = [*violations, "its label on the curved surface is outside the ranges"]
+            yield contact, violations
 
 
 def _physics(configuration: Configuration) -> tuple[object, ...]:
@@ -301,8 +289,8 @@ def _sample_motion(configuration: Configuration, rng: np.random.Generator) -> tu
         if not exceeds_max_tilt(pose, shear):
             return pose, shear
     raise TactipError(
-        f"of {_MAX_MOTIONS} poses and shears drawn from the ranges all are steeper than {np.degrees(MAX_TILT_RAD):g} "
-        "degrees: tilts nearer to 0 are needed"
+        f"all of {_MAX_MOTIONS} poses and shears sampled from the ranges tilt by more than {np.degrees(MAX_TILT_RAD):g} "
+        "degrees: narrow the ranges of roll and pitch"
     )
 
 
@@ -325,5 +313,5 @@ def simulator_for(configuration: Configuration, design: Design) -> RetryingSimul
         design: The set's design, or one with other mechanics.
     """
     c = configuration
-    curved = SolidStimulus(curved_surface(0.0, 0.0, 0.0), sharpest_m=1 / MAX_CURVATURE_PER_M) if c.is_curved else None
+    curved = SolidStimulus(curved_surface(0.0, 0.0, 0.0), min_radius_m=1 / MAX_CURVATURE_PER_M) if c.is_curved else None
     return RetryingSimulator(design, curved or c.task, c.fidelity, c.bounds)

@@ -98,6 +98,6 @@ def unpack_finished_set(folder: Path) -> None:
                 record |= {"rows": kept, "images": {name: meta["images"][name] for name in names}, "missed": missed}
             write_file(record_path(folder, number), pack_record(record, pin_tips[part], directions[part]))
     except (ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-        raise TactipError(f"the set in {folder} cannot grow, since it is damaged: {error}") from error
+        raise TactipError(f"the set in {folder} cannot grow because it is damaged: {error}") from error
     for name in ("meta.json", "run.json", "targets.csv", "pins.npz"):
         (folder / name).unlink(missing_ok=True)

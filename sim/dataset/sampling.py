@@ -9,7 +9,8 @@ from typing import Literal
 import numpy as np
 
 from tactip_twin.sim.labels import TASKS
-from tactip_twin.tactip_model.errors import TactipError, lookup
+from tactip_twin.tactip_model.bounds import require
+from tactip_twin.tactip_model.errors import lookup
 
 Split = Literal["train", "val", "test"]
 """Name of one of the three independent sets of a task."""
@@ -40,12 +41,11 @@ class Ranges:
         return np.array([self.x_mm, self.y_mm, self.depth_mm, self.roll_deg, self.pitch_deg, self.yaw_deg], float)
 
     def check(self, name: str) -> None:
-        """Raise TactipError where a low is above its high or not finite; `name` is what the message calls the ranges."""
+        """Raise TactipError where a low is above its high or not finite. name: name of the ranges in messages."""
         for component, (low, high) in vars(self).items():
-            if not (np.isfinite(low) and np.isfinite(high)):
-                raise TactipError(f"the range {name}.{component} is ({low}, {high}): both ends must be finite numbers")
-            if low > high:
-                raise TactipError(f"the range {name}.{component} is ({low}, {high}): its low must not be above its high")
+            finite = np.isfinite(low) and np.isfinite(high)
+            require(finite, f"{name}.{component}", (low, high), "two finite numbers")
+            require(low <= high, f"{name}.{component}", (low, high), "a low and a high, with low at most high")
 
     def sample(self, rng: np.random.Generator) -> np.ndarray:
         """Return one uniform sample (6,), m and rad. Every component takes one number of `rng`, fixed or not."""

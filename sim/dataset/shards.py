@@ -26,9 +26,9 @@ def is_sharded(configuration: Configuration) -> bool:
     return configuration.samples > _max_samples(configuration)
 
 
-def open_builder(configuration: Configuration, path: Path) -> "DatasetBuilder | ShardedFolder":
+def open_builder(configuration: Configuration, path: Path) -> "DatasetBuilder | ShardedDatasetBuilder":
     """Return the builder of a set in a folder."""
-    return (ShardedFolder if is_sharded(configuration) else DatasetBuilder)(configuration, path)
+    return (ShardedDatasetBuilder if is_sharded(configuration) else DatasetBuilder)(configuration, path)
 
 
 def shard_dir(configuration: Configuration, folder: Path, number: int) -> Path:
@@ -84,10 +84,10 @@ class ShardFinalizer:
             part.assemble(self.run_json)
 
     def __repr__(self) -> str:
-        return f"the end of {self.name}"
+        return f"the completion of {self.name}"
 
 
-class ShardedFolder(DatasetBuilder):
+class ShardedDatasetBuilder(DatasetBuilder):
     """The folder of a set of shards while it is made."""
 
     def __init__(self, configuration: Configuration, path: Path) -> None:
@@ -103,7 +103,7 @@ class ShardedFolder(DatasetBuilder):
         if meta and "shards" not in meta and (existing := meta["configuration"]["samples"]) > max_samples:
             raise TactipError(
                 f"the set in {self._path} cannot grow: it has {existing} samples in one folder, more than the "
-                f"{max_samples} of a shard; make the larger one in another folder"
+                f"{max_samples} of a shard; make the larger set in another folder"
             )
         return meta
 
@@ -131,9 +131,9 @@ class ShardedFolder(DatasetBuilder):
         run_json = self._shards[name].last(number, cost, workers, seconds)
         return [ShardFinalizer(name, run_json)] if run_json else []
 
-    def closed(self, name: str) -> None:
+    def mark_shard_finished(self, name: str) -> None:
         """Note that a worker has finished a shard."""
-        self._shards[name].closed_elsewhere()
+        self._shards[name].mark_finished()
 
     def finish(self, workers: int, seconds: float) -> dict[str, Any]:
         """Finish the set, as DatasetBuilder does, and before it the shards that an earlier command left unfinished."""

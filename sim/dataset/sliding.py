@@ -1,7 +1,7 @@
-"""Sliding paths: the tip slides on after a contact, and an image is taken after each stride.
+"""Sliding paths: the tip keeps sliding after a contact, and an image is taken after each stride.
 
-In servoing, the tip has slid for long in varying directions without being lifted, a state that no single press and shear
-reaches. And a stride costs a fraction of a new contact, which begins in the air.
+In servoing, the tip slides far in varying directions without being lifted; a single press and shear never reaches such a
+state. A stride also costs a fraction of a new contact, which starts in the air.
 """
 
 import numpy as np
@@ -15,7 +15,7 @@ from tactip_twin.sim.ground_truth import GroundTruth, SurfaceGroundTruth
 from tactip_twin.sim.pose import label_of, matrix, sensor_in_contact
 
 MAX_LOOKS = 1000
-"""Maximum number of images of one contact."""
+"""Maximum number of images per contact."""
 
 _STRIDE_M = (0.2e-3, 2e-3)
 """Minimum and maximum stride, m, sampled uniformly in its logarithm: a servo's is 1 mm, and less where it slows down."""
@@ -69,12 +69,12 @@ class _StraightEdgeGroundTruth:
 
 
 class SlidingPath:
-    """A random path on which a contact slides on, stride by stride."""
+    """A random path along which a contact keeps sliding, stride by stride."""
 
     def __init__(
         self, task: str, solid: DistanceField | None, ranges: Ranges, pose: ArrayLike, rng: np.random.Generator
     ) -> None:
-        """Begin at the pose of a contact.
+        """Start at the pose of a contact.
 
         Args:
             task: `surface` or `edge`.

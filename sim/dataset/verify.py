@@ -1,4 +1,4 @@
-"""Verification of data sets: every property that the format promises is checked, every violation is a sentence."""
+"""Verification of data sets: every property of the format is checked, and every violation is a sentence."""
 
 import zipfile
 from collections import Counter
@@ -16,7 +16,7 @@ from tactip_twin.sim.labels import LABELS, SHEARS
 from tactip_twin.tactip_model.errors import TactipError
 
 _ROUNDING = 1e-6
-"""A cell may lie this far outside its range: the table has six decimals."""
+"""Distance that a cell may lie outside its range, because the table has six decimals, mm or degrees."""
 
 
 def verify(folder: str | Path) -> list[str]:
@@ -34,28 +34,28 @@ def _shards(folder: Path, meta: dict[str, Any]) -> list[str]:
     except TactipError as error:
         return [*problems, str(error)]
     if meta["shards"] != list(expected):
-        problems.append(f"meta.json: its shards are {meta['shards']} instead of {list(expected)}")
+        problems.append(f"meta.json: shards are {meta['shards']}, expected {list(expected)}")
     for name in sorted({path.name for path in folder.glob("shard-*")} - set(expected)):
-        problems.append(f"{name}: it is no shard of this set")
+        problems.append(f"{name}: not a shard of this set")
     for name, configuration in expected.items():
         try:
             own = read_meta(folder / name)
             for key in counts:
                 counts[key] += own["samples"][key]
             if own.get("configuration") != configuration.as_json():
-                problems.append(f"{name}: it is of another configuration")
+                problems.append(f"{name}: has another configuration")
             problems += [f"{name}/{problem}" for problem in verify(folder / name)]
         except (TactipError, KeyError) as error:
             problems.append(f"{name}: {error}")
     if counts != meta.get("samples"):
-        problems.append(f"meta.json: it promises samples {meta.get('samples')}, its shards have {counts}")
+        problems.append(f"meta.json: samples are {meta.get('samples')}, but its shards have {counts}")
     return problems
 
 
 def _altered(meta: dict[str, Any]) -> list[str]:
     configuration = meta.get("configuration")
     if configuration is not None and digest_of(configuration) != meta.get("digest"):
-        return ["meta.json: its configuration was altered: it does not have the digest that it was made with"]
+        return ["meta.json: configuration altered: it does not match the digest"]
     return []
 
 
@@ -80,7 +80,7 @@ def _files(folder: Path, meta: dict[str, Any]) -> list[str]:
         if not path.exists():
             problems.append(f"{name}: missing")
         elif checksum(path.read_bytes()) != expected:
-            problems.append(f"{name}: altered: it does not have the checksum in meta.json")
+            problems.append(f"{name}: altered: it does not match the checksum in meta.json")
     return problems
 
 
@@ -100,11 +100,11 @@ def _images(folder: Path, meta: dict[str, Any], rows: list[dict[str, str]]) -> l
         if image is None:
             problems.append(f"images/{name}: truncated or not an image ({len(data)} bytes)")
         elif size is not None and image.shape != (size, size):
-            problems.append(f"images/{name}: it is {image.shape[1]} by {image.shape[0]} px instead of {size} by {size}")
+            problems.append(f"images/{name}: {image.shape[1]} by {image.shape[0]} px, expected {size} by {size}")
         elif name in expected:
-            problems.append(f"images/{name}: altered: it does not have the checksum in meta.json")
+            problems.append(f"images/{name}: altered: it does not match the checksum in meta.json")
         elif not np.isin(image, (0, 255)).all():
-            problems.append(f"images/{name}: it has values other than 0 and 255")
+            problems.append(f"images/{name}: has values other than 0 and 255")
     return problems
 
 
@@ -113,7 +113,7 @@ def _rows(rows: list[dict[str, str]], meta: dict[str, Any]) -> list[str]:
     configuration = meta.get("configuration")
     kept = meta.get("samples", {}).get("kept")
     if kept is not None and kept != len(rows):
-        problems.append(f"targets.csv: it has {len(rows)} rows, meta.json promises {kept}")
+        problems.append(f"targets.csv: has {len(rows)} rows, expected {kept} by meta.json")
     ranges = {}
     if configuration is not None:
         # On a sliding path the shear is the whole motion since the first contact, which no range limits.
@@ -123,7 +123,7 @@ def _rows(rows: list[dict[str, str]], meta: dict[str, Any]) -> list[str]:
     for number, row in enumerate(rows, start=2):
         where = f"targets.csv, line {number}"
         if None in row or None in row.values():
-            problems.append(f"{where}: it has more or fewer cells than the header")
+            problems.append(f"{where}: has more or fewer cells than the header")
             continue
         for column in (*LABELS, *SHEARS):
             try:
@@ -136,10 +136,10 @@ def _rows(rows: list[dict[str, str]], meta: dict[str, Any]) -> list[str]:
             elif column in ranges and not ranges[column][0] - _ROUNDING <= value <= ranges[column][1] + _ROUNDING:
                 problems.append(
                     f"{where}: {column} is {row[column]}, outside the set's range {ranges[column]}: "
-                    "a row of another configuration"
+                    "the row belongs to another configuration"
                 )
         if configuration is not None and _simulated(configuration) and not _belongs(row, configuration):
-            problems.append(f"{where}: its seed {row.get('seed')!r} or its image is not of this set: a mixed configuration")
+            problems.append(f"{where}: seed {row.get('seed')!r} or the image does not belong to this set")
     return problems
 
 
@@ -168,12 +168,12 @@ def _pins(folder: Path, meta: dict[str, Any], rows: list[dict[str, str]]) -> lis
             digest, tips = str(pins["digest"]), pins["tips"]
             finite = all(np.isfinite(pins[k]).all() for k in ("tips", "directions"))
     except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile) as error:
-        return [f"pins.npz: it cannot be read: {error}"]
+        return [f"pins.npz: cannot be read: {error}"]
     problems = []
     if digest != meta["digest"]:
-        problems.append("pins.npz: it belongs to a set of another configuration")
+        problems.append("pins.npz: belongs to a set of another configuration")
     if len(tips) != len(rows):
-        problems.append(f"pins.npz: it has {len(tips)} records, targets.csv {len(rows)} rows")
+        problems.append(f"pins.npz: has {len(tips)} records, targets.csv {len(rows)} rows")
     if not finite:
-        problems.append("pins.npz: it has numbers that are not finite")
+        problems.append("pins.npz: has numbers that are not finite")
     return problems

@@ -15,7 +15,7 @@ from typing import Any
 from tactip_twin.sim.parallel.worker_pool import THREADS, Reply, Task, WorkerPool, attempt
 from tactip_twin.tactip_model.errors import TactipError
 
-HELD_S = 1.0
+BLOCK_S = 1.0
 """Work that a worker gets at a time, s: a driver passes about a thousand messages per second (docs/scale.md)."""
 
 _SHUTDOWN_S = 10
@@ -46,7 +46,7 @@ def joined(address: str) -> Iterator[ModuleType]:
         # Without an address Ray would join whatever cluster this machine last started.
         ray.init(address=address, logging_level="ERROR", log_to_driver=False, include_dashboard=False)
     except (ConnectionError, ValueError, RuntimeError) as error:
-        raise TactipError(f"there is no Ray cluster at {address!r}: {error}") from error
+        raise TactipError(f"cannot reach a Ray cluster at {address!r}: {error}") from error
     try:
         yield ray
     finally:
@@ -74,14 +74,14 @@ class _RayWorker:
     actor: Any
     tasks: tuple[Any, ...] = ()
     done: int = 0
-    seconds: float = HELD_S
+    seconds: float = BLOCK_S
     """Mean time of its last tasks, s."""
 
 
 class RayPool(WorkerPool[Task]):
     """A worker pool on a cluster; it writes the same files as a WorkerPool."""
 
-    max_held = 256
+    max_block = 256
     """Maximum number of tasks that a worker gets at a time, however short they are."""
 
     def __init__(
@@ -98,7 +98,7 @@ class RayPool(WorkerPool[Task]):
 
         Args:
             ray: The module ray, joined to a cluster.
-            begin: As of WorkerPool, and so are the rest.
+            begin: As in WorkerPool, like the others.
         """
         super().__init__(begin, arguments, tasks, unit, say, named)
         self._ray = ray
@@ -109,7 +109,7 @@ class RayPool(WorkerPool[Task]):
         """Return the number of workers that the cluster has room for. Raises TactipError where it has none."""
         count = int(self._ray.cluster_resources().get("CPU", 0))
         if count < 1:
-            raise TactipError("the cluster has no processor to work on")
+            raise TactipError("the cluster has no CPU for a worker")
         return count
 
     def _start_worker(self) -> None:
@@ -117,12 +117,12 @@ class RayPool(WorkerPool[Task]):
             self._assign_tasks(_RayWorker(self._actor.remote(self._begin, self._arguments)))
 
     def _assign_tasks(self, worker: _RayWorker) -> None:
-        """Give a worker its next tasks: as many as it does in HELD_S, but fewer towards the end, so that all end together.
+        """Give a worker its next tasks: as many as it does in BLOCK_S, but fewer towards the end, so that all end together.
 
-        A task that a worker was lost with goes alone, which shows whether it ends another.
+        A task of a lost worker is assigned alone, which shows whether it crashes another worker.
         """
         fair = len(self._queue) // (2 * len(self._workers) + 2)
-        count = max(1, min(round(HELD_S / max(worker.seconds, 1e-6)), fair, self.max_held))
+        count = max(1, min(round(BLOCK_S / max(worker.seconds, 1e-6)), fair, self.max_block))
         tasks = [self._queue.pop()]
         while len(tasks) < count and not self._deaths.keys() & {tasks[0], self._queue[-1]}:
             tasks.append(self._queue.pop())
@@ -140,7 +140,7 @@ class RayPool(WorkerPool[Task]):
         try:
             replies: list[Reply] = self._ray.get(reference)
         except self._ray.exceptions.RayActorError:
-            self._requeue(worker.tasks, "with its process or its machine")
+            self._requeue(worker.tasks, "was lost with its process or its machine")
             self._start_worker()
             return
         for task, reply in zip(worker.tasks, replies, strict=False):

@@ -8,14 +8,14 @@ from tactip_twin.tactip_model.errors import TactipError
 
 
 def check_resumable(folder: Path, kind: str, recorded: Any, requested: Any, own: tuple[str, ...] = ()) -> bool:
-    """Return whether `folder` holds the requested work, begun or finished; False where there is nothing in it yet.
+    """Return whether `folder` holds the requested work, unfinished or finished; False where it is empty or missing.
 
     Args:
         folder: Output folder, which need not exist.
         kind: What the folder holds, as a noun: "data set", "training".
-        recorded: Settings (a JSON value) that were written there by the command that began; None where there are none.
+        recorded: Settings (a JSON value) written there by the first command; None where there are none.
         requested: Settings (a JSON value) of this command.
-        own: Names of files that every command of this kind leaves, lock files for example: they do not count as content.
+        own: Names of files that every command of this kind leaves, lock files for example: they do not count.
 
     Raises:
         TactipError: Where the folder holds something else, or the same with other settings; the first difference is named.

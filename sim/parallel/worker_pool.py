@@ -1,4 +1,4 @@
-"""Worker processes that do tasks one at a time, are replaced when they die, and leave nothing behind.
+"""A pool of worker processes: each does one task at a time, and is replaced when it dies.
 
 Each worker has a pipe of its own. The death of a worker closes its pipe, and its task goes to another; the death of the
 parent closes the other end, and the worker ends. Only the parent answers Ctrl-C: it lets workers finish their tasks.
@@ -31,7 +31,8 @@ _ESTIMATE_TASKS, _ESTIMATE_S = 8, 20.0
 _SHUTDOWN_S = 10
 """Time that a worker has to finish its task at the end, s."""
 
-RESUME_HINT = "what is done so far is kept, and the same command goes on from there"
+RESUME_HINT = "finished work is kept, and the same command resumes it"
+"""End of messages about interrupted work."""
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "LP_NUM_THREADS", "IGL_NUM_THREADS")
 """Environment variables that set the number of threads of numerics and software OpenGL."""
@@ -46,7 +47,7 @@ def worker_count(requested: str | int) -> int:
     except ValueError:
         count = 0
     if count < 1:
-        raise TactipError(f"{requested!r} workers cannot work: ask for a number of at least 1, or auto")
+        raise TactipError(f"workers must be auto or at least 1, got {requested}")
     return count
 
 
@@ -55,7 +56,7 @@ class Reply:
     """Outcome of a task."""
 
     error: str | None
-    """What went wrong, as a sentence; None if nothing did."""
+    """Error message; None if the task succeeded."""
     seconds: float
     """Time that the task took, s."""
     peak_mib: float
@@ -130,11 +131,11 @@ class WorkerPool(Generic[Task]):
                         bar.update()
                         if warm:  # the first task of a worker is slowed by its start
                             timings.append(reply.seconds)
-                        # A single task may be one that needs many tries.
+                        # A single task may be one that takes many tries.
                         if not estimated and (len(timings) == _ESTIMATE_TASKS or sum(timings) > _ESTIMATE_S):
                             estimated = True
                             about = _duration(statistics.fmean(timings) * self._count / workers)
-                            text = f"{self._count} {self._unit}s on {workers} worker(s): about {about} in all"
+                            text = f"{self._count} {self._unit}s on {workers} worker(s): about {about} in total"
                             bar.write(text, file=sys.stderr)
             except KeyboardInterrupt:
                 raise Interrupted(f"{bar.n} of {self._count} {self._unit}s made: {RESUME_HINT}") from None
@@ -188,7 +189,9 @@ class WorkerPool(Generic[Task]):
         pipe.close()
         worker.process.join()
         code = worker.process.exitcode or 0
-        self._requeue((worker.task,), f"by signal {signal.Signals(-code).name}" if code < 0 else f"with exit code {code}")
+        self._requeue(
+            (worker.task,), f"was killed by {signal.Signals(-code).name}" if code < 0 else f"exited with code {code}"
+        )
         self._start_worker()
 
     def _requeue(self, tasks: Sequence[Task], how: str) -> None:
@@ -196,7 +199,7 @@ class WorkerPool(Generic[Task]):
 
         Args:
             tasks: The tasks that the worker had.
-            how: How it ended, for the message.
+            how: How it ended, for the message: "was killed by SIGKILL".
 
         Raises:
             TactipError: A worker died of one of the tasks before.
@@ -205,10 +208,11 @@ class WorkerPool(Generic[Task]):
             self._deaths[task] = self._deaths.get(task, 0) + 1
             if self._deaths[task] > 1:
                 raise TactipError(
-                    f"{self._named(task)} has ended two workers (the last {how}): is memory short? {RESUME_HINT}"
+                    f"{self._named(task)} crashed two workers (the last {how}); the machine may be out of memory; "
+                    f"{RESUME_HINT}"
                 )
         more = f" and {len(tasks) - 1} more" if len(tasks) > 1 else ""
-        self._say(f"a worker ended {how} at {self._named(tasks[0])}{more}: another takes over")
+        self._say(f"a worker {how} during {self._named(tasks[0])}{more}: another worker takes over")
         self._queue += reversed(tasks)
 
     def _shut_down(self) -> None:

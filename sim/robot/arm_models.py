@@ -35,7 +35,7 @@ class ArmModel(ABC):
     """T_base_tcp (4, 4): the sensor's true pose."""
 
     def measured_pose(self) -> np.ndarray:
-        """Return T_base_tcp (4, 4) by forward kinematics of the measured joint angles: all that a controller may know."""
+        """Return T_base_tcp (4, 4) by forward kinematics of the measured joint angles: all that a controller knows."""
         return self.pose
 
     @property
@@ -49,7 +49,7 @@ class ArmModel(ABC):
 
         Args:
             T_base_tcp: (4, 4).
-            wrist_rad: Desired angle of joint 6, rad; the nearest whole turn to it is taken.
+            wrist_rad: Desired angle of joint 6, rad; of its whole turns, the nearest is taken.
 
         Raises:
             Unreachable: If the arm cannot take the pose.
@@ -128,7 +128,7 @@ class KinematicArm(ArmModel):
         to = self.arm.solve_near(np.asarray(T_base_tcp, float), self._to)
         min_steps = np.abs((to - self._to) / MAX_SPEEDS_RAD_S).max() * _PEAK_SPEED_RATIO / step_s
         if min_steps > _MAX_STEPS:
-            raise Unreachable("the arm would have to turn right round to go on: it is close to singular")
+            raise Unreachable("the joints would have to turn too far for this motion: the arm is close to a singularity")
         self._from, self._to = self._to, to
         return max(steps, int(np.ceil(min_steps)))
 

@@ -29,8 +29,8 @@ READY_RAD = np.radians([0.0, 20.0, 10.0, 0.0, 60.0, 0.0])
 """Joint angles with the sensor pointing down in front of the arm, rad."""
 
 MIN_SINGULAR_VALUE = 0.03
-"""Lower limit of the Jacobian's least singular value, lengths in units of LEVER_M. Below it the arm can hardly move in one
-direction, and its joints race. Where the arm works well, the value is about 0.25."""
+"""Lower limit of the Jacobian's smallest singular value, lengths in units of LEVER_M. Below it the arm can hardly move in
+one direction, and its joints turn fast. Where the arm works well, the value is about 0.25."""
 
 LEVER_M = 0.3
 """Length that makes a translation comparable to a rotation, m: half the arm's reach."""
@@ -43,7 +43,7 @@ _ITERATIONS = 150
 
 
 class Unreachable(TactipError):
-    """A pose that the arm cannot take, or not by moving on from where it is."""
+    """The arm cannot take a pose, or cannot move to it from its present one."""
 
 
 class Arm:
@@ -79,7 +79,7 @@ class Arm:
         return out
 
     def min_singular_value(self, angles: ArrayLike) -> float:
-        """Return the Jacobian's least singular value, lengths in units of LEVER_M; 0 where the arm is singular."""
+        """Return the Jacobian's smallest singular value, lengths in units of LEVER_M; 0 where the arm is singular."""
         jacobian = self.jacobian(angles)
         jacobian[:3] /= LEVER_M
         return float(np.linalg.svd(jacobian, compute_uv=False)[-1])
@@ -103,7 +103,8 @@ class Arm:
         value = self.min_singular_value(found)
         if value < MIN_SINGULAR_VALUE:
             raise Unreachable(
-                f"the arm is singular there: it can move {value:.3f} as far as it should, {MIN_SINGULAR_VALUE}"
+                "the arm is close to a singularity at this pose: the smallest singular value of its Jacobian must be at "
+                f"least {MIN_SINGULAR_VALUE}, got {value:.3f}"
             )
         return found
 
@@ -139,7 +140,7 @@ class Arm:
         if best is None:
             raise Unreachable(_unreachable_message(min(residuals)))
         if self.min_singular_value(best) < MIN_SINGULAR_VALUE:
-            raise Unreachable("the arm can only be singular there")
+            raise Unreachable("the arm is close to a singularity at this pose in every configuration")
         return best
 
     def limit_margin(self, angles: np.ndarray) -> float:
@@ -170,7 +171,7 @@ class Arm:
 
 def _unreachable_message(residual: tuple[float, float]) -> str:
     return (
-        f"the arm cannot take that pose: with every joint in its limits it stays {1e3 * residual[0]:.1f} mm and "
+        f"the arm cannot reach this pose: within its joint limits it stays {1e3 * residual[0]:.1f} mm and "
         f"{np.degrees(residual[1]):.1f} degrees away"
     )
 

@@ -48,7 +48,7 @@ class MountedTip:
             arm_model: Model that positions the sensor.
             T_base_object: (4, 4).
             settle_steps: Time steps at rest before the tip's state is read; the fidelity's Motion.pause_steps if None.
-            pace: Travel per time step over the fidelity's, -.
+            pace: Ratio of the travel per time step to that of the fidelity, -.
 
         Raises:
             TactipError: If the scene cannot be built.
@@ -76,7 +76,7 @@ class MountedTip:
             TactipError: If the tip is not clear of the object there.
         """
         if self.gap(T_base_tcp) < 0:
-            raise TactipError("the tip cannot begin inside of the object: begin further off")
+            raise TactipError("the start pose puts the tip inside the object: start farther away from it")
         self.arm_model.reset_to(T_base_tcp, wrist_rad)
         self.scene.reset()
         self._place(self.arm_model.pose)
@@ -101,7 +101,7 @@ class MountedTip:
 
         Raises:
             Unreachable: If the arm cannot take the pose; nothing has moved.
-            Diverged: If the simulation is lost.
+            Diverged: If the simulation diverges.
         """
         motion, here = self.scene.fidelity.motion, self.arm_model.pose
         travel = np.linalg.norm(T_base_tcp[:3, 3] - here[:3, 3]) + LEVER_M * angle_between(here, T_base_tcp)
@@ -116,13 +116,13 @@ class MountedTip:
             for _ in range(self._settle_steps):
                 self._step(1.0)
         self.warnings += len(messages)
-        return self.touch()
+        return self.tip_state()
 
-    def touch(self) -> TipState:
+    def tip_state(self) -> TipState:
         """Return the tip's present state. Raises Diverged."""
         state = read_tip_state(self.scene, self._reader, self._steps_since_read, self._clearance())
         if not (np.isfinite(state.skin).all() and np.abs(state.skin).max() < 4 * self._radius):
-            raise Diverged("the simulated tip is lost: its state is not that of a tip any more")
+            raise Diverged("the simulation diverged: the tip is deformed beyond four times its radius")
         self._steps_since_read = 0
         return state
 
@@ -140,7 +140,7 @@ class MountedTip:
         self.scene.step()
         self._steps_since_read += 1
         if not np.isfinite(self.scene.max_vertex_speed()):
-            raise Diverged("the simulated tip is lost: its state is not finite any more")
+            raise Diverged("the simulation diverged: the state is not finite")
 
     def _place(self, before: np.ndarray, after: np.ndarray | None = None, h: float = 1.0) -> None:
         """Place the object relative to the sensor's pose `before`, with the velocity that leads to `after` in h, s."""

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from tactip_twin.assets import MESHES
 from tactip_twin.sim.contact.signed_distance import SignedDistanceMesh
 from tactip_twin.sim.pose import matrix
+from tactip_twin.tactip_model.bounds import require
 from tactip_twin.tactip_model.errors import TactipError, lookup
 
 FORMATS = ("stl", "obj", "ply", "glb")
@@ -27,7 +28,7 @@ MIN_SIZE_M, MAX_SIZE_M = 5e-3, 2.0
 MAX_TRIANGLES = 2_000_000
 
 _MIN_VOLUME_M3 = 1e-12
-"""Volume below which a closed surface counts as having no inside, m^3: a cubic millimetre is a thousand times more."""
+"""Volume below which a closed surface counts as empty, m^3: a cubic millimetre is a thousand times more."""
 
 _MAX_HOLE_UNEVENNESS = 0.02
 """Height of a hole's border over its width up to which the hole is closed with a flat lid, -."""
@@ -66,7 +67,7 @@ class SceneObject:
     middle_m: np.ndarray
     """(3,) m, base frame: the default middle of a route."""
     notes: tuple[str, ...] = ()
-    """What was repaired."""
+    """Repairs of the mesh, as sentences."""
 
 
 _ROTATIONS = {"bust": Rotation.from_matrix(np.array([[0, 0, -1], [0, 1, 0], [1, 0, 0]], float))}
@@ -93,7 +94,7 @@ def load_object(
     """Load an object, validate its mesh and place it before the arm.
 
     Args:
-        source: One of the project's names, a mesh file, or a mesh in memory (which is left as it is).
+        source: One of the project's names, a mesh file, or a mesh in memory (which is not changed).
         unit: Unit of the coordinates, of UNITS_M. By default mm for a file, and m for a mesh in memory.
         scale: Scale factor.
         place_mm: (3,) mm, position of the middle of the object's underside, base frame; in front of the arm if None.
@@ -110,12 +111,11 @@ def load_object(
     own = not in_memory and name in object_names()
     path = MESHES / f"{name}.ply" if own else Path(name)
     if not in_memory and not own and not path.is_file():
-        raise TactipError(f"there is no object {name!r}: choose one of {', '.join(object_names())}, or name a file")
+        raise TactipError(f"unknown object {name!r}: choose one of {', '.join(object_names())}, or give a mesh file")
     if own and unit is not None:
-        raise TactipError(f"the object {name!r} comes with its size, and --unit {unit} is of files: leave it out")
+        raise TactipError(f"unit applies to mesh files only, and {name!r} is a built-in object: leave --unit out")
     size = (1.0 if own else lookup("unit", unit or ("m" if in_memory else "mm"), UNITS_M)) * scale
-    if not np.isfinite(size) or size <= 0:
-        raise TactipError(f"the scale is {scale}: it must be above 0")
+    require(np.isfinite(size) and size > 0, "scale", scale, "above 0")
     mesh = source.copy() if in_memory else _read(path)
     mesh.apply_scale(size)
     mesh, notes = validate_mesh(mesh, name)
@@ -135,14 +135,14 @@ def validate_mesh(mesh: trimesh.Trimesh, name: str) -> tuple[trimesh.Trimesh, li
     """Repair a mesh where that is safe, and check that it bounds a volume.
 
     Args:
-        mesh: The mesh, in m. It is left as it is.
+        mesh: The mesh, in m. It is not changed.
         name: Name of the object, for messages.
 
     Returns:
-        The repaired mesh, and notes on what was repaired.
+        The repaired mesh, and notes on the repairs.
 
     Raises:
-        TactipError: If the mesh is empty, not finite, far too large or fine, open beyond repair, or has no inside.
+        TactipError: If the mesh is empty, not finite, of a wrong size, too fine, open beyond repair, or encloses no volume.
     """
     notes: list[str] = []
     if not len(mesh.faces):
@@ -150,12 +150,12 @@ def validate_mesh(mesh: trimesh.Trimesh, name: str) -> tuple[trimesh.Trimesh, li
     if not np.isfinite(mesh.vertices).all():
         raise TactipError(f"{name} has vertices that are not finite")
     if len(mesh.faces) > MAX_TRIANGLES:
-        raise TactipError(f"{name} has {len(mesh.faces)} triangles: at most {MAX_TRIANGLES} are taken; simplify it first")
+        raise TactipError(f"{name} must have at most {MAX_TRIANGLES} triangles, got {len(mesh.faces)}: simplify it first")
     size = float(mesh.extents.max())
     if not MIN_SIZE_M <= size <= MAX_SIZE_M:
         raise TactipError(
-            f"{name} is {1e3 * size:g} mm large: it must be {1e3 * MIN_SIZE_M:g} to {1e3 * MAX_SIZE_M:g} mm; "
-            f"is the unit right (one of {', '.join(UNITS_M)})?"
+            f"the size of {name} must be between {1e3 * MIN_SIZE_M:g} and {1e3 * MAX_SIZE_M:g} mm, got {1e3 * size:g} mm: "
+            f"check its unit (one of {', '.join(UNITS_M)})"
         )
     mesh = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     mesh.merge_vertices()
@@ -163,20 +163,20 @@ def validate_mesh(mesh: trimesh.Trimesh, name: str) -> tuple[trimesh.Trimesh, li
     mesh.update_faces(mesh.nondegenerate_faces() & mesh.unique_faces())
     mesh.remove_unreferenced_vertices()
     if len(mesh.faces) < before:
-        notes.append(f"{before - len(mesh.faces)} triangles without an area, or doubled, were left out")
+        notes.append(f"{before - len(mesh.faces)} degenerate or duplicate triangles were removed")
     if not mesh.is_watertight:
         notes += _fill_holes(mesh, name)
     if not mesh.is_winding_consistent:
         mesh.faces = np.asarray(igl.bfs_orient(np.ascontiguousarray(mesh.faces, np.int64))[0])
-        notes.append("triangles that were wound the wrong way were turned over")
+        notes.append("triangles with inconsistent winding were flipped")
     if not mesh.is_watertight:
-        raise TactipError(f"{name} is no closed surface: some borders belong to more than two triangles; repair it first")
+        raise TactipError(f"{name} is not a closed surface: some edges belong to more than two triangles; repair it first")
     volume = _volume(mesh)
     if volume < 0:
         mesh.invert()
-        notes.append("its triangles faced inward and were turned over")
+        notes.append("triangles faced inward and were flipped")
     if abs(volume) < _MIN_VOLUME_M3:
-        raise TactipError(f"{name} has no inside: its volume is {1e9 * abs(volume):g} mm^3")
+        raise TactipError(f"{name} does not enclose a volume: {1e9 * abs(volume):g} mm^3")
     return mesh, notes
 
 
@@ -193,14 +193,14 @@ def _fill_holes(mesh: trimesh.Trimesh, name: str) -> list[str]:
     _, first, count = np.unique(sides[order], axis=0, return_index=True, return_counts=True)
     if (count > 2).any():
         raise TactipError(
-            f"{name} is no surface: {int((count > 2).sum())} borders belong to more than two triangles; repair it first"
+            f"{name} is not a surface: {int((count > 2).sum())} edges belong to more than two triangles; repair it first"
         )
     open_sides = mesh.edges[order[first[count == 1]]]
     if not len(open_sides):
         return []
     following = dict(open_sides.tolist())
     if len(following) < len(open_sides):
-        raise TactipError(f"{name} is open, and its holes touch each other: close it first")
+        raise TactipError(f"{name} is open, and its holes touch each other: close them first")
     lids, vertices = [], [mesh.vertices]
     new, holes = len(mesh.vertices), 0
     while following:
@@ -211,34 +211,32 @@ def _fill_holes(mesh: trimesh.Trimesh, name: str) -> list[str]:
             loop.append(here)
             here = following.pop(here, None)
             if here is None:
-                raise TactipError(
-                    f"{name} is open, and the border of a hole does not come back to its start: close it first"
-                )
+                raise TactipError(f"{name} is open, and the border of a hole is not a closed loop: close it first")
         points = mesh.vertices[loop]
         spread = np.linalg.svd(points - points.mean(0), compute_uv=False) / np.sqrt(len(points))
         if spread[2] > _MAX_HOLE_UNEVENNESS * spread[0]:
             raise TactipError(
                 f"{name} is open: a hole of {len(loop)} sides, {1e3 * np.ptp(points, axis=0).max():.0f} mm wide, is not "
-                "flat, and how it goes on there cannot be guessed; close it first"
+                "flat, so it cannot be filled; close it first"
             )
         vertices.append(points.mean(0)[None])
         lids += [[b, a, new + holes] for a, b in zip(loop, loop[1:] + loop[:1], strict=True)]
         holes += 1
     mesh.vertices, mesh.faces = np.concatenate(vertices), np.concatenate([mesh.faces, np.array(lids)])
-    return [f"{holes} flat hole(s) were closed with a lid"]
+    return [f"{holes} flat hole(s) were filled"]
 
 
 def _read(path: Path) -> trimesh.Trimesh:
     """Return the mesh in a file, unchecked. Raises TactipError where there is none."""
     if path.suffix.lower().lstrip(".") not in FORMATS:
-        raise TactipError(f"{path} cannot be read: an object's file ends in one of {', '.join(FORMATS)}")
+        raise TactipError(f"a mesh file must end in one of {', '.join(FORMATS)}, got {path}")
     try:
-        # trimesh has no error of its own for a damaged file: what comes up depends on the format.
+        # trimesh has no error of its own for a damaged file: what it raises depends on the format.
         mesh = trimesh.load(path, force="mesh", process=False)
     except Exception as error:
         raise TactipError(f"{path} cannot be read as a mesh: {error!r}") from error
     if not isinstance(mesh, trimesh.Trimesh):
-        raise TactipError(f"{path} holds no mesh of triangles")
+        raise TactipError(f"{path} contains no triangle mesh")
     return mesh
 
 

@@ -1,4 +1,4 @@
-"""Recordings on disk: what a servo run or a contact did, step by step, to be replayed without simulating it again.
+"""Recordings on disk: the steps of a servo run or a contact, to be replayed without simulating it again.
 
 recording.json    settings and versions; once the recording is complete, also events and why the run stopped
 scenery.npz       the object and the skin's triangles (see RecordedScene)
@@ -112,7 +112,7 @@ class Recorder:
         """
         self.folder = Path(folder)
         if self.folder.exists() and not _unfinished(self.folder):
-            raise TactipError(f"the folder {folder} is not empty: name another one, or remove this one")
+            raise TactipError(f"the folder {folder} is not empty: choose another folder, or remove this one")
         self.folder.mkdir(parents=True, exist_ok=True)
         with contextlib.ExitStack() as stack:
             stack.enter_context(locked(self.folder / _LOCK, f"recording into {folder}"))
@@ -213,18 +213,20 @@ def read_recorded_scene(folder: str | PathLike[str]) -> RecordedScene:
 def _read_record(folder: Path) -> dict[str, Any]:
     path = folder / RECORDING
     if not path.exists():
-        raise TactipError(f"there is no recording in {folder}: it has no {RECORDING}")
+        raise TactipError(f"there is no recording in {folder}: {RECORDING} is missing")
     try:
         record = json.loads(path.read_text())
         known = record.get("format") == FORMAT
     except (OSError, ValueError, AttributeError) as error:
         raise TactipError(f"{path} cannot be read: {error!r}") from error
     if not known:
-        raise TactipError(f"{path} is no recording of this project")
+        raise TactipError(f"{path} is not a recording of this project")
     if record.get("version") != VERSION:
-        raise TactipError(f"{path} has version {record.get('version')}, and version {VERSION} is read: record it anew")
+        raise TactipError(
+            f"{path} has version {record.get('version')}, but this program reads version {VERSION}: record it again"
+        )
     if not all(name in record for name in ("complete", "size_px", "steps", "events")):
-        raise TactipError(f"{path} is damaged: it lacks what every recording has")
+        raise TactipError(f"{path} is damaged: required keys are missing")
     return record
 
 

@@ -1,4 +1,4 @@
-"""A live simulation in a browser: drag the stimulus or move it by six sliders, and see the tip's skin, pins and image."""
+"""A live simulation in a browser: the stimulus is moved by dragging or by six sliders; skin, pins and image are shown."""
 
 import threading
 import time
@@ -83,7 +83,7 @@ class LivePage:
         """Address of the page."""
         self._build_scene()
         self._build_panel()
-        self._show(self._contact.touch(), 0.0)
+        self._show(self._contact.tip_state(), 0.0)
 
     def run(self, seconds: float | None = None) -> None:
         """Simulate and serve until Ctrl-C, or for some seconds."""
@@ -97,9 +97,9 @@ class LivePage:
             try:
                 state = self._contact.advance(_STEPS_PER_UPDATE)
             except Diverged as error:
-                self._message, self._changed = f"{error}: it was lifted", True
+                self._message, self._changed = f"{error}; the tip was lifted", True
                 self._contact.lift()
-                state = self._contact.touch()
+                state = self._contact.tip_state()
             self._show(state, time.perf_counter() - began)
 
     def close(self) -> None:
@@ -113,7 +113,7 @@ class LivePage:
             self._requested, self._lift_requested = None, False
         if requested is not None:
             try:
-                self._contact.aim(from_mm_deg(requested))
+                self._contact.set_target(from_mm_deg(requested))
                 self._message = ""
             except TactipError as error:
                 self._message = str(error)
@@ -136,19 +136,19 @@ class LivePage:
     def _status_text(self, state: TipState, predicted: Mapping[str, float], seconds: float) -> str:
         """Return the text beside the scene, Markdown."""
         label = zip(_SLIDER_NAMES, to_mm_deg(self._contact.label), strict=True)
-        now: dict[str, tuple[str, float]] = dict(zip(COMPONENTS, label, strict=True))
+        true: dict[str, tuple[str, float]] = dict(zip(COMPONENTS, label, strict=True))
         lines = [
-            f"force {np.linalg.norm(state.force):.2f} N, of it along the axis {-state.force[2]:.2f} N; "
+            f"force {np.linalg.norm(state.force):.2f} N ({-state.force[2]:.2f} N along the axis), "
             f"penetration {1e3 * state.penetration_m:.3f} mm",
-            "at rest" if self._contact.at_rest else f"{1e3 * seconds / _STEPS_PER_UPDATE:.0f} ms a time step",
+            "at rest" if self._contact.at_rest else f"{1e3 * seconds / _STEPS_PER_UPDATE:.0f} ms per time step",
         ]
         if predicted:
-            rows = [f"| {now[c][0]} | {now[c][1]:.2f} | {value:.2f} |" for c, value in predicted.items()]
-            lines.append("\n".join(["| | is | felt |", "|---|---|---|", *rows]))
+            rows = [f"| {true[c][0]} | {true[c][1]:.2f} | {value:.2f} |" for c, value in predicted.items()]
+            lines.append("\n".join(["| | true | estimated |", "|---|---|---|", *rows]))
         return "\n\n".join([*lines, f"**{self._message}**" if self._message else ""])
 
     def _build_scene(self) -> None:
-        scene, state = self._server.scene, self._contact.touch()
+        scene, state = self._server.scene, self._contact.tip_state()
         scene.set_up_direction("+z")
         scene.add_light_ambient("/lights/ambient", intensity=0.6)
         self._stimulus = scene.add_frame("/stimulus", show_axes=False)
@@ -164,7 +164,7 @@ class LivePage:
         pins = pin_lines(state.tips, state.directions)
         self._pins = scene.add_line_segments("/tip/pins", pins, (245, 245, 245), thickness=0.9e-3)
         # The handle is the target of the stimulus, which follows it.
-        self._handle = scene.add_transform_controls("/wanted", scale=0.03, depth_test=False)
+        self._handle = scene.add_transform_controls("/target", scale=0.03, depth_test=False)
         self._handle.on_update(lambda _: self._on_drag())
         self._set_view("overview", self._server.initial_camera)
 
@@ -175,7 +175,7 @@ class LivePage:
         self._sliders = []
 
         def on_update(event: viser.GuiEvent) -> None:
-            if event.client is not None:  # moved by hand, and not by the handle
+            if event.client is not None:  # moved by the user, not by the handle
                 self._on_slider()
 
         for name, minimum, maximum, start in zip(_SLIDER_NAMES, low, high, _START_MM_DEG, strict=True):
@@ -183,12 +183,12 @@ class LivePage:
             slider.on_update(on_update)
             self._sliders.append(slider)
         self._place_handle()
-        actions = gui.add_button_group("do", ["lift and press", "back to the start"])
-        views = gui.add_button_group("look", ["overview", "close", "inside"])
-        see_through = gui.add_checkbox("see through the skin", False)
+        actions = gui.add_button_group("motion", ["lift and press", "reset"])
+        views = gui.add_button_group("view", ["overview", "close", "inside"])
+        see_through = gui.add_checkbox("transparent skin", False)
         self._status = gui.add_markdown("")
-        self._image = gui.add_image(np.zeros((8, 8, 3), np.uint8), label="felt", format="png")
-        functions = {"lift and press": self._on_lift, "back to the start": self._on_reset}
+        self._image = gui.add_image(np.zeros((8, 8, 3), np.uint8), label="tactile image", format="png")
+        functions = {"lift and press": self._on_lift, "reset": self._on_reset}
         actions.on_click(lambda event: functions[event.target.value]())
         views.on_click(lambda event: event.client and self._set_view(event.target.value, event.client.camera))
         see_through.on_update(lambda _: setattr(self._skin, "opacity", 0.35 if see_through.value else None))

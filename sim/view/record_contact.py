@@ -57,13 +57,13 @@ def record_contact(
     kept = sorted(int(row["index"]) for row in rows)
     if sample not in kept:
         raise TactipError(
-            f"the set in {folder} has no sample {sample}: it has {len(kept)} of them, {kept[0]} to {kept[-1]}"
+            f"the set in {folder} has no sample {sample}: it has {len(kept)} samples from {kept[0]} to {kept[-1]}"
             if kept
-            else f"the set in {folder} has no sample"
+            else f"the set in {folder} has no samples"
         )
     number = sample // configuration.samples_per_contact
-    given = sample_contact(configuration, number)
-    solid, simulator = given.solid, simulator_for(configuration, given.design)
+    contact_sample = sample_contact(configuration, number)
+    solid, simulator = contact_sample.solid, simulator_for(configuration, contact_sample.design)
     if solid is not None:
         simulator.replace_solid(solid)
     scene = simulator.last.scene
@@ -71,8 +71,8 @@ def record_contact(
     T_base_object = np.eye(4)
     T_base_object[:3, 3] = [*_PLACE_M, -vertices[:, 2].min()]
     simulator.watch = steps = _Rows(simulator, configuration, T_base_object, read)
-    contact, failures = simulator.play(given.pose, given.shear)
-    path = SlidingPath(configuration.task, solid, configuration.pose, given.pose, given.rng)
+    contact, failures = simulator.play(contact_sample.pose, contact_sample.shear)
+    path = SlidingPath(configuration.task, solid, configuration.pose, contact_sample.pose, contact_sample.rng)
     steps.true_label = path.truth.label
     for _ in range(sample % configuration.samples_per_contact // len(configuration.symmetries)):
         contact = simulator.slide(path.stride(), path.label())

@@ -18,7 +18,7 @@ from tactip_twin.sim.view.viser_utils import LOCAL, add_mesh, grey, pin_lines, r
 from tactip_twin.tactip_model.errors import TactipError
 
 _PICTURES_HZ = 30.0
-"""Rate at which moving geometry is sent during play."""
+"""Rate at which moving geometry is sent while playing."""
 
 _CURVES_HZ = 5.0
 """Rate at which the mark on the curves is sent: lower, because the curves are sent whole."""
@@ -51,7 +51,7 @@ class ReplayPage:
             TactipError: If there is no step to show, or the page cannot be served.
         """
         if not record["steps"]:
-            raise TactipError("there is nothing to be seen in the recording: no step was made")
+            raise TactipError("the recording has no steps to show")
         self._record, self._arrays, self._geometry = record, arrays, SceneGeometry(scenery)
         self._predicted, self._true = to_mm_deg(arrays["felt"]), to_mm_deg(arrays["true"])
         self._lines, self._line_counts = path_lines(arrays)
@@ -131,7 +131,7 @@ class ReplayPage:
         pins = pin_lines(self._arrays["tips_m"][0], self._arrays["directions"][0])
         self._pins = scene.add_line_segments("/tip/pins", pins, (245, 245, 245), thickness=0.9e-3)
         color = rgb(PATH_COLORS[self._record["task"]])
-        self._path = scene.add_line_segments("/way", self._lines[:1], color, thickness=0.6e-3)
+        self._path = scene.add_line_segments("/path", self._lines[:1], color, thickness=0.6e-3)
         self._set_view("overview", self._server.initial_camera)
 
     def _build_panel(self) -> None:
@@ -140,20 +140,31 @@ class ReplayPage:
         gui.set_panel_label(f"{self._record['object']}, {self._record['task']}")
         self._buttons = {"play": gui.add_button("Play")}
         self._slider = gui.add_slider("step", 0, max(1, self._record["steps"] - 1), 1, 0)
+        moves = {
+            "first": lambda: replay.forward(-(10**9)),
+            "previous": lambda: replay.forward(-1),
+            "next": lambda: replay.forward(1),
+            "last": lambda: replay.forward(10**9),
+            "previous event": lambda: replay.jump(-1),
+            "next event": lambda: replay.jump(1),
+        }
         speed = gui.add_dropdown("speed", [f"{s:g}" for s in SPEEDS], initial_value="1")
-        steps_group = gui.add_button_group("go", ["|<", "<", ">", ">|", "event <", "event >"])
-        views = gui.add_button_group("look", ["overview", "close", "inside"])
-        see_through = gui.add_checkbox("see through the skin", False)
+        step_buttons = gui.add_button_group("step", list(moves)[:4])
+        event_buttons = gui.add_button_group("event", list(moves)[4:])
+        views = gui.add_button_group("view", ["overview", "close", "inside"])
+        see_through = gui.add_checkbox("transparent skin", False)
         self._status = gui.add_markdown("")
         has_images = self._arrays["images"].size > 0
-        self._image = gui.add_image(grey(self._arrays["images"][0]), label="felt", format="png") if has_images else None
+        self._image = (
+            gui.add_image(grey(self._arrays["images"][0]), label="tactile image", format="png") if has_images else None
+        )
         self._curves = []
         steps = np.arange(self._record["steps"], dtype=float)
         for name, k, unit in _CURVES:
             if COMPONENTS[k] in LEARNED[self._record["task"]]:
                 data = (steps, self._true[:, k].copy(), self._predicted[:, k].copy())
                 series = [uplot.Series(label="step"), uplot.Series(label="true", stroke="black", width=2)]
-                series += [uplot.Series(label="felt", stroke="#c0392b", width=1), _dot()]
+                series += [uplot.Series(label="estimated", stroke="#c0392b", width=1), _dot()]
                 chart = gui.add_uplot(
                     (*data, _mark(data, 0)),
                     tuple(series),
@@ -172,32 +183,25 @@ class ReplayPage:
 
             return callback
 
-        moves = {
-            "|<": lambda: replay.forward(-(10**9)),
-            "<": lambda: replay.forward(-1),
-            ">": lambda: replay.forward(1),
-            ">|": lambda: replay.forward(10**9),
-            "event <": lambda: replay.jump(-1),
-            "event >": lambda: replay.jump(1),
-        }
         self._buttons["play"].on_click(and_show(replay.toggle))
-        steps_group.on_click(lambda event: and_show(moves[event.target.value])(event))
+        for buttons in (step_buttons, event_buttons):
+            buttons.on_click(lambda event: and_show(moves[event.target.value])(event))
         views.on_click(lambda event: event.client and self._set_view(event.target.value, event.client.camera))
         speed.on_update(and_show(lambda: setattr(replay, "speed", float(speed.value))))
         see_through.on_update(and_show(lambda: setattr(self._skin, "opacity", 0.35 if see_through.value else None)))
 
         @self._slider.on_update
         def _(event: viser.GuiEvent) -> None:
-            if event.client is not None:  # moved by hand, and not by the replay
+            if event.client is not None:  # moved by the user, not by the replay
                 and_show(lambda: replay.go(self._slider.value))(event)
 
         gui.add_command("Play or pause", hotkey="space").on_trigger(and_show(replay.toggle))
-        gui.add_command("Next step", hotkey="arrowright").on_trigger(and_show(moves[">"]))
-        gui.add_command("Step before", hotkey="arrowleft").on_trigger(and_show(moves["<"]))
-        gui.add_command("First step", hotkey="home").on_trigger(and_show(moves["|<"]))
-        gui.add_command("Last step", hotkey="end").on_trigger(and_show(moves[">|"]))
-        gui.add_command("Next event", hotkey="N").on_trigger(and_show(moves["event >"]))
-        gui.add_command("Event before", hotkey="P").on_trigger(and_show(moves["event <"]))
+        gui.add_command("Next step", hotkey="arrowright").on_trigger(and_show(moves["next"]))
+        gui.add_command("Previous step", hotkey="arrowleft").on_trigger(and_show(moves["previous"]))
+        gui.add_command("First step", hotkey="home").on_trigger(and_show(moves["first"]))
+        gui.add_command("Last step", hotkey="end").on_trigger(and_show(moves["last"]))
+        gui.add_command("Next event", hotkey="N").on_trigger(and_show(moves["next event"]))
+        gui.add_command("Previous event", hotkey="P").on_trigger(and_show(moves["previous event"]))
 
     def _set_view(self, view: str, camera: viser.CameraHandle | viser.InitialCameraConfig) -> None:
         """Move a camera to a view: `overview`, `close` or `inside`."""
@@ -221,15 +225,23 @@ class ReplayPage:
         a = self._arrays
         seconds = 1e3 * a["seconds"][k]
         lines = [
-            f"**step {k}** of {self._record['steps'] - 1}, {PHASES[int(a['phase'][k])]}; part {int(a['part'][k])}",
+            f"**step {k}** of {self._record['steps'] - 1}, {PHASES[int(a['phase'][k])]}{self._pass_text(k)}",
             f"force {np.linalg.norm(a['force_n'][k]):.2f} N, penetration {1e3 * a['penetration_m'][k]:.3f} mm",
             f"{seconds.sum():.0f} ms: simulation {seconds[0]:.0f}, image {seconds[1]:.0f}, network {seconds[2]:.0f}",
         ]
         events = [e for e in self._record["events"] if e["step"] == k]
         lines += [f"**{e['kind']}**: {e['what']}" for e in events]
         if k == self._record["steps"] - 1:
-            lines.append(f"ended: {self._record.get('stopped_because', 'it was not completed')}")
+            lines.append(f"ended: {self._record.get('stopped_because', 'the recording is incomplete')}")
         return "\n\n".join(lines)
+
+    def _pass_text(self, k: int) -> str:
+        """Return the pass at a step that follows a route, else an empty text. The even parts of a route are its passes."""
+        if PHASES[int(self._arrays["phase"][k])] != "follow":
+            return ""
+        number, odd = divmod(int(self._arrays["part"][k]), 2)
+        count = int(self._arrays["part"].max() + 1) // 2 + 1
+        return f", between passes {number + 1} and {number + 2}" if odd else f", pass {number + 1} of {count}"
 
 
 def _mark(data: tuple[np.ndarray, ...], k: int) -> np.ndarray:

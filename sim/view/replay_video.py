@@ -93,7 +93,7 @@ def _curves(arrays: Mapping[str, np.ndarray], task: str) -> tuple[np.ndarray, fl
     figure, axes = plt.subplots(len(names), 1, figsize=(wide / 100, high / 100), dpi=100, sharex=True)
     for axis, (name, k) in zip(axes, names, strict=True):
         axis.plot(true[:, k], color="0.15", lw=1.2, label="true")
-        axis.plot(predicted[:, k], color="C3", lw=0.8, label="felt")
+        axis.plot(predicted[:, k], color="C3", lw=0.8, label="estimated")
         values = np.concatenate([true[touching, k], [-1.0, 1.0]])
         low, top = np.percentile(values, [1, 99])
         axis.set(xlim=(0, max(1, len(predicted) - 1)), ylim=(low - 0.15 * (top - low), top + 0.15 * (top - low)))

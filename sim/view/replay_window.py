@@ -52,9 +52,9 @@ class ReplayWindow:
             TactipError: If there is no step to show, or no display.
         """
         if not record["steps"]:
-            raise TactipError("there is nothing to be seen in the recording: no step was made")
+            raise TactipError("the recording has no steps to show")
         if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-            raise TactipError("there is no display here for MuJoCo's window: leave --window out for a page in a browser")
+            raise TactipError("MuJoCo's window needs a display: leave --window out to use a browser page instead")
         self._record, self._arrays, self._geometry = record, arrays, SceneGeometry(scenery)
         self.playback = Playback(record["steps"], [event["step"] for event in record["events"]])
         """State of the replay."""
@@ -150,7 +150,9 @@ class ReplayWindow:
         self._vertices = slice(int(mesh.vertadr[0]), int(mesh.vertadr[0] + mesh.vertnum[0]))
         self._normals = slice(int(model.mesh_normaladr[mesh.id]), int(model.mesh_normaladr[mesh.id] + mesh.vertnum[0]))
         if mesh.vertnum[0] != len(skin) or model.mesh_normalnum[mesh.id] != len(skin):
-            raise TactipError("MuJoCo does not keep the skin's vertices apart: the recording cannot be shown in its window")
+            raise TactipError(
+                "MuJoCo merged vertices of the skin: use a browser page, because its window cannot show this recording"
+            )
         return model
 
     def _update_skin(self, skin: np.ndarray) -> None:

@@ -37,14 +37,14 @@ def write_video(path: str | os.PathLike[str], frames: Iterable[np.ndarray], rate
     """
     path = Path(path)
     if path.suffix.lower() not in ENDINGS:
-        raise TactipError(f"{path} does not say what it is to be: its name ends in one of {', '.join(ENDINGS)}")
+        raise TactipError(f"a video file must end in one of {', '.join(ENDINGS)}, got {path}")
     if not path.parent.is_dir() or path.is_dir():  # before anything is rendered
         what = "it is a folder" if path.is_dir() else f"there is no folder {path.parent}"
         raise TactipError(f"cannot write {path}: {what}")
     iterator = iter(frames)
     first = next(iterator, None)
     if first is None:
-        raise TactipError(f"there is nothing to be seen in {path}: no step was recorded")
+        raise TactipError(f"cannot write {path}: the recording has no steps")
     part = path.with_name(f".{path.name}.part")
     write = _gif if path.suffix.lower() == ".gif" else _mp4
     try:

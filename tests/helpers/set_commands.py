@@ -43,7 +43,7 @@ def wait_for(condition, seconds=60):
 
 
 def samples_found(output):
-    """Return how many samples a resumed command found, from "4 of 6 samples are there already" or "6 of 6 samples"."""
+    """Return how many samples a resumed command found, from "4 of 6 samples already exist" or "6 of 6 samples"."""
     return int(re.search(r"(\d+) of \d+ samples", output)[1])
 
 

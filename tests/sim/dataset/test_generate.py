@@ -1,4 +1,4 @@
-"""What a set holds: the same bytes from any number of workers, labels as drawn, images of its pins; what it refuses."""
+"""Contents of a set: the same bytes from any number of workers, sampled labels, images of its pins; and refused options."""
 
 import json
 import subprocess
@@ -20,7 +20,7 @@ from tactip_twin.tactip_model.pyrender_renderer import PinCamera
 from tactip_twin.tactip_model.tactile_image import tactile_image
 
 
-def test_files_of_a_set(whole):
+def test_make_writes_the_files_of_a_set(whole):
     assert {p.name for p in whole.iterdir()} == {"images", "targets.csv", "pins.npz", "meta.json", "run.json"}
     dataset = read_dataset(whole)
     assert len(dataset.images) == 6
@@ -36,15 +36,15 @@ def test_files_of_a_set(whole):
     assert json.loads((whole / meta["timings"]).read_text())["workers"] == 1
 
 
-def test_labels_are_the_draws(whole):
+def test_make_labels_are_the_samples_of_the_generator(whole):
     dataset = read_dataset(whole)
-    draw = generator(0, "edge", "train", 3)
-    assert np.allclose(from_mm_deg(dataset.poses[3]), POSE_RANGES["edge"].sample(draw), atol=1e-7)
-    assert np.allclose(from_mm_deg(dataset.shears[3]), SHEAR_RANGES.sample(draw), atol=1e-7)
+    rng = generator(0, "edge", "train", 3)
+    assert np.allclose(from_mm_deg(dataset.poses[3]), POSE_RANGES["edge"].sample(rng), atol=1e-7)
+    assert np.allclose(from_mm_deg(dataset.shears[3]), SHEAR_RANGES.sample(rng), atol=1e-7)
 
 
-def test_images_are_a_function_of_the_pins(whole, design):
-    """Physics once, optics many: the record draws the image again, to the bit."""
+def test_make_images_can_be_rendered_again_from_the_pins(whole, design):
+    """The recorded pins suffice to render the images again."""
     from tactip_twin.tactip_model.raster_renderer import Raster
 
     dataset, raster = read_dataset(whole), Raster(design)
@@ -56,7 +56,7 @@ def test_images_are_a_function_of_the_pins(whole, design):
     assert min(same) > 0.9999  # the record is in single precision
 
 
-def test_records_measure_what_they_should(whole):
+def test_make_measures_are_plausible(whole):
     for row in table(whole):
         assert float(row["penetration_mm"]) <= 0.05
         assert 0.1 < float(row["volume_ratio"]) <= 1.01
@@ -64,13 +64,13 @@ def test_records_measure_what_they_should(whole):
         assert row["seed"] == f"0:edge:train:{row['index']}"
 
 
-def test_two_workers_make_the_same_bytes(whole, tmp_path):
+def test_make_two_workers_give_the_same_bytes(whole, tmp_path):
     assert run(make(tmp_path / "two", workers=2)).returncode == 0
     assert contents(tmp_path / "two") == contents(whole)
 
 
-def test_samples_by_symmetry(tmp_path):
-    """Three contacts make six samples, a mirror each, and the last is cut short; killed, it is resumed to the same bytes."""
+def test_make_symmetric_samples_are_mirrored_and_resumed(tmp_path):
+    """Three contacts and their mirror images make five samples; a killed run is resumed to the same bytes."""
     whole, killed = tmp_path / "whole", tmp_path / "killed"
     result = run(make(whole, "--symmetric", samples=5, workers=1))
     assert result.returncode == 0, result.stderr
@@ -92,13 +92,13 @@ def test_samples_by_symmetry(tmp_path):
     for samples in (4, 6):
         refused = run(make(killed, "--symmetric", samples=samples))
         assert refused.returncode == 1 and len(refused.stderr.strip().splitlines()) == 1
-        assert f"{samples} samples are asked for" in refused.stderr
-        assert "holds an unfinished set of 5 samples: ask for 5 to finish it" in refused.stderr
+        assert f"the unfinished set in {killed} has 5 samples: samples must be 5 until the set is finished" in refused.stderr
+        assert f"got {samples}" in refused.stderr
     again = run(make(killed, "--symmetric", samples=5))
     assert again.returncode == 0
     assert contents(killed) == contents(whole)
     fewer = run(make(killed, "--symmetric", samples=4))
-    assert fewer.returncode == 1 and "holds a set of 5 samples: ask for more of them" in fewer.stderr
+    assert fewer.returncode == 1 and "has 5 samples: samples must be at least 5, got 4" in fewer.stderr
     assert contents(killed) == contents(whole)
     grown = tmp_path / "grown"
     for samples in (3, 5):
@@ -106,14 +106,14 @@ def test_samples_by_symmetry(tmp_path):
     assert contents(grown) == contents(whole)
 
 
-def test_uneven_ranges_have_no_symmetry(tmp_path):
+def test_make_symmetric_with_asymmetric_ranges_is_refused(tmp_path):
     result = run(make(tmp_path / "set", "--symmetric", "--pose.roll-deg", "-5", "10"))
     assert result.returncode == 1
-    assert "the ranges of the pose are not as wide to one side as to the other" in result.stderr
+    assert "the pose ranges are not symmetric" in result.stderr
 
 
-def test_pyrender_sets_are_made_and_show(tmp_path, design):
-    folder = tmp_path / "drawn"
+def test_make_pyrender_set_is_verified_and_shown(tmp_path, design):
+    folder = tmp_path / "rendered"
     assert run(make(folder, samples=2, renderer="pyrender")).returncode == 0
     assert tactip.main(["dataset", "verify", str(folder)]) == 0
     sheet = tmp_path / "sheet.png"
@@ -122,11 +122,11 @@ def test_pyrender_sets_are_made_and_show(tmp_path, design):
     assert image.shape[0] > 128
     assert 0 < (image == 0).mean() < 1
     with np.load(folder / "pins.npz", allow_pickle=False) as pins:
-        drawn = tactile_image(PinCamera(design).render(pins["tips"][0], pins["directions"][0]), design.image)
-    assert (drawn == read_dataset(folder).image(0)).mean() > 0.9999
+        rendered = tactile_image(PinCamera(design).render(pins["tips"][0], pins["directions"][0]), design.image)
+    assert (rendered == read_dataset(folder).image(0)).mean() > 0.9999
 
 
-def test_all_sets_of_a_job_by_one_crew(tmp_path):
+def test_make_all_tasks_and_splits_in_one_run(tmp_path):
     folder = tmp_path / "all"
     assert run(make(folder, "--split", "all", task="all", samples=1)).returncode == 0
     for task in ("surface", "edge"):
@@ -134,24 +134,27 @@ def test_all_sets_of_a_job_by_one_crew(tmp_path):
             assert tactip.main(["dataset", "verify", str(folder / task / split)]) == 0
 
 
-BAD = {
-    "negative count": (["--samples", "-3"], "at least 1"),
+INVALID = {
+    "negative count": (["--samples", "-3"], "samples must be at least 1, got -3"),
     "unknown design": (["--design", "digit"], "tactip-127, tactip-331"),
-    "range upside down": (["--pose.depth-mm", "-1", "-5"], "depth_mm must be a low and a high, with low at most high, got (-1.0, -5.0)"),
-    "depth out of the object": (["--pose.depth-mm", "1", "3"], "depth is negative into the object"),
-    "no workers": (["--workers", "0"], "at least 1"),
-    "words for workers": (["--workers", "many"], "auto"),
+    "range upside down": (["--pose.depth-mm", "-1", "-5"], "with low at most high, got (-1.0, -5.0)"),
+    "depth out of the object": (
+        ["--pose.depth-mm", "1", "3"],
+        "pose.depth_mm must be at most 0 (depth is negative into the object), got (1.0, 3.0)",
+    ),
+    "no workers": (["--workers", "0"], "workers must be auto or at least 1, got 0"),
+    "words for workers": (["--workers", "many"], "workers must be auto or at least 1, got many"),
     "negative seed": (["--seed", "-1"], "seed must be non-negative, got -1"),
 }
 
 
-@pytest.mark.parametrize("case", BAD)
-def test_bad_options_give_one_sentence(tmp_path, capsys, case):
-    options, words = BAD[case]
+@pytest.mark.parametrize("case", INVALID)
+def test_make_invalid_option_gives_one_sentence(tmp_path, capsys, case):
+    options, words = INVALID[case]
     assert tactip.main(["dataset", "make", "--out", str(tmp_path / "never"), *options]) == 1
-    told = capsys.readouterr().err.strip()
-    assert words in told
-    assert len(told.splitlines()) == 1
+    message = capsys.readouterr().err.strip()
+    assert words in message
+    assert len(message.splitlines()) == 1
     assert not (tmp_path / "never").exists()
 
 
@@ -174,37 +177,37 @@ def test_dataset_make_unknown_choice_exits_with_2_and_lists_the_choices(tmp_path
     assert not (tmp_path / "never").exists()
 
 
-def test_a_folder_of_another_configuration_is_refused_and_left_alone(copy, capsys):
+def test_make_folder_of_another_configuration_is_refused_and_unchanged(copy, capsys):
     before = contents(copy)
     options = ["--task", "edge", "--samples", "6", "--fidelity", "draft", "--renderer", "raster"]
     assert tactip.main(["dataset", "make", "--out", str(copy), *options, "--design", "nominal-127", "--seed", "1"]) == 1
-    told = capsys.readouterr().err
-    assert f"the folder {copy} holds a data set with other settings" in told
-    assert "(configuration.seed is 0 there, 1 here): choose another folder" in told
+    message = capsys.readouterr().err
+    assert f"the folder {copy} holds a data set with other settings" in message
+    assert "(configuration.seed is 0 there, 1 here): choose another folder" in message
     assert contents(copy) == before
 
 
-def test_a_folder_of_something_else_is_refused_and_left_alone(tmp_path, capsys):
+def test_make_folder_of_something_else_is_refused_and_unchanged(tmp_path, capsys):
     (tmp_path / "thesis.tex").write_text("years of work")
     assert tactip.main(["dataset", "make", "--out", str(tmp_path)]) == 1
     assert "is not empty and holds no data set: choose another folder" in capsys.readouterr().err
     assert [p.name for p in tmp_path.iterdir()] == ["thesis.tex"]
 
 
-def test_an_unwritable_folder_gives_one_sentence(tmp_path, capsys):
+def test_make_unwritable_folder_gives_one_sentence(tmp_path, capsys):
     (tmp_path / "file").write_text("")
     assert tactip.main(["dataset", "make", "--out", str(tmp_path / "file" / "set")]) == 1
-    told = capsys.readouterr().err.strip()
-    assert "cannot write to the folder" in told
-    assert len(told.splitlines()) == 1
+    message = capsys.readouterr().err.strip()
+    assert "cannot write to the folder" in message
+    assert len(message.splitlines()) == 1
 
 
-def test_missing_options_are_refused_by_the_command_line():
+def test_make_missing_option_is_refused_by_the_command_line():
     result = run([*TACTIP, "make"])
     assert result.returncode == 2
     assert "--out" in result.stderr
 
 
-def test_unknown_configuration_in_python(design, tmp_path):
+def test_make_unknown_task_in_python_is_refused(design, tmp_path):
     with pytest.raises(TactipError, match="surface, edge"):
         generation.make([Job(configuration(design, task="corner"), tmp_path / "x")], 1)

@@ -1,4 +1,4 @@
-"""Tips whose mechanics differ from contact to contact."""
+"""Randomization of the tip's mechanics from contact to contact."""
 
 from dataclasses import fields, replace
 
@@ -28,19 +28,19 @@ def value(design, name):
         name, {"skin_thickness": "skin_thickness_m"}.get(name, name)))  # fmt: skip
 
 
-def test_draws_lie_within_the_factors_and_fill_them(design):
-    draws = [REAL.sample(design, np.random.default_rng(seed)) for seed in range(400)]
+def test_sample_factors_fill_their_ranges(design):
+    samples = [REAL.sample(design, np.random.default_rng(seed)) for seed in range(400)]
     for f in fields(MechanicsRandomization):
-        most = getattr(REAL, f.name)
-        factors = np.array([value(d, f.name) for d in draws]) / value(design, f.name)
-        assert factors.min() > 0.999 / most and factors.max() < 1.001 * most
-        assert factors.min() < most**-0.95
-        assert f.name == "kinetic_share" or factors.max() > most**0.95
-        assert f.name == "kinetic_share" or np.median(np.log(factors)) == pytest.approx(0, abs=0.2 * np.log(most))
-    assert max(d.materials.kinetic_share for d in draws) == 1.0
+        maximum = getattr(REAL, f.name)
+        factors = np.array([value(d, f.name) for d in samples]) / value(design, f.name)
+        assert factors.min() > 0.999 / maximum and factors.max() < 1.001 * maximum
+        assert factors.min() < maximum**-0.95
+        assert f.name == "kinetic_share" or factors.max() > maximum**0.95
+        assert f.name == "kinetic_share" or np.median(np.log(factors)) == pytest.approx(0, abs=0.2 * np.log(maximum))
+    assert max(d.materials.kinetic_share for d in samples) == 1.0
 
 
-def test_a_still_one_changes_nothing_and_others_are_refused(design):
+def test_mechanics_randomization_default_is_identity_and_factors_below_1_are_refused(design):
     assert MechanicsRandomization().is_identity and not REAL.is_identity
     same = MechanicsRandomization().sample(design, np.random.default_rng(0))
     assert same == design
@@ -56,24 +56,24 @@ def configuration(**changes):
     return replace(made, **changes)
 
 
-def test_poses_are_the_same_and_a_still_set_keeps_its_digest():
-    still, moved = configuration(), configuration(mechanics=REAL)
-    assert "mechanics" not in still.as_json()
-    assert still.digest() != moved.digest()
+def test_sample_contact_poses_do_not_depend_on_mechanics():
+    plain, randomized = configuration(), configuration(mechanics=REAL)
+    assert "mechanics" not in plain.as_json()
+    assert plain.digest() != randomized.digest()
     for number in range(4):
-        a, b = sample_contact(still, number), sample_contact(moved, number)
+        a, b = sample_contact(plain, number), sample_contact(randomized, number)
         assert np.array_equal(a.pose, b.pose) and np.array_equal(a.shear, b.shear)
-        assert a.design == still.design != b.design
-        assert b.design == sample_contact(moved, number).design
+        assert a.design == plain.design != b.design
+        assert b.design == sample_contact(randomized, number).design
 
 
-def test_a_tip_of_softer_gel_gives_way(design):
-    """The same press: the force goes with the moduli together, and pins move more where the skin is thin."""
+def test_simulator_force_follows_the_moduli(design):
+    """At the same depth, the force is proportional to both moduli together, and smaller with a softer skin."""
 
     def force(**changes):
         other: Design = replace(design, materials=replace(design.materials, **changes))
-        player = ContactSimulator(other, "surface", fidelity_named("draft"))
-        return player.play(from_mm_deg([0, 0, -3, 0, 0, 0]), np.zeros(6)).normal_force_n
+        simulator = ContactSimulator(other, "surface", fidelity_named("draft"))
+        return simulator.play(from_mm_deg([0, 0, -3, 0, 0, 0]), np.zeros(6)).normal_force_n
 
     m = design.materials
     plain = force()
@@ -82,7 +82,7 @@ def test_a_tip_of_softer_gel_gives_way(design):
     assert force(skin_young_pa=0.7 * m.skin_young_pa) < plain
 
 
-def test_a_set_of_varied_tips_is_the_same_whoever_makes_it(tmp_path):
+def test_make_randomized_mechanics_do_not_depend_on_workers(tmp_path):
     command = ["dataset", "make", "--fidelity", "draft", "--renderer", "raster", "--mechanics", "real", "--symmetric"]
     for name, workers in (("a", "1"), ("b", "2")):
         assert tactip.main([*command, "--samples", "16", "--workers", workers, "--out", str(tmp_path / name)]) == 0
@@ -90,7 +90,7 @@ def test_a_set_of_varied_tips_is_the_same_whoever_makes_it(tmp_path):
     assert one.meta["files"] == other.meta["files"]
     assert one.meta["configuration"]["mechanics"]["friction"] == REAL.friction
     assert tactip.main(["dataset", "verify", str(tmp_path / "a")]) == 0
-    # Played once more, its mechanics are those of the contact.
+    # Simulated again, the contact has the same mechanics.
     _, arrays = record_contact(tmp_path / "a", 8, tmp_path / "run")
     with np.load(tmp_path / "a" / "pins.npz") as pins:
         assert np.allclose(arrays["tips_m"][-1], pins["tips"][8], atol=1e-7)

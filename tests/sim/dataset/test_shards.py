@@ -63,8 +63,8 @@ def test_its_samples_are_those_of_one_folder(flat, whole):
 
 def test_all_who_read_sets_take_it_as_one(flat, whole, tmp_path):
     samples = read_samples(whole)
-    assert len(samples) == SAMPLES and samples.chosen() is None
-    drawn, plain = OpticsAugmentation(samples).plain(torch.arange(SAMPLES)).numpy() > 0, samples.images > 0
+    assert len(samples) == SAMPLES and samples.subset_sha256() is None
+    drawn, plain = OpticsAugmentation(samples).render_plain(torch.arange(SAMPLES)).numpy() > 0, samples.images > 0
     assert (drawn == plain).mean() > 0.98
     assert labels_sha256(read_meta(whole)) != labels_sha256(read_meta(flat))
     for folder in (flat, whole):
@@ -83,7 +83,7 @@ def test_two_workers_make_the_same_bytes(whole, tmp_path):
 
 def test_a_contact_that_makes_eight_samples_stays_in_one_shard(tmp_path, capsys):
     assert tactip.main(options(tmp_path / "odd", "--symmetric")) == 1
-    assert "shards of 4 samples cannot be made: it must be 8, of a contact, or more" in capsys.readouterr().err
+    assert "shard_samples must be at least 8, the number of samples of one contact, got 4" in capsys.readouterr().err
     assert tactip.main(options(tmp_path / "set", "--symmetric", samples=20, shard=16)) == 0
     assert tactip.main(options(tmp_path / "flat", "--symmetric", samples=20, shard=32)) == 0
     one, other = read_dataset(tmp_path / "set"), read_dataset(tmp_path / "flat")
@@ -113,7 +113,7 @@ def test_a_worker_closes_a_shard_and_does_no_harm_where_it_is_closed(copy, whole
         assert contents(copy) == contents(whole)
         assert (shard / "run.json").read_bytes() == closing.run_json
         (shard / PARTIAL).mkdir()
-    assert repr(closing) == "the end of shard-00001"
+    assert repr(closing) == "the completion of shard-00001"
 
 
 def test_a_shard_that_was_left_without_its_end_gets_it(copy, whole, capsys):
@@ -153,7 +153,7 @@ def test_growth_that_is_killed_while_it_moves_goes_on(whole, tmp_path, monkeypat
     assert tactip.main(["dataset", "verify", str(folder)]) == 1
     assert "unfinished" in capsys.readouterr().err
     assert tactip.main(options(folder, samples=3)) == 1
-    assert "3 samples are asked for" in (told := capsys.readouterr().err) and "an unfinished set of 10 samples" in told
+    assert "has 10 samples: samples must be 10 until the set is finished, got 3" in capsys.readouterr().err
     assert tactip.main(options(folder)) == 0
     assert contents(folder) == contents(whole)
 
@@ -178,7 +178,7 @@ def test_fewer_samples_than_there_are_are_refused(copy, capsys):
     for fewer in (3, 8):
         assert tactip.main(options(copy, samples=fewer)) == 1
         told = capsys.readouterr().err
-        assert f"{fewer} samples are asked for" in told and "holds a set of 10 samples: ask for more of them" in told
+        assert f"has 10 samples: samples must be at least 10, got {fewer}" in told
 
 
 def test_a_set_of_one_folder_that_is_too_large_for_a_shard_is_left_as_it_is(tmp_path, capsys):
@@ -215,10 +215,10 @@ def _swap_shards(folder):
             "shard-00001/images/image_00005.png: missing",
         ),
         (lambda f: shutil.rmtree(f / "shard-00002"), "shard-00002/meta.json: missing"),
-        (lambda f: (f / "shard-00007").mkdir(), "shard-00007: it is no shard of this set"),
+        (lambda f: (f / "shard-00007").mkdir(), "shard-00007: not a shard of this set"),
         (lambda f: (f / "shard-00000" / "meta.json").write_text("{}"), "shard-00000/meta.json: altered"),
-        (_alter_manifest, "meta.json: it promises samples"),
-        (_swap_shards, "shard-00000: it is of another configuration"),
+        (_alter_manifest, "meta.json: samples are"),
+        (_swap_shards, "shard-00000: has another configuration"),
     ],
 )
 def test_damage_is_told_by_shard(copy, capsys, damage, words):

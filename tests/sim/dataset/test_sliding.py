@@ -96,7 +96,7 @@ def test_sliding_on_is_what_one_long_shear_is(design, standard):
 
 
 def test_the_shear_of_a_look_is_the_way_since_the_first_touch(on_surface):
-    player = on_surface.player
+    player = on_surface.simulator
     pose = from_mm_deg([0, 0, -2, 0, 0, 0])
     player.play(pose, from_mm_deg([1, 0, 0, 0, 0, 0]))
     there = player.slide(from_mm_deg([2, 1, -2, 0, 0, 0]), pose)
@@ -161,12 +161,15 @@ def test_a_look_that_cannot_be_trusted_is_left_out_and_named(design, tmp_path):
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
-        ({"looks": 0}, "0 looks at a contact cannot be had: it must be 1 to 1000"),
+        ({"looks": 0}, "looks must be between 1 and 1000, got 0"),
         (
             {"looks": 200, "shard_samples": 100},
-            "shards of 100 samples cannot be made: it must be 200, of a contact, or more",
+            "shard_samples must be at least 200, the number of samples of one contact, got 100",
         ),
-        ({"pose": Ranges(depth_mm=(-5, -1), yaw_deg=(5, 9))}, "the range pose.yaw_deg is (5, 9): with more than one look"),
+        (
+            {"pose": Ranges(depth_mm=(-5, -1), yaw_deg=(5, 9))},
+            "pose.yaw_deg must be a range that includes 0 where looks is above 1",
+        ),
     ],
 )
 def test_what_cannot_be_had_is_said(design, tmp_path, changes, sentence):

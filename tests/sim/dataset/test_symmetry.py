@@ -61,8 +61,8 @@ def test_a_mirrored_contact_is_what_the_mirrored_play_gives(design, standard):
 @pytest.mark.parametrize("index", [1, 4, 6])
 def test_a_turned_contact_is_what_the_turned_play_gives(on_surface, index):
     pose, shear = from_mm_deg([0, 0, -3, 8, -5, 0]), from_mm_deg([1, -0.5, 0, 2, 1, -3])
-    contacts = contacts_of(on_surface.player, "surface", pose, shear)
-    played = on_surface.player.play(contacts[index].pose, contacts[index].shear)
+    contacts = contacts_of(on_surface.simulator, "surface", pose, shear)
+    played = on_surface.simulator.play(contacts[index].pose, contacts[index].shear)
     apart = np.linalg.norm(played.tips - contacts[index].tips, axis=1)
     assert np.sqrt(np.mean(apart**2)) < 0.12e-3
 

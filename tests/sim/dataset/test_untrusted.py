@@ -157,6 +157,6 @@ def test_what_is_too_steep_is_drawn_again(design):
 
 def test_ranges_that_are_too_steep_throughout_are_refused(design, tmp_path):
     c = configuration(design, pose=Ranges(depth_mm=(-3, -1), roll_deg=(25, 28), pitch_deg=(25, 28)))
-    with pytest.raises(TactipError, match="all are steeper than 30 degrees"):
+    with pytest.raises(TactipError, match="sampled from the ranges tilt by more than 30 degrees"):
         generation.make([Job(c, tmp_path / "steep")], workers=1, say=lambda line: None)
     assert not (tmp_path / "steep").exists()

@@ -98,14 +98,14 @@ DAMAGES = {
     damage_extra_image: "image_00009.png: has no row",
     damage_bad_number: "line 5: pose_z is 'deep', not a number",
     damage_infinite_number: "not a finite number",
-    damage_out_of_range: "a row of another configuration",
-    damage_short_row: "line 3: it has more or fewer cells",
-    damage_foreign_row: "a mixed configuration",
+    damage_out_of_range: "the row belongs to another configuration",
+    damage_short_row: "line 3: has more or fewer cells",
+    damage_foreign_row: "or the image does not belong to this set",
     damage_missing_pins: "pins.npz: missing",
-    damage_pins_of_another_set: "pins.npz: it belongs to a set of another configuration",
-    damage_truncated_pins: "pins.npz: it cannot be read",
-    damage_emptied_pins: "pins.npz: it cannot be read",
-    damage_configuration: "its configuration was altered",
+    damage_pins_of_another_set: "pins.npz: belongs to a set of another configuration",
+    damage_truncated_pins: "pins.npz: cannot be read",
+    damage_emptied_pins: "pins.npz: cannot be read",
+    damage_configuration: "configuration altered",
 }
 
 

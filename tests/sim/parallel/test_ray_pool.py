@@ -49,7 +49,7 @@ def test_make_on_two_machines_of_which_one_is_lost_equals_one_process(design, tm
         machines.shutdown()
     assert lost.is_set()
     assert made["kept"] + made["failed"] == 24
-    assert any("another takes over" in line for line in messages)
+    assert any("another worker takes over" in line for line in messages)
     assert contents(tmp_path / "many") == contents(tmp_path / "one")
 
 
@@ -124,9 +124,9 @@ def test_ray_pool_lost_worker_has_its_task_done_by_another_once():
     pool, made, messages = make_pool(ray, list(range(6)))
     pool.work(2, lambda *done: None)
     assert sorted(made) == list(range(6)) and ray.alive == 0
-    assert messages == ["a worker ended with its process or its machine at sample 4: another takes over"]
+    assert messages == ["a worker was lost with its process or its machine during sample 4: another worker takes over"]
     pool, made, messages = make_pool(FakeRay(2, deadly=[4, 4]), list(range(6)))
-    with pytest.raises(TactipError, match="sample 4 has ended two workers"):
+    with pytest.raises(TactipError, match="sample 4 crashed two workers"):
         pool.work(2, lambda *done: None)
 
 
@@ -137,12 +137,12 @@ def test_ray_pool_short_tasks_are_assigned_in_blocks_and_a_deadly_one_is_found()
     pool.work(2, lambda *done: None)
     assert sorted(made) == list(range(1000)) and ray.alive == 0
     (block,) = [tasks for tasks in ray.given if 400 in tasks and len(tasks) > 1]
-    assert f" and {len(block) - 1} more: another takes over" in messages[0]
+    assert f" and {len(block) - 1} more: another worker takes over" in messages[0]
     assert all((task,) in ray.given for task in block)
     assert len(ray.given) - len(block) < 40
     assert len(ray.given[-1]) == 1  # towards the end blocks are small, so all workers end together
     pool, made, messages = make_pool(FakeRay(2, deadly=[400, 400]), list(range(1000)))
-    with pytest.raises(TactipError, match="sample 400 has ended two workers"):
+    with pytest.raises(TactipError, match="sample 400 crashed two workers"):
         pool.work(2, lambda *done: None)
 
 
@@ -155,7 +155,7 @@ def test_ray_pool_task_that_fails_raises_its_error():
 
 
 def test_ray_pool_without_processors_or_ray_gives_one_sentence(tmp_path, capsys, monkeypatch):
-    with pytest.raises(TactipError, match="no processor"):
+    with pytest.raises(TactipError, match="no CPU"):
         make_pool(FakeRay(0), [1])[0].places()
     monkeypatch.setitem(sys.modules, "ray", None)
     assert tactip.main(["dataset", "make", "--cluster", "auto", "--out", str(tmp_path / "set")]) == 1

@@ -47,9 +47,9 @@ def _deadly():
 def test_worker_pool_task_that_kills_two_workers_is_named():
     messages = []
     pool = WorkerPool(_deadly, (), [(0, 17)], "sample", messages.append, lambda task: f"sample {task[1]} of set {task[0]}")
-    with pytest.raises(TactipError, match=r"^sample 17 of set 0 has ended two workers \(the last by signal SIGKILL\)"):
+    with pytest.raises(TactipError, match=r"^sample 17 of set 0 crashed two workers \(the last was killed by SIGKILL\)"):
         pool.work(1, lambda *done: None)
-    assert messages == ["a worker ended by signal SIGKILL at sample 17 of set 0: another takes over"]
+    assert messages == ["a worker was killed by SIGKILL during sample 17 of set 0: another worker takes over"]
 
 
 def test_make_names_samples_and_shards_with_their_set(design, tmp_path, monkeypatch):
@@ -63,4 +63,4 @@ def test_make_names_samples_and_shards_with_their_set(design, tmp_path, monkeypa
     jobs = [Job(configuration(design), tmp_path / name) for name in ("train", "val")]
     with pytest.raises(TactipError, match="enough to be named"):
         generation.make(jobs, 1, say=lambda line: None)
-    assert names == [f"sample 17 of {tmp_path / 'val'}", f"the end of shard-00001 of {tmp_path / 'train'}"]
+    assert names == [f"sample 17 of {tmp_path / 'val'}", f"the completion of shard-00001 of {tmp_path / 'train'}"]

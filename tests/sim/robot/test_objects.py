@@ -44,9 +44,9 @@ def test_what_is_safe_is_repaired_and_said(tmp_path, ball):
     doubled = trimesh.Trimesh(ball.vertices, np.concatenate([ball.faces, ball.faces[:5], [[0, 0, 1]]]), process=False)
     for name, mesh, words in (
         ("inverted", inverted, "faced inward"),
-        ("mixed", mixed, "wound the wrong way"),
-        ("cut", cut, "closed with a lid"),
-        ("doubled", doubled, "left out"),
+        ("mixed", mixed, "inconsistent winding"),
+        ("cut", cut, "filled"),
+        ("doubled", doubled, "removed"),
     ):
         thing = load_object(written(tmp_path / f"{name}.ply", mesh))
         assert any(words in note for note in thing.notes), name
@@ -69,7 +69,7 @@ def test_what_is_not_safe_is_refused_with_the_reason(tmp_path, ball):
         ("torn", torn, "is open"),
         ("bowl", bowl, "is not flat"),
         ("fin", fin, "more than two triangles"),
-        ("sheet", sheet, "has no inside"),
+        ("sheet", sheet, "does not enclose a volume"),
     ):
         with pytest.raises(TactipError, match=words):
             load_object(written(tmp_path / f"{name}.ply", mesh))
@@ -83,14 +83,14 @@ def test_wrong_input_is_one_sentence(tmp_path, ball):
     gaps = ball.copy()
     gaps.vertices[0] = np.nan
     for name, words, options in (
-        (path, "is the unit right", {"unit": "m"}),
+        (path, "check its unit", {"unit": "m"}),
         (path, "unit", {"unit": "inch"}),
-        ("bust", "'bust' comes with its size, and --unit mm is of files", {"unit": "mm"}),
+        ("bust", "'bust' is a built-in object: leave --unit out", {"unit": "mm"}),
         (path, "above 0", {"scale": 0.0}),
         (tmp_path / "none.stl", "choose one of bust", {}),
         (damaged, "damaged.ply", {}),
         (text, "text.stl", {}),
-        (written(tmp_path / "ball.off", ball), "ends in one of stl", {}),
+        (written(tmp_path / "ball.off", ball), "must end in one of stl", {}),
         (written(tmp_path / "gaps.ply", gaps), "not finite", {}),
     ):
         with pytest.raises(TactipError, match=words):

@@ -125,8 +125,12 @@ def test_two_commands_do_not_record_into_one_folder(tmp_path):
     [
         (RECORDING, b"{", "cannot be read"),
         (RECORDING, b"[1]", "cannot be read"),
-        (RECORDING, b'{"format": "else"}', "is no recording of this project"),
-        (RECORDING, json.dumps({"format": "tactip-twin recording", "version": 9}).encode(), "version 9, and version 2"),
+        (RECORDING, b'{"format": "else"}', "is not a recording of this project"),
+        (
+            RECORDING,
+            json.dumps({"format": "tactip-twin recording", "version": 9}).encode(),
+            "version 9, but this program reads version 2",
+        ),
         (RECORDING, json.dumps({"format": "tactip-twin recording", "version": 2}).encode(), "is damaged"),
         (STEPS, b"PK nothing", "cannot be read"),
         (STEPS, b"", "cannot be read"),

@@ -97,12 +97,12 @@ def test_it_is_scrubbed_by_the_slider(replay):
 def test_single_steps_and_events(replay):
     replay.page.playback.go(2)
     replay.page.show()
-    replay.browser.click(">")
+    replay.browser.click("next")
     replay.until(lambda: replay.page.playback.step == 3)
-    replay.browser.click("event >")
+    replay.browser.click("next event")
     replay.until(lambda: replay.page.playback.step == 7)
     replay.text("9.0 N on the tip")
-    replay.browser.click("<")
+    replay.browser.click("previous")
     replay.until(lambda: replay.page.playback.step == 6)
 
 
@@ -128,7 +128,7 @@ def test_a_number_that_is_typed_moves_the_stimulus(live):
     live.browser.write(".mantine-NumberInput-input", "3")
     live.until(lambda: abs(live.page._contact.label[0] - 3e-3) < 1e-9)
     live.text("at rest")
-    assert np.hypot(*live.page._contact.touch().force[:2]) > 0.05
+    assert np.hypot(*live.page._contact.tip_state().force[:2]) > 0.05
 
 
 def _on_screen(point, camera, browser):
@@ -146,7 +146,7 @@ def _on_screen(point, camera, browser):
 
 def test_the_handle_is_dragged_and_the_stimulus_follows(live):
     """Along the arrow of the handle's own x: the stimulus goes where the mouse goes, as far as it goes."""
-    live.browser.click("back to the start")
+    live.browser.click("reset")
     live.until(lambda: abs(live.page._contact.label[0]) < 1e-9)
     live.text("at rest")
     live.browser.frames()

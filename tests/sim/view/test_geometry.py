@@ -123,9 +123,9 @@ def test_a_film_that_fails_leaves_nothing(tmp_path):
     for name in ("film.mp4", "film.gif"):
         with pytest.raises(TactipError, match=r"cannot write .*there is no folder"):
             write_video(tmp_path / "none" / name, still)
-    with pytest.raises(TactipError, match=r"its name ends in one of \.mp4, \.gif"):
+    with pytest.raises(TactipError, match=r"must end in one of \.mp4, \.gif"):
         write_video(tmp_path / "film.avi", still)
-    with pytest.raises(TactipError, match="no step was recorded"):
+    with pytest.raises(TactipError, match="the recording has no steps"):
         write_video(tmp_path / "film.mp4", [])
 
 

@@ -35,7 +35,7 @@ def test_the_sliders_move_the_stimulus_and_the_tip_feels_it(page):
         slider.value = value
     page._on_slider()
     _until_rest(page)
-    state = page._contact.touch()
+    state = page._contact.tip_state()
     assert np.allclose(to_mm_deg(page._contact.label), [2, -1, -3, 5, 0, 20])
     assert np.allclose(page._skin.vertices, state.skin, atol=1e-7)
     assert np.allclose(page._pins.points[:, 1], state.tips, atol=1e-7)
@@ -65,13 +65,13 @@ def test_dragged_too_far_it_goes_to_the_end_of_the_sliders(page):
 def test_lifting_forgets_the_shear(page):
     page._on_reset()
     _until_rest(page)
-    first = page._contact.touch()
+    first = page._contact.tip_state()
     for x in (4.0, 0.0):
         page._request([x, 0, -2, 0, 0, 0])
         _until_rest(page)
     page._on_reset()
     _until_rest(page)
-    assert np.array_equal(page._contact.touch().tips, first.tips)
+    assert np.array_equal(page._contact.tip_state().tips, first.tips)
 
 
 def test_out_of_reach_is_said(page):
@@ -92,7 +92,7 @@ def test_a_lost_tip_is_lifted_and_said(page, monkeypatch):
     page._on_input()
     monkeypatch.setattr(page._contact, "advance", lose)
     page.run(seconds=0.01)
-    assert "the simulated tip is lost: it was lifted" in page._status.content
+    assert "the simulated tip is lost; the tip was lifted" in page._status.content
     _until_rest(page)
 
 

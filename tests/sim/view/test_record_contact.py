@@ -90,7 +90,7 @@ def test_a_command_records_and_a_film_is_made_of_it(sets, tmp_path, capsys):
 
 
 def test_a_sample_that_is_not_there_is_refused(sets, tmp_path):
-    with pytest.raises(TactipError, match="has no sample 7: it has 2 of them, 0 to 1"):
+    with pytest.raises(TactipError, match="has no sample 7: it has 2 samples from 0 to 1"):
         record_contact(sets / "surface", 7, tmp_path / "run")
     with pytest.raises(TactipError, match="there is no data set"):
         record_contact(tmp_path, 0, tmp_path / "run")

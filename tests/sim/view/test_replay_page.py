@@ -94,7 +94,7 @@ def test_other_sites_are_not_let_in(page, origin, let_in):
 
 
 def test_nothing_to_show_is_said():
-    with pytest.raises(TactipError, match="no step was made"):
+    with pytest.raises(TactipError, match="the recording has no steps to show"):
         ReplayPage(RECORD | {"steps": 0}, arrays_of(), scenery())
 
 

@@ -87,7 +87,7 @@ def test_keys_move_it(window):
 def test_without_a_display_it_is_said(monkeypatch):
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    with pytest.raises(TactipError, match="no display"):
+    with pytest.raises(TactipError, match="needs a display"):
         ReplayWindow(RECORD, arrays_of(), scenery())
 
 
