@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from tactip_twin.sim.dataset.format import read_dataset
     from tactip_twin.sim.robot.objects import load_object
     from tactip_twin.sim.robot.recording import read_recording
-    from tactip_twin.sim.tactip import TacTip, TactileContact, UntrustedContact
+    from tactip_twin.sim.tactip import TactileContact, TacTip, UntrustedContact
     from tactip_twin.tactip_model.design import Design
     from tactip_twin.tactip_model.errors import TactipError
     from tactip_twin.tactip_model.presets import load_design

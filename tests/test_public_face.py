@@ -99,7 +99,7 @@ def test_record_that_fails_its_checks_is_repeated_and_passes():
 
 def test_record_that_never_passes_is_refused_with_its_reason():
     tip = tt.TacTip("tactip-127", fidelity="draft", renderer="raster", limits=QualityLimits(penetration_m=1e-9))
-    with pytest.raises(tt.UntrustedContact, match="the object is .* mm inside the skin") as caught:
+    with pytest.raises(tt.UntrustedContact, match=r"the object is .* mm inside the skin") as caught:
         tip.press(depth_mm=3)
     assert caught.value.record.penetration_m > 1e-9
 
