@@ -87,7 +87,7 @@ def test_fitted_design_file_keeps_camera_drift_apart(hidden, tmp_path):
     assert read_design(tmp_path / "d.json") == hidden
     assert read_design_with_drift(tmp_path / "d.json") == warm
     write_design(tmp_path / "e.json", hidden, {})
-    with pytest.raises(TactipError, match="lacks provenance.camera_in_use, which only designs fitted to frames have"):
+    with pytest.raises(TactipError, match=r"lacks provenance\.camera_in_use, which only designs fitted to frames have"):
         read_design_with_drift(tmp_path / "e.json")
 
 
