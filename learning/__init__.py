@@ -1,1 +1,1 @@
-"""Tactile image to pose: PoseNet, its training, its search, its evaluation."""
+"""Pose estimation from tactile images: PoseNet, its training, hyperparameter search and evaluation."""

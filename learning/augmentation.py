@@ -1,11 +1,12 @@
 """Augmentation: training images rendered at every step from the pins of simulated contacts, under random optics.
 
-The mechanics are simulated once and only the optics vary, because two sensors of the same design, or one sensor on two days,
-differ in camera position, apparent pin size and threshold. Moreover, which pixels a pin of two or three pixels covers is
-chance, and a network that always sees the same image of a contact memorizes that chance.
+The mechanics are simulated once and only the optics vary, because two sensors of the same design, or one sensor on two
+days, differ in camera position, apparent pin size and threshold. Moreover, it is chance which pixels a pin of two or
+three pixels covers, and a network that always sees the same image of a contact memorizes that chance.
 
-Here a pin is a disc, and a pixel is white if its centre lies on one. The radii are corrected so the images have as many white
-pixels as those of the set. This is 50 times faster than rendering and processing a frame, and nine of ten white pixels agree.
+Here a pin is a disc, and a pixel is white if its centre lies on one. The radii are corrected so the images have as many
+white pixels as those of the set. This is 50 times faster than rendering and processing a frame, and nine of ten white pixels
+agree.
 """
 
 from dataclasses import replace
@@ -300,8 +301,8 @@ def _rim_lights(count: int, max_arcs: int, fraction: float, device: str) -> tupl
         device: Torch device.
 
     Returns:
-        Positions (count, max_arcs * _ARC_DISCS, 2) from the image centre, and radii (count, max_arcs * _ARC_DISCS), 0 where there is no
-        arc; both as fractions of the image width.
+        Positions (count, max_arcs * _ARC_DISCS, 2) from the image centre, and radii (count, max_arcs * _ARC_DISCS), 0 where
+        there is no arc; both as fractions of the image width.
     """
     number = (fraction * (max_arcs + 1) * torch.rand(count, 1, device=device)).floor()
     start = 2 * np.pi * torch.rand(count, max_arcs, 1, device=device)

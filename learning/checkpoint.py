@@ -1,4 +1,4 @@
-"""The files of a training in its folder: written after every epoch, and read again to resume it.
+"""Files of a training: written after every epoch and read to resume it.
 
 model.pt, model.json  the best network so far
 metrics.jsonl         a line for each epoch
@@ -14,7 +14,7 @@ import torch
 
 from tactip_twin.learning.configuration import PoseNetConfig, TrainSettings
 from tactip_twin.learning.data import Samples
-from tactip_twin.learning.model import DESCRIPTION, Model, net_sha256, save_model, tensors_of, weights_bytes
+from tactip_twin.learning.model import DESCRIPTION, Model, net_sha256, save_model, tensors_from_bytes, weights_bytes
 from tactip_twin.learning.training import Training
 from tactip_twin.sim.dataset.format import labels_sha256
 from tactip_twin.sim.parallel.resume import check_resumable
@@ -27,15 +27,15 @@ CHECKPOINT, METRICS, LOCK, TENSORBOARD = "checkpoint.pt", "metrics.jsonl", ".loc
 def provenance(
     train: Samples, val: Samples, config: PoseNetConfig, settings: TrainSettings, init_from: Model | None = None
 ) -> dict[str, Any]:
-    """Return what a training depends on, as JSON: data, network, settings, and the initial network's checksum, if any."""
+    """Return everything a training depends on, as JSON: data, network, settings, and checksum of the initial network."""
 
     def data(samples: Samples) -> dict[str, Any]:
-        """Return what identifies a set."""
+        """Return the JSON that identifies a set."""
         meta = samples.dataset.meta
         return {
             "digest": meta.get("digest"),
             "samples": len(samples),
-            "chosen": samples.chosen(),
+            "chosen": samples.subset_sha256(),
             "targets_sha256": labels_sha256(meta),
             "configuration": meta.get("configuration"),
         }
@@ -53,12 +53,12 @@ def provenance(
 
 
 def save_checkpoint(training: Training, folder: Path, record: dict[str, Any]) -> None:
-    """Write the state after an epoch: the checkpoint first, because the rest can be made from it again.
+    """Write the state after an epoch: the checkpoint first, because the other files can be recreated from it.
 
     Args:
         training: The training, after at least one epoch.
-        folder: Its folder.
-        record: Its provenance.
+        folder: Folder of the training.
+        record: Provenance of the training.
     """
     finished = training.finished
     best = min(training.history, key=lambda h: h["val_loss"])
@@ -71,20 +71,24 @@ def save_checkpoint(training: Training, folder: Path, record: dict[str, Any]) ->
 
 
 def load_checkpoint(folder: Path, record: dict[str, Any]) -> dict[str, Any] | Literal["finished"] | None:
-    """Return how far the training of a provenance is in a folder: a state, "finished", or None where the folder is empty.
+    """Return the state of a training in a folder, "finished" if it has ended, or None if the folder is empty.
+
+    Args:
+        folder: Folder of the training.
+        record: Provenance of the training.
 
     Raises:
-        TactipError: Where the checkpoint cannot be read, or the folder holds another training or something else.
+        TactipError: If the checkpoint cannot be read, or the folder holds another training or something else.
     """
     checkpoint, description = folder / CHECKPOINT, folder / DESCRIPTION
     state: dict[str, Any] | Literal["finished"] | None = None
     recorded: dict[str, Any] | None = None
     if checkpoint.exists():
         try:
-            state = tensors_of(checkpoint.read_bytes())
+            state = tensors_from_bytes(checkpoint.read_bytes())
             recorded = json.loads(state["of"])
         except (ValueError, KeyError, TypeError) as error:
-            raise TactipError(f"{checkpoint} cannot be read ({error}): remove it to begin anew") from error
+            raise TactipError(f"cannot read {checkpoint} ({error}): delete it to restart the training") from error
     elif description.exists():
         state, recorded = "finished", json.loads(description.read_text()).get("provenance", {})
     requested = {"begun_from": None} | record
@@ -96,11 +100,11 @@ def load_checkpoint(folder: Path, record: dict[str, Any]) -> dict[str, Any] | Li
 
 
 def with_new_defaults(recorded: Any, defaults: Any) -> Any:
-    """Return what was written of a configuration (a JSON value), with fields added since then at their defaults.
+    """Return a recorded configuration (a JSON value) in which fields that were added later have their defaults.
 
     Args:
-        recorded: JSON value that was written.
-        defaults: JSON value of the present configuration's defaults.
+        recorded: JSON value that was recorded.
+        defaults: JSON value of the defaults of the current configuration.
     """
     if not isinstance(recorded, dict) or not isinstance(defaults, dict):
         return recorded

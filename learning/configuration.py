@@ -13,7 +13,7 @@ Activation = Literal["relu", "elu"]
 """Names of the activations [P]."""
 
 Halving = Literal["pool", "stride"]
-"""Names of the ways to halve an image in a convolution layer."""
+"""Names of the methods of halving an image in a convolution layer."""
 
 ScheduleName = Literal["paper", "cosine"]
 """Names of the learning-rate schedules (training.SCHEDULES)."""
@@ -35,12 +35,12 @@ def check_choice(kind: str, value: object, choices: Any) -> None:
     """Check that a value is one of the choices of a Literal type.
 
     Args:
-        kind: What is chosen, for the message.
-        value: The choice.
+        kind: Name of the choice, for the message.
+        value: The value.
         choices: The Literal type.
 
     Raises:
-        TactipError: Where it is none of them; the message lists them.
+        TactipError: If it is none of them; the message lists them.
     """
     lookup(kind, value, dict.fromkeys(get_args(choices)))
 
@@ -98,7 +98,7 @@ class PoseNetConfig:
         require(not (self.fold and self.reduce == 1), "reduce", self.reduce, "above 1 with fold")
 
     def shape(self) -> dict[str, Any]:
-        """Return the fields that two networks must share for one to take the other's weights: all but those of training."""
+        """Return the fields that determine the weights' shapes, i.e. all except those that affect training only."""
         return {k: v for k, v in asdict(self).items() if k not in ("dropout", "l1", "l2", "batch_size")}
 
     def widths(self) -> list[int]:
@@ -110,7 +110,7 @@ class PoseNetConfig:
         """Return the width, px, of the last convolution layer's output for images of `size` px.
 
         Raises:
-            TactipError: Where no pixels remain.
+            TactipError: If no pixels remain.
         """
         remaining = size // self.reduce
         for layer in range(1, self.conv_layers + 1):
@@ -184,10 +184,10 @@ class SearchSpace:
         check(self)
 
     def check_image_size(self, size: int) -> None:
-        """Check that every network of the space leaves pixels of an image of `size` px.
+        """Check that every network of the space can take images of `size` px.
 
         Raises:
-            TactipError: Where one does not.
+            TactipError: If the convolutions of one leave no pixels.
         """
         PoseNetConfig(conv_layers=self.most_conv_layers, reduce=self.reduce).last_size(size)
 
@@ -220,16 +220,16 @@ class Recipe:
     """A network and how it is trained."""
 
     network: PoseNetConfig
-    """What is trained."""
+    """The network."""
     settings: TrainSettings
-    """How."""
+    """Settings of its training."""
 
 
 _PAPER = {
     "surface": PoseNetConfig(),
     "edge": PoseNetConfig(filters=256, dense_layers=2, units=512, dropout=0.203, l1=1e-4, l2=3e-4, batch_size=16),
 }
-"""The paper's best: Table 2, where its text differs [P]."""
+"""The paper's best networks. Where its text and Table 2 differ, these are from the table [P]."""
 
 _LAPTOP = PoseNetConfig(
     conv_layers=4,
@@ -268,5 +268,5 @@ RECIPES: dict[RecipeName, dict[str, Recipe]] = {
     },
     "paper": {task: Recipe(network, TrainSettings()) for task, network in _PAPER.items()},
 }
-"""Recipes by name and task. `laptop` is for two cores: per image, its convolutions multiply some 300 times less than the
-paper's for the surface. `tactip bench learning` compares the two."""
+"""Recipes by name and task. `laptop` is made for two cores: its convolutions need about 300 times fewer multiplications per
+image than the paper's for the surface. `tactip bench learning` compares the two."""

@@ -2,6 +2,7 @@
 
 import contextlib
 from collections.abc import Iterator
+from typing import Literal
 
 import torch
 
@@ -9,25 +10,25 @@ from tactip_twin.learning.configuration import DeviceName, Precision, check_choi
 from tactip_twin.tactip_model.errors import TactipError
 
 
-def device_named(name: str) -> str:
-    """Return the torch device of a DeviceName. Raises TactipError on another name, or where the machine lacks the device."""
+def device_named(name: DeviceName) -> Literal["cpu", "cuda"]:
+    """Return the torch device of a name. Raises TactipError if the name is unknown or the machine lacks the device."""
     if name == "auto":
         return "cuda" if torch.cuda.is_available() else "cpu"
     check_choice("device", name, DeviceName)
     if name == "cuda" and not torch.cuda.is_available():
-        raise TactipError("the device 'cuda' is asked for and this machine has none that torch can use: choose cpu or auto")
+        raise TactipError("device 'cuda' is not available: torch finds no GPU that it can use; choose cpu or auto")
     return name
 
 
-def is_half(precision: str, device: str) -> bool:
+def is_half(precision: Precision, device: str) -> bool:
     """Return whether convolutions are computed in bfloat16.
 
     Args:
-        precision: A Precision; `auto` chooses bfloat16 where the device is made for it.
+        precision: Precision; `auto` chooses bfloat16 if the device computes with it natively.
         device: Torch device.
 
     Raises:
-        TactipError: On another precision.
+        TactipError: If the precision is unknown.
     """
     check_choice("precision", precision, Precision)
     if precision == "auto":
@@ -37,9 +38,9 @@ def is_half(precision: str, device: str) -> bool:
 
 @contextlib.contextmanager
 def one_thread() -> Iterator[None]:
-    """Use one thread of torch in a `with` block.
+    """Limit torch to one thread in a `with` block.
 
-    It is faster for a single image, and by far where other work uses the cores: 4 instead of 176 ms on two busy cores.
+    This is faster for a single image, above all on busy cores: 4 instead of 176 ms on two of them.
     """
     threads = torch.get_num_threads()
     torch.set_num_threads(1)

@@ -1,4 +1,4 @@
-"""Evaluation of a model on a set: errors by component, label and shear, worst samples, and latency."""
+"""Evaluation of a model on a set: errors by component, label and shear, worst samples and latency."""
 
 import time
 from collections.abc import Sequence
@@ -13,10 +13,10 @@ from tactip_twin.learning.model import Model
 from tactip_twin.learning.posenet import parameter_count
 
 BINS = 10
-"""Number of bins of a label or of the size of the shear."""
+"""Number of bins of a label or of the shear's magnitude."""
 
 WORST = 8
-"""Number of worst samples."""
+"""Number of worst samples that are reported."""
 
 _LATENCY_CALLS = 60
 
@@ -30,11 +30,11 @@ class Evaluation:
     errors: np.ndarray
     """(n, k), prediction minus label, mm and degrees."""
     figures: dict[str, Any]
-    """Figures that `tactip evaluate --json` prints, JSON."""
+    """Figures that `tactip evaluate --json` prints, as JSON."""
 
 
 def evaluate(model: Model, samples: Samples) -> Evaluation:
-    """Evaluate a model on samples. Raises TactipError where their tasks or image sizes differ."""
+    """Evaluate a model on samples. Raises TactipError if their tasks or image sizes differ."""
     check_compatible(samples, model.labels.task, model.size, "the model")
     predictions = model.predict(samples.images)
     errors = predictions - samples.targets
@@ -60,7 +60,7 @@ def evaluate(model: Model, samples: Samples) -> Evaluation:
 
 
 def tables(evaluation: Evaluation, samples: Samples, labels: Labels) -> dict[str, Any]:
-    """Return errors by label and by shear, and the worst samples, as JSON."""
+    """Return the errors by label and by shear, and the worst samples, as JSON."""
     absolute = np.abs(evaluation.errors)
     sizes = {"shear_mm": np.linalg.norm(samples.shears[:, :3], axis=1)}
     sizes["shear_deg"] = np.linalg.norm(samples.shears[:, 3:], axis=1)
@@ -81,15 +81,15 @@ def tables(evaluation: Evaluation, samples: Samples, labels: Labels) -> dict[str
 
 
 def binned(values: np.ndarray, absolute: np.ndarray, names: Sequence[str]) -> list[dict[str, Any]]:
-    """Return mean absolute errors over BINS bins of equally many samples.
+    """Return mean absolute errors in BINS bins with equal numbers of samples.
 
     Args:
-        values: (n,), by which the samples are sorted.
+        values: (n,) values by which the samples are sorted.
         absolute: (n, k) absolute errors.
-        names: (k) names of the components.
+        names: Names of the k components.
 
     Returns:
-        A dict for each bin: mean value, ends, count, and the mean error of each component with its standard error.
+        A dict per bin: mean value, ends, count, and the mean error of each component with its standard error.
     """
     order = np.argsort(values, kind="stable")
     rows = []
@@ -110,7 +110,7 @@ def binned(values: np.ndarray, absolute: np.ndarray, names: Sequence[str]) -> li
 
 
 def _rounded(values: np.ndarray) -> list[float]:
-    """Return values rounded to five digits."""
+    """Return values rounded to five significant digits."""
     return [float(f"{x:.5g}") for x in values]
 
 

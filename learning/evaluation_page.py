@@ -1,4 +1,4 @@
-"""An evaluation as a Markdown page with tables and figures."""
+"""Markdown page of an evaluation, with tables and figures."""
 
 import json
 from pathlib import Path
@@ -13,7 +13,7 @@ from tactip_twin.learning.model import Model
 from tactip_twin.sim.view.plot import pyplot
 from tactip_twin.tactip_model.files import write_file
 
-_BAND = 0.08
+_SMOOTHING = 0.08
 """Standard deviation of the Gaussian that smooths errors along a label, as a fraction of the label's range."""
 
 
@@ -24,34 +24,35 @@ def write_evaluation(evaluation: Evaluation, samples: Samples, model: Model, fol
     record = evaluation.figures | tables(evaluation, samples, model.labels)
     record["data"] = {"folder": samples.folder.name, "digest": samples.dataset.meta.get("digest")}
     write_file(folder / "evaluation.json", (json.dumps(record, indent=1) + "\n").encode())
-    write_file(folder / "evaluation.md", page(record, model.labels).encode())
+    write_file(folder / "evaluation.md", markdown(record, model.labels).encode())
     _plot_errors(evaluation, samples, model.labels, folder / "errors.png")
     _plot_worst(evaluation, samples, model.labels, folder / "worst.png")
 
 
-def page(record: dict[str, Any], labels: Labels) -> str:
-    """Return the Markdown of evaluation.json's record."""
+def markdown(record: dict[str, Any], labels: Labels) -> str:
+    """Return the Markdown page of the record in evaluation.json."""
     units = dict(zip(labels.names, labels.units, strict=True))
     lines = [
-        f"# A {record['task']} model on {record['samples']} samples",
+        f"# Evaluation of a {record['task']} model on {record['samples']} samples",
         "",
-        f"{record['parameters']} parameters; {record['latency_ms']:.2f} ms an image with one thread of a CPU.",
+        f"{record['parameters']} parameters; {record['latency_ms']:.2f} ms per image on one CPU thread.",
         "",
-        "| component | mean error | rms | bias | 95 % below | greatest |",
+        "| component | mean absolute error | RMSE | bias | 95th percentile | maximum |",
         "|---|---|---|---|---|---|",
     ]
     for name, unit in units.items():
         row = [f"{record[key][name]:.3f} {unit}" for key in ("mae", "rmse", "bias", "p95", "greatest")]
         lines.append(f"| {name} | " + " | ".join(row) + " |")
-    lines += ["", "Prediction against label, with the error's smoothed mean and deviation; and mean errors by shear:", ""]
-    lines += ["![errors](errors.png)", "", "## By shear", ""]
-    for what, title in (("shear_mm", "length of the shear, mm"), ("shear_deg", "turn of the shear, degrees")):
-        rows = record["against"][what]
+    lines += ["", "Top: prediction against label, with the smoothed mean and standard deviation of the error."]
+    lines += ["Bottom: absolute error against shear, with its smoothed mean.", ""]
+    lines += ["![errors](errors.png)", "", "## Mean absolute error by shear", ""]
+    for key, title in (("shear_mm", "shear translation, mm"), ("shear_deg", "shear rotation, °")):
+        rows = record["against"][key]
         lines += [f"| {title} | " + " | ".join(f"{r['from']:.1f}–{r['to']:.1f}" for r in rows) + " |"]
         lines += ["|" + "---|" * (len(rows) + 1)]
         lines += [f"| {n}, {u} | " + " | ".join(f"{r['mae'][n]:.3f}" for r in rows) + " |" for n, u in units.items()]
         lines.append("")
-    lines += ["## Worst samples", "", "| image | label | prediction | shear, mm and degrees |", "|---|---|---|---|"]
+    lines += ["## Worst samples", "", "| image | label | prediction | shear, mm and ° |", "|---|---|---|---|"]
     for w in record["worst"]:
         cells = (" ".join(f"{x:.2f}" for x in w[key]) for key in ("label", "prediction", "shear"))
         lines.append(f"| {w['image']} | " + " | ".join(cells) + " |")
@@ -59,13 +60,13 @@ def page(record: dict[str, Any], labels: Labels) -> str:
     return "\n".join(lines) + "\n"
 
 
-def band(values: np.ndarray, errors: np.ndarray, at: np.ndarray, width: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the mean and standard deviation of errors along values, by a Gaussian kernel.
+def _smoothed(values: np.ndarray, errors: np.ndarray, at: np.ndarray, width: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the mean and standard deviation of errors along values, smoothed by a Gaussian kernel.
 
     Args:
-        values: (n,).
-        errors: (n,).
-        at: (m,) values to evaluate at.
+        values: (n,) values.
+        errors: (n,) errors.
+        at: (m,) values at which to evaluate.
         width: Standard deviation of the kernel, in the unit of the values.
 
     Returns:
@@ -82,21 +83,23 @@ def _plot_errors(evaluation: Evaluation, samples: Samples, labels: Labels, path:
     plt = pyplot()
     k = len(labels.names)
     figure, axes = plt.subplots(2, k, figsize=(3.6 * k, 6.6), squeeze=False)
-    slide = np.linalg.norm(samples.shears[:, :3], axis=1)
+    translation = np.linalg.norm(samples.shears[:, :3], axis=1)
     for i, (name, unit) in enumerate(zip(labels.names, labels.units, strict=True)):
         target, error = samples.targets[:, i], evaluation.errors[:, i]
         at = np.linspace(target.min(), target.max(), 60)
-        mean, deviation = band(target, error, at, _BAND * max(np.ptp(target), 1e-9))
+        mean, deviation = _smoothed(target, error, at, _SMOOTHING * max(np.ptp(target), 1e-9))
         axes[0, i].plot(target, target + error, ".", color="0.7", ms=2)
         axes[0, i].fill_between(at, at + mean - deviation, at + mean + deviation, color="C0", alpha=0.4, lw=0)
         axes[0, i].plot(at, at + mean, color="C0", lw=1.2)
         axes[0, i].plot(at, at, color="k", lw=0.6)
-        axes[0, i].set(xlabel=f"{name}, {unit}", ylabel="prediction", title=f"mean error {np.abs(error).mean():.3f} {unit}")
-        at = np.linspace(slide.min(), slide.max(), 60)
-        mean, _ = band(slide, np.abs(error), at, _BAND * max(np.ptp(slide), 1e-9))
-        axes[1, i].plot(slide, np.abs(error), ".", color="0.7", ms=2)
+        axes[0, i].set(xlabel=f"{name}, {unit}", ylabel="prediction", title=f"MAE {np.abs(error).mean():.3f} {unit}")
+        at = np.linspace(translation.min(), translation.max(), 60)
+        mean, _ = _smoothed(translation, np.abs(error), at, _SMOOTHING * max(np.ptp(translation), 1e-9))
+        axes[1, i].plot(translation, np.abs(error), ".", color="0.7", ms=2)
         axes[1, i].plot(at, mean, color="C3", lw=1.5)
-        axes[1, i].set(xlabel="length of the shear, mm", ylabel=f"error, {unit}", ylim=(0, np.quantile(np.abs(error), 0.99)))
+        axes[1, i].set(
+            xlabel="shear translation, mm", ylabel=f"absolute error, {unit}", ylim=(0, np.quantile(np.abs(error), 0.99))
+        )
     for axis in axes.ravel():
         axis.spines[["top", "right"]].set_visible(False)
     figure.tight_layout()

@@ -1,4 +1,4 @@
-"""The components of a pose that a network learns, by task, and their units and scales."""
+"""Pose components that a network learns, by task, with their units and scales."""
 
 from dataclasses import dataclass, fields
 from typing import Any
@@ -11,38 +11,38 @@ from tactip_twin.sim.labels import COMPONENTS, LEARNED
 from tactip_twin.tactip_model.errors import TactipError, lookup
 
 _RANGES = tuple(field.name for field in fields(Ranges))
-"""Names of a component's range in a configuration, in the order of COMPONENTS."""
+"""Names of the components' ranges in a configuration, in the order of COMPONENTS."""
 
 
 @dataclass(frozen=True)
 class Labels:
-    """The learned components of a task. (k components)"""
+    """The k learned components of a task."""
 
     task: str
     """`surface` or `edge`."""
     low: tuple[float, ...]
-    """(k) minimum of each component's range, mm and degrees."""
+    """Minimum of each component's range (k), mm and degrees."""
     high: tuple[float, ...]
-    """(k) maximum."""
+    """Maximum of each component's range (k), mm and degrees."""
 
     @property
     def components(self) -> tuple[str, ...]:
-        """Names, of COMPONENTS."""
+        """Names of the components: a subset of COMPONENTS."""
         return LEARNED[self.task]
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names as columns of a data set: pose_z …"""
+        """Names of their columns in a data set: pose_z, …"""
         return tuple(f"pose_{c}" for c in self.components)
 
     @property
     def units(self) -> tuple[str, ...]:
-        """Units: mm or °."""
+        """Units of the components: mm or °."""
         return tuple("°" if c.startswith("R") else "mm" for c in self.components)
 
     @property
     def scale(self) -> np.ndarray:
-        """(k,) maximum absolute values; squared errors are divided by their squares [P]."""
+        """Maximum absolute values (k,); squared errors are divided by their squares [P]."""
         return np.abs([self.low, self.high]).max(0)
 
     def of(self, poses: ArrayLike) -> np.ndarray:
@@ -54,7 +54,7 @@ def labels_of(configuration: dict[str, Any]) -> Labels:
     """Return the labels of a data set's configuration, from its meta.json.
 
     Raises:
-        TactipError: Where the task is unknown, or a range is missing or leaves nothing to learn.
+        TactipError: If the task is unknown, or a range is missing, not finite or zero.
     """
     task: Any = configuration.get("task")
     components = lookup("task", task, LEARNED)
@@ -66,9 +66,7 @@ def labels_of(configuration: dict[str, Any]) -> Labels:
         good = isinstance(ends, list | tuple) and len(ends) == 2 and all(isinstance(x, int | float) for x in ends)
         numbers = np.array(ends, float) if good else np.zeros(2)
         if not np.isfinite(numbers).all() or not numbers.any():
-            raise TactipError(
-                f"the set's configuration has {ends} for pose.{name}: it must be two finite numbers, not both 0"
-            )
+            raise TactipError(f"pose.{name} in the set's configuration must be two finite numbers, not both 0, got {ends}")
         low.append(float(numbers[0]))
         high.append(float(numbers[1]))
     return Labels(task, tuple(low), tuple(high))

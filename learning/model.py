@@ -1,4 +1,4 @@
-"""A trained network in its folder and in use: weights (model.pt) and their description (model.json)."""
+"""Trained networks: their weights (model.pt) and description (model.json), and prediction with them."""
 
 import contextlib
 import dataclasses
@@ -43,19 +43,27 @@ class Model:
     size: int
     """Width of its images, px."""
     provenance: dict[str, Any]
-    """Data and settings of its training, JSON."""
+    """Data and settings of its training, as JSON."""
 
     def predict(self, images: ArrayLike, batch: int = 256) -> np.ndarray:
-        """Predict poses (n, k), mm and degrees in the order of labels.components, from images (n, size, size) uint8.
+        """Predict poses from tactile images.
 
-        One image (size, size) gives one pose (k,). Raises TactipError on images of another size or type.
+        Args:
+            images: (n, size, size) uint8, or one image (size, size).
+            batch: Maximum number of images per forward pass.
+
+        Returns:
+            Poses (n, k), or (k,) of one image, mm and degrees in the order of labels.components.
+
+        Raises:
+            TactipError: If the images have another size or type.
         """
         images = np.asarray(images)
         if images.ndim == 2:
             return self.predict(images[None], batch)[0]
         if images.ndim != 3 or images.shape[1:] != (self.size, self.size) or images.dtype != np.uint8:
             raise TactipError(
-                f"images of {images.dtype} {images.shape} were given: the model takes uint8 (n, {self.size}, {self.size})"
+                f"images must be uint8 of shape (n, {self.size}, {self.size}), got {images.dtype} of shape {images.shape}"
             )
         device = next(self.net.parameters()).device
         self.net.eval()
@@ -68,12 +76,12 @@ class Model:
 
 
 def to_input(images: torch.Tensor) -> torch.Tensor:
-    """Return the network's input, (n, 1, size, size) float 0 to 1, channels last, of images (n, size, size) uint8."""
+    """Convert images (n, size, size) uint8 to the network's input, (n, 1, size, size) float from 0 to 1, channels last."""
     return (images[:, None].float() / 255).contiguous(memory_format=torch.channels_last)
 
 
 def to_device(net: PoseNet, device: str) -> PoseNet:
-    """Return a network moved to a torch device, its weights with channels last."""
+    """Move a network to a torch device, with channels-last weights, and return it."""
     move: Callable[..., PoseNet] = net.to  # torch's annotations lack memory_format
     return move(device=device, memory_format=torch.channels_last)
 
@@ -85,10 +93,10 @@ def weights_bytes(tensors: dict[str, Any]) -> bytes:
     return data.getvalue()
 
 
-def tensors_of(data: bytes) -> dict[str, Any]:
-    """Return the state dict in the bytes of `weights_bytes`. Raises ValueError where they are damaged."""
+def tensors_from_bytes(data: bytes) -> dict[str, Any]:
+    """Return the state dict that `weights_bytes` serialized. Raises ValueError if the bytes are damaged."""
     if not zipfile.is_zipfile(io.BytesIO(data)):
-        raise ValueError("it is cut short, or no file of tensors")
+        raise ValueError("truncated, or not a file of tensors")
     try:
         return torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
     except (RuntimeError, EOFError, KeyError) as error:
@@ -106,15 +114,15 @@ def save_model(
     """Write a model to a folder.
 
     Args:
-        folder: The folder.
+        folder: Output folder.
         state: State dict of the network.
-        config: Its hyperparameters.
-        labels: Its components and their ranges.
+        config: Hyperparameters of the network.
+        labels: Components that it predicts, and their ranges.
         size: Width of its images, px.
-        provenance: Data and settings of its training, JSON.
+        provenance: Data and settings of its training, as JSON.
 
     Raises:
-        OSError: Where a file cannot be written.
+        OSError: If a file cannot be written.
     """
     folder = Path(folder)
     data = weights_bytes({name: tensor.detach().cpu().contiguous() for name, tensor in state.items()})
@@ -127,73 +135,85 @@ def save_model(
         "weights": {"file": WEIGHTS, "sha256": hashlib.sha256(data).hexdigest()},
         "provenance": provenance,
     }
-    # The description names the weights' checksum: a kill between the two is seen by the reader.
+    # The description contains the weights' checksum, so the reader detects a kill between the two writes.
     write_file(folder / WEIGHTS, data)
     write_file(folder / DESCRIPTION, (json.dumps(description, indent=1) + "\n").encode())
 
 
 def net_sha256(net: PoseNet) -> str:
-    """Return a checksum (hex) of a network's weights in memory."""
+    """Return a checksum (hex) of the weights of a network in memory."""
     return hashlib.sha256(b"".join(t.cpu().numpy().tobytes() for t in net.state_dict().values())).hexdigest()
 
 
 def shipped_models() -> list[str]:
-    """Return the names of the networks that come with the package."""
+    """Return the names of the networks that are shipped with the package."""
     return sorted(path.parent.name for path in MODELS.glob(f"*/{DESCRIPTION}"))
 
 
 def load_network(name: str | Path, device: str = "cpu") -> Model:
-    """Return the model of a shipped network's name, or in a folder.
+    """Load a shipped network or the model in a folder.
 
-    Raises TactipError that lists the names where there is neither.
+    Args:
+        name: Name of a shipped network, or a folder.
+        device: Torch device.
+
+    Raises:
+        TactipError: If there is neither, or the model is damaged; the message lists the shipped networks.
     """
-    return load_model(_folder_of(name), device)
+    return load_model(_network_folder(name), device)
 
 
 def weights_sha256(name: str | Path) -> str:
-    """Return the checksum (hex) of the weights of a shipped network's name, or in a folder, as in its description.
+    """Return the checksum (hex) of the weights of a shipped network, or of the model in a folder, from its description.
 
-    Raises TactipError where there is none.
+    Raises:
+        TactipError: If there is none.
     """
-    path = _folder_of(name) / DESCRIPTION
+    path = _network_folder(name) / DESCRIPTION
     try:
         return json.loads(path.read_text())["weights"]["sha256"]
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise TactipError(f"{path} cannot be used: {error!r}") from error
+        raise TactipError(f"cannot read the model description {path}: {error!r}") from error
 
 
-def _folder_of(name: str | Path) -> Path:
-    """Return the folder of a network."""
+def _network_folder(name: str | Path) -> Path:
+    """Return the folder of a shipped network, or the given folder. Raises TactipError if there is neither."""
     if str(name) in shipped_models():
         return MODELS / str(name)
     if not Path(name).is_dir():
-        raise TactipError(f"there is no folder {name}, and no shipped model of that name: {', '.join(shipped_models())}")
+        raise TactipError(
+            f"{name} is neither a folder nor a shipped model: choose a folder or one of {', '.join(shipped_models())}"
+        )
     return Path(name)
 
 
 def load_model(folder: str | Path, device: str = "cpu") -> Model:
-    """Read a model from a folder. Raises TactipError where there is none, or a damaged one."""
+    """Load the model in a folder to a torch device. Raises TactipError if there is none or it is damaged."""
     folder = Path(folder)
     path = folder / DESCRIPTION
     if not path.exists():
-        raise TactipError(f"there is no model in {folder}: it has no {DESCRIPTION} (an unfinished training has none yet)")
+        raise TactipError(f"no model in {folder}: {DESCRIPTION} is missing (training writes it after the first epoch)")
     try:
         description = json.loads(path.read_text())
         if description.get("format") != FORMAT or description.get("version") != VERSION:
-            raise TactipError(f"{path} does not describe a model of this version of the project")
+            raise TactipError(f"{path} must have the format {FORMAT!r}, version {VERSION}: train the model again")
         config = PoseNetConfig(**description["network"])
-        given = description["labels"]
-        lookup("task", given["task"], LEARNED)
-        labels = Labels(given["task"], tuple(given["low"]), tuple(given["high"]))
+        ranges = description["labels"]
+        lookup("task", ranges["task"], LEARNED)
+        labels = Labels(ranges["task"], tuple(ranges["low"]), tuple(ranges["high"]))
         data = (folder / description["weights"]["file"]).read_bytes()
         size, expected = int(description["size_px"]), description["weights"]["sha256"]
     except (ValueError, KeyError, TypeError, AttributeError, OSError) as error:
-        raise TactipError(f"{path} cannot be used: {error!r}") from error
+        raise TactipError(f"cannot read the model description {path}: {error!r}") from error
     if hashlib.sha256(data).hexdigest() != expected:
-        raise TactipError(f"the weights beside {path} are not those that it names: train again, or fetch both anew")
+        raise TactipError(
+            f"the weights in {folder} do not match the checksum in {path}: train again, or copy both files again"
+        )
     net = PoseNet(config, size, len(labels.components))
     try:
-        net.load_state_dict(tensors_of(data))
+        net.load_state_dict(tensors_from_bytes(data))
     except (RuntimeError, ValueError) as error:
-        raise TactipError(f"the weights beside {path} do not fit its network: {str(error).splitlines()[0]}") from error
+        raise TactipError(
+            f"the weights in {folder} do not match the network in {path}: {str(error).splitlines()[0]}"
+        ) from error
     return Model(to_device(net, device), config, labels, size, description.get("provenance", {}))

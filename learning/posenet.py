@@ -1,12 +1,12 @@
-"""PoseNet: the convolutional network of the paper, from a tactile image to the components of a pose.
+"""PoseNet: the convolutional network of the paper, which predicts pose components from a tactile image.
 
     conv_layers × (3×3 convolution, stride 1, no padding [, batch norm], activation, 2×2 max-pool)
-                  or, by strides, (4×4 convolution of stride 2 [, batch norm], activation)
-                  and, with `further`, more 3×3 convolutions that keep the size, each with norm and activation
+                  or, with strides, (4×4 convolution of stride 2 [, batch norm], activation);
+                  with `further`, more 3×3 convolutions that keep the size, each with norm and activation
     dense_layers × (dropout, dense, activation)
     dropout, linear output
 
-Fields that the paper does not have default to the paper's network.
+Options beyond the paper are off by default.
 """
 
 import torch
@@ -19,18 +19,18 @@ ACTIVATIONS: dict[Activation, type[nn.Module]] = {"relu": nn.ReLU, "elu": nn.ELU
 
 
 class PoseNet(nn.Module):
-    """The network. Input (n, 1, size, size), 0 to 1; output (n, outputs), components over their scales (labels.py)."""
+    """Network with input (n, 1, size, size), 0 to 1, and output (n, outputs), components over their scales (labels.py)."""
 
     def __init__(self, config: PoseNetConfig, size: int, outputs: int) -> None:
-        """Build the network with random weights, from torch's generator.
+        """Build the network with random weights from torch's generator.
 
         Args:
-            config: Its hyperparameters.
+            config: Hyperparameters.
             size: Image width, px.
             outputs: Number of components.
 
         Raises:
-            TactipError: Where the convolutions leave no pixels.
+            TactipError: If the convolutions leave no pixels.
         """
         super().__init__()
         last = config.last_size(size)
@@ -57,7 +57,7 @@ class PoseNet(nn.Module):
         """Return the modules of one convolution layer, from `channels` to `width` filters."""
 
         def finish() -> list[nn.Module]:
-            """Return norm and activation."""
+            """Return the norm, if any, and the activation."""
             norm: list[nn.Module] = [nn.BatchNorm2d(width)] if config.batch_norm else []
             if config.group_norm:
                 groups = max(1, width // config.group_norm)
@@ -68,33 +68,33 @@ class PoseNet(nn.Module):
             layers = [nn.Conv2d(channels, width, 4, stride=2), *finish()]
         elif config.batch_norm or config.group_norm:
             layers = [nn.Conv2d(channels, width, 3), *finish(), nn.MaxPool2d(2)]
-        else:  # the activations are monotonic, so pooling first gives the same at a lower cost
+        else:  # the activations are monotonic, so pooling first gives the same result at a lower cost
             layers = [nn.Conv2d(channels, width, 3), nn.MaxPool2d(2), *finish()]
         for _ in range(config.further):
             layers += [nn.Conv2d(width, width, 3, padding=1), *finish()]
         return layers
 
     def forward(self, images: torch.Tensor) -> torch.Tensor:
-        """Return components over their scales, (n, outputs) float32, of images (n, 1, size, size)."""
+        """Predict components over their scales, (n, outputs) float32, from images (n, 1, size, size)."""
         features = self.convolutions(images).flatten(1).float()
-        # Half precision is good enough for features, and not for the pose: its eight bits are 0.02 mm of 5.
+        # Half precision suffices for features but not for the pose: eight bits of 5 mm are 0.02 mm.
         with torch.autocast(features.device.type, enabled=False):
             return self.dense(features)
 
     def penalty(self) -> torch.Tensor:
-        """Return the L1 and L2 terms of the loss, a scalar, of the weights of dense and output layers alone [P]."""
+        """Return the L1 and L2 terms of the loss, a scalar, over the weights of the dense and output layers only [P]."""
         weights = [layer.weight.float() for layer in self.dense if isinstance(layer, nn.Linear)]
         first, *rest = (self._l1 * w.abs().sum() + self._l2 * w.square().sum() for w in weights)
         return sum(rest, first)
 
 
 class _Blur(nn.Module):
-    """A Gaussian blur and a mean over squares, in one convolution with fixed weights."""
+    """Gaussian blur and averaging over squares in one convolution with fixed weights."""
 
     kernel: torch.Tensor
 
     def __init__(self, sigma: float, reduce: int) -> None:
-        """Build the kernel. sigma: px; 0 for no blur. reduce: width of the squares, px."""
+        """Build the kernel. sigma: standard deviation, px; 0 for no blur. reduce: width of the squares, px."""
         super().__init__()
         radius = int(3 * sigma + 0.5)
         line = torch.exp(-0.5 * (torch.arange(-radius, radius + 1) / sigma) ** 2) if radius else torch.ones(1)
@@ -104,10 +104,10 @@ class _Blur(nn.Module):
         self.register_buffer("kernel", torch.outer(line, line)[None, None], persistent=False)
 
     def forward(self, images: torch.Tensor) -> torch.Tensor:
-        """Return the blurred and reduced images."""
+        """Return the blurred and averaged images."""
         return nn.functional.conv2d(images, self.kernel.to(images.dtype), padding=self.radius, stride=self.reduce)
 
 
 def parameter_count(net: nn.Module) -> int:
-    """Return the number of trained parameters of a network."""
+    """Return the number of trainable parameters of a network."""
     return sum(p.numel() for p in net.parameters())

@@ -1,4 +1,4 @@
-"""Recipes by name, and files of recipes."""
+"""Recipes by name and from JSON files."""
 
 import dataclasses
 import json
@@ -10,15 +10,15 @@ from tactip_twin.tactip_model.errors import TactipError, lookup
 
 
 def recipe_named(name: str, task: str) -> Recipe:
-    """Return the recipe of a name and a task. Raises TactipError that lists the names."""
+    """Return the recipe of a name and a task. Raises TactipError, listing the valid names, if either is unknown."""
     return lookup("task", task, lookup("recipe", name, RECIPES))
 
 
 def read_recipe(path: str | Path) -> Recipe:
-    """Return the recipe in a JSON file: `network` and optionally `settings`, as `tactip tune` and `tactip train` write them.
+    """Read a recipe from a JSON file with `network` and optionally `settings`, as written by `tactip tune`.
 
     Raises:
-        TactipError: Where the file cannot be read, names an unknown field, or a number is out of bounds.
+        TactipError: If the file cannot be read, has an unknown field, or a number is out of bounds.
     """
     try:
         given = json.loads(Path(path).read_text())
@@ -28,10 +28,10 @@ def read_recipe(path: str | Path) -> Recipe:
             for k in part if k not in {f.name for f in fields(kind)}
         ]  # fmt: skip
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise TactipError(f"{path} is no configuration of a network (JSON with `network`): {error!r}") from error
+        raise TactipError(f"{path} must be a recipe, JSON with `network` and optionally `settings`: {error!r}") from error
     if unknown:
         allowed = [f.name for kind in (PoseNetConfig, TrainSettings) for f in fields(kind)]
-        raise TactipError(f"{path} names {', '.join(unknown)}: it may name {', '.join(allowed)}")
+        raise TactipError(f"unknown fields in {path}: {', '.join(unknown)}; choose from {', '.join(allowed)}")
     return Recipe(PoseNetConfig(**parts[0]), TrainSettings(**parts[1]))
 
 

@@ -1,4 +1,4 @@
-"""The search space as hyperopt's expressions, and networks of hyperopt's values."""
+"""Conversion between the search space and hyperopt: expressions of the space, and networks from values."""
 
 from collections.abc import Mapping
 from typing import Any, get_args
@@ -14,7 +14,7 @@ BATCH_SIZES = (16, 32, 64, 128)
 
 
 def expressions(space: SearchSpace) -> dict[str, Any]:
-    """Return the space as hyperopt's expressions by label."""
+    """Return hyperopt's expressions of the space, by label."""
     require(space.most_filters >= 2, "most_filters", space.most_filters, "at least 2")
     return {
         "conv_layers": hp.randint("conv_layers", 1, space.most_conv_layers + 1),
@@ -31,7 +31,7 @@ def expressions(space: SearchSpace) -> dict[str, Any]:
 
 
 def network_of_values(space: SearchSpace, values: Mapping[str, Any]) -> PoseNetConfig:
-    """Return the network of hyperopt's values (label to number; of a choice, its index)."""
+    """Return the network of hyperopt's values (label to number; for a choice, its index)."""
     return network_of_point(space, space_eval(expressions(space), values))
 
 

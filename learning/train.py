@@ -1,4 +1,4 @@
-"""Training of a PoseNet in a folder: deterministic from its seed, and resumable after a kill at any moment."""
+"""Training of a PoseNet in a folder: deterministic for a seed, and resumable after a kill at any time."""
 
 import sys
 from collections.abc import Callable
@@ -17,7 +17,7 @@ from tactip_twin.learning.checkpoint import (
     read_metrics,
     save_checkpoint,
 )
-from tactip_twin.learning.configuration import PoseNetConfig, TrainSettings
+from tactip_twin.learning.configuration import DeviceName, PoseNetConfig, TrainSettings
 from tactip_twin.learning.data import Samples
 from tactip_twin.learning.model import Model
 from tactip_twin.learning.posenet import parameter_count
@@ -29,11 +29,11 @@ if TYPE_CHECKING:
     from torch.utils.tensorboard import SummaryWriter
 
 ShouldPrune = Callable[[list[dict[str, float]]], bool]
-"""A function of the figures of the epochs so far that decides whether the training ends."""
+"""Function that gets the figures of the epochs so far and returns whether to end the training."""
 
 
 class Pruned(TactipError):
-    """The training ended because other trials were better after as many epochs."""
+    """The training ended early because other trials were better after the same number of epochs."""
 
 
 def train(
@@ -42,16 +42,16 @@ def train(
     config: PoseNetConfig,
     settings: TrainSettings,
     folder: str | Path,
-    device: str = "auto",
+    device: DeviceName = "auto",
     log: Callable[[str], None] = print,
     should_prune: ShouldPrune | None = None,
     quiet: bool = False,
     init_from: Model | None = None,
 ) -> list[dict[str, float]]:
-    """Train a network in a folder, or resume a training that was interrupted there; return the figures of each epoch.
+    """Train a network in a folder, or resume an interrupted training; return the figures of each epoch.
 
-    Writes model.pt and model.json (the best network so far), metrics.jsonl and, while unfinished, checkpoint.pt. No error
-    loses an epoch that is complete.
+    Writes model.pt and model.json (the best network so far), metrics.jsonl and, while unfinished, checkpoint.pt. Completed
+    epochs are kept after any error.
 
     Args:
         train_samples: Training set.
@@ -60,20 +60,20 @@ def train(
         settings: Settings of the training.
         folder: Output folder.
         device: Device to train on.
-        log: Callback for lines for the user.
-        should_prune: Callback that gets the history after each epoch and decides whether the training ends.
-        quiet: Whether to show no progress bar.
-        init_from: Model of the initial weights, of the same layers; random weights if None.
+        log: Callback for messages to the user.
+        should_prune: Callback that decides after each epoch whether to end the training.
+        quiet: Whether to hide the progress bar.
+        init_from: Model with the initial weights and the same layers; random weights if None.
 
     Raises:
-        TactipError: Where the folder holds something else, where memory is short, and where the loss diverges.
-        Pruned: Where `should_prune` ended the training.
-        Interrupted: At Ctrl-C.
+        TactipError: If the folder holds something else, memory runs out or the loss diverges.
+        Pruned: If `should_prune` ended the training.
+        Interrupted: On Ctrl-C.
     """
     folder = Path(folder)
     record = provenance(train_samples, val_samples, config, settings, init_from)
     if load_checkpoint(folder, record) is None:
-        # What cannot be trained leaves no folder behind.
+        # Checked before the folder is created, so a network that cannot be trained leaves none behind.
         if init_from is not None:
             initial_state(init_from, config, train_samples)
         config.last_size(train_samples.size)
@@ -81,20 +81,20 @@ def train(
     with locked(folder / LOCK, f"training in {folder}"):
         state = load_checkpoint(folder, record)
         if state == "finished":
-            log(f"{folder} holds this training, finished already")
+            log(f"this training is already finished in {folder}")
             return read_metrics(folder)
         try:
             training = Training(train_samples, val_samples, config, settings, device, init_from)
             if state:
                 training.restore(state)
-                log(f"going on after epoch {training.epoch}")
+                log(f"resuming after epoch {training.epoch}")
             log(
-                f"{parameter_count(training.net)} parameters on {training.device}; {len(train_samples)} images to train on, "
-                f"{len(val_samples)} to validate on"
+                f"{parameter_count(training.net)} parameters on {training.device}; {len(train_samples)} training images, "
+                f"{len(val_samples)} validation images"
             )
             _train_epochs(training, folder, record, should_prune, quiet)
         except KeyboardInterrupt:
-            raise Interrupted("the epochs that are over are kept: the same command goes on from there") from None
+            raise Interrupted("completed epochs are saved: run the same command to resume") from None
         except (torch.OutOfMemoryError, MemoryError) as error:
             raise _out_of_memory(config) from error
         except RuntimeError as error:
@@ -107,16 +107,16 @@ def train(
 
 
 def _out_of_memory(config: PoseNetConfig) -> TactipError:
-    """Return the error for a network that does not fit the memory."""
-    return TactipError(f"memory is short for {config}: fewer filters or a smaller batch may help")
+    """Return the error for a network that does not fit into memory."""
+    return TactipError(f"out of memory: try fewer filters or a smaller batch than those of {config}")
 
 
 def _train_epochs(
     training: Training, folder: Path, record: dict[str, Any], should_prune: ShouldPrune | None, quiet: bool
 ) -> None:
-    """Train to the end, with a checkpoint after each epoch. Raises Pruned."""
+    """Train until finished, with a checkpoint after each epoch. Raises Pruned."""
     if training.finished:
-        # A kill came after the last checkpoint, and before what is made of it.
+        # The process was killed after the last checkpoint and before the other files were written.
         save_checkpoint(training, folder, record)
     writer = _tensorboard(folder)
     images = training.images_per_epoch
@@ -137,14 +137,14 @@ def _train_epochs(
                     writer.add_scalar(name, figures[name], training.epoch)
             save_checkpoint(training, folder, record)
             if should_prune and not training.finished and should_prune(training.history):
-                raise Pruned(f"half of the trials before were better after {training.epoch} epochs")
+                raise Pruned(f"half of the earlier trials had a lower loss after {training.epoch} epochs")
     if writer:
         writer.close()
     (folder / CHECKPOINT).unlink()
 
 
 def _tensorboard(folder: Path) -> "SummaryWriter | None":
-    """Return a writer for TensorBoard, or None where it is not installed."""
+    """Return a writer for TensorBoard, or None if it is not installed."""
     try:
         from torch.utils.tensorboard import SummaryWriter
     except ImportError:

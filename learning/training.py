@@ -1,9 +1,10 @@
-"""The state of a training in memory, and the step from one epoch to the next.
+"""State of a training in memory, and its epochs.
 
     loss = sum over components of the mean squared error over scale² + L1 and L2 of the dense and output weights
-    Adam, or Muon and Adam; early stopping on the validation error, without penalties; the best weights are kept
+    optimizer: Adam, or Muon and Adam
+    early stopping on the validation error, without penalties; the best weights are kept
 
-Every epoch's order and dropout are drawn from (seed, epoch), so an epoch depends on the state before it and on nothing else.
+The order and dropout of each epoch are sampled from (seed, epoch), so an epoch depends only on the state before it.
 """
 
 import json
@@ -16,7 +17,7 @@ import numpy as np
 import torch
 
 from tactip_twin.learning.augmentation import OpticsAugmentation
-from tactip_twin.learning.configuration import PoseNetConfig, ScheduleName, TrainSettings
+from tactip_twin.learning.configuration import DeviceName, PoseNetConfig, ScheduleName, TrainSettings
 from tactip_twin.learning.data import Samples
 from tactip_twin.learning.device import device_named, is_half
 from tactip_twin.learning.model import Model, to_device, to_input
@@ -41,7 +42,7 @@ def paper_rate(settings: TrainSettings, step: int, steps: int) -> float:
 
 
 def cosine_rate(settings: HasRate, step: int, steps: int) -> float:
-    """Return the learning rate at a step of `steps`: a rise over the first twentieth, and a cosine down to zero."""
+    """Return the learning rate at a step of `steps`: linear warm-up over the first twentieth, cosine decay to zero."""
     warm = max(1, steps // 20)
     return settings.rate * min(1.0, (step + 1) / warm) * 0.5 * (1 + math.cos(math.pi * min(1.0, step / max(1, steps))))
 
@@ -51,11 +52,11 @@ SCHEDULES: dict[ScheduleName, Callable[[TrainSettings, int, int], float]] = {"pa
 
 
 class TrainingDiverged(TactipError):
-    """The loss is no longer a number."""
+    """The loss is no longer finite."""
 
 
 class Training:
-    """A training in memory: network, optimizers, data, and the step from one epoch to the next."""
+    """A training in memory: network, optimizers and data."""
 
     def __init__(
         self,
@@ -63,7 +64,7 @@ class Training:
         val: Samples,
         config: PoseNetConfig,
         settings: TrainSettings,
-        device: str = "cpu",
+        device: DeviceName = "cpu",
         init_from: Model | None = None,
     ) -> None:
         """Build the network and move the data to the device.
@@ -74,10 +75,10 @@ class Training:
             config: Network.
             settings: Settings of the training.
             device: Device to train on.
-            init_from: Model of the initial weights; random weights if None.
+            init_from: Model with the initial weights; random weights if None.
 
         Raises:
-            TactipError: Where the network does not fit the images, or the initial network does not fit the training.
+            TactipError: If the network or the initial network does not match the images.
         """
         self.config, self.settings, self.labels, self.size = config, settings, train.labels, train.size
         self.device = device_named(device)
@@ -89,7 +90,7 @@ class Training:
             net.load_state_dict(initial_state(init_from, config, train))
         self.net = to_device(net, self.device)
         self._optimizers = _optimizers(self.net, settings, self._half)
-        # The whole set lives on the device, as bytes.
+        # The whole set is kept on the device, as bytes.
         self._images, self._targets = self._to_device(train)
         self._augmentation = (
             OpticsAugmentation(train, settings.optics, OPTICS[settings.varied], self.device) if settings.drawn else None
@@ -97,9 +98,9 @@ class Training:
         self._val_images, self._val_targets = self._to_device(val)
         self.epoch = 0
         self.history: list[dict[str, float]] = []
-        """Figures of each epoch."""
+        """Figures of each epoch so far."""
         self.best: dict[str, torch.Tensor] = {}
-        """State dict of the best epoch's network; empty before the first epoch."""
+        """State dict of the network after the best epoch; empty before the first epoch."""
 
     def _to_device(self, samples: Samples) -> tuple[torch.Tensor, torch.Tensor]:
         """Return images (n, size, size) uint8 and targets (n, k) over their scales, on the device."""
@@ -108,12 +109,12 @@ class Training:
 
     @property
     def steps_per_epoch(self) -> int:
-        """Number of steps of an epoch."""
+        """Number of steps per epoch."""
         return -(-len(self._images) // self.config.batch_size)
 
     @property
     def images_per_epoch(self) -> int:
-        """Number of images of an epoch."""
+        """Number of images per epoch."""
         return len(self._images)
 
     @property
@@ -128,20 +129,20 @@ class Training:
 
     @property
     def finished(self) -> bool:
-        """Whether the last epoch or the end of the patience has been reached."""
+        """Whether the last epoch is reached or the patience is exhausted."""
         if not self.history:
             return False
         since = self.epoch - 1 - int(np.argmin([h["val_loss"] for h in self.history]))
         return self.epoch >= self.epochs or since >= self.settings.patience
 
     def train_epoch(self, progress: Callable[[int], object] = lambda count: None) -> dict[str, float]:
-        """Train for one epoch, validate, and return the epoch's figures.
+        """Train for one epoch, validate, and return the figures of the epoch.
 
         Args:
             progress: Callback that gets the number of images of each step.
 
         Raises:
-            TrainingDiverged: Where a loss is not finite.
+            TrainingDiverged: If a loss is not finite.
         """
         start = time.perf_counter()
         rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(self.settings.seed, spawn_key=(self.epoch,))))
@@ -153,8 +154,8 @@ class Training:
         val = self.error(self._val_images, self._val_targets)
         if not math.isfinite(loss) or not math.isfinite(val):
             raise TrainingDiverged(
-                f"the loss is {loss} after epoch {self.epoch + 1}: the training diverged; a learning rate below "
-                f"{self.settings.rate:g} may help"
+                f"the training diverged in epoch {self.epoch + 1} (loss {loss}, validation loss {val}): "
+                f"try a learning rate below {self.settings.rate:g}"
             )
         figures = {"epoch": self.epoch + 1, "loss": loss, "val_loss": val, "seconds": time.perf_counter() - start}
         if val < self.best_error:
@@ -164,14 +165,14 @@ class Training:
         return figures
 
     def _batch(self, chosen: torch.Tensor) -> torch.Tensor:
-        """Return the images (m, size, size) uint8 of a step, a fraction of them augmented. chosen: (m,) int."""
+        """Return images (m, size, size) uint8 of samples `chosen` (m,) int, a fraction of them augmented."""
         if not self._augmentation:
             return self._images[chosen]
         plain = torch.rand(len(chosen), 1, 1, device=self.device) >= self.settings.drawn
         return torch.where(plain, self._images[chosen], self._augmentation.render(chosen))
 
     def _train_steps(self, order: torch.Tensor, progress: Callable[[int], object]) -> float:
-        """Train on all images in an `order` (n,) int; return the mean loss, with penalties."""
+        """Train on all images in the given `order` (n,) int; return the mean loss, with penalties."""
         self.net.train()
         schedule = SCHEDULES[self.settings.schedule]
         total, steps = torch.zeros((), device=self.device), self.steps_per_epoch
@@ -192,12 +193,12 @@ class Training:
         return float(total) / len(order)
 
     def error(self, images: torch.Tensor, targets: torch.Tensor, batch: int = 256) -> float:
-        """Return the sum over components of the mean squared error over scale², in single precision, as in use.
+        """Return the sum over components of the mean squared error over scale², in single precision as in prediction.
 
         Args:
             images: (n, size, size) uint8.
-            targets: (n, k), over their scales.
-            batch: Number of images at a time.
+            targets: (n, k) targets over their scales.
+            batch: Number of images per forward pass.
         """
         self.net.eval()
         total = torch.zeros((), device=self.device)
@@ -208,7 +209,7 @@ class Training:
         return float(total) / len(images)
 
     def state(self) -> dict[str, Any]:
-        """Return everything that the next epoch depends on: tensors, numbers and text by name."""
+        """Return everything the next epoch depends on: tensors, numbers and text by name."""
         return {
             "net": self.net.state_dict(),
             "optimizers": [optimizer.state_dict() for optimizer, _ in self._optimizers],
@@ -218,7 +219,7 @@ class Training:
         }
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Continue from a `state`."""
+        """Restore what `state` returned."""
         self.net.load_state_dict(state["net"])
         for (optimizer, _), saved in zip(self._optimizers, state["optimizers"], strict=True):
             optimizer.load_state_dict(saved)
@@ -226,22 +227,23 @@ class Training:
 
 
 def initial_state(init_from: Model, config: PoseNetConfig, samples: Samples) -> dict[str, torch.Tensor]:
-    """Return the state dict of a model as initial weights, with its outputs over the scales of the samples' labels.
+    """Return the state dict of a model as initial weights, its outputs rescaled to the samples' labels.
+
+    Args:
+        init_from: Model with the initial weights.
+        config: Network to be trained.
+        samples: Training set.
 
     Raises:
-        TactipError: Where the model has other layers than `config`, or another image size or components than the samples.
+        TactipError: If the model has other layers than `config`, or another image size or components than the samples.
     """
-    requested = {"layers": config.shape(), "width of images": samples.size, "components": samples.labels.components}
-    given = {
-        "layers": init_from.config.shape(),
-        "width of images": init_from.size,
-        "components": init_from.labels.components,
-    }
-    for what, expected in requested.items():
-        if expected != given[what]:
-            raise TactipError(
-                f"the network to begin with has other {what} than what is trained: {_difference(given[what], expected)}"
-            )
+    expected = {**config.shape(), "image width": samples.size, "components": samples.labels.components}
+    initial = {**init_from.config.shape(), "image width": init_from.size, "components": init_from.labels.components}
+    differences = [
+        f"{name} is {initial[name]}, expected {value}" for name, value in expected.items() if initial[name] != value
+    ]
+    if differences:
+        raise TactipError(f"the initial network does not match the model to be trained: {'; '.join(differences)}")
     state = {name: tensor.detach().cpu().clone() for name, tensor in init_from.net.state_dict().items()}
     ratio = torch.from_numpy((init_from.labels.scale / samples.labels.scale).astype(np.float32))
     last = len(init_from.net.dense) - 1
@@ -250,15 +252,8 @@ def initial_state(init_from: Model, config: PoseNetConfig, samples: Samples) -> 
     return state
 
 
-def _difference(given: object, expected: object) -> str:
-    """Return how two values, or two dicts of the same keys, differ, as text."""
-    if not isinstance(given, dict) or not isinstance(expected, dict):
-        return f"{given}, not {expected}"
-    return "; ".join(f"{key} {given[key]}, not {expected[key]}" for key in given if given[key] != expected[key])
-
-
 def _optimizers(net: PoseNet, settings: TrainSettings, half: bool) -> list[tuple[torch.optim.Optimizer, float]]:
-    """Return the optimizers of a network's weights, each with its learning rate."""
+    """Return the optimizers of a network, each with its learning rate."""
     inner = inner_weights(net) if settings.muon else []
     of_muon = {id(p) for p in inner}
     rest = [p for p in net.parameters() if id(p) not in of_muon]

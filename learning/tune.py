@@ -1,12 +1,12 @@
-"""Search for a network: hyperopt's TPE over the paper's space, each trial a training, everything on disk.
+"""Hyperparameter search with hyperopt's TPE over the paper's space; each trial is a training.
 
-    OUT/trials/0000/ …    a training each (train.py), and trial.json once it has ended
-    OUT/results.jsonl     a line per trial: values and result
-    OUT/best.json         the best network, for `tactip train --config`
+    OUT/trials/0000/ …    training of each trial (train.py), and trial.json once it has ended
+    OUT/results.jsonl     one line per trial: values and result
+    OUT/best.json         best network, for `tactip train --config`
     OUT/tune.png          loss by trial, and each parameter against the rank of its loss
 
-Suggestions depend on the seed, the number of the trial and the results so far, so with one job an interrupted search ends
-with the same results.
+Suggestions depend only on the seed, the trial's number and the results so far, so with one job an interrupted and resumed
+search gives the same results as an uninterrupted one.
 """
 
 import dataclasses
@@ -28,7 +28,7 @@ from hyperopt.base import JOB_STATE_DONE, Domain
 from tqdm import tqdm
 
 from tactip_twin.learning.checkpoint import METRICS, read_metrics, with_new_defaults
-from tactip_twin.learning.configuration import TuneSettings
+from tactip_twin.learning.configuration import DeviceName, TuneSettings
 from tactip_twin.learning.data import read_splits
 from tactip_twin.learning.search_space import expressions, network_of_values
 from tactip_twin.learning.train import Pruned, ShouldPrune, train
@@ -42,11 +42,11 @@ TRIAL, RESULTS, BEST, LOCK = "trial.json", "results.jsonl", "best.json", ".lock"
 
 
 Result = dict[str, Any]
-"""Values, status, loss and network of a trial, JSON."""
+"""Values, status, loss and network of a trial, as JSON."""
 
 
-def past(results: Sequence[Result], domain: Domain) -> Trials:
-    """Return hyperopt's Trials of results, numbered in their order. domain: hyperopt's Domain of the space."""
+def to_hyperopt_trials(results: Sequence[Result], domain: Domain) -> Trials:
+    """Return results as hyperopt's Trials, numbered in order. domain: hyperopt's Domain of the space."""
     trials = Trials()
     docs = []
     for tid, result in enumerate(results):
@@ -68,9 +68,9 @@ def values_of(doc: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def suggest(settings: TuneSettings, index: int, results: Sequence[Result]) -> dict[str, Any]:
-    """Return hyperopt's values (label to number) for trial `index`, given the results so far."""
+    """Suggest hyperopt's values (label to number) for trial `index`, given the results so far."""
     domain = Domain(lambda point: 0.0, expressions(settings.space))
-    trials = past(results, domain)
+    trials = to_hyperopt_trials(results, domain)
     seed = int(np.random.SeedSequence(settings.seed, spawn_key=(index,)).generate_state(1)[0])
     algorithm = rand if index < settings.startup else tpe
     (doc,) = algorithm.suggest(trials.new_trial_ids(1), domain, trials, seed)
@@ -82,37 +82,37 @@ def tune(
     folder: str | Path,
     settings: TuneSettings,
     jobs: int = 1,
-    device: str = "auto",
+    device: DeviceName = "auto",
     log: Callable[[str], None] = print,
 ) -> list[Result]:
-    """Search in a folder, or resume a search that was interrupted there; return the results.
+    """Search in a folder, or resume an interrupted search; return the results.
 
     Args:
         data: Folder of a task's sets.
         folder: Output folder.
         settings: Settings of the search.
-        jobs: Number of trainings at a time.
+        jobs: Number of parallel trials.
         device: Device to train on.
-        log: Callback for lines for the user.
+        log: Callback for messages to the user.
 
     Raises:
-        TactipError: Where the data cannot be used, the folder holds something else, or no trial has a loss.
-        Interrupted: At Ctrl-C.
+        TactipError: If the data are invalid, the folder holds something else, or all trials failed.
+        Interrupted: On Ctrl-C.
     """
     folder = Path(folder)
-    claim(folder, data, settings)
+    prepare_folder(folder, data, settings)
     with locked(folder / LOCK, f"searching in {folder}"):
         return _tune(data, folder, settings, jobs, device, log)
 
 
 def _tune(
-    data: str | Path, folder: Path, settings: TuneSettings, jobs: int, device: str, log: Callable[[str], None]
+    data: str | Path, folder: Path, settings: TuneSettings, jobs: int, device: DeviceName, log: Callable[[str], None]
 ) -> list[Result]:
     """Search in a locked folder; see `tune`."""
     results = read_results(folder)
     todo = [i for i in range(settings.trials) if i not in {r["trial"] for r in results}]
     if results and todo:
-        log(f"{len(results)} of {settings.trials} trials are there already")
+        log(f"{len(results)} of {settings.trials} trials are already done")
     with tqdm(total=settings.trials, initial=len(results), unit="trial", file=sys.stderr) as bar:
         running: dict[int, ForkServerProcess] = {}
         try:
@@ -120,17 +120,17 @@ def _tune(
                 while todo and len(running) < jobs:
                     index = todo.pop(0)
                     values = _recorded_values(folder, index) or suggest(settings, index, results)
-                    note(folder, index, {"trial": index, "values": values})
+                    record_start(folder, index, {"trial": index, "values": values})
                     running[index] = _start(data, folder, index, settings, device, jobs)
                 for index in _ended(running):
                     process = running.pop(index)
                     process.join()
-                    results.append(result_of(folder, index, _missing_result(folder, index, process.exitcode)))
+                    results.append(read_result(folder, index, _missing_result(folder, index, process.exitcode)))
                     write_results(folder, results, settings)
                     bar.update()
                     bar.set_postfix(best=_best_loss(results))
         except KeyboardInterrupt:
-            raise Interrupted(f"{len(results)} of {settings.trials} trials are over: the same command goes on") from None
+            raise Interrupted(interrupted_message(results, settings)) from None
         finally:
             for process in running.values():
                 process.terminate()
@@ -139,11 +139,16 @@ def _tune(
     return results
 
 
-def claim(folder: Path, data: str | Path, settings: TuneSettings) -> None:
-    """Make a folder that of this search, after a check of the data and the space, so no trial starts in vain.
+def interrupted_message(results: Sequence[Result], settings: TuneSettings) -> str:
+    """Return the message of an interrupted search."""
+    return f"{len(results)} of {settings.trials} trials are done: run the same command to resume"
+
+
+def prepare_folder(folder: Path, data: str | Path, settings: TuneSettings) -> None:
+    """Check the data and the space, and create the folder of the search unless it exists.
 
     Raises:
-        TactipError: Where they cannot be used, or the folder holds something else.
+        TactipError: If the data or the space are invalid, or the folder holds something else.
     """
     train_samples, _ = read_splits(data)
     settings.space.check_image_size(train_samples.size)
@@ -159,7 +164,7 @@ def claim(folder: Path, data: str | Path, settings: TuneSettings) -> None:
 
 
 def _identity(settings: TuneSettings) -> dict[str, Any]:
-    """Return the settings that make a search another one, as JSON: all but the number of trials, which may grow."""
+    """Return the settings that identify a search, as JSON: all except the number of trials, which may be increased."""
     identity = dataclasses.asdict(settings)
     del identity["trials"]
     return json.loads(json.dumps(identity))
@@ -170,21 +175,21 @@ def trial_folder(folder: str | Path, index: int) -> Path:
     return Path(folder) / "trials" / f"{index:04d}"
 
 
-def note(folder: Path, index: int, record: Result) -> None:
-    """Write the number and values of a trial before it starts."""
+def record_start(folder: Path, index: int, record: Result) -> None:
+    """Record the number and values of a trial before it starts."""
     place = trial_folder(folder, index)
     place.mkdir(parents=True, exist_ok=True)
     write_file(place.with_suffix(".json"), (json.dumps(record) + "\n").encode())
 
 
 def _recorded_values(folder: Path, index: int) -> dict[str, Any] | None:
-    """Return the values of an interrupted trial, or None where it has not started."""
+    """Return the values of an interrupted trial, or None if it has not started."""
     path = trial_folder(folder, index).with_suffix(".json")
     return json.loads(path.read_text())["values"] if path.exists() else None
 
 
 def read_results(folder: str | Path) -> list[Result]:
-    """Return the results of the trials that have ended, in the order of their ends."""
+    """Return the results of the trials that have ended, in the order in which they ended."""
     path = Path(folder) / RESULTS
     return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
 
@@ -201,22 +206,24 @@ def write_results(folder: Path, results: Sequence[Result], settings: TuneSetting
 
 
 def _best_loss(results: Sequence[Result]) -> float:
-    """Return the lowest loss; NaN where there is none."""
+    """Return the lowest loss; NaN if there is none."""
     return min((r["loss"] for r in results if r["status"] == "ok"), default=math.nan)
 
 
-def _start(data: str | Path, folder: Path, index: int, settings: TuneSettings, device: str, jobs: int) -> ForkServerProcess:
-    """Start a trial in a process of its own, so that nothing that ends it, a lack of memory included, ends the search."""
+def _start(
+    data: str | Path, folder: Path, index: int, settings: TuneSettings, device: DeviceName, jobs: int
+) -> ForkServerProcess:
+    """Start a trial in its own process, so the search survives a crash of the trial, such as running out of memory."""
     threads = max(1, len(os.sched_getaffinity(0)) // jobs)
     arguments = (str(data), str(folder), index, settings, device, threads)
     context = get_context("forkserver")
-    context.set_forkserver_preload([__name__])  # torch is imported once, not by every trial
+    context.set_forkserver_preload([__name__])  # torch is imported once instead of in every trial
     process = context.Process(target=_trial_process, args=arguments)
     process.start()
     return process
 
 
-def _trial_process(data: str, folder: str, index: int, settings: TuneSettings, device: str, threads: int) -> None:
+def _trial_process(data: str, folder: str, index: int, settings: TuneSettings, device: DeviceName, threads: int) -> None:
     """Run a trial as the main function of its process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C
     # The parent ends trials by SIGTERM: an orderly exit releases their locks and memory.
@@ -224,8 +231,8 @@ def _trial_process(data: str, folder: str, index: int, settings: TuneSettings, d
     run_trial(data, folder, index, settings, device, threads)
 
 
-def run_trial(data: str, folder: str, index: int, settings: TuneSettings, device: str, threads: int) -> None:
-    """Train one trial, and write its result to its trial.json.
+def run_trial(data: str, folder: str, index: int, settings: TuneSettings, device: DeviceName, threads: int) -> None:
+    """Train one trial and write its result to trial.json in its folder.
 
     Args:
         data: Folder of a task's sets.
@@ -233,7 +240,7 @@ def run_trial(data: str, folder: str, index: int, settings: TuneSettings, device
         index: Number of the trial.
         settings: Settings of the search.
         device: Device to train on.
-        threads: Number of threads that it may use.
+        threads: Maximum number of threads.
     """
     torch.set_num_threads(threads)
     place = trial_folder(folder, index)
@@ -254,12 +261,12 @@ def run_trial(data: str, folder: str, index: int, settings: TuneSettings, device
 
 
 def _should_prune(results: Sequence[Result], folder: str | Path, min_epochs: int) -> ShouldPrune:
-    """Return a function that decides whether half of the trials before were better after as many epochs.
+    """Return a function that decides whether half of the earlier trials were better after the same number of epochs.
 
     Args:
-        results: Results of those trials.
+        results: Results of the earlier trials.
         folder: Folder of the search.
-        min_epochs: Minimum number of epochs, and of trials, for a decision.
+        min_epochs: Number of epochs, and of trials, below which no training is ended.
     """
     bests = []
     for r in results:
@@ -268,7 +275,7 @@ def _should_prune(results: Sequence[Result], folder: str | Path, min_epochs: int
             bests.append(np.minimum.accumulate([h["val_loss"] for h in read_metrics(path.parent)]))
 
     def should_prune(history: list[dict[str, float]]) -> bool:
-        """Return whether the training ends."""
+        """Return whether to end the training."""
         epochs = len(history)
         if epochs < min_epochs or len(bests) < min_epochs:
             return False
@@ -279,29 +286,29 @@ def _should_prune(results: Sequence[Result], folder: str | Path, min_epochs: int
 
 
 def _ended(running: Mapping[int, ForkServerProcess]) -> list[int]:
-    """Wait until at least one trial has ended; return the numbers of those that have, in order. running: by number."""
+    """Wait until a trial ends; return the numbers of all that have ended, sorted. running: processes by trial number."""
     ready = connection.wait([p.sentinel for p in running.values()])
     return [index for index, p in sorted(running.items()) if p.sentinel in ready]
 
 
 def _missing_result(folder: Path, index: int, exit_code: int | None) -> str:
-    """Return why a trial whose process has ended left no result; empty where it left one.
+    """Return the reason why a trial whose process has ended wrote no result; an empty string if it wrote one.
 
     Raises:
-        TactipError: Where an error of the program ended it, because that would end all other trials, too.
+        TactipError: If an error of the program ended it, because that error would end every other trial, too.
     """
     if (trial_folder(folder, index) / TRIAL).exists():
         return ""
     if exit_code is None or exit_code >= 0:
         raise TactipError(
-            f"the process of trial {index} ended with exit code {exit_code}, and what it said is above: the search goes on "
-            "from where it was when it is run again"
+            f"the process of trial {index} failed with exit code {exit_code}; its output is above: fix the error and run "
+            "the same command to resume"
         )
-    return f"its process was ended by {signal.Signals(-exit_code).name}: is memory short?"
+    return f"the process was killed by {signal.Signals(-exit_code).name}; the machine may be out of memory"
 
 
-def result_of(folder: str | Path, index: int, why: str) -> Result:
-    """Return the result of a trial that has ended. why: the reason where it left none."""
+def read_result(folder: str | Path, index: int, why: str) -> Result:
+    """Read the result of a trial that has ended. why: reason of its failure, for a trial that wrote no result."""
     path = trial_folder(folder, index) / TRIAL
     if path.exists():
         return json.loads(path.read_text())

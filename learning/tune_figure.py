@@ -1,4 +1,4 @@
-"""Figure of a search."""
+"""Figure of a hyperparameter search."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -21,24 +21,24 @@ PARAMETERS = (
     ("l2", True),
     ("batch_size", True),
 )
-"""Parameters of the figure, and whether their axis is logarithmic."""
+"""Parameters in the figure, each with whether its axis is logarithmic."""
 
 
 def plot_search(results: Sequence[dict[str, Any]], path: Path, startup: int) -> None:
-    """Plot the loss by trial, and each parameter by the rank of its loss, to a PNG file; the best trial is marked.
+    """Plot the loss by trial and each parameter by the rank of its loss to a PNG file, with the best trial marked.
 
     Args:
         results: Results of the trials.
-        path: The file.
-        startup: Number of random trials, which end at a line.
+        path: Output file.
+        startup: Number of random trials; a vertical line marks their end.
 
     Raises:
-        TactipError: Where no trial has a loss.
+        TactipError: If no trial has a loss.
     """
     plt = pyplot()
     good = sorted((r for r in results if r["status"] == "ok"), key=lambda r: r["trial"])
     if not good:
-        raise TactipError("no trial ended well: there is nothing to draw, and results.jsonl says why")
+        raise TactipError("all trials failed or were pruned: see the reasons in results.jsonl")
     losses = np.array([r["loss"] for r in good])
     rank = np.argsort(np.argsort(losses)) + 1
     best = int(losses.argmin())

@@ -1,7 +1,7 @@
-"""The search of tune.py on a cluster, by Ray Tune's HyperOptSearch: the same space, trainings and files.
+"""The search of tune.py on a cluster, with HyperOptSearch of Ray Tune: same space, trainings and files.
 
-Needs the extra `cluster`. The data and the folder of the search must be visible to every machine under the same path, as on
-a shared disk. An interrupted search resumes from its results file.
+Needs the extra `cluster`. Every machine must see the data and the folder of the search under the same path, for example on a
+shared disk. An interrupted search resumes from its results file.
 """
 
 import shutil
@@ -14,17 +14,18 @@ from typing import Any
 from hyperopt.base import Domain
 from tqdm import tqdm
 
-from tactip_twin.learning.configuration import TuneSettings
+from tactip_twin.learning.configuration import DeviceName, TuneSettings
 from tactip_twin.learning.search_space import expressions
 from tactip_twin.learning.tune import (
     LOCK,
     Result,
-    claim,
-    note,
-    past,
+    interrupted_message,
+    prepare_folder,
+    read_result,
     read_results,
-    result_of,
+    record_start,
     run_trial,
+    to_hyperopt_trials,
     values_of,
     write_results,
 )
@@ -38,25 +39,25 @@ _CORES = 1
 
 
 def tune_on_cluster(
-    data: str | Path, folder: str | Path, settings: TuneSettings, jobs: int, address: str, device: str = "auto"
+    data: str | Path, folder: str | Path, settings: TuneSettings, jobs: int, address: str, device: DeviceName = "auto"
 ) -> list[Result]:
-    """Search on a Ray cluster, or resume a search; return the results.
+    """Search on a Ray cluster, or resume an interrupted search; return the results.
 
     Args:
         data: Folder of a task's sets, shared by all machines.
         folder: Output folder, shared by all machines.
         settings: Settings of the search.
-        jobs: Number of trials at a time.
-        address: Address of the cluster; `auto` for that of this machine, `local` for one of this machine alone.
+        jobs: Number of parallel trials.
+        address: Address of the cluster; `auto` for that of this machine, `local` to start one on this machine.
         device: Device to train on.
 
     Raises:
-        TactipError: Where Ray is missing or cannot be reached, the data cannot be used, or the folder holds something else.
-        Interrupted: At Ctrl-C.
+        TactipError: If Ray is missing or cannot be reached, the data are invalid, or the folder holds something else.
+        Interrupted: On Ctrl-C.
     """
     data, folder = Path(data).resolve(), Path(folder).resolve()
     ray_here()
-    claim(folder, data, settings)
+    prepare_folder(folder, data, settings)
     with locked(folder / LOCK, f"searching in {folder}"):
         results = read_results(folder)
         if len(results) >= settings.trials:
@@ -67,32 +68,32 @@ def tune_on_cluster(
 
 
 def clear(folder: Path, results: Sequence[Result]) -> None:
-    """Remove the files of interrupted trials, because the search reuses their numbers for others.
+    """Remove the files of interrupted trials, because the search reuses their numbers.
 
     Args:
         folder: Folder of the search.
         results: Results of the trials that have ended.
     """
     ended = {r["trial"] for r in results}
-    for noted in (folder / "trials").glob("*.json"):
-        if int(noted.stem) not in ended:
-            shutil.rmtree(noted.with_suffix(""), ignore_errors=True)
-            noted.unlink()
+    for record in (folder / "trials").glob("*.json"):
+        if int(record.stem) not in ended:
+            shutil.rmtree(record.with_suffix(""), ignore_errors=True)
+            record.unlink()
 
 
 def _tune(
-    ray: ModuleType, data: Path, folder: Path, settings: TuneSettings, jobs: int, device: str, results: list[Result]
+    ray: ModuleType, data: Path, folder: Path, settings: TuneSettings, jobs: int, device: DeviceName, results: list[Result]
 ) -> list[Result]:
-    """Search in a locked folder; see `tune_on_cluster`. ray: the module, joined to a cluster. results: those so far."""
+    """Search in a locked folder; see `tune_on_cluster`. ray: module, connected to a cluster. results: results so far."""
     from ray import tune as ray_tune  # pyright: ignore[reportMissingImports]
 
     left = settings.trials - len(results)
 
     def trial(point: dict[str, Any]) -> None:
-        """Train one trial, on any machine of the cluster."""
-        note(folder, point["trial"], {"trial": point["trial"], "values": point["values"]})
+        """Train one trial on any machine of the cluster."""
+        record_start(folder, point["trial"], {"trial": point["trial"], "values": point["values"]})
         run_trial(str(data), str(folder), point["trial"], settings, device, threads=_CORES)
-        result = result_of(folder, point["trial"], "it left no result")
+        result = read_result(folder, point["trial"], "the trial wrote no result")
         if result["status"] != "ok":
             raise TactipError(result["why"])
         ray_tune.report({"loss": result["loss"]})
@@ -115,24 +116,19 @@ def _tune(
         try:
             tuner.fit()
         except KeyboardInterrupt:
-            raise Interrupted(_interrupted(results, settings)) from None
-    if len(results) < settings.trials:  # Ray answers Ctrl-C itself, and then returns
-        raise Interrupted(_interrupted(results, settings))
+            raise Interrupted(interrupted_message(results, settings)) from None
+    if len(results) < settings.trials:  # Ray handles Ctrl-C itself and then returns
+        raise Interrupted(interrupted_message(results, settings))
     plot_search(results, folder / "tune.png", settings.startup)
     return results
 
 
-def _interrupted(results: Sequence[Result], settings: TuneSettings) -> str:
-    """Return the message of an interrupted search."""
-    return f"{len(results)} of {settings.trials} trials are over: the same command goes on"
-
-
 def _search(settings: TuneSettings, results: Sequence[Result]) -> Any:
-    """Return Ray Tune's HyperOptSearch with the results so far, which gives a trial its number and hyperopt's own values."""
+    """Return Ray Tune's HyperOptSearch with the results so far; it suggests the number and hyperopt's values of a trial."""
     from ray.tune.search.hyperopt import HyperOptSearch  # pyright: ignore[reportMissingImports]
 
     class Search(HyperOptSearch):
-        """Suggests a trial's number and values instead of a point of the space."""
+        """Search algorithm that suggests a trial's number and values instead of a point of the space."""
 
         def __init__(self) -> None:
             space = expressions(settings.space)
@@ -140,10 +136,10 @@ def _search(settings: TuneSettings, results: Sequence[Result]) -> Any:
                 space=space,
                 metric="loss",
                 mode="min",
-                n_initial_points=max(1, settings.startup),  # the trials so far count among them
+                n_initial_points=max(1, settings.startup),  # includes the trials so far
                 random_state_seed=settings.seed + len(results),
             )
-            self._hpopt_trials = past(results, Domain(lambda point: 0.0, space))
+            self._hpopt_trials = to_hyperopt_trials(results, Domain(lambda point: 0.0, space))
             self._next = 1 + max((r["trial"] for r in results), default=-1)
 
         def suggest(self, trial_id: str) -> dict[str, Any] | None:
@@ -158,24 +154,24 @@ def _search(settings: TuneSettings, results: Sequence[Result]) -> Any:
 
 
 def _result_writer(folder: Path, results: list[Result], settings: TuneSettings, bar: tqdm) -> Any:
-    """Return a callback of Ray Tune's that writes each trial's result as it ends."""
+    """Return a callback for Ray Tune that writes the result of each trial when it ends."""
     from ray.tune import Callback  # pyright: ignore[reportMissingImports]
 
     class ResultWriter(Callback):
-        """Writes results."""
+        """Callback that writes results."""
 
         def _write(self, trial: Any, why: str) -> None:
-            """Write the result of a trial. why: the reason where it left none."""
-            results.append(result_of(folder, trial.config["trial"], why))
+            """Write the result of a trial. why: reason of its failure, for a trial that wrote no result."""
+            results.append(read_result(folder, trial.config["trial"], why))
             write_results(folder, results, settings)
             bar.update()
 
         def on_trial_complete(self, iteration: int, trials: list[Any], trial: Any, **info: Any) -> None:
             """Write the result of a trial that has returned."""
-            self._write(trial, "it left no result")
+            self._write(trial, "the trial wrote no result")
 
         def on_trial_error(self, iteration: int, trials: list[Any], trial: Any, **info: Any) -> None:
             """Write the result of a trial that has failed."""
-            self._write(trial, "its process ended: is memory short?")
+            self._write(trial, "the process ended without a result; the machine may be out of memory")
 
     return ResultWriter()

@@ -1,4 +1,4 @@
-"""Images drawn as training runs: other cameras, the same contacts, the same from the seed."""
+"""Augmentation: images rendered from pins under random optics, reproducible from the seed."""
 
 from dataclasses import replace
 
@@ -31,78 +31,78 @@ def samples(tmp_path_factory, on_surface, design):
     return replace(read_samples(folder), images=np.stack(images))
 
 
-def test_images_of_the_designs_own_optics_are_nearly_the_plain_ones(samples):
-    """As many white pixels, and most of them the same: a pin is four pixels, of which one is often a close call."""
-    drawn, plain = OpticsAugmentation(samples).plain(torch.arange(4)).numpy() > 0, samples.images > 0
+def test_render_plain_nearly_equals_set_images(samples):
+    """The white pixels are equal in number and mostly in position; a pin has only about four."""
+    drawn, plain = OpticsAugmentation(samples).render_plain(torch.arange(4)).numpy() > 0, samples.images > 0
     assert drawn.sum() == pytest.approx(plain.sum(), rel=0.02)
     assert (drawn & plain).sum() > 0.8 * (drawn | plain).sum()
     blobs = [cv2.connectedComponents(image.astype(np.uint8), connectivity=4)[0] - 1 for image in drawn]
     assert blobs == [127] * 4
 
 
-def test_no_variation_is_none(samples):
+def test_render_zero_fraction_equals_plain(samples):
     still = OpticsAugmentation(samples, 0.0)
-    assert torch.equal(still.render(torch.arange(4)), still.plain(torch.arange(4)))
+    assert torch.equal(still.render(torch.arange(4)), still.render_plain(torch.arange(4)))
 
 
 NONE = {"zoom": 0.0, "turn_deg": 0.0, "drift": 0.0, "pin_size": 0.0}
 
 
-def varied(samples, **ranges):
-    """Two hundred images of the first sample under optics of these ranges alone, (200, 128, 128) bool, and the plain one."""
+def render_varied(samples, **ranges):
+    """Return 200 images of the first sample under these ranges only, (200, 128, 128) bool, and its plain image."""
     drawn = OpticsAugmentation(samples, 1.0, OpticsRanges(**NONE | ranges))
     torch.manual_seed(0)
     chosen = torch.zeros(200, dtype=torch.int64)
-    return drawn.render(chosen).numpy() > 0, drawn.plain(chosen[:1])[0].numpy() > 0
+    return drawn.render(chosen).numpy() > 0, drawn.render_plain(chosen[:1])[0].numpy() > 0
 
 
-def middles(image):
-    """Middles (127, 2) of the white blobs of an image, px from its middle."""
+def blob_centres(image):
+    """Return the centres (127, 2) of the white blobs of an image, px from its centre."""
     count, _, _, where = cv2.connectedComponentsWithStats(image.astype(np.uint8), connectivity=4)
     assert count == 128
     return where[1:] - 63.5
 
 
-def test_the_image_drifts_no_farther_than_it_may(samples):
-    after, before = varied(samples, drift=0.02)
-    shifts = np.array([middles(i).mean(0) - middles(before).mean(0) for i in after])
+def test_render_drift_stays_in_range(samples):
+    after, before = render_varied(samples, drift=0.02)
+    shifts = np.array([blob_centres(i).mean(0) - blob_centres(before).mean(0) for i in after])
     assert np.abs(shifts).max() < 2.56 + 0.1
     assert np.abs(shifts).max(0).min() > 0.9 * 2.56
 
 
-def test_the_image_turns_and_zooms_no_farther_than_it_may(samples):
-    """Each pin is found again where a turn, or a zoom, would bring it; the greatest of them is near the end of the range."""
+def test_render_turn_and_zoom_stay_in_range(samples):
+    """The pins rotate or scale as a whole, and the maximum is near the end of the range."""
 
-    def turns(images, before):
+    def transforms(images, before):
         for image in images:
-            a, b = middles(image) @ [1, 1j], middles(before) @ [1, 1j]
+            a, b = blob_centres(image) @ [1, 1j], blob_centres(before) @ [1, 1j]
             near = np.abs(a[:, None] - b).argmin(1)
             yield (a * b[near].conj()).sum() / (np.abs(b[near]) ** 2).sum()
 
-    turned = np.array(list(turns(*varied(samples, turn_deg=2.0))))
+    turned = np.array(list(transforms(*render_varied(samples, turn_deg=2.0))))
     assert np.abs(np.abs(turned) - 1).max() < 0.005
     assert 1.8 < np.degrees(np.abs(np.angle(turned))).max() < 2.1
-    zoomed = np.array(list(turns(*varied(samples, zoom=0.03))))
+    zoomed = np.array(list(transforms(*render_varied(samples, zoom=0.03))))
     assert np.degrees(np.abs(np.angle(zoomed))).max() < 0.1
     assert 0.027 < np.abs(np.abs(zoomed) - 1).max() < 0.032
 
 
-def test_pins_grow(samples):
-    area = varied(samples, pin_size=0.3)[0].sum((1, 2))
+def test_render_pin_size_scales_area(samples):
+    area = render_varied(samples, pin_size=0.3)[0].sum((1, 2))
     assert area.max() / area.min() == pytest.approx((1.3 / 0.7) ** 2, rel=0.25)
 
 
-def test_a_set_without_pins_is_refused(tmp_path):
+def test_augmentation_without_pins_raises(tmp_path):
     samples = read_samples(write_fake_set(tmp_path / "set", samples=3))
-    with pytest.raises(TactipError, match="only simulated sets, which have pins"):
+    with pytest.raises(TactipError, match="only simulated sets have pins"):
         OpticsAugmentation(samples)
     np.savez(tmp_path / "set" / "pins.npz", tips=np.zeros((2, 127, 3)), directions=np.zeros((2, 127, 3)))
-    with pytest.raises(TactipError, match="has 2 records for 3 images"):
+    with pytest.raises(TactipError, match="has pins of 2 samples for 3 images"):
         OpticsAugmentation(samples)
 
 
-def test_training_on_drawn_images(samples, tmp_path):
-    """The set's own images stay what they are; stopped, it goes on to the same network; and it is not the plain one."""
+def test_train_augmented_is_resumable_and_differs_from_plain(samples, tmp_path):
+    """The images of the set are unchanged, and an interrupted training resumes to the same losses."""
 
     def stop(history):
         if len(history) == 2:
@@ -110,27 +110,27 @@ def test_training_on_drawn_images(samples, tmp_path):
         return False
 
     net = PoseNetConfig(conv_layers=2, filters=2, units=4, batch_size=2, reduce=4)
-    drawn, plain = (TrainSettings(epochs=5, rate=1e-2, muon=1e-2, drawn=share) for share in (0.5, 0.0))
+    drawn, plain = (TrainSettings(epochs=5, rate=1e-2, muon=1e-2, drawn=fraction) for fraction in (0.5, 0.0))
     before = samples.images.copy()
     train(samples, samples, net, drawn, tmp_path / "whole", log=print, quiet=True)
     assert np.array_equal(samples.images, before)
     with pytest.raises(Interrupted):
-        train(samples, samples, net, drawn, tmp_path / "stopped", log=print, should_prune=stop, quiet=True)
-    train(samples, samples, net, drawn, tmp_path / "stopped", log=print, quiet=True)
+        train(samples, samples, net, drawn, tmp_path / "interrupted", log=print, should_prune=stop, quiet=True)
+    train(samples, samples, net, drawn, tmp_path / "interrupted", log=print, quiet=True)
     train(samples, samples, net, plain, tmp_path / "plain", log=print, quiet=True)
-    losses = [[h["loss"] for h in read_metrics(tmp_path / name)] for name in ("whole", "stopped", "plain")]
+    losses = [[h["loss"] for h in read_metrics(tmp_path / name)] for name in ("whole", "interrupted", "plain")]
     assert losses[0] == losses[1]
     assert losses[0] != losses[2]
 
 
-def test_a_camera_that_does_not_move_sees_what_the_lens_sees(samples, design):
+def test_cameras_zero_offset_match_lens(samples, design):
     cameras = OpticsAugmentation(samples, 1.0, OpticsRanges(**NONE, camera_height_m=1e-9))
-    places = cameras._cameras.project(cameras._tips)
-    assert torch.allclose(places, cameras._centres, atol=0.03)
+    positions = cameras._cameras.project(cameras._tips)
+    assert torch.allclose(positions, cameras._centres, atol=0.03)
 
 
-def test_other_cameras_see_the_neutral_tip_alike_and_a_pressed_one_not(samples, design):
-    """The lens of each is fitted to the same neutral image; what comes nearer grows more for a camera that is near."""
+def test_cameras_agree_on_neutral_pins_only(samples, design):
+    """Each lens is fitted to the same neutral image, but pressed pins grow more for a near camera."""
     drawn = OpticsAugmentation(samples, 1.0, OpticsRanges(**NONE, camera_height_m=3e-3, camera_offset_m=0.5e-3))
     tips = torch.from_numpy(neutral_pins(design)[0].astype(np.float32))
     torch.manual_seed(0)
@@ -141,37 +141,37 @@ def test_other_cameras_see_the_neutral_tip_alike_and_a_pressed_one_not(samples, 
     assert moved.std(0).max() > 0.05 * moved.mean()
 
 
-def count(images):
+def blob_counts(images):
     return np.array([cv2.connectedComponents(image.astype(np.uint8), connectivity=4)[0] - 1 for image in images])
 
 
-def test_pins_go_missing_merge_and_specks_come(samples):
-    missing = count(varied(samples, missing=0.1)[0])
-    # A tenth of 127 is 12.7; three standard deviations of chance more are 23.
+def test_render_missing_pins_speckles_and_jitter(samples):
+    missing = blob_counts(render_varied(samples, missing=0.1)[0])
+    # A tenth of 127 is 12.7, and three standard deviations above it is 23.
     assert missing.max() == 127 and 127 - 24 < missing.min() < 127 - 10
-    specks = count(varied(samples, speckles=5.0)[0])
+    specks = blob_counts(render_varied(samples, speckles=5.0)[0])
     assert specks.max() > 129 and np.median(specks) < 132
-    # The pins of this tip are three pixels apart and more: what bridges less leaves them alone.
-    assert np.array_equal(*(varied(samples, merged_px=m)[0][0] for m in (0.0, 1.0)))
-    off = varied(samples, jitter_px=0.5)[0][0]
-    assert count([off])[0] > 120
-    assert not np.array_equal(off, varied(samples)[1])
+    # The gaps of this tip's pins are at least three pixels, so merging smaller gaps has no effect.
+    assert np.array_equal(*(render_varied(samples, merged_px=m)[0][0] for m in (0.0, 1.0)))
+    off = render_varied(samples, jitter_px=0.5)[0][0]
+    assert blob_counts([off])[0] > 120
+    assert not np.array_equal(off, render_varied(samples)[1])
 
 
 @pytest.mark.parametrize("gap", [1.0, 2.0, 2.5])
-def test_two_discs_merge_where_their_gap_is_less_than_what_is_bridged(samples, gap):
+def test_rasterize_soft_merges_close_discs(samples, gap):
     drawn, radius = OpticsAugmentation(samples), 3.0
-    places = torch.tensor([[[40.0, 64.0], [40.0 + 2 * radius + gap, 64.0]]])
+    positions = torch.tensor([[[40.0, 64.0], [40.0 + 2 * radius + gap, 64.0]]])
     for soft, blobs in ((0.6 * gap, 2), (1.5 * gap, 1)):
-        image = drawn._paint_soft(places, torch.full((1, 2), radius), torch.full((1, 1, 1), soft)).numpy()
-        assert count(image > 0) == [blobs]
-    # One disc alone is as large as it was.
-    alone = drawn._paint_soft(places[:, :1], torch.full((1, 1), radius), torch.full((1, 1, 1), 2.0))
-    assert torch.equal(alone, drawn._paint(places[:, :1], torch.full((1, 1), radius)))
+        image = drawn._rasterize_soft(positions, torch.full((1, 2), radius), torch.full((1, 1, 1), soft)).numpy()
+        assert blob_counts(image > 0) == [blobs]
+    # A single disc keeps its size.
+    alone = drawn._rasterize_soft(positions[:, :1], torch.full((1, 1), radius), torch.full((1, 1, 1), 2.0))
+    assert torch.equal(alone, drawn._rasterize(positions[:, :1], torch.full((1, 1), radius)))
 
 
-def test_light_at_the_rim_is_at_the_rim(samples):
-    lit, plain = varied(samples, rim_lights=6.0)
+def test_render_rim_lights_stay_at_rim(samples):
+    lit, plain = render_varied(samples, rim_lights=6.0)
     added = lit & ~plain
     assert added.any((1, 2)).mean() > 0.5
     y, x = np.nonzero(added.any(0))
@@ -179,12 +179,12 @@ def test_light_at_the_rim_is_at_the_rim(samples):
 
 
 @pytest.mark.parametrize("name", OPTICS)
-def test_images_of_every_declared_variation_keep_most_of_their_pins(samples, name):
+def test_render_named_ranges_keep_most_pins(samples, name):
     drawn = OpticsAugmentation(samples, 1.0, OPTICS[name])
     torch.manual_seed(0)
     images = drawn.render(torch.arange(4).repeat(20)).numpy()
     assert set(np.unique(images)) == {0, 255}
-    blobs = count(images > 0)
+    blobs = blob_counts(images > 0)
     assert 100 < np.median(blobs) < 140
     torch.manual_seed(0)
     assert np.array_equal(drawn.render(torch.arange(4).repeat(20)).numpy(), images)

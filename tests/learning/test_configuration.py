@@ -1,4 +1,4 @@
-"""The configurations load fast, and their choices are those of the tables."""
+"""Configurations: light imports, choices and bounds."""
 
 import subprocess
 import sys
@@ -33,7 +33,7 @@ def test_configuration_imports_nothing_heavy():
     ("choices", "table"),
     [(Activation, ACTIVATIONS), (OpticsName, OPTICS), (ScheduleName, SCHEDULES), (RecipeName, RECIPES)],
 )
-def test_choices_are_the_names_of_the_table(choices, table):
+def test_choices_match_table_names(choices, table):
     assert get_args(choices) == tuple(table)
 
 
@@ -50,6 +50,6 @@ def test_choices_are_the_names_of_the_table(choices, table):
         (lambda: TuneSettings(trials=0), "trials must be a whole number from 1 to 100000, got 0"),
     ],
 )
-def test_wrong_settings_are_refused(make, message):
+def test_settings_invalid_value_raises(make, message):
     with pytest.raises(TactipError, match=message):
         make()

@@ -1,4 +1,4 @@
-"""The network is the paper's, and says why where it cannot be."""
+"""PoseNet: layers, configuration, penalties, schedules and recipes."""
 
 from itertools import pairwise
 
@@ -20,7 +20,7 @@ def kinds(module):
     return [type(layer) for layer in module]
 
 
-def test_layers_are_the_papers():
+def test_posenet_default_layers_match_paper():
     net = PoseNet(SMALL, 40, 3)
     assert kinds(net.convolutions) == [nn.Conv2d, nn.MaxPool2d, nn.ReLU] * 2
     assert kinds(net.dense) == [nn.Dropout, nn.Linear, nn.ReLU] * 2 + [nn.Dropout, nn.Linear]
@@ -34,34 +34,34 @@ def test_layers_are_the_papers():
 
 
 @pytest.mark.parametrize("name", ["relu", "elu"])
-def test_batch_norm_and_activation(name):
+def test_posenet_batch_norm_precedes_activation(name):
     config = PoseNetConfig(conv_layers=1, filters=2, activation=name, batch_norm=True)
     activation = {"relu": nn.ReLU, "elu": nn.ELU}[name]
     assert kinds(PoseNet(config, 20, 1).convolutions) == [nn.Conv2d, nn.BatchNorm2d, activation, nn.MaxPool2d]
 
 
-def test_group_norm_takes_the_place_of_batch_norm_and_knows_no_batch():
+def test_posenet_group_norm_is_independent_of_batch():
     config = PoseNetConfig(conv_layers=2, filters=6, widening=2, halving="stride", group_norm=4, dropout=0.0)
     net = PoseNet(config, 40, 2)
     norms = [m for m in net.convolutions if isinstance(m, nn.GroupNorm)]
     assert [(m.num_groups, m.num_channels) for m in norms] == [(1, 6), (3, 12)]
     images = torch.rand(5, 1, 40, 40, generator=torch.Generator().manual_seed(0))
-    together = net(images)  # in training as in use
+    together = net(images)  # in training mode
     assert torch.allclose(together, torch.cat([net(image[None]) for image in images]), atol=1e-5)
     with pytest.raises(TactipError, match="0 with batch norm"):
         PoseNetConfig(batch_norm=True, group_norm=4)
 
 
 @pytest.mark.parametrize("name", ["relu", "elu"])
-def test_without_a_norm_the_order_of_activation_and_pooling_is_free(name):
+def test_posenet_without_norm_pooling_commutes_with_activation(name):
     net = PoseNet(PoseNetConfig(conv_layers=1, filters=4, activation=name), 20, 1).convolutions
     image = torch.randn(3, 1, 20, 20, generator=torch.Generator().manual_seed(0))
     papers = nn.Sequential(net[0], net[2], net[1])
-    # to a rounding or two: an elu of eight lanes at a time and one of what is left over need not end in the same bit
+    # Vectorized and scalar ELU may differ by rounding.
     torch.testing.assert_close(net(image), papers(image), rtol=4 * torch.finfo(torch.float32).eps, atol=1e-7)
 
 
-def test_halving_by_strides_keeps_the_sizes_and_further_convolutions_follow():
+def test_posenet_stride_and_further_have_expected_layers():
     config = PoseNetConfig(conv_layers=3, filters=2, halving="stride", further=1, batch_norm=True)
     net = PoseNet(config, 40, 1)
     layer = [nn.Conv2d, nn.BatchNorm2d, nn.ReLU]
@@ -71,13 +71,13 @@ def test_halving_by_strides_keeps_the_sizes_and_further_convolutions_follow():
     assert config.last_size(40) == 3
 
 
-def test_another_halving_is_refused():
+def test_config_unknown_halving_raises():
     with pytest.raises(TactipError, match="unknown halving 'mean': choose one of pool, stride"):
         PoseNetConfig(halving="mean")
 
 
-def test_the_papers_best_networks():
-    """Table 2: 5×512 and 5×256 convolutions leave 2×2 pixels of 128."""
+def test_recipe_paper_matches_table_2():
+    """Table 2: five convolutions of 512 and of 256 filters leave 2×2 of 128×128 pixels."""
     surface, edge = (recipe_named("paper", task).network for task in ("surface", "edge"))
     assert (surface.conv_layers, surface.filters, surface.dense_layers, surface.units) == (5, 512, 1, 16)
     assert (edge.conv_layers, edge.filters, edge.dense_layers, edge.units) == (5, 256, 2, 512)
@@ -86,12 +86,12 @@ def test_the_papers_best_networks():
 
 
 @pytest.mark.parametrize(("layers", "size", "allowed"), [(6, 128, 5), (2, 6, 1), (1, 3, 0)])
-def test_a_network_that_leaves_no_pixels_is_refused(layers, size, allowed):
+def test_posenet_too_many_layers_raises(layers, size, allowed):
     with pytest.raises(TactipError, match=f"conv_layers must be at most {allowed}: an image of {size} px.*, got {layers}"):
         PoseNet(PoseNetConfig(conv_layers=layers, filters=2), size, 3)
 
 
-def test_penalties_are_of_dense_and_output_weights_alone():
+def test_penalty_covers_dense_and_output_weights_only():
     net = PoseNet(PoseNetConfig(conv_layers=1, filters=2, units=3, l1=0.5, l2=0.25), 8, 2)
     weights = torch.cat([layer.weight.flatten() for layer in net.dense if isinstance(layer, nn.Linear)])
     assert net.penalty().item() == pytest.approx((0.5 * weights.abs().sum() + 0.25 * (weights**2).sum()).item())
@@ -104,7 +104,7 @@ def test_penalties_are_of_dense_and_output_weights_alone():
     assert net.penalty().item() == 0
 
 
-def test_blur_and_reduction_keep_brightness():
+def test_posenet_blur_and_reduce_keep_brightness():
     net = PoseNet(PoseNetConfig(conv_layers=1, filters=2, blur_px=1.0, reduce=2), 40, 3)
     image = torch.zeros(1, 1, 40, 40)
     image[0, 0, 20, 20] = 1.0
@@ -116,8 +116,8 @@ def test_blur_and_reduction_keep_brightness():
     assert (out[0, 0] * v).sum().item() / out.sum().item() == pytest.approx(9.75, abs=0.01)
 
 
-def test_folding_keeps_every_pixel():
-    """A pixel that moves within its square is lost to the mean of the square, and not to its folded channels."""
+def test_posenet_fold_keeps_every_pixel():
+    """A pixel that moves within its square changes the folded channels but not the mean."""
     images = torch.zeros(2, 1, 40, 40)
     images[0, 0, 20, 20] = images[1, 0, 21, 21] = 1.0
     torch.manual_seed(0)
@@ -130,7 +130,7 @@ def test_folding_keeps_every_pixel():
         PoseNetConfig(fold=True)
 
 
-def test_widening_stops_at_most_filters():
+def test_widths_stop_at_most_filters():
     assert PoseNetConfig(conv_layers=4, filters=8, widening=2, most_filters=20).widths() == [8, 16, 20, 20]
 
 
@@ -144,12 +144,12 @@ def test_widening_stops_at_most_filters():
         ({"activation": "tanh"}, "choose one of relu, elu"),
     ],
 )
-def test_wrong_networks_are_refused(changes, message):
+def test_config_invalid_value_raises(changes, message):
     with pytest.raises(TactipError, match=message):
         PoseNetConfig(**changes)
 
 
-def test_learning_rates():
+def test_learning_rate_schedules():
     settings = TrainSettings(rate=0.1, decay=0.5)
     assert paper_rate(settings, 0, 10) == 0.1
     assert paper_rate(settings, 2, 10) == pytest.approx(0.05)
@@ -159,13 +159,13 @@ def test_learning_rates():
     assert all(a >= b for a, b in pairwise(rates[5:]))
 
 
-def test_recipes_fit_the_images():
+def test_recipes_accept_128_px_images():
     for by_task in RECIPES.values():
         for recipe in by_task.values():
             assert recipe.network.last_size(128) >= 1
 
 
-def test_the_space_is_the_papers():
+def test_search_space_contains_paper_network_and_checks_image_size():
     point = {"conv_layers": 5, "log2_filters": 9, "dense_layers": 1, "log2_units": 4, "activation": "relu"}
     point |= {"batch_norm": False, "dropout": 0.001, "l1": 0.001, "l2": 0.064, "batch_size": 32}
     assert network_of_point(SearchSpace(), point) == PoseNetConfig()

@@ -1,4 +1,4 @@
-"""Training keeps its promises: the same from its seed, the same after a kill, and errors before it starts."""
+"""Training: determinism, resuming, validation of the input, and evaluation."""
 
 import json
 import signal
@@ -56,13 +56,13 @@ def quiet(*arguments, **options):
     return train(*arguments, log=lambda line: None, quiet=True, **options)
 
 
-def test_a_small_set_is_gone_through_more_often(splits):
-    """48 images are six steps of eight: 20 steps take four times through."""
+def test_epochs_small_set_reaches_min_steps(splits):
+    """48 images in batches of 8 are 6 steps per epoch, so 20 steps take 4 epochs."""
     assert Training(*splits, NET, TrainSettings(epochs=2, least_steps=20)).epochs == 4
     assert Training(*splits, NET, TrainSettings(epochs=5, least_steps=20)).epochs == 5
 
 
-def test_a_set_without_pins_is_trained_on_as_it_is(data, tmp_path, capsys):
+def test_train_set_without_pins_disables_augmentation(data, tmp_path, capsys):
     """The recipe draws images anew, for which a real set has no pins; asked for by name, that is refused."""
     command = ["train", "--data", str(data), "--network.conv-layers", "1", "--training.least-steps", "1"]
     command += ["--training.epochs", "1"]
@@ -70,13 +70,13 @@ def test_a_set_without_pins_is_trained_on_as_it_is(data, tmp_path, capsys):
     assert "has no pins: its images are taken as they are" in capsys.readouterr().err
     assert load_model(tmp_path / "run").provenance["settings"]["drawn"] == 0
     assert tactip.main([*command, "--out", str(tmp_path / "other"), "--training.drawn", "1"]) == 1
-    assert "only simulated sets, which have pins" in capsys.readouterr().err
+    assert "only simulated sets have pins" in capsys.readouterr().err
     assert not (tmp_path / "other" / "model.json").exists()
 
 
 @pytest.mark.parametrize("shape", [(6, 20), (20, 6), (8, 3, 4, 4)])
-def test_a_step_of_muon_is_nearly_orthogonal(shape):
-    """Its singular values are near one, whatever those of the gradient; its directions are the gradient's."""
+def test_muon_step_is_nearly_orthogonal(shape):
+    """Its singular values are near one for any gradient; its singular vectors are those of the gradient."""
     torch.manual_seed(0)
     weight = torch.nn.Parameter(torch.zeros(shape))
     gradient = torch.randn(shape).reshape(shape[0], -1)
@@ -91,7 +91,7 @@ def test_a_step_of_muon_is_nearly_orthogonal(shape):
     assert 0.6 < seen.diagonal().min() < seen.diagonal().max() < 1.3
 
 
-def test_muon_takes_the_weights_between_layers_and_learns(splits):
+def test_muon_optimizes_inner_weights_and_beats_adam(splits):
     settings = TrainSettings(epochs=8, rate=2e-3, muon=0.02)
     training = Training(*splits, NET, settings)
     inner = inner_weights(training.net)
@@ -104,8 +104,8 @@ def test_muon_takes_the_weights_between_layers_and_learns(splits):
     assert training.history[-1]["loss"] < adam.history[-1]["loss"]
 
 
-def test_it_learns(splits, tmp_path):
-    """The pictures tell the labels: far better than the mean does."""
+def test_train_fake_set_beats_mean_prediction(splits, tmp_path):
+    """The network predicts the labels far better than their mean does."""
     history = quiet(*splits, NET, TrainSettings(epochs=60, patience=60, rate=3e-3), tmp_path / "run")
     val = splits[1]
     by_mean = (((val.targets - splits[0].targets.mean(0)) / val.labels.scale) ** 2).sum(1).mean()
@@ -115,8 +115,8 @@ def test_it_learns(splits, tmp_path):
     assert error.sum(1).mean() == pytest.approx(min(h["val_loss"] for h in history), rel=1e-4)
 
 
-def test_half_precision_learns_as_well(splits):
-    """Convolutions and Muon's factor in bfloat16 end where single precision does, to a few per cent of the way there."""
+def test_train_bfloat16_matches_float32_loss(splits):
+    """With bfloat16 in convolutions and Muon, the final loss differs by at most 5 % of the initial loss."""
     ends = []
     for precision in ("float32", "bfloat16"):
         training = Training(*splits, NET, TrainSettings(epochs=12, rate=2e-3, muon=0.02, precision=precision))
@@ -129,7 +129,7 @@ def test_half_precision_learns_as_well(splits):
     assert ends[1][-1]["loss"] == pytest.approx(ends[0][-1]["loss"], abs=0.05 * start)
 
 
-def test_the_same_seed_gives_the_same_network(splits, tmp_path):
+def test_train_same_seed_gives_same_weights(splits, tmp_path):
     for name in ("a", "b"):
         quiet(*splits, NET, QUICK, tmp_path / name)
     quiet(*splits, NET, TrainSettings(epochs=4, rate=3e-3, seed=1), tmp_path / "c")
@@ -137,15 +137,15 @@ def test_the_same_seed_gives_the_same_network(splits, tmp_path):
     assert not same(weights(tmp_path / "a"), weights(tmp_path / "c"))
 
 
-def test_training_leaves_the_global_generator_alone(splits, tmp_path):
+def test_train_keeps_global_random_state(splits, tmp_path):
     before = torch.random.get_rng_state()
     quiet(*splits, NET, TrainSettings(epochs=1), tmp_path / "run")
     assert torch.equal(before, torch.random.get_rng_state())
 
 
 @pytest.mark.parametrize("epochs", [1, 4])
-def test_a_kill_after_the_last_checkpoint_loses_nothing(splits, tmp_path, monkeypatch, epochs):
-    """The checkpoint is written first: what is made of it is made anew."""
+def test_train_killed_after_last_checkpoint_resumes(splits, tmp_path, monkeypatch, epochs):
+    """The checkpoint is written first; the other files are recreated from it."""
     settings = TrainSettings(epochs=epochs, rate=3e-3)
     quiet(*splits, NET, settings, tmp_path / "whole")
     save = train_module.save_checkpoint
@@ -172,7 +172,7 @@ def test_a_kill_after_the_last_checkpoint_loses_nothing(splits, tmp_path, monkey
     assert not (tmp_path / "killed" / "checkpoint.pt").exists()
 
 
-def test_a_training_that_is_killed_goes_on_to_the_same_network(data, splits, tmp_path):
+def test_train_command_killed_resumes_to_same_weights(data, splits, tmp_path):
     settings = ["--training.epochs", "40", "--training.patience", "40", "--training.rate", "0.003"]
     network = ["--network.conv-layers", "2", "--network.filters", "6", "--network.units", "24", "--network.batch-size", "8"]
     command = [TACTIP, "train", "--data", str(data), "--recipe", "paper", *settings, *network]
@@ -187,15 +187,15 @@ def test_a_training_that_is_killed_goes_on_to_the_same_network(data, splits, tmp
     process.wait()
     assert (killed / "checkpoint.pt").exists()
     again = subprocess.run([*command, "--out", str(killed)], check=True, capture_output=True, text=True)
-    assert "going on after epoch" in again.stderr
+    assert "resuming after epoch" in again.stderr
     assert same(weights(whole), weights(killed))
     losses = [[(h["epoch"], h["loss"], h["val_loss"]) for h in read_metrics(f)] for f in (whole, killed)]
     assert losses[0] == losses[1]
     assert not (killed / "checkpoint.pt").exists()
-    assert "finished already" in subprocess.run([*command, "--out", str(killed)], capture_output=True, text=True).stderr
+    assert "already finished" in subprocess.run([*command, "--out", str(killed)], capture_output=True, text=True).stderr
 
 
-def test_it_stops_early_and_keeps_the_best(splits, tmp_path):
+def test_train_patience_exhausted_keeps_best_epoch(splits, tmp_path):
     history = quiet(*splits, NET, TrainSettings(epochs=300, patience=3, rate=0.02), tmp_path / "run")
     losses = [h["val_loss"] for h in history]
     assert len(losses) < 300
@@ -205,7 +205,7 @@ def test_it_stops_early_and_keeps_the_best(splits, tmp_path):
     assert outcome["finished"]
 
 
-def test_a_loss_that_is_no_number_is_seen(splits):
+def test_train_epoch_nan_loss_raises(splits):
     training = Training(*splits, NET, QUICK)
     with torch.no_grad():
         training.net.dense[1].weight.fill_(float("nan"))
@@ -213,7 +213,7 @@ def test_a_loss_that_is_no_number_is_seen(splits):
         training.train_epoch()
 
 
-def test_a_folder_is_one_commands_at_a_time(splits, tmp_path):
+def test_train_locked_folder_raises(splits, tmp_path):
     def again(history):
         with pytest.raises(TactipError, match="another command is training in"):
             quiet(*splits, NET, QUICK, tmp_path / "run")
@@ -223,8 +223,8 @@ def test_a_folder_is_one_commands_at_a_time(splits, tmp_path):
     assert load_model(tmp_path / "run").provenance["outcome"]["finished"]
 
 
-def test_a_training_from_before_a_setting_existed_is_known(splits, tmp_path):
-    """What a new field's default stands for is what was done before there was the field."""
+def test_train_record_without_new_fields_is_recognized(splits, tmp_path):
+    """A field that was added later counts as having its default."""
     history = quiet(*splits, NET, QUICK, tmp_path / "run")
     path = tmp_path / "run" / "model.json"
     description = json.loads(path.read_text())
@@ -237,7 +237,7 @@ def test_a_training_from_before_a_setting_existed_is_known(splits, tmp_path):
         quiet(*splits, NET, QUICK, tmp_path / "run")
 
 
-def test_another_training_in_the_folder_is_refused(splits, tmp_path):
+def test_train_folder_of_other_training_raises(splits, tmp_path):
     quiet(*splits, NET, QUICK, tmp_path / "run")
     with pytest.raises(TactipError, match=r"holds a training with other settings \(settings.epochs is 4 there, 5 here\)"):
         quiet(*splits, NET, TrainSettings(epochs=5), tmp_path / "run")
@@ -247,8 +247,8 @@ def test_another_training_in_the_folder_is_refused(splits, tmp_path):
         quiet(*splits, NET, QUICK, tmp_path / "other")
 
 
-def test_a_training_begins_with_a_network(splits, tmp_path):
-    """It begins with what the other one says, also where labels have other ranges, and with nothing else."""
+def test_train_init_from_starts_with_its_predictions(splits, tmp_path):
+    """The initial predictions are those of the initial network, also for labels with other ranges."""
     quiet(*splits, NET, QUICK, tmp_path / "first")
     first = load_model(tmp_path / "first")
     ranges = replace(POSE_RANGES["surface"], depth_mm=(-10, -1), roll_deg=(-5, 5))
@@ -265,35 +265,35 @@ def test_a_training_begins_with_a_network(splits, tmp_path):
         message = f"holds a training with other settings \\(begun_from is {there} there, {here} here\\)"
         with pytest.raises(TactipError, match=message):
             quiet(*splits, NET, QUICK, tmp_path / folder, init_from=start)
-    with pytest.raises(TactipError, match=r"other layers than what is trained: units 24, not 8$"):
+    with pytest.raises(TactipError, match=r"does not match the model to be trained: units is 24, expected 8$"):
         quiet(*splits, replace(NET, units=8), QUICK, tmp_path / "third", init_from=first)
     assert not (tmp_path / "third").exists()
 
 
-def test_a_network_to_begin_with_by_name(data, splits, tmp_path, capsys):
-    """Its layers are taken; one of other layers, or of another width of image, is refused by a sentence."""
+def test_train_command_start_uses_its_layers(data, splits, tmp_path, capsys):
+    """Its layers are used; a network for another image width is rejected."""
     quiet(*splits, NET, QUICK, tmp_path / "first")
     given = ["train", "--data", str(data), "--training.epochs", "1", "--training.least-steps", "0"]
     given += ["--training.drawn", "0"]
     assert tactip.main([*given, "--out", str(tmp_path / "on"), "--start", str(tmp_path / "first")]) == 0
     assert load_model(tmp_path / "on").config == NET
     assert tactip.main([*given, "--out", str(tmp_path / "off"), "--start", "surface-tactip-127"]) == 1
-    assert "other width of images" in capsys.readouterr().err
+    assert "image width is 128, expected 40" in capsys.readouterr().err
     assert not (tmp_path / "off").exists()
 
 
 @pytest.mark.parametrize("damage", [lambda b: b"rubbish", lambda b: b[: len(b) // 2], lambda b: b""])
-def test_a_damaged_checkpoint_is_a_sentence(splits, tmp_path, damage):
+def test_train_damaged_checkpoint_raises(splits, tmp_path, damage):
     with pytest.raises(Interrupted):
         quiet(*splits, NET, QUICK, tmp_path / "run", should_prune=_stop)
     path = tmp_path / "run" / "checkpoint.pt"
     path.write_bytes(damage(path.read_bytes()))
-    with pytest.raises(TactipError, match="remove it to begin anew"):
+    with pytest.raises(TactipError, match="delete it to restart the training"):
         quiet(*splits, NET, QUICK, tmp_path / "run")
 
 
-def test_ctrl_c_keeps_the_epochs_that_are_over(splits, tmp_path):
-    with pytest.raises(Interrupted, match="the same command goes on"):
+def test_train_interrupted_keeps_completed_epochs(splits, tmp_path):
+    with pytest.raises(Interrupted, match="completed epochs are saved: run the same command to resume"):
         quiet(*splits, NET, QUICK, tmp_path / "stopped", should_prune=_stop)
     assert len(read_metrics(tmp_path / "stopped")) == 2
     quiet(*splits, NET, QUICK, tmp_path / "stopped")
@@ -302,14 +302,14 @@ def test_ctrl_c_keeps_the_epochs_that_are_over(splits, tmp_path):
 
 
 def _stop(history):
-    """Ctrl-C after the second epoch."""
+    """Interrupt after the second epoch."""
     if len(history) == 2:
         raise KeyboardInterrupt
     return False
 
 
-def test_weights_of_components(splits):
-    """One over the greatest value squared, summed over components."""
+def test_error_weights_components_by_scale(splits):
+    """Each component has the weight 1 / (maximum absolute value)²."""
     training = Training(*splits, NET, QUICK)
     _, val = splits
     with torch.no_grad():
@@ -319,7 +319,7 @@ def test_weights_of_components(splits):
     assert training.error(training._val_images, training._val_targets) == pytest.approx(expected, rel=1e-5)
 
 
-# Wrong input: a sentence each, before training.
+# Invalid input is rejected before training.
 
 
 def damaged(tmp_path, damage):
@@ -351,17 +351,17 @@ def resize_one(folder):
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
-        (keep_header, "is empty: there is nothing to learn from"),
-        (edit_row("pose_z", "nan"), "pose_z of image_00002.png .* is nan: the set declares -5 to -1 mm"),
-        (edit_row("pose_Rx", "15.2"), "pose_Rx of image_00002.png .* is 15.2: the set declares -15 to 15 °"),
-        (edit_row("pose_z", "deep"), "a cell that is no number"),
-        (edit_row("shear_x", "inf"), "the shear of image_00002.png .* is not a number"),
+        (keep_header, "has no samples: at least one is needed"),
+        (edit_row("pose_z", "nan"), "pose_z of image_00002.png .* must be from -5 to -1 mm .*, got nan"),
+        (edit_row("pose_Rx", "15.2"), "pose_Rx of image_00002.png .* must be from -15 to 15 ° .*, got 15.2"),
+        (edit_row("pose_z", "deep"), "a cell that is not a number"),
+        (edit_row("shear_x", "inf"), r"shear of image_00002.png .* must be finite, got \[inf, "),
         (lambda f: (f / "images" / "image_00001.png").write_bytes(b"no image"), "image_00001.png cannot be read"),
-        (resize_one, "image_00002.png .* is 20 by 20 px and the first one 40 by 40"),
+        (resize_one, "image_00002.png .* is 20 by 20 px, but the first image is 40 by 40 px"),
         (lambda f: (f / "meta.json").unlink(), "there is no data set in"),
     ],
 )
-def test_damaged_sets_are_refused_before_training(tmp_path, capsys, damage, message):
+def test_read_splits_damaged_set_raises(tmp_path, capsys, damage, message):
     folder = damaged(tmp_path, damage)
     with pytest.raises(TactipError, match=message):
         read_splits(folder)
@@ -370,52 +370,52 @@ def test_damaged_sets_are_refused_before_training(tmp_path, capsys, damage, mess
     assert capsys.readouterr().err.startswith("tactip: ")
 
 
-def test_mixed_sets_are_refused(tmp_path):
+def test_read_splits_mixed_tasks_raises(tmp_path):
     folder = tmp_path / "data"
     write_fake_set(folder / "train", "surface", samples=4)
     write_fake_set(folder / "val", "edge", "val", samples=4)
-    with pytest.raises(TactipError, match=r"is of the task 'edge', the training set in .* of 'surface'"):
+    with pytest.raises(TactipError, match=r"has the task 'edge', but the training set in .* has 'surface'"):
         read_splits(folder)
-    with pytest.raises(TactipError, match="there is no folder"):
+    with pytest.raises(TactipError, match=r"folder .* does not exist: training needs the sets"):
         read_splits(tmp_path / "nothing")
 
 
-def test_a_model_and_a_set_that_do_not_fit_are_refused(splits, tmp_path, capsys):
+def test_evaluate_command_mismatched_set_fails(splits, tmp_path, capsys):
     quiet(*splits, NET, QUICK, tmp_path / "run")
     other = write_fake_set(tmp_path / "edge", "edge", samples=4)
     large = write_fake_set(tmp_path / "large", "surface", samples=4, size=64)
     for folder, message in (
-        (other, "of the task 'edge', the model of 'surface'"),
-        (large, "64 px wide, the model takes 40 px"),
+        (other, "has the task 'edge', but the model has 'surface'"),
+        (large, "64 px wide, but the model uses 40 px"),
     ):
         assert tactip.main(["evaluate", "--model", str(tmp_path / "run"), "--data", str(folder)]) == 1
         assert message in capsys.readouterr().err
 
 
-def test_damaged_models_are_refused(splits, tmp_path):
+def test_load_model_damaged_raises(splits, tmp_path):
     quiet(*splits, NET, QUICK, tmp_path / "run")
-    with pytest.raises(TactipError, match="there is no model in"):
+    with pytest.raises(TactipError, match="no model in"):
         load_model(tmp_path)
     data = (tmp_path / "run" / "model.pt").read_bytes()
     (tmp_path / "run" / "model.pt").write_bytes(data[:-1] + b"x")
-    with pytest.raises(TactipError, match="are not those that it names"):
+    with pytest.raises(TactipError, match="do not match the checksum in"):
         load_model(tmp_path / "run")
     description = (tmp_path / "run" / "model.json").read_text()
     (tmp_path / "run" / "model.json").write_text(description.replace('"task": "surface"', '"task": "ceiling"'))
     with pytest.raises(TactipError, match="unknown task 'ceiling': choose one of surface, edge"):
         load_model(tmp_path / "run")
     (tmp_path / "run" / "model.json").write_text("{")
-    with pytest.raises(TactipError, match="cannot be used"):
+    with pytest.raises(TactipError, match="cannot read the model description"):
         load_model(tmp_path / "run")
 
 
-def test_recipe_files(tmp_path):
+def test_read_recipe_round_trip_and_errors(tmp_path):
     recipe = Recipe(NET, QUICK)
     (tmp_path / "good.json").write_text(recipe_json(recipe))
     assert read_recipe(tmp_path / "good.json") == recipe
     for text, message in (
-        ("{", "is no configuration"),
-        ('{"network": {"depth": 3}}', "names depth: it may name conv_layers"),
+        ("{", "must be a recipe, JSON with `network`"),
+        ('{"network": {"depth": 3}}', "unknown fields in .*: depth; choose from conv_layers"),
         ('{"network": {"filters": "many"}}', "filters must be a whole number from 1 to 1024, got many"),
     ):
         (tmp_path / "bad.json").write_text(text)
@@ -426,7 +426,7 @@ def test_recipe_files(tmp_path):
 # Evaluation.
 
 
-def test_evaluation_is_what_numpy_says(data, splits, tmp_path, capsys):
+def test_evaluate_command_matches_numpy(data, splits, tmp_path, capsys):
     quiet(*splits, NET, QUICK, tmp_path / "run")
     arguments = ["evaluate", "--model", str(tmp_path / "run"), "--data", str(data / "test")]
     assert tactip.main([*arguments, "--json", "--out", str(tmp_path / "report")]) == 0
@@ -456,7 +456,7 @@ def test_evaluation_is_what_numpy_says(data, splits, tmp_path, capsys):
     assert "pose_Ry: mean error" in capsys.readouterr().out
 
 
-def test_the_components_of_an_edge(tmp_path):
+def test_evaluate_edge_has_five_components(tmp_path):
     data = write_fake_splits(tmp_path / "edge", "edge", samples=8)
     train_set, val = read_splits(data)
     quiet(train_set, val, NET, TrainSettings(epochs=1), tmp_path / "run")
@@ -465,7 +465,7 @@ def test_the_components_of_an_edge(tmp_path):
     assert train_set.labels.scale.tolist() == [5, 5, 15, 15, 45]
 
 
-def test_bins_and_worst_cases(data, splits, tmp_path):
+def test_tables_bins_and_worst_samples(data, splits, tmp_path):
     values, errors = np.arange(20.0), np.stack([np.arange(20.0), np.ones(20)], 1)
     rows = binned(values, errors, ("a", "b"))
     assert [r["samples"] for r in rows] == [2] * 10

@@ -1,4 +1,4 @@
-"""The search: the paper's space, the same after a kill, and a failed trial is a result."""
+"""Hyperparameter search: suggestions, resuming after a kill, failed trials, pruning, and Ray."""
 
 import json
 import os
@@ -18,7 +18,7 @@ from helpers.learning_sets import write_fake_splits
 from tactip_twin.learning.configuration import SearchSpace, TrainSettings, TuneSettings
 from tactip_twin.learning.recipes import read_recipe
 from tactip_twin.learning.search_space import network_of_values
-from tactip_twin.learning.tune import note, read_results, run_trial, suggest, tune
+from tactip_twin.learning.tune import read_results, record_start, run_trial, suggest, tune
 from tactip_twin.learning.tune_ray import clear, tune_on_cluster
 from tactip_twin.tactip_model.errors import TactipError
 
@@ -32,26 +32,26 @@ def data(tmp_path_factory):
     return write_fake_splits(tmp_path_factory.mktemp("sets") / "surface", samples=16)
 
 
-def results_of(losses):
-    """Results with a loss that depends on the network: a search must find what is good."""
-    return [{"trial": i, "values": v, "status": "ok", "loss": loss} for i, (v, loss) in enumerate(losses)]
+def results_of(pairs):
+    """Return results of pairs of values and loss."""
+    return [{"trial": i, "values": v, "status": "ok", "loss": loss} for i, (v, loss) in enumerate(pairs)]
 
 
-def test_suggestions_are_the_papers_space():
-    drawn = [network_of_values(SearchSpace(), suggest(TuneSettings(startup=200), i, [])) for i in range(150)]
-    assert {n.conv_layers for n in drawn} == {1, 2, 3, 4, 5}
-    assert {n.filters for n in drawn} == {2**k for k in range(1, 10)} == {n.units for n in drawn}
-    assert {n.dense_layers for n in drawn} == {1, 2, 3, 4, 5}
-    assert {n.batch_size for n in drawn} == {16, 32, 64, 128}
-    assert {n.activation for n in drawn} == {"relu", "elu"}
-    assert Counter(n.batch_norm for n in drawn)[True] > 40
-    assert all(0 <= n.dropout <= 0.5 and 1e-4 <= n.l1 <= 1e-1 and 1e-4 <= n.l2 <= 1e-1 for n in drawn)
+def test_suggest_random_covers_paper_space():
+    networks = [network_of_values(SearchSpace(), suggest(TuneSettings(startup=200), i, [])) for i in range(150)]
+    assert {n.conv_layers for n in networks} == {1, 2, 3, 4, 5}
+    assert {n.filters for n in networks} == {2**k for k in range(1, 10)} == {n.units for n in networks}
+    assert {n.dense_layers for n in networks} == {1, 2, 3, 4, 5}
+    assert {n.batch_size for n in networks} == {16, 32, 64, 128}
+    assert {n.activation for n in networks} == {"relu", "elu"}
+    assert Counter(n.batch_norm for n in networks)[True] > 40
+    assert all(0 <= n.dropout <= 0.5 and 1e-4 <= n.l1 <= 1e-1 and 1e-4 <= n.l2 <= 1e-1 for n in networks)
     # L1 is uniform in its logarithm.
-    assert np.mean([np.log10(n.l1) for n in drawn]) == pytest.approx(-2.5, abs=0.3)
+    assert np.mean([np.log10(n.l1) for n in networks]) == pytest.approx(-2.5, abs=0.3)
 
 
-def test_suggestions_learn_from_results():
-    """After trials in which few filters do well, few filters are suggested."""
+def test_suggest_with_results_improves():
+    """Where the loss favours four filters, later suggestions are closer to four."""
     settings = TuneSettings(startup=30)
     past = []
     for i in range(60):
@@ -61,7 +61,7 @@ def test_suggestions_learn_from_results():
     assert np.mean(later) < 0.6 * np.mean(first)
 
 
-def test_suggestions_depend_on_seed_number_and_results():
+def test_suggest_depends_on_index_and_results():
     past = results_of([(suggest(SETTINGS, i, []), float(i)) for i in range(3)])
     assert suggest(SETTINGS, 3, past) == suggest(SETTINGS, 3, past)
     assert suggest(SETTINGS, 3, past) != suggest(SETTINGS, 4, past)
@@ -69,7 +69,7 @@ def test_suggestions_depend_on_seed_number_and_results():
     assert suggest(SETTINGS, 4, failed)
 
 
-def test_a_search(data, tmp_path):
+def test_tune_writes_best_and_resumes(data, tmp_path):
     results = tune(data, tmp_path / "search", SETTINGS, log=lambda line: None)
     assert [r["trial"] for r in results] == [0, 1, 2]
     assert all(r["status"] == "ok" for r in results)
@@ -78,10 +78,10 @@ def test_a_search(data, tmp_path):
     assert best.network.filters == winner["network"]["filters"]
     assert best.settings == SETTINGS.training
     assert (tmp_path / "search" / "tune.png").stat().st_size > 10_000
-    # Made longer, it goes on; with another space it is another search.
+    # A search with more trials resumes; other settings make it another search.
     longer = replace(SETTINGS, trials=4)
     assert [r["trial"] for r in tune(data, tmp_path / "search", longer, log=lambda line: None)] == [0, 1, 2, 3]
-    # One from before a field came to the settings is the search that it was.
+    # A search recorded before a field was added to the settings is recognized.
     path = tmp_path / "search" / "search.json"
     there = json.loads(path.read_text())
     del there["settings"]["training"]["varied"], there["settings"]["prune"]
@@ -91,7 +91,7 @@ def test_a_search(data, tmp_path):
         tune(data, tmp_path / "search", replace(SETTINGS, seed=1), log=lambda line: None)
 
 
-def test_a_space_that_leaves_no_pixels_is_refused_first(data, tmp_path):
+def test_tune_space_too_deep_for_images_raises(data, tmp_path):
     with pytest.raises(TactipError, match=r"conv_layers must be at most 3.*, got 5"):
         tune(data, tmp_path / "search", TuneSettings(), log=lambda line: None)
     assert not (tmp_path / "search").exists()
@@ -102,11 +102,11 @@ def search_command(data, out, *options):
     return [TACTIP, "tune", "--data", str(data), "--out", str(out), "--trials", "3", "--startup", "2", *limits, *options]
 
 
-def steady(results):
+def without_seconds(results):
     return [{k: v for k, v in r.items() if k != "seconds"} for r in results]
 
 
-def test_a_search_that_is_killed_goes_on_to_the_same_results(data, tmp_path):
+def test_tune_command_killed_resumes_to_same_results(data, tmp_path):
     whole, killed = tmp_path / "whole", tmp_path / "killed"
     subprocess.run(search_command(data, whole), check=True, capture_output=True)
     process = subprocess.Popen(
@@ -120,24 +120,24 @@ def test_a_search_that_is_killed_goes_on_to_the_same_results(data, tmp_path):
     process.wait()
     assert len(read_results(killed)) < 3
     again = subprocess.run(search_command(data, killed), check=True, capture_output=True, text=True)
-    assert "of 3 trials are there already" in again.stderr
-    assert steady(read_results(killed)) == steady(read_results(whole))
+    assert "of 3 trials are already done" in again.stderr
+    assert without_seconds(read_results(killed)) == without_seconds(read_results(whole))
 
 
-def test_trials_side_by_side(data, tmp_path):
+def test_tune_command_two_jobs_runs_all_trials(data, tmp_path):
     subprocess.run(search_command(data, tmp_path / "two", "--jobs", "2"), check=True, capture_output=True)
     assert sorted(r["trial"] for r in read_results(tmp_path / "two")) == [0, 1, 2]
 
 
-def test_a_trial_that_fails_is_a_result(data, tmp_path, monkeypatch):
-    """Its reason is kept, and the search goes on."""
+def test_run_trial_failed_writes_reason(data, tmp_path, monkeypatch):
+    """The reason of the failure is recorded, and the search continues."""
     folder = tmp_path / "search"
     place = folder / "trials"
     (place / "0000").mkdir(parents=True)
     (place / "0000.json").write_text(json.dumps({"trial": 0, "values": suggest(SETTINGS, 0, [])}))
 
     def short(*arguments, **options):
-        raise TactipError("memory is short for this network")
+        raise TactipError("out of memory")
 
     monkeypatch.setattr("tactip_twin.learning.tune.train", short)
     threads = torch.get_num_threads()
@@ -145,7 +145,7 @@ def test_a_trial_that_fails_is_a_result(data, tmp_path, monkeypatch):
     torch.set_num_threads(threads)
     result = json.loads((place / "0000" / "trial.json").read_text())
     assert result["status"] == "failed"
-    assert "memory is short" in result["why"]
+    assert "out of memory" in result["why"]
 
 
 class _Ended:
@@ -155,42 +155,42 @@ class _Ended:
         self.exitcode, self.sentinel = exit_code, None
 
     def join(self):
-        """Nothing is left to wait for."""
+        """Return at once."""
 
 
 @pytest.mark.parametrize(("exit_code", "kept"), [(-signal.SIGKILL, True), (1, False), (0, False)])
-def test_a_trial_that_is_killed_is_a_result_and_one_that_cannot_begin_is_not(data, tmp_path, monkeypatch, exit_code, kept):
-    """A system that is short of memory kills one trial; a program that is broken would fail them all."""
+def test_tune_killed_trial_is_result_and_broken_program_raises(data, tmp_path, monkeypatch, exit_code, kept):
+    """Running out of memory kills one trial, but an error of the program would end all of them."""
     monkeypatch.setattr("tactip_twin.learning.tune._start", lambda *arguments: _Ended(exit_code))
     monkeypatch.setattr("tactip_twin.learning.tune._ended", sorted)
     folder = tmp_path / "search"
     if kept:
-        with pytest.raises(TactipError, match="no trial ended well"):
+        with pytest.raises(TactipError, match="all trials failed or were pruned"):
             tune(data, folder, SETTINGS, log=lambda line: None)
         results = read_results(folder)
         assert len(results) == SETTINGS.trials
         assert all(r["status"] == "failed" and "SIGKILL" in r["why"] for r in results)
         return
-    with pytest.raises(TactipError, match=f"the process of trial 0 ended with exit code {exit_code}"):
+    with pytest.raises(TactipError, match=f"the process of trial 0 failed with exit code {exit_code}"):
         tune(data, folder, SETTINGS, log=lambda line: None)
     assert read_results(folder) == []
 
 
-def test_hopeless_trials_are_ended(data, tmp_path):
+def test_tune_prune_ends_bad_trials(data, tmp_path):
     settings = TuneSettings(
         trials=6, startup=6, prune=True, least_epochs=2, space=SPACE, training=TrainSettings(epochs=4, patience=4)
     )
     results = tune(data, tmp_path / "search", settings, log=lambda line: None)
     pruned = [r for r in results if r["status"] == "pruned"]
     assert pruned
-    assert all("were better after" in r["why"] for r in pruned)
+    assert all("had a lower loss after" in r["why"] for r in pruned)
     good = [r for r in results if r["status"] == "ok"]
     assert len(good) >= 2
 
 
 @pytest.mark.slow
-def test_a_search_on_a_cluster_writes_the_same_files(data, tmp_path):
-    """And goes on where it was. Needs the extra `cluster`."""
+def test_tune_on_cluster_writes_same_files(data, tmp_path):
+    """It also resumes. Needs the extra `cluster`."""
     pytest.importorskip("ray")
     for trials in ("2", "3"):
         command = search_command(data, tmp_path / "ray", "--cluster", "local", "--jobs", "2")
@@ -202,18 +202,18 @@ def test_a_search_on_a_cluster_writes_the_same_files(data, tmp_path):
     assert read_recipe(tmp_path / "ray" / "best.json").settings.epochs == 2
 
 
-def test_a_cluster_that_is_not_there_is_a_sentence(data, tmp_path, monkeypatch):
-    """Without Ray, what to install; nothing is claimed."""
+def test_tune_on_cluster_without_ray_raises(data, tmp_path, monkeypatch):
+    """The error says what to install, and no folder is created."""
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(TactipError, match=r"pip install 'tactip-twin\[cluster\]'"):
         tune_on_cluster(data, tmp_path / "search", SETTINGS, 1, "auto")
     assert not (tmp_path / "search").exists()
 
 
-def test_a_cluster_s_search_leaves_nothing_of_trials_that_were_stopped(tmp_path):
-    """Their numbers are given again, with other values."""
-    over = {"trial": 1, "status": "ok", "loss": 0.5, "values": {}}
+def test_clear_removes_interrupted_trials(tmp_path):
+    """Their numbers are reused with other values."""
+    ended = {"trial": 1, "status": "ok", "loss": 0.5, "values": {}}
     for index in range(3):
-        note(tmp_path, index, {"trial": index, "values": {}})
-    clear(tmp_path, [over])
+        record_start(tmp_path, index, {"trial": index, "values": {}})
+    clear(tmp_path, [ended])
     assert sorted(path.name for path in (tmp_path / "trials").iterdir()) == ["0001", "0001.json"]

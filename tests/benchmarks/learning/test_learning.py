@@ -93,7 +93,7 @@ def test_a_page_is_written_and_what_was_trained_is_kept(options):
     assert (options.out / "learning.png").stat().st_size > 5000
     said = []
     again = learned.run(options, log=said.append)
-    assert sum("finished already" in line for line in said) == len(first["rows"])
+    assert sum("already finished" in line for line in said) == len(first["rows"])
     assert [r["mae"] for r in again["rows"]] == [r["mae"] for r in first["rows"]]
     assert list(json.loads((options.out / "learning.json").read_text())) == ["surface"]
     one = learned.run(replace(options, only=("laptop",)), log=lambda line: None)

@@ -84,7 +84,7 @@ def test_shipping(tmp_path, kind, name, changes):
     """A finished training is copied, judged on the test set of its kind, and its card names how it is made again."""
     data = write_fake_splits(tmp_path / "data" / kind / "surface", **changes)
     options = ReleaseModelsOptions(data=tmp_path / "data", runs=tmp_path / "runs", out=tmp_path / "models")
-    with pytest.raises(TactipError, match="there is no model in"):
+    with pytest.raises(TactipError, match="no model in"):
         shipped.release_model(options)
     train(*read_splits(data), TINY.network, TINY.settings, tmp_path / "runs" / "surface" / "laptop-most", quiet=True)
     folder, record = shipped.release_model(options)
@@ -103,4 +103,5 @@ def test_shipping(tmp_path, kind, name, changes):
 def test_a_name_that_is_not_shipped_is_refused(tmp_path, capsys):
     assert tactip.main(["evaluate", "--model", "surface-tactip-9", "--data", str(tmp_path)]) == 1
     told = capsys.readouterr().err
-    assert "no shipped model of that name: edge-tactip-127, surface-bent-tactip-127, surface-tactip-127" in told
+    names = "edge-tactip-127, surface-bent-tactip-127, surface-tactip-127"
+    assert f"neither a folder nor a shipped model: choose a folder or one of {names}" in told
