@@ -1,4 +1,4 @@
-"""The contacts that error is measured on: named cases with fixed poses, and the first ones of the training sets."""
+"""Contacts to measure errors on: named cases with fixed poses, and the first ones of the training sets."""
 
 from dataclasses import dataclass
 
@@ -13,19 +13,19 @@ NONE = (0.0,) * 6
 
 @dataclass(frozen=True)
 class Case:
-    """One contact; axes of sim/pose.py."""
+    """One contact; axes as in sim/pose.py."""
 
     name: str
-    """Words for the page."""
+    """Name on the page."""
     stimulus: str
-    """Name in stimulus.STIMULI."""
+    """Name in stimuli.STIMULI."""
     pose_mm_deg: tuple[float, ...] = NONE
-    """Label of the sensor (6,), mm and degrees."""
+    """(6,) label, mm and degrees."""
     shear_mm_deg: tuple[float, ...] = NONE
-    """Motion in contact that leads to it (6,), mm and degrees."""
+    """(6,) motion in contact that leads to the pose, mm and degrees."""
 
-    def si(self):
-        """Pose and shear (6,), m and rad."""
+    def si(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return pose and shear (6,), m and rad."""
         return from_mm_deg(self.pose_mm_deg), from_mm_deg(self.shear_mm_deg)
 
 
@@ -41,28 +41,28 @@ CASES = (
     Case("sphere, off centre", "sphere", (2, 1, -3, 0, 0, 0)),
     Case("point-like peg", "point", (0, 0, -3, 0, 0, 0)),
 )
-"""Depths, tilts, offsets and shears of the paper's ranges; the sphere has a radius of 5 mm, the peg one of 1 mm."""
+"""Named cases within the paper's ranges [P]; the sphere has a radius of 5 mm, the peg one of 1 mm."""
 
 CONVERGING = ("flat, normal press", "flat, sheared press", "edge, yawed and sheared", "sphere, off centre")
-"""Cases on which the reference itself is refined."""
+"""Names of the cases on which the reference itself is refined."""
 
 LABELS = LEARNED | {"sphere": ("x", "y", "z"), "point": ("x", "y", "z")}
-"""Components of the pose (of COMPONENTS) that a contact with a stimulus tells."""
+"""Components of the pose that a contact determines, by stimulus; names of COMPONENTS."""
 
 
-def training(task, count):
-    """The first `count` contacts of a task's training set of seed 0: a list of Case."""
+def training(task: str, count: int) -> list[Case]:
+    """Return the first `count` contacts of a task's training set of seed 0."""
     cases = []
     for index in range(count):
-        draw = generator(0, task, "train", index)
-        pose, shear = POSE_RANGES[task].sample(draw), SHEAR_RANGES.sample(draw)
+        rng = generator(0, task, "train", index)
+        pose, shear = POSE_RANGES[task].sample(rng), SHEAR_RANGES.sample(rng)
         scale = from_mm_deg(np.ones(6))
         cases.append(Case(f"{task} {index}", task, tuple((pose / scale).tolist()), tuple((shear / scale).tolist())))
     return cases
 
 
-def moved(case, component, amount):
-    """The Case with a component (name) of its pose moved by `amount`, mm or degrees."""
+def moved(case: Case, component: str, amount: float) -> Case:
+    """Return the case with one component of its pose (a name of COMPONENTS) moved by `amount`, mm or degrees."""
     pose = list(case.pose_mm_deg)
     pose[COMPONENTS.index(component)] += amount
     return Case(f"{case.name}, {component} {amount:+g}", case.stimulus, tuple(pose), case.shear_mm_deg)

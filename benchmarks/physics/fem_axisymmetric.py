@@ -1,16 +1,17 @@
 """An independent finite-element code for the pressed dome: axisymmetric, large strain, frictionless.
 
-It shares nothing with the simulator but the physics. Eight-node quadrilaterals with reduced (2×2) integration do not
-lock at Poisson's ratio 0.49, and the skin is a solid layer instead of a shell. Newton's method with a consistent
-tangent, contact with a flat plate by an active set on the surface nodes.
+It shares nothing with the simulator but the physics. Eight-node quadrilaterals with reduced (2×2) integration do not lock at
+Poisson's ratio 0.49, and the skin is a solid layer instead of a shell. Newton's method has a consistent tangent; contact
+with a flat plate is an active set on the surface nodes.
 
 Frame: the dome's axis is z, its base is the plane z = 0 (bonded), its apex z = radius.
 """
 
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_matrix
+from scipy.sparse import coo_array, csr_array
 from scipy.sparse.linalg import spsolve
 
 _CORNERS = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], float)
@@ -20,7 +21,7 @@ _GAUSS = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) / np.sqrt(3)
 
 @dataclass(frozen=True)
 class Layer:
-    """A shell of one material, from the previous layer's radius to `radius` (m), neo-Hookean."""
+    """A neo-Hookean layer of the dome, from the radius of the layer inside it to its own."""
 
     radius: float
     """Outer radius, m."""
@@ -29,11 +30,11 @@ class Layer:
     poisson: float
     """Poisson's ratio, -."""
     elements: int
-    """Elements through its thickness."""
+    """Number of elements through its thickness."""
 
 
-def shape(point):
-    """Serendipity shape functions (8,) and their derivatives (8, 2) at a local point (2,)."""
+def shape(point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the serendipity shape functions (8,) and their derivatives (8, 2) at a local point (2,)."""
     x, y = point
     n, d = np.zeros(8), np.zeros((8, 2))
     for i, (a, b) in enumerate(_CORNERS):
@@ -52,7 +53,13 @@ def shape(point):
 class Dome:
     """A layered hemisphere bonded at its base disc, pressed at the apex by a frictionless plate."""
 
-    def __init__(self, layers, polar_elements=40):
+    def __init__(self, layers: Sequence[Layer], polar_elements: int = 40) -> None:
+        """Mesh the dome.
+
+        Args:
+            layers: From the centre outwards.
+            polar_elements: Number of elements from the apex to the base.
+        """
         radii = [0.0]
         material = []
         for layer in layers:
@@ -87,7 +94,8 @@ class Dome:
         self.fixed = fixed
         self._prepare()
 
-    def _prepare(self):
+    def _prepare(self) -> None:
+        """Compute the gradient operators and the weights of the integration points."""
         x = self.nodes[self.elements]
         grads, weights, values = [], [], []
         for point in _GAUSS:
@@ -105,8 +113,12 @@ class Dome:
         b[..., 4, :, 0] = values / radius[..., None]
         self._b, self._w = b.reshape(*b.shape[:3], 16), np.stack(weights, 1)
 
-    def _forces(self, u):
-        """Internal forces (n, 2) and tangent stiffness (sparse) at displacement u (n, 2)."""
+    def _forces(self, u: np.ndarray) -> tuple[np.ndarray, csr_array]:
+        """Return the internal forces (n, 2) N and the tangent stiffness, N/m, at a displacement (n, 2) m.
+
+        Raises:
+            ArithmeticError: An element has turned inside out.
+        """
         dofs = (2 * self.elements[..., None] + np.arange(2)).reshape(len(self.elements), 16)
         f = np.einsum("egij,ej->egi", self._b, u.ravel()[dofs]) + np.array([1, 0, 0, 1, 1.0])
         rr, rz, zr, zz, tt = np.moveaxis(f, -1, 0)
@@ -133,10 +145,17 @@ class Dome:
         total = np.zeros(u.size)
         np.add.at(total, dofs, force)
         rows, cols = np.repeat(dofs, 16, 1).ravel(), np.tile(dofs, (1, 16)).ravel()
-        return total.reshape(-1, 2), coo_matrix((stiffness.ravel(), (rows, cols)), (u.size, u.size)).tocsr()
+        return total.reshape(-1, 2), coo_array((stiffness.ravel(), (rows, cols)), (u.size, u.size)).tocsr()
 
-    def press(self, depths):
-        """Press to each depth (m, increasing). Yields (force in N, displacement (n, 2) in m)."""
+    def press(self, depths: Iterable[float]) -> Iterator[tuple[float, np.ndarray]]:
+        """Press to each depth (m, increasing) in turn.
+
+        Yields:
+            Force, N, and displacement (n, 2), m.
+
+        Raises:
+            ArithmeticError: The solution does not converge.
+        """
         apex = self.nodes[self.surface, 1].max()
         u = np.zeros_like(self.nodes)
         active = np.zeros(len(self.surface), bool)
@@ -152,17 +171,29 @@ class Dome:
                     break
                 if through.any():
                     active |= through
-                else:  # let go of the outermost first: midside and corner nodes share a face's load unevenly
+                else:  # release the outermost first: midside and corner nodes share a face's load unevenly
                     active[np.flatnonzero(active)[np.flatnonzero(pulled)[-1]]] = False
             else:
                 raise ArithmeticError("the reference solution's contact did not settle")
             yield float(reaction.sum()), u.copy()
 
-    def _solve(self, u, touching, plate):
-        """Newton's method in place on u (n, 2) with the touching nodes held on the plate. Returns their push (N)."""
-        held = self.fixed.copy()
-        held[touching, 1] = True
-        free = np.flatnonzero(~held.ravel())
+    def _solve(self, u: np.ndarray, touching: np.ndarray, plate: float) -> np.ndarray:
+        """Solve by Newton's method with the touching nodes on the plate.
+
+        Args:
+            u: (n, 2) displacement, m; changed in place.
+            touching: (k,) indices of nodes.
+            plate: Height of the plate, m.
+
+        Returns:
+            Forces (k,), N, of the touching nodes on the plate.
+
+        Raises:
+            ArithmeticError: Newton's method does not converge.
+        """
+        fixed = self.fixed.copy()
+        fixed[touching, 1] = True
+        free = np.flatnonzero(~fixed.ravel())
         step = plate - (self.nodes[touching, 1] + u[touching, 1])
         for iteration in range(40):
             force, stiffness = self._forces(u)
@@ -171,7 +202,7 @@ class Dome:
             if iteration == 0:
                 move[2 * touching + 1] = step
                 residual = residual - stiffness @ move
-            move[free] = spsolve(stiffness[free][:, free].tocsc(), residual[free])
+            move[free] = np.asarray(spsolve(stiffness[free][:, free].tocsc(), residual[free]))
             u += move.reshape(-1, 2)
             if np.abs(move).max() < 1e-10:
                 return -self._forces(u)[0][touching, 1]

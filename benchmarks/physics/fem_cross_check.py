@@ -1,9 +1,8 @@
-"""The pressed gel, element for element, in other finite-element codes: `tactip bench fem-cross-check`.
+"""The pressed gel in other finite-element codes, element for element: `tactip bench fem-cross-check`.
 
-The same tetrahedra are solved by benchmarks/physics/fem_tetrahedra.py and, where it is installed (Debian: calculix-ccx),
-by CalculiX.
-The vertices that touch the plate are held at the height where the simulator has them; what is compared is where the rest of
-the surface goes, in mm, and the force. Writes docs/fem_cross_check.md and docs/fem_cross_check.json.
+The same tetrahedra are solved by benchmarks/physics/fem_tetrahedra.py and, if it is installed (Debian: calculix-ccx), by
+CalculiX. The vertices that touch the plate are fixed at the simulator's height; compared are the positions of the rest of
+the surface, mm, and the force. Writes docs/fem_cross_check.md and docs/fem_cross_check.json.
 """
 
 import json
@@ -22,27 +21,50 @@ from tactip_twin.benchmarks.physics.fem_tetrahedra import Solid, lame
 from tactip_twin.benchmarks.physics.materials import Specimen, gel
 from tactip_twin.sim.contact.fidelity import FIDELITIES
 from tactip_twin.sim.contact.simulator import ContactSimulator
+from tactip_twin.sim.labels import FidelityName
 from tactip_twin.sim.pose import from_mm_deg
 from tactip_twin.tactip_model.files import write_file
+from tactip_twin.tactip_model.mesh import Mesh
 from tactip_twin.tactip_model.presets import design_named
 from tactip_twin.tactip_model.soft_body import gel_attributes
 
 DEPTHS_MM = (1.0, 2.0, 3.0, 5.0)
 PLAIN_POISSON = 0.3
-"""Where St Venant-Kirchhoff's law, which MuJoCo and CalculiX share, still stands 2 mm of depth."""
+"""Poisson's ratio at which St Venant-Kirchhoff's law, which MuJoCo and CalculiX share, is still stable at 2 mm of depth."""
 
 
-def calculix():
-    """Path of CalculiX's solver `ccx`, or None where it is not installed."""
+def calculix() -> str | None:
+    """Return the path of CalculiX's solver `ccx`, or None if it is not installed."""
     return shutil.which("ccx")
 
 
-def solve_with_calculix(vertices, tetrahedra, law, young, poisson, held, places, folder):
-    """Displacements (n, 3) m and reactions (n, 3) N by CalculiX's four-node tetrahedra (C3D4).
+def solve_with_calculix(
+    vertices: np.ndarray,
+    tetrahedra: np.ndarray,
+    law: str,
+    young: float,
+    poisson: float,
+    fixed: np.ndarray,
+    prescribed: np.ndarray,
+    folder: Path,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Solve with CalculiX's four-node tetrahedra (C3D4).
 
-    law: `St Venant-Kirchhoff` (its *ELASTIC at large displacements) or `split neo-Hooke` (its *HYPERELASTIC, NEO HOOKE).
-    held, places: as for tetrahedra.Solid.solve. folder: an empty folder for its files. Raises ArithmeticError where it
-    does not finish.
+    Args:
+        vertices: (n, 3), m.
+        tetrahedra: (m, 4) int.
+        law: `St Venant-Kirchhoff` (its *ELASTIC at large displacements) or `split neo-Hooke` (its *HYPERELASTIC, NEO HOOKE).
+        young: Young's modulus, Pa.
+        poisson: Poisson's ratio, -.
+        fixed: (n, 3) bool, as for fem_tetrahedra.Solid.solve.
+        prescribed: (n, 3), m, as for fem_tetrahedra.Solid.solve.
+        folder: Empty folder for CalculiX's files.
+
+    Returns:
+        Displacements (n, 3), m, and reactions (n, 3), N.
+
+    Raises:
+        ArithmeticError: CalculiX does not finish.
     """
     lam, mu = lame(young, poisson)
     constants = {
@@ -55,7 +77,7 @@ def solve_with_calculix(vertices, tetrahedra, law, young, poisson, held, places,
     lines += [f"{i}, {a}, {b}, {c}, {d}" for i, (a, b, c, d) in enumerate(tetrahedra + 1, 1)]
     lines += ["*MATERIAL, NAME=GEL", constants[law], "*SOLID SECTION, ELSET=GEL, MATERIAL=GEL"]
     lines += ["*STEP, NLGEOM, INC=1000", "*STATIC", "0.1, 1, 1e-5, 0.1", "*BOUNDARY"]
-    lines += [f"{i + 1}, {k + 1}, {k + 1}, {1e3 * places[i, k]:.12g}" for i, k in np.argwhere(held)]
+    lines += [f"{i + 1}, {k + 1}, {k + 1}, {1e3 * prescribed[i, k]:.12g}" for i, k in np.argwhere(fixed)]
     lines += ["*NODE PRINT, NSET=ALL, FREQUENCY=1000", "U, RF", "*END STEP", ""]
     (folder / "gel.inp").write_text("\n".join(lines))
     command = [str(calculix()), "gel"]
@@ -67,60 +89,77 @@ def solve_with_calculix(vertices, tetrahedra, law, young, poisson, held, places,
     return 1e-3 * tables[0][:, 1:], tables[1][:, 1:]
 
 
-def pressed_gel(depth_mm, fidelity="standard"):
-    """The tip without skin, pressed without friction, by the simulator.
+def pressed_gel(
+    depth_mm: float, preset: FidelityName = "standard"
+) -> tuple[Mesh, tuple[float, float], np.ndarray, np.ndarray, float]:
+    """Press the tip without skin and friction in the simulator.
 
-    Returns its mesh.Mesh, the flex's law constants (young Pa, poisson), held (n, 3) bool, displacements (n, 3) m, and the
-    force, N. Held are bonded vertices, and the height of those that touch the plate.
+    Args:
+        depth_mm: Depth, mm.
+        preset: Fidelity.
+
+    Returns:
+        The mesh; Young's modulus (Pa) and Poisson's ratio of the flex; the fixed coordinates (n, 3) bool, which are those of
+        bonded vertices and the height of vertices that touch the plate; displacements (n, 3), m; force, N.
     """
     design = design_named("nominal-127")
     materials = replace(design.materials, friction=0.0, skin_young_pa=1.0)  # a skin of 1 Pa is none
-    fidelity = FIDELITIES[fidelity]
-    player = ContactSimulator(replace(design, materials=materials), "surface", fidelity)
-    force = player.play(from_mm_deg([0, 0, -depth_mm, 0, 0, 0]), np.zeros(6)).normal_force_n
-    scene = player.scene
-    held = np.repeat(scene.mesh.bonded[:, None], 3, 1)
+    fidelity = FIDELITIES[preset]
+    simulator = ContactSimulator(replace(design, materials=materials), "surface", fidelity)
+    force = simulator.play(from_mm_deg([0, 0, -depth_mm, 0, 0, 0]), np.zeros(6)).normal_force_n
+    scene = simulator.scene
+    fixed = np.repeat(scene.mesh.bonded[:, None], 3, 1)
     names = [scene.model.geom(g).name for pair in scene.data.contact.geom for g in pair if g >= 0]
     touching = [int(name.split("/")[1]) for name in names if name.startswith("tip/")]
-    held[touching, 2] = True
+    fixed[touching, 2] = True
     flex = gel_attributes(materials, fidelity.mesh)
-    return scene.mesh, (flex["young"], flex["poisson"]), held, scene.vertices() - scene.mesh.vertices, force
+    return scene.mesh, (flex["young"], flex["poisson"]), fixed, scene.vertices() - scene.mesh.vertices, force
 
 
-def differences(moved, other, free, height):
-    """Distances, mm, of free surface vertices between two solutions (n, 3): a dict of rms and greatest."""
-    distance = 1e3 * np.linalg.norm(moved - other, axis=1)[free]
-    return {"rms_mm": float(np.sqrt(np.mean(distance**2))), "greatest_mm": float(distance.max()), "of_mm": height}
+def differences(displacements: np.ndarray, expected: np.ndarray, free: np.ndarray, size_mm: float) -> dict[str, float]:
+    """Return the rms and the maximum distance, mm, of free surface vertices between two solutions.
+
+    Args:
+        displacements: (n, 3), m.
+        expected: (n, 3), m.
+        free: (n,) bool, the vertices to compare.
+        size_mm: Maximum displacement, mm, which the result repeats.
+    """
+    distance = 1e3 * np.linalg.norm(displacements - expected, axis=1)[free]
+    return {"rms_mm": float(np.sqrt(np.mean(distance**2))), "greatest_mm": float(distance.max()), "of_mm": size_mm}
 
 
-def compare_simulator(depth_mm):
-    """The product's own press against tetrahedra.Solid of the same law: a dict."""
-    mesh, constants, held, moved, force = pressed_gel(depth_mm)
+def compare_simulator(depth_mm: float) -> dict[str, Any]:
+    """Return a row that compares the simulator's own press with fem_tetrahedra.Solid of the same law."""
+    mesh, constants, fixed, moved, force = pressed_gel(depth_mm)
     solid = Solid(mesh.vertices, mesh.tetrahedra, "stable neo-Hooke", *constants)
-    other = solid.solve(held, moved)
+    other = solid.solve(fixed, moved)
     surface = np.arange(len(moved)) < mesh.surface_count
     row = {"depth_mm": depth_mm, "law": "stable neo-Hooke", "codes": "simulator, benchmarks/physics/fem_tetrahedra.py"}
     row |= differences(moved, other, surface & ~mesh.bonded, 1e3 * float(np.abs(moved).max()))
-    touching = held[:, 2] & ~mesh.bonded
+    touching = fixed[:, 2] & ~mesh.bonded
     return row | {"force_ratio": float(force / -solid.forces(other)[touching, 2].sum())}
 
 
-def compare_codes(depth_mm, law, folder):
-    """The same gel of PLAIN_POISSON in CalculiX and in the others that know the law: a list of dict."""
-    mesh, _, held, places, _ = pressed_gel(depth_mm)
-    young, surface = design_named("nominal-127").materials.gel_young_pa, np.arange(len(places)) < mesh.surface_count
-    free, touching = surface & ~mesh.bonded, held[:, 2] & ~mesh.bonded
+def compare_codes(depth_mm: float, law: str, folder: Path) -> list[dict[str, Any]]:
+    """Return rows that compare CalculiX with the other codes that have the law, for the same gel of PLAIN_POISSON."""
+    mesh, _, fixed, prescribed, _ = pressed_gel(depth_mm)
+    young, surface = design_named("nominal-127").materials.gel_young_pa, np.arange(len(prescribed)) < mesh.surface_count
+    free, touching = surface & ~mesh.bonded, fixed[:, 2] & ~mesh.bonded
     problem = mesh.vertices, mesh.tetrahedra, law, young, PLAIN_POISSON
-    expected, reaction = solve_with_calculix(*problem, held, places, folder)
+    expected, reaction = solve_with_calculix(*problem, fixed, prescribed, folder)
     solid = Solid(*problem)
-    moved = solid.solve(held, places)
-    solutions = {"benchmarks/physics/fem_tetrahedra.py": (moved, solid.forces(moved))}
+    moved = solid.solve(fixed, prescribed)
+    solutions: dict[str, tuple[np.ndarray, np.ndarray]] = {
+        "benchmarks/physics/fem_tetrahedra.py": (moved, solid.forces(moved))
+    }
     if law == "St Venant-Kirchhoff":
-        specimen = Specimen(mesh.vertices, mesh.tetrahedra, gel(PLAIN_POISSON, law, young), held)
-        at, force = mesh.vertices, np.zeros(mesh.vertices.shape)
-        for share in np.linspace(0, 1, 11)[1:]:
-            at, force = specimen.rest(np.where(held, mesh.vertices + share * places, at), within=1e-5)
-        solutions["MuJoCo's flex"] = at - mesh.vertices, -force
+        specimen = Specimen(mesh.vertices, mesh.tetrahedra, gel(PLAIN_POISSON, law, young), fixed)
+        positions, force = mesh.vertices, np.zeros(mesh.vertices.shape)
+        for fraction in np.linspace(0, 1, 11)[1:]:
+            start = np.where(fixed, mesh.vertices + fraction * prescribed, positions)
+            positions, force = specimen.rest(start, within=1e-5)
+        solutions["MuJoCo's flex"] = positions - mesh.vertices, -force
     rows = []
     for name, (moved, force) in solutions.items():
         row = {"depth_mm": depth_mm, "law": law, "codes": f"{name}, CalculiX"}
@@ -132,7 +171,7 @@ def compare_codes(depth_mm, law, folder):
 def run(options: FemCrossCheckOptions, log: Callable[[str], None] = print) -> dict[str, Any]:
     """Measure, write fem_cross_check.json and fem_cross_check.md, and return the results.
 
-    Where CalculiX is not installed, its comparison is left out and `log` gets a line that says so.
+    Without CalculiX its comparison is left out, and `log` gets a line that says so.
     """
     rows = [compare_simulator(depth) for depth in DEPTHS_MM]
     if calculix() is None:
@@ -144,12 +183,12 @@ def run(options: FemCrossCheckOptions, log: Callable[[str], None] = print) -> di
     result = {"rows": rows}
     options.out.mkdir(parents=True, exist_ok=True)
     write_file(options.out / "fem_cross_check.json", (json.dumps(result, indent=1) + "\n").encode())
-    write_file(options.out / "fem_cross_check.md", page(result).encode())
+    write_file(options.out / "fem_cross_check.md", markdown(result).encode())
     return result
 
 
-def page(result):
-    """The Markdown (str) of a result."""
+def markdown(result: dict[str, Any]) -> str:
+    """Return the page of a result."""
     lines = [
         "# The pressed gel in other finite-element codes",
         "",

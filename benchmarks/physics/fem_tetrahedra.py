@@ -1,11 +1,12 @@
 """An independent finite-element code for linear tetrahedra: large strain, statics, any law given as a stress.
 
-It shares the mesh with the simulator and nothing else: Newton's method on the assembled forces, whose derivatives are
-exact by complex steps (Squire & Trapp 1998).
+It shares only the mesh with the simulator. Newton's method works on the assembled forces, whose derivatives by complex steps
+are exact (Squire & Trapp 1998).
 """
 
 import numpy as np
-from scipy.sparse import coo_matrix
+from numpy.typing import ArrayLike
+from scipy.sparse import coo_array, csr_array
 from scipy.sparse.linalg import spsolve
 
 LAWS = ("stable neo-Hooke", "St Venant-Kirchhoff", "split neo-Hooke")
@@ -13,18 +14,27 @@ LAWS = ("stable neo-Hooke", "St Venant-Kirchhoff", "split neo-Hooke")
 _TINY = 1e-30
 
 
-def lame(young, poisson):
-    """Lamé's constants lambda and mu, Pa."""
+def lame(young: float, poisson: float) -> tuple[float, float]:
+    """Return Lamé's constants lambda and mu, Pa, for Young's modulus (Pa) and Poisson's ratio."""
     mu = young / (2 * (1 + poisson))
     return 2 * mu * poisson / (1 - 2 * poisson), mu
 
 
-def piola(law, young, poisson, gradient):
-    """First Piola-Kirchhoff stress (..., 3, 3), Pa, of a law at deformation gradients (..., 3, 3).
+def piola(law: str, young: float, poisson: float, gradient: np.ndarray) -> np.ndarray:
+    """Return the first Piola-Kirchhoff stress (..., 3, 3), Pa.
 
-    `stable neo-Hooke`: the energy is mu/2 (tr C - 3) - mu (J - 1) + (lambda + mu)/2 (J - 1)^2: Smith, de Goes & Kim 2018
-    without its logarithm, lambda taken so that small strains are Hooke's. `St Venant-Kirchhoff`: mu E:E + lambda/2 tr(E)^2.
-    `split neo-Hooke`, as in CalculiX: mu/2 (J^(-2/3) tr C - 3) + K/2 (J - 1)^2.
+    The energies of the laws are:
+
+    - `stable neo-Hooke`: mu/2 (tr C - 3) - mu (J - 1) + (lambda + mu)/2 (J - 1)^2, which is that of Smith, de Goes & Kim
+      2018 without its logarithm, with lambda chosen for Hooke's law at small strains.
+    - `St Venant-Kirchhoff`: mu E:E + lambda/2 tr(E)^2.
+    - `split neo-Hooke`, as in CalculiX: mu/2 (J^(-2/3) tr C - 3) + K/2 (J - 1)^2.
+
+    Args:
+        law: One of LAWS.
+        young: Young's modulus, Pa.
+        poisson: Poisson's ratio, -.
+        gradient: (..., 3, 3) deformation gradients.
     """
     lam, mu = lame(young, poisson)
     if law == "St Venant-Kirchhoff":
@@ -42,8 +52,16 @@ def piola(law, young, poisson, gradient):
 class Solid:
     """Linear tetrahedra of one material."""
 
-    def __init__(self, vertices, tetrahedra, law, young, poisson):
-        """vertices: (n, 3) m. tetrahedra: (m, 4) int, positive. law: one of LAWS. young: Pa."""
+    def __init__(self, vertices: ArrayLike, tetrahedra: ArrayLike, law: str, young: float, poisson: float) -> None:
+        """Prepare the elements.
+
+        Args:
+            vertices: (n, 3), m.
+            tetrahedra: (m, 4) int, of positive volume.
+            law: One of LAWS.
+            young: Young's modulus, Pa.
+            poisson: Poisson's ratio, -.
+        """
         self.vertices, self.tetrahedra = np.asarray(vertices, float), np.asarray(tetrahedra)
         self.material = law, young, poisson
         edges = self.vertices[self.tetrahedra[:, 1:]] - self.vertices[self.tetrahedra[:, :1]]
@@ -53,19 +71,19 @@ class Solid:
         self._volumes = np.linalg.det(edges) / 6
         self._freedoms = (3 * self.tetrahedra[..., None] + np.arange(3)).reshape(len(self.tetrahedra), 12)
 
-    def _gradients(self, moved):
-        return np.eye(3) + np.einsum("eki,ekj->eij", moved[self.tetrahedra], self._slopes)
+    def _gradients(self, displacements: np.ndarray) -> np.ndarray:
+        return np.eye(3) + np.einsum("eki,ekj->eij", displacements[self.tetrahedra], self._slopes)
 
-    def forces(self, moved):
-        """Elastic forces (n, 3), N, that the vertices, displaced by moved (n, 3) m, exert on what holds them."""
-        stress = piola(*self.material, self._gradients(moved))
+    def forces(self, displacements: np.ndarray) -> np.ndarray:
+        """Return the elastic forces (n, 3), N, of the vertices on their supports at displacements (n, 3), m."""
+        stress = piola(*self.material, self._gradients(displacements))
         force = np.einsum("eij,ekj,e->eki", stress, self._slopes, self._volumes)
-        total = np.zeros(moved.size)
+        total = np.zeros(displacements.size)
         np.add.at(total, self._freedoms, force.reshape(-1, 12))
         return total.reshape(-1, 3)
 
-    def _stiffness(self, moved):
-        gradient = self._gradients(moved).astype(complex)
+    def _stiffness(self, displacements: np.ndarray) -> csr_array:
+        gradient = self._gradients(displacements).astype(complex)
         tangent = np.zeros((len(gradient), 3, 3, 3, 3))
         for k, m in np.ndindex(3, 3):
             step = gradient.copy()
@@ -76,20 +94,26 @@ class Solid:
             -1, 12, 12
         )
         rows, columns = np.repeat(self._freedoms, 12, 1).ravel(), np.tile(self._freedoms, (1, 12)).ravel()
-        return coo_matrix((local.ravel(), (rows, columns)), (moved.size, moved.size)).tocsr()
+        return coo_array((local.ravel(), (rows, columns)), (displacements.size, displacements.size)).tocsr()
 
-    def solve(self, held, places, steps=8):
-        """Displacements (n, 3), m, at rest. held: (n, 3) bool. places: (n, 3) m, displacements of the held coordinates.
+    def solve(self, fixed: np.ndarray, prescribed: np.ndarray, steps: int = 8) -> np.ndarray:
+        """Return the displacements (n, 3), m, at rest.
 
-        They are reached in `steps` equal steps. Raises ArithmeticError where Newton's method does not converge.
+        Args:
+            fixed: (n, 3) bool, the coordinates whose displacement is prescribed.
+            prescribed: (n, 3), m; only its fixed coordinates count.
+            steps: Number of equal steps in which the prescribed displacements are reached.
+
+        Raises:
+            ArithmeticError: Newton's method does not converge.
         """
-        moved, free = np.zeros(self.vertices.shape), np.flatnonzero(~held.ravel())
+        moved, free = np.zeros(self.vertices.shape), np.flatnonzero(~fixed.ravel())
         for step in range(1, steps + 1):
-            move = np.where(held, places * step / steps - moved, 0.0).ravel()
+            move = np.where(fixed, prescribed * step / steps - moved, 0.0).ravel()
             for _ in range(30):
                 stiffness = self._stiffness(moved)
                 residual = -self.forces(moved).ravel() - stiffness @ move
-                move[free] = spsolve(stiffness[free][:, free].tocsc(), residual[free])
+                move[free] = np.asarray(spsolve(stiffness[free][:, free].tocsc(), residual[free]))
                 moved = moved + move.reshape(-1, 3)
                 if np.abs(move).max() < 1e-12:
                     break

@@ -1,4 +1,8 @@
-"""The page and the figure of error against run time, written from what was measured (benchmarks/physics/fidelity.py)."""
+"""Page and figure of error against run time, from the results of benchmarks/physics/fidelity.py."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
 
 import matplotlib.figure
 
@@ -6,7 +10,7 @@ from tactip_twin.benchmarks.hardware import machine_text
 from tactip_twin.benchmarks.physics.pose_sensitivity import STEP
 
 PIN_BOUND_MM = 0.05
-"""What `standard` is held to: its mean pin error against the reference, mm."""
+"""Allowed mean pin error of `standard` against the reference, mm."""
 
 _NAMED = {
     "spacing on the surface, mm": "C0",
@@ -15,27 +19,27 @@ _NAMED = {
     "solver's tolerance in motion": "C4",
     "contact in motion, stiffness": "C5",
 }
-"""Sweeps that the figure names, and their colours; the others are grey."""
+"""Colours of the sweeps that the figure names; the others are grey."""
 
 _UNITS = {c: "mm" if c in "xyz" else "°" for c in STEP}
 _WORDS = {"z": "depth", "Rx": "roll", "Ry": "pitch", "Rz": "yaw"}
 
 
-def triple(errors):
-    """Text of a mean, 95th percentile and maximum."""
+def triple(errors: Sequence[float]) -> str:
+    """Return a mean, a 95th percentile and a maximum as text."""
     return " / ".join(f"{e:.3f}" for e in errors)
 
 
-def label(worth):
-    """Text of what an error is worth in the label (dict of component to mm or degrees, and `contacts`)."""
+def label(worth: Mapping[str, float]) -> str:
+    """Return what an error is worth in the label (mm or degrees by component, and `contacts`) as text."""
     parts = [
         f"{_WORDS.get(c, c)} {worth[c]:.{3 if unit == 'mm' else 2}f} {unit}" for c, unit in _UNITS.items() if c in worth
     ]
     return ", ".join(parts) or "–"
 
 
-def page(result):
-    """The Markdown (str) of a result."""
+def markdown(result: dict[str, Any]) -> str:
+    """Return the page of a result."""
     lines = [
         "# Error against run time",
         "",
@@ -55,12 +59,12 @@ def page(result):
         *_cases(result),
         *_reference(result),
         *_sweeps(result),
-        *_drawing(result),
+        *_renderers(result),
     ]
     return "\n".join(lines) + "\n"
 
 
-def _presets(result):
+def _presets(result: dict[str, Any]) -> Iterator[str]:
     yield "## Presets"
     yield ""
     yield (
@@ -80,17 +84,17 @@ def _presets(result):
             f"{r['cost']:.2f} | {r['seconds']:.3f} |"
         )
     means = {r["task"]: r["pins_mm"][0] for r in result["presets"] if r["preset"] == "standard"}
-    held = "kept" if max(means.values()) <= PIN_BOUND_MM else "NOT kept"
+    verdict = "kept" if max(means.values()) <= PIN_BOUND_MM else "NOT kept"
     yield ""
     yield (
-        f"`standard` is held to a mean pin error of {PIN_BOUND_MM} mm: {held} ("
+        f"`standard` is held to a mean pin error of {PIN_BOUND_MM} mm: {verdict} ("
         + ", ".join(f"{task} {mean:.3f} mm" for task, mean in means.items())
         + ")."
     )
     yield ""
 
 
-def _cases(result):
+def _cases(result: dict[str, Any]) -> Iterator[str]:
     yield "## Cases"
     yield ""
     yield (
@@ -111,15 +115,15 @@ def _cases(result):
     yield ""
 
 
-def _reference(result):
+def _reference(result: dict[str, Any]) -> Iterator[str]:
     reference = result["reference"]
     spacings = " → ".join(f"{s:.2f}" for s in reference["spacings_mm"])
-    shares = " → ".join(f"{s:g}" for s in reference["shares_of_steps"])
+    fractions = " → ".join(f"{s:g}" for s in reference["shares_of_steps"])
     yield "## The reference itself"
     yield ""
     yield (
         f"Its mesh refined in proportion (surface {spacings} mm; 1.20 is the reference) and, on the mesh of `standard`, "
-        f"its steps ({shares} of their length in time and way, tolerance and settling with them; 1 is the reference). "
+        f"its steps ({fractions} of their length in time and way, tolerance and settling with them; 1 is the reference). "
         "Differences of pins between neighbours in the sequence, mean mm. The observed order is that of the last two; from "
         "it Richardson's estimate of the error that remains at the reference. Below an order of one half differences do not "
         "fall as they should, and no estimate is given. Meshes are not nested: where the skin's vertices lie is chance, and "
@@ -159,7 +163,7 @@ def _reference(result):
     yield ""
 
 
-def _sweeps(result):
+def _sweeps(result: dict[str, Any]) -> Iterator[str]:
     yield "## One number at a time"
     yield ""
     yield (
@@ -187,7 +191,7 @@ def _sweeps(result):
     yield ""
 
 
-def _drawing(result):
+def _renderers(result: dict[str, Any]) -> Iterator[str]:
     yield "## Raster against pyrender"
     yield ""
     yield (
@@ -207,8 +211,8 @@ def _drawing(result):
         )
 
 
-def draw(result, file):
-    """The front, mean pin error against cost, a panel for each task, into a PNG file (Path). result: dict."""
+def plot(result: dict[str, Any], path: Path) -> None:
+    """Plot mean pin error against cost, one panel per task, into a PNG file."""
     tasks = list(dict.fromkeys(r["task"] for r in result["sweeps"]))
     figure = matplotlib.figure.Figure(figsize=(5.5 * len(tasks), 5.2), layout="constrained")
     panels = figure.subplots(1, len(tasks), sharey=True, squeeze=False)[0]
@@ -237,5 +241,5 @@ def draw(result, file):
     panels[0].set_ylabel("mean pin error against the reference, mm")
     title = f"one number of standard changed\n(grey: others); dashed: {PIN_BOUND_MM} mm"
     panels[-1].legend(fontsize=8, loc="upper right", title=title, title_fontsize=8)
-    file.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(file, dpi=110, metadata={"Software": None})
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=110, metadata={"Software": None})

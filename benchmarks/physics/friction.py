@@ -1,19 +1,22 @@
-"""Force along a slide, and what friction must do along a path: `tactip bench friction`.
+"""Force along a slide, and the dependence of friction on the path: `tactip bench friction`.
 
-The 127-pin tip on the flat at `standard`. Slides: the force at each step, and of contacts at rest. Paths: one pose reached
-in different orders, loading and unloading, and work over closed cycles, with friction and without. Writes
+The 127-pin tip on the flat at `standard`. Slides: the force at each step, and the force of contacts at rest. Paths: one pose
+reached in different orders, loading and unloading, and work over closed cycles, with friction and without. Writes
 docs/friction.md, docs/friction.json and docs/friction.png.
 """
 
 import json
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import matplotlib.figure
 import numpy as np
 
 from tactip_twin.benchmarks.options import FrictionOptions
-from tactip_twin.sim.contact.fidelity import FIDELITIES
+from tactip_twin.sim.contact.fidelity import FIDELITIES, Fidelity
+from tactip_twin.sim.contact.record import Contact
 from tactip_twin.sim.contact.simulator import ContactSimulator, motion_fractions
 from tactip_twin.sim.pose import from_mm_deg, path
 from tactip_twin.tactip_model.files import write_file
@@ -24,96 +27,116 @@ FRICTIONS = (0.3, 0.6)
 SLIDE_MM = 10.0
 SMALL_STEP_MM = 0.1
 
+Position = tuple[float, float, float]
+"""Position of the tip relative to the surface, mm."""
 
-class Walker(ContactSimulator):
-    """Plays a contact along way points, and keeps the force at every step."""
+Slide = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Travel (n,), mm, and normal and tangential force (n,), N."""
 
-    def __init__(self, friction, fidelity=FIDELITIES["standard"]):
-        """friction: of the 127-pin tip on the flat, -. fidelity: Fidelity."""
+
+class PathSimulator(ContactSimulator):
+    """Simulator of a contact along waypoints, which records the force at every step."""
+
+    def __init__(self, friction: float, fidelity: Fidelity = FIDELITIES["standard"]) -> None:
+        """Build the scene of the 127-pin tip on the flat with a friction coefficient."""
         design = design_named("nominal-127")
         super().__init__(replace(design, materials=replace(design.materials, friction=friction)), "surface", fidelity)
-        self.steps = []
-        """Of each step since `begin`: force on the tip (3,) N and place of the stimulus (3,) m, in the sensor frame."""
-        self._at = np.zeros(6)
+        self.steps: list[tuple[np.ndarray, np.ndarray]] = []
+        """Force (3,) N on the tip and position (3,) m of the stimulus, in the sensor frame, at each step since `begin`."""
+        self._label = np.zeros(6)
+        self.watch = self._append_state
 
-        self.watch = self._keep
-
-    def _keep(self, phase, label):
+    def _append_state(self, phase: str, label: np.ndarray) -> None:
         self.steps.append((self.scene.contact_force(), self.scene.data.qpos[:3].copy()))
 
-    def begin(self, place_mm=(0.0, 0.0, 0.0)):
-        """A tip at rest at a place (3,), mm, in the air or just touching."""
+    def begin(self, position_mm: Position = (0.0, 0.0, 0.0)) -> None:
+        """Start with a tip at rest at a position, in the air or just touching."""
         self.scene.reset()
-        self.steps, self._at = [], from_mm_deg([*place_mm, 0, 0, 0])
+        self.steps, self._label = [], from_mm_deg([*position_mm, 0, 0, 0])
 
-    def go(self, place_mm):
-        """Move to a place (3,), mm, at the fidelity's pace, without coming to rest."""
-        goal, motion = from_mm_deg([*place_mm, 0, 0, 0]), self.scene.fidelity.motion
-        way = goal - self._at
-        step = motion.press_step_m if np.hypot(*way[:2]) < abs(way[2]) else motion.shear_step_m
-        self.move(path(self._at, goal, motion_fractions(np.linalg.norm(way) / step, motion)))
-        self._at = goal
+    def move_to(self, position_mm: Position) -> None:
+        """Move to a position at the fidelity's speed, without coming to rest."""
+        goal, motion = from_mm_deg([*position_mm, 0, 0, 0]), self.scene.fidelity.motion
+        motion_m = goal - self._label
+        step = motion.press_step_m if np.hypot(*motion_m[:2]) < abs(motion_m[2]) else motion.shear_step_m
+        self.move(path(self._label, goal, motion_fractions(float(np.linalg.norm(motion_m)) / step, motion)))
+        self._label = goal
 
-    def rest(self):
-        """Come to rest here. Returns the Contact."""
-        self._settle(self._at)
-        return self._record(self._at, np.zeros(6), 0)
+    def rest(self) -> Contact:
+        """Come to rest here, and return the contact."""
+        self._settle(self._label)
+        return self._record(self._label, np.zeros(6), 0)
 
-    def to(self, *places_mm):
-        """Go to each place (3,) in turn, mm, and come to rest at each. Returns the last Contact."""
-        for place in places_mm:
-            self.go(place)
-            contact = self.rest()
-        return contact
+    def rest_at(self, position_mm: Position) -> Contact:
+        """Move to a position, come to rest, and return the contact."""
+        self.move_to(position_mm)
+        return self.rest()
 
-    def tour(self, places_mm):
-        """As `to`. Returns forces (n, 3) N on the tip and places (n, 3) m of the stimulus at rest, the start included."""
-        states = [self.steps[-1]] if self.steps else [(np.zeros(3), self._place_of(self._at))]
-        for place in places_mm:
-            self.to(place)
+    def visit(self, positions_mm: Iterable[Position]) -> tuple[np.ndarray, np.ndarray]:
+        """Move to each position in turn, and come to rest at each.
+
+        Returns:
+            Forces (n, 3), N, on the tip and positions (n, 3), m, of the stimulus at rest, including the start.
+        """
+        states = [self.steps[-1]] if self.steps else [(np.zeros(3), self._stimulus_position(self._label))]
+        for position_mm in positions_mm:
+            self.rest_at(position_mm)
             states.append(self.steps[-1])
         return np.array([s[0] for s in states]), np.array([s[1] for s in states])
 
     @staticmethod
-    def _place_of(label):
+    def _stimulus_position(label: np.ndarray) -> np.ndarray:
         return label[:3] * [-1, 1, 1]
 
 
-def work(forces, places):
-    """Work (J) of the stimulus on the tip along states at rest: forces (n, 3) N, places (n, 3) m; trapezoids."""
-    return float(((forces[1:] + forces[:-1]) / 2 * np.diff(places, axis=0)).sum())
+def work(forces: np.ndarray, positions: np.ndarray) -> float:
+    """Return the work (J) of the stimulus on the tip along states at rest, by trapezoids.
+
+    Args:
+        forces: (n, 3), N.
+        positions: (n, 3), m.
+    """
+    return float(((forces[1:] + forces[:-1]) / 2 * np.diff(positions, axis=0)).sum())
 
 
-def small_steps():
-    """`standard` with slides of SMALL_STEP_MM a step: a Fidelity."""
+def small_steps() -> Fidelity:
+    """Return `standard` with slides of SMALL_STEP_MM per step."""
     standard = FIDELITIES["standard"]
     return replace(standard, motion=replace(standard.motion, shear_step_m=SMALL_STEP_MM * 1e-3))
 
 
-def slide(friction, depth_mm, fidelity=FIDELITIES["standard"]):
-    """Slide by SLIDE_MM in one motion. Returns travel mm, normal and tangential force N, at each of its steps (n,)."""
-    walker = Walker(friction, fidelity)
-    walker.begin()
-    walker.to((0, 0, -depth_mm))
-    walker.steps.clear()
-    walker.go((SLIDE_MM, 0, -depth_mm))
-    force, place = (np.array(x) for x in zip(*walker.steps, strict=True))
-    return 1e3 * np.abs(place[:, 0]), -force[:, 2], np.hypot(force[:, 0], force[:, 1])
+def slide(friction: float, depth_mm: float, fidelity: Fidelity = FIDELITIES["standard"]) -> Slide:
+    """Slide by SLIDE_MM in one motion; return the state at each of its steps."""
+    simulator = PathSimulator(friction, fidelity)
+    simulator.begin()
+    simulator.rest_at((0, 0, -depth_mm))
+    simulator.steps.clear()
+    simulator.move_to((SLIDE_MM, 0, -depth_mm))
+    force, position = (np.array(x) for x in zip(*simulator.steps, strict=True))
+    return 1e3 * np.abs(position[:, 0]), -force[:, 2], np.hypot(force[:, 0], force[:, 1])
 
 
-def slide_at_rest(friction, depth_mm):
-    """The same in 0.5 mm moves, each coming to rest. Returns travel, normal and tangential force."""
-    walker = Walker(friction)
-    walker.begin()
-    walker.to((0, 0, -depth_mm))
+def slide_at_rest(friction: float, depth_mm: float) -> Slide:
+    """Slide by SLIDE_MM in moves of 0.5 mm, each of which comes to rest; return the states at rest."""
+    simulator = PathSimulator(friction)
+    simulator.begin()
+    simulator.rest_at((0, 0, -depth_mm))
     travel = np.arange(0.5, SLIDE_MM + 0.01, 0.5)
-    contacts = [walker.to((x, 0, -depth_mm)) for x in travel]
+    contacts = [simulator.rest_at((x, 0, -depth_mm)) for x in travel]
     return travel, np.array([c.normal_force_n for c in contacts]), np.array([c.tangential_force_n for c in contacts])
 
 
-def chatter(travel, normal, tangential):
-    """Of the second half of a slide: standard deviation of the normal force over its mean, and mean and greatest of
-    tangential over normal force where there is any: dict.
+def chatter(travel: np.ndarray, normal: np.ndarray, tangential: np.ndarray) -> dict[str, float]:
+    """Return the fluctuation of the force over the second half of a slide.
+
+    Args:
+        travel: (n,), mm.
+        normal: (n,), N.
+        tangential: (n,), N.
+
+    Returns:
+        `deviation`, the standard deviation of the normal force over its mean; `tangential_over_normal` and `greatest`, the
+        mean and the maximum of tangential over normal force where there is any.
     """
     steady = (travel > SLIDE_MM / 2) & (normal > 1e-6)
     ratio = tangential[steady] / normal[steady]
@@ -125,25 +148,27 @@ def chatter(travel, normal, tangential):
     }
 
 
-def pins_apart(contact, other):
-    """Mean and greatest distance, mm, between the pins of two Contacts."""
+def pins_apart(contact: Contact, other: Contact) -> list[float]:
+    """Return the mean and the maximum distance, mm, between the pins of two contacts."""
     distance = 1e3 * np.linalg.norm(contact.tips - other.tips, axis=1)
     return [float(distance.mean()), float(distance.max())]
 
 
-def orders(friction):
-    """One pose, 3 mm deep, reached in three orders: pins' distance (mean, greatest, mm) and force over that of the last.
+def orders(friction: float) -> dict[str, dict[str, Any]]:
+    """Return the pins' distance (mean, maximum, mm) and the force ratio of one pose, 3 mm deep, reached in three orders.
 
-    `shear, then press`: the shear is in the air. `press, then shear`: by 3 mm. `both at once`: along the straight line.
+    `press, then shear` shears by 3 mm, and `both at once` moves along the straight line; both are compared with `shear, then
+    press`, whose shear is in the air.
     """
-    walker, goal, contacts = Walker(friction), (0.0, 0.0, -3.0), {}
-    for name, start, way in (
+    simulator, goal, contacts = PathSimulator(friction), (0.0, 0.0, -3.0), {}
+    for name, start, waypoints in (
         ("press, then shear", (-3.0, 0.0, 0.0), [(-3.0, 0.0, -3.0), goal]),
         ("both at once", (-3.0, 0.0, 0.0), [goal]),
         ("shear, then press", (0.0, 0.0, 0.0), [goal]),
     ):
-        walker.begin(start)
-        contacts[name] = walker.to(*way)
+        simulator.begin(start)
+        for position_mm in waypoints:
+            contacts[name] = simulator.rest_at(position_mm)
     last = contacts.pop("shear, then press")
     return {
         name: {"pins_mm": pins_apart(c, last), "force_ratio": c.normal_force_n / last.normal_force_n}
@@ -151,17 +176,18 @@ def orders(friction):
     }
 
 
-def unloading(friction):
-    """Pressed to 4 mm and back to 2 mm, against pressed to 2 mm; and work over the whole press and back: dict."""
-    walker = Walker(friction)
-    walker.begin()
-    plain = walker.to((0, 0, -2.0))
-    walker.begin()
-    back = walker.to((0, 0, -4.0), (0, 0, -2.0))
-    walker.begin()
+def unloading(friction: float) -> dict[str, Any]:
+    """Return a press to 4 mm and back to 2 mm against one to 2 mm, and the work over the whole press and back."""
+    simulator = PathSimulator(friction)
+    simulator.begin()
+    plain = simulator.rest_at((0, 0, -2.0))
+    simulator.begin()
+    simulator.rest_at((0, 0, -4.0))
+    back = simulator.rest_at((0, 0, -2.0))
+    simulator.begin()
     down = np.arange(0.25, 4.01, 0.25)
-    put_in = work(*walker.tour([(0, 0, -z) for z in down]))
-    given_back = -work(*walker.tour([(0, 0, -z) for z in [*down[-2::-1], 0.0]]))
+    put_in = work(*simulator.visit([(0, 0, -z) for z in down]))
+    given_back = -work(*simulator.visit([(0, 0, -z) for z in [*down[-2::-1], 0.0]]))
     return {
         "pins_mm": pins_apart(back, plain),
         "force_ratio": back.normal_force_n / plain.normal_force_n,
@@ -170,23 +196,24 @@ def unloading(friction):
     }
 
 
-def shear_cycle(friction, depth_mm=3.0, reach_mm=3.0):
-    """Pressed, sheared to one side, to the other and back to the middle, twice.
+def shear_cycle(friction: float, depth_mm: float = 3.0, reach_mm: float = 3.0) -> dict[str, Any]:
+    """Press, then shear to one side, to the other and back to the middle, twice.
 
-    Returns a dict: the pins' distance (mean, greatest, mm) from the plain press after the first return to the middle; work
-    of each cycle, mJ; the greatest tangential over normal force at rest.
+    Returns:
+        `residual_mm`, the pins' distance (mean, maximum) from the plain press after the first return to the middle;
+        `work_mj` of each cycle; `greatest`, the maximum of tangential over normal force at rest; `loop`, the second cycle.
     """
-    walker = Walker(friction)
-    walker.begin()
-    plain = walker.to((0, 0, -depth_mm))
+    simulator = PathSimulator(friction)
+    simulator.begin()
+    plain = simulator.rest_at((0, 0, -depth_mm))
     out = np.arange(0.5, reach_mm + 0.01, 0.5)
     there = [(x, 0, -depth_mm) for x in out]
     back = [(x, 0, -depth_mm) for x in [*out[-2::-1], 0.0]]
-    first = walker.tour(there + back)
-    residual = pins_apart(walker.rest(), plain)
+    first = simulator.visit(there + back)
+    residual = pins_apart(simulator.rest(), plain)
     mirrored = [(-x, y, z) for x, y, z in there + back]
-    second = walker.tour(mirrored)
-    third = walker.tour(there + back + mirrored)
+    second = simulator.visit(mirrored)
+    third = simulator.visit(there + back + mirrored)
     forces = np.concatenate([first[0], second[0], third[0]])
     return {
         "residual_mm": residual,
@@ -196,8 +223,8 @@ def shear_cycle(friction, depth_mm=3.0, reach_mm=3.0):
     }
 
 
-def measure():
-    """All of it: a dict for docs/friction.json."""
+def measure() -> dict[str, Any]:
+    """Return all results, for docs/friction.json."""
     slides = []
     for friction in (0.0, *FRICTIONS):
         for depth in DEPTHS_MM:
@@ -220,16 +247,16 @@ def run(options: FrictionOptions) -> dict[str, Any]:
     """Measure, write friction.json, friction.md and friction.png, and return the results."""
     result = measure()
     options.out.mkdir(parents=True, exist_ok=True)
-    draw(result, options.out / "friction.png")
+    plot(result, options.out / "friction.png")
     for row in result["slides"]:
         del row["trace"]
     write_file(options.out / "friction.json", (json.dumps(result, indent=1) + "\n").encode())
-    write_file(options.out / "friction.md", page(result).encode())
+    write_file(options.out / "friction.md", markdown(result).encode())
     return result
 
 
-def draw(result, file):
-    """Normal force along the slides, and the shear loop, into a PNG file (Path)."""
+def plot(result: dict[str, Any], path: Path) -> None:
+    """Plot the normal force along the slides, and the shear loop, into a PNG file."""
     figure = matplotlib.figure.Figure(figsize=(10, 3.6), layout="constrained")
     left, right = figure.subplots(1, 2)
     for k, row in enumerate(r for r in result["slides"] if r["friction"] == FRICTIONS[0]):
@@ -243,11 +270,11 @@ def draw(result, file):
         right.plot(cycle["loop"]["x_mm"], cycle["loop"]["force_n"], ".-", label=name)
     right.set(xlabel="shear, mm", ylabel="tangential force, N", title="Second cycle of shear, 3 mm deep")
     right.legend()
-    figure.savefig(file, dpi=100)
+    figure.savefig(path, dpi=100)
 
 
-def page(result):
-    """The Markdown (str) of a result."""
+def markdown(result: dict[str, Any]) -> str:
+    """Return the page of a result."""
     lines = [
         "# Friction along a path",
         "",
@@ -283,10 +310,10 @@ def page(result):
         "|---|" + "---|" * len(result["orders"]),
     ]
 
-    def line(what, cells):
+    def line(what: str, cells: Iterable[str]) -> None:
         lines.append(f"| {what} | " + " | ".join(cells) + " |")
 
-    def pins(pair):
+    def pins(pair: Sequence[float]) -> str:
         return f"{pair[0]:.4f} / {pair[1]:.4f} mm"
 
     for order in next(iter(result["orders"].values())):

@@ -1,14 +1,13 @@
 """The pressed tip against an independent finite-element code: `tactip bench mechanics`.
 
-Centred press on the flat without friction: force over that of benchmarks/physics/fem_axisymmetric.py (which does not
-lock and whose
-skin is solid), for the gel alone and the whole sensor; force and shape over Poisson's ratio and mesh, with and without what
-mesh.Resolution does about locking; what the skin's bending is worth; the ripple of the force–depth curve; the loss of
-volume. Writes docs/mechanics.md and docs/mechanics.json.
+A centred press on the flat without friction. It compares the force with that of benchmarks/physics/fem_axisymmetric.py,
+which does not lock and whose skin is solid, for the gel alone and for the whole sensor; force and shape over Poisson's ratio
+and mesh, with and without what mesh.Resolution does about locking; the effect of the skin's bending; the ripple of the
+force–depth curve; the loss of volume. Writes docs/mechanics.md and docs/mechanics.json.
 """
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -16,9 +15,12 @@ import numpy as np
 
 from tactip_twin.benchmarks.options import MechanicsOptions
 from tactip_twin.benchmarks.physics.fem_axisymmetric import Dome, Layer
-from tactip_twin.sim.contact.fidelity import FIDELITIES
+from tactip_twin.sim.contact.fidelity import FIDELITIES, Fidelity
+from tactip_twin.sim.contact.record import Contact
+from tactip_twin.sim.contact.scene import Scene
 from tactip_twin.sim.contact.simulator import ContactSimulator
 from tactip_twin.sim.pose import from_mm_deg
+from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.files import write_file
 from tactip_twin.tactip_model.mesh import CONTACT_RADIUS_M, tetrahedron_volumes
 from tactip_twin.tactip_model.presets import design_named
@@ -30,10 +32,20 @@ POISSONS = (0.45, 0.47, 0.49, 0.499)
 
 
 class Expected:
-    """Forces and shapes of the independent code for one tip."""
+    """Forces and shapes of one tip by the independent code."""
 
-    def __init__(self, design, what, poisson, log=print):
-        """design: Design. what: `gel` or `sensor`. poisson: of the gel, -."""
+    def __init__(self, design: Design, what: str, poisson: float, log: Callable[[str], None] = print) -> None:
+        """Solve at DEPTHS_MM.
+
+        Args:
+            design: The tip.
+            what: `gel` or `sensor`.
+            poisson: Poisson's ratio of the gel, -.
+            log: Called with a line for each step size that does not converge.
+
+        Raises:
+            ArithmeticError: No step size converges.
+        """
         m, r = design.materials, design.shape.radius_m
         gel, t = (m.gel_young_pa, poisson), m.skin_thickness_m
         layers = {
@@ -41,7 +53,7 @@ class Expected:
             "sensor": [Layer(r - t, *gel, 12), Layer(r, m.skin_young_pa, m.skin_poisson, round(t / 2 / CONTACT_RADIUS_M))],
         }
         dome, steps = Dome(layers[what], polar_elements=40), _pressed(layers[what], log)
-        # Nodes where the simulator's surface vertices lie. Not all points of the grid are nodes of elements.
+        # Nodes at the simulator's surface vertices; not all points of the grid are nodes of elements.
         used = np.unique(dome.elements)
         nodes = used[np.isclose(np.linalg.norm(dome.nodes[used], axis=1), r - CONTACT_RADIUS_M, rtol=1e-6)]
         polar = np.arctan2(*dome.nodes[nodes].T)
@@ -50,12 +62,12 @@ class Expected:
         self._force = {depth: force for depth, (force, _) in steps.items()}
         self._moved = {depth: u[nodes[order]] for depth, (_, u) in steps.items()}
 
-    def force(self, depth_mm):
-        """Force, N, at one of DEPTHS_MM."""
+    def force(self, depth_mm: float) -> float:
+        """Return the force, N, at one of DEPTHS_MM."""
         return self._force[depth_mm]
 
-    def shape_error(self, scene, depth_mm):
-        """Distance, mm, of the scene's skin vertices from where they should be at a depth: rms and greatest."""
+    def shape_error(self, scene: Scene, depth_mm: float) -> list[float]:
+        """Return the rms and the maximum distance, mm, of the scene's skin vertices from their expected positions."""
         count = scene.mesh.surface_count
         rest = scene.mesh.vertices[:count] - scene.mesh.centre
         moved = scene.vertices()[:count] - scene.mesh.vertices[:count]
@@ -66,8 +78,8 @@ class Expected:
         return [float(np.sqrt(np.mean(error**2))), float(error.max())]
 
 
-def _pressed(layers, log):
-    """Depths, mm, to (force, displacements) of the independent code, in steps as long as it stands: dict."""
+def _pressed(layers: Sequence[Layer], log: Callable[[str], None]) -> dict[float, tuple[float, np.ndarray]]:
+    """Return force (N) and displacements (n, 2) m at DEPTHS_MM, by the largest step size that converges."""
     for step in (0.25, 0.125, 0.0625):
         depths = np.arange(step, max(DEPTHS_MM) + step / 2, step)
         try:
@@ -79,13 +91,18 @@ def _pressed(layers, log):
     raise ArithmeticError("the reference solution needs smaller steps than tried")
 
 
-def press(player, depth_mm):
-    """Press the centre. Returns the Contact."""
-    return player.play(from_mm_deg([0, 0, -depth_mm, 0, 0, 0]), np.zeros(6))
+def press(simulator: ContactSimulator, depth_mm: float) -> Contact:
+    """Press the centre."""
+    return simulator.play(from_mm_deg([0, 0, -depth_mm, 0, 0, 0]), np.zeros(6))
 
 
-def frictionless(what, poisson=None):
-    """The 127-pin tip without friction, `gel` alone or the whole `sensor`, its gel of a Poisson's ratio: a Design."""
+def frictionless(what: str, poisson: float | None = None) -> Design:
+    """Return the 127-pin tip without friction.
+
+    Args:
+        what: `gel` for the gel alone, or `sensor`.
+        poisson: Poisson's ratio of the gel, -; the design's by default.
+    """
     design = design_named("nominal-127")
     m = replace(design.materials, friction=0.0)
     if what == "gel":
@@ -93,35 +110,45 @@ def frictionless(what, poisson=None):
     return replace(design, materials=replace(m, gel_poisson=m.gel_poisson if poisson is None else poisson))
 
 
-def meshes():
-    """Name to Fidelity: the presets' meshes, all played at the pace of `standard`."""
+def meshes() -> dict[str, Fidelity]:
+    """Return the meshes of the presets by name, all with the steps of `standard`."""
     standard = FIDELITIES["standard"]
     return {name: replace(standard, mesh=FIDELITIES[name].mesh) for name in ("draft", "standard", "reference")}
 
 
-def as_it_is(fidelity):
-    """The Fidelity that gives its elements the gel's own Poisson's ratio."""
+def as_it_is(fidelity: Fidelity) -> Fidelity:
+    """Return the fidelity whose elements have the gel's own Poisson's ratio."""
     return replace(fidelity, mesh=replace(fidelity.mesh, poisson_limit=0.5, locked_stiffness=1.0))
 
 
-def against_depth(expected, log):
-    """Force ratios at DEPTHS_MM of the presets and of what they undo: a list of dict. expected: dict of what to Expected."""
+def against_depth(expected: Mapping[str, Expected], log: Callable[[str], None]) -> list[dict[str, Any]]:
+    """Return the force ratios at DEPTHS_MM of presets, and of `standard` without its correction of locking.
+
+    Args:
+        expected: Solutions for `gel` and `sensor`.
+        log: Called with each row.
+    """
     standard, rows = FIDELITIES["standard"], []
     cases = {"draft": FIDELITIES["draft"], "standard": standard, "standard mesh, 0.49 as it is": as_it_is(standard)}
     for what in expected:
         for name, fidelity in cases.items():
-            player = ContactSimulator(frictionless(what), "surface", fidelity)
-            ratios = [press(player, d).normal_force_n / expected[what].force(d) for d in DEPTHS_MM]
-            lost = 1 - tetrahedron_volumes(player.scene.vertices(), player.scene.mesh.tetrahedra).sum() / (
-                player.scene.mesh.volumes.sum()
+            simulator = ContactSimulator(frictionless(what), "surface", fidelity)
+            ratios = [press(simulator, d).normal_force_n / expected[what].force(d) for d in DEPTHS_MM]
+            lost = 1 - tetrahedron_volumes(simulator.scene.vertices(), simulator.scene.mesh.tetrahedra).sum() / (
+                simulator.scene.mesh.volumes.sum()
             )
             rows.append({"tip": what, "mesh": name, "force_ratio": ratios, "volume_lost_at_5_mm": float(lost)})
             log(json.dumps(rows[-1]))
     return rows
 
 
-def locking(known, log):
-    """Force and shape over POISSONS and meshes: a list of dict. known: dict of what to the Expected of the design's gel."""
+def locking(known: Mapping[str, Expected], log: Callable[[str], None]) -> list[dict[str, Any]]:
+    """Return force and shape over POISSONS and meshes.
+
+    Args:
+        known: Solutions for `gel` and `sensor` at the design's own Poisson's ratio.
+        log: Called with each row.
+    """
     rows, own = [], design_named("nominal-127").materials.gel_poisson
     for what in ("gel", "sensor"):
         for poisson in POISSONS:
@@ -130,39 +157,39 @@ def locking(known, log):
                 cures = {"as it is": as_it_is(fidelity)}
                 if poisson > fidelity.mesh.poisson_limit:
                     cures["cured"] = fidelity
-                for cure, played in cures.items():
-                    player = ContactSimulator(frictionless(what, poisson), "surface", played)
+                for cure, changed in cures.items():
+                    simulator = ContactSimulator(frictionless(what, poisson), "surface", changed)
                     row = {"tip": what, "poisson": poisson, "mesh": name, "elements": cure, "force_ratio": []}
                     for depth in LOCKING_DEPTHS_MM:
-                        row["force_ratio"].append(press(player, depth).normal_force_n / expected.force(depth))
+                        row["force_ratio"].append(press(simulator, depth).normal_force_n / expected.force(depth))
                         if depth == SHAPE_DEPTH_MM:
-                            row["shape_mm"] = expected.shape_error(player.scene, depth)
+                            row["shape_mm"] = expected.shape_error(simulator.scene, depth)
                     rows.append(row)
                     log(json.dumps(row))
     return rows
 
 
-def bending(expected, log):
-    """Force and shape of the sensor at `standard` with the skin's bending scaled: a list of dict. expected: Expected."""
+def bending(expected: Expected, log: Callable[[str], None]) -> list[dict[str, Any]]:
+    """Return force and shape of the sensor at `standard` with the skin's bending scaled; `log` gets each row."""
     rows = []
     for factor in (0.0, 1.0, 2.0):
-        player = ContactSimulator(frictionless("sensor"), "surface", FIDELITIES["standard"])
-        player.scene.model.flex_bending[:] *= factor
+        simulator = ContactSimulator(frictionless("sensor"), "surface", FIDELITIES["standard"])
+        simulator.scene.model.flex_bending[:] *= factor
         row = {"bending": factor, "force_ratio": []}
         for depth in DEPTHS_MM:
-            row["force_ratio"].append(press(player, depth).normal_force_n / expected.force(depth))
+            row["force_ratio"].append(press(simulator, depth).normal_force_n / expected.force(depth))
             if depth == SHAPE_DEPTH_MM:
-                row["shape_mm"] = expected.shape_error(player.scene, depth)
+                row["shape_mm"] = expected.shape_error(simulator.scene, depth)
         rows.append(row)
         log(json.dumps(row))
     return rows
 
 
-def ripple():
-    """Greatest distance (relative) of the forces every 0.1 mm from a smooth curve, `standard`, with friction."""
-    player = ContactSimulator(design_named("nominal-127"), "surface", FIDELITIES["standard"])
+def ripple() -> float:
+    """Return the maximum relative distance of forces every 0.1 mm from a smooth curve, at `standard` with friction."""
+    simulator = ContactSimulator(design_named("nominal-127"), "surface", FIDELITIES["standard"])
     depth = np.arange(0.5, 5.01, 0.1)
-    force = np.array([press(player, d).normal_force_n for d in depth])
+    force = np.array([press(simulator, d).normal_force_n for d in depth])
     smooth = np.exp(np.polyval(np.polyfit(np.log(depth), np.log(force), 3), np.log(depth)))
     return float(np.abs(force / smooth - 1).max())
 
@@ -181,12 +208,12 @@ def run(options: MechanicsOptions, log: Callable[[str], None] = print) -> dict[s
     }
     options.out.mkdir(parents=True, exist_ok=True)
     write_file(options.out / "mechanics.json", (json.dumps(result, indent=1) + "\n").encode())
-    write_file(options.out / "mechanics.md", page(result).encode())
+    write_file(options.out / "mechanics.md", markdown(result).encode())
     return result
 
 
-def page(result):
-    """The Markdown (str) of a result."""
+def markdown(result: dict[str, Any]) -> str:
+    """Return the page of a result."""
     depths, mesh = result["depths_mm"], FIDELITIES["standard"].mesh
     lines = [
         "# The pressed tip against an independent code",

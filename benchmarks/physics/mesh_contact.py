@@ -1,14 +1,14 @@
-"""By what a mesh is met: rigid flexes, signed distances and what follows the skin, by error and cost.
+"""Contact models of a mesh compared by error and cost: `tactip bench mesh-contact`.
 
-`tactip bench mesh-contact`: the same sheared contacts with a stimulus and with a mesh of its
-shape, met in each of the ways
-that there are, and writes docs/mesh_contact.md and .json. Some minutes.
+Simulates the same sheared contacts with a stimulus and with a mesh of its shape in each available contact model: rigid
+flexes, signed distances, and contact proxies that follow the skin. It takes some minutes. Writes docs/mesh_contact.md and
+.json.
 """
 
 import json
 import time
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, Literal
 
 import mujoco
 import numpy as np
@@ -18,10 +18,11 @@ from tactip_twin.assets.meshes.rims import block
 from tactip_twin.benchmarks.hardware import machine, machine_text
 from tactip_twin.benchmarks.options import MeshContactOptions
 from tactip_twin.sim.contact.fidelity import fidelity_named
+from tactip_twin.sim.contact.record import Contact
 from tactip_twin.sim.contact.signed_distance import SignedDistanceMesh
 from tactip_twin.sim.contact.simulator import ContactSimulator
 from tactip_twin.sim.contact.solid_stimulus import SolidStimulus
-from tactip_twin.sim.contact.stimuli import EDGE_RADIUS_M, SPHERE_RADIUS_M, Stimulus, stimulus_named
+from tactip_twin.sim.contact.stimuli import EDGE_RADIUS_M, SPHERE_RADIUS_M, ContactAttributes, Stimulus, stimulus_named
 from tactip_twin.sim.pose import from_mm_deg
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.files import write_file
@@ -33,33 +34,40 @@ DESIGN, FIDELITY = "tactip-127", "standard"
 CONTACTS, SEED = 4, 1
 
 SIZES_MM = (6.0, 2.0, 1.0)
-"""Longest side of a triangle, mm."""
+"""Maximum edge lengths of the meshes, mm."""
 
 
-class Native(Stimulus):
-    """A mesh as MuJoCo itself meets it; its true shape is that of another stimulus."""
+class NativeMesh(Stimulus):
+    """A mesh in one of MuJoCo's own contact models; its true shape is that of another stimulus."""
 
-    def __init__(self, true, mesh, kind, touches):
-        """true: Stimulus. mesh: trimesh.Trimesh, m. kind: `flex` or `sdf`. touches: contact bits of what meets it."""
-        self._true, self._mesh, self._kind, self._touches = true, mesh, kind, touches
+    def __init__(self, true: Stimulus, mesh: trimesh.Trimesh, kind: Literal["flex", "sdf"], collides_with: int) -> None:
+        """Prepare a stimulus.
+
+        Args:
+            true: Stimulus of the true shape.
+            mesh: Mesh of that shape, m.
+            kind: MuJoCo's contact model.
+            collides_with: Contact bits of what it collides with.
+        """
+        self._true, self._mesh, self._kind, self._collides_with = true, mesh, kind, collides_with
 
     @property
-    def sharpest_m(self):
+    def min_radius_m(self) -> float:
         """See Stimulus."""
-        return self._true.sharpest_m
+        return self._true.min_radius_m
 
-    def distance(self, points):
+    def distance(self, points: np.ndarray) -> np.ndarray:
         """See Stimulus."""
         return self._true.distance(points)
 
-    def height_to_clear(self, centre, radius):
+    def height_to_clear(self, centre: np.ndarray, radius: float) -> float:
         """See Stimulus."""
         return self._true.height_to_clear(centre, radius)
 
-    def add_geoms(self, spec, body, touch):
+    def add_geoms(self, spec: mujoco.MjSpec, body: mujoco.MjsBody, touch: ContactAttributes) -> None:
         """See Stimulus."""
         vertices, triangles = np.asarray(self._mesh.vertices).ravel(), np.asarray(self._mesh.faces).ravel()
-        bits = {"contype": 0, "conaffinity": self._touches}
+        bits = {"contype": 0, "conaffinity": self._collides_with}
         if self._kind == "flex":
             none = mujoco.mjtFlexSelf.mjFLEXSELF_NONE
             where = {"vertbody": [body.name], "vert": vertices, "elem": triangles}
@@ -69,8 +77,8 @@ class Native(Stimulus):
         body.add_geom(name="mesh", type=mujoco.mjtGeom.mjGEOM_SDF, meshname="mesh", **bits, **touch)
 
 
-def shapes():
-    """Names of stimuli and trimesh.Trimesh, m, of their shapes."""
+def meshes() -> dict[str, trimesh.Trimesh]:
+    """Return meshes, mm, of the shapes of stimuli, by the stimulus's name."""
     edge = trimesh.convex.convex_hull(block(30.0, 30.0, 1e3 * EDGE_RADIUS_M))
     ball = trimesh.creation.icosphere(subdivisions=3, radius=1e3 * SPHERE_RADIUS_M)
     flat = trimesh.creation.box((60.0, 60.0, 30.0))
@@ -80,10 +88,10 @@ def shapes():
     return {"surface": flat, "edge": edge, "sphere": ball}
 
 
-def cut(name, mesh, size_mm):
-    """A trimesh.Trimesh, m, with triangles of at most size_mm; a ball's new corners are on the ball."""
-    cut_up = trimesh.remesh.subdivide_to_size(mesh.vertices, mesh.faces, size_mm, max_iter=20)
-    fine = trimesh.Trimesh(*cut_up[:2])
+def subdivide(name: str, mesh: trimesh.Trimesh, size_mm: float) -> trimesh.Trimesh:
+    """Return the mesh (mm) of a stimulus in m, with edges of at most size_mm; new vertices of a ball lie on the ball."""
+    subdivided = trimesh.remesh.subdivide_to_size(mesh.vertices, mesh.faces, size_mm, max_iter=20)
+    fine = trimesh.Trimesh(*subdivided[:2])
     fine.merge_vertices()
     if name == "sphere":
         radius = 1e3 * SPHERE_RADIUS_M
@@ -93,75 +101,79 @@ def cut(name, mesh, size_mm):
     return fine
 
 
-def ways(name, mesh):
-    """The ways (dict of functions that make a Stimulus) in which a mesh of the stimulus `name` can be met."""
-    true, out = stimulus_named(name), {}
+def contact_models(name: str, mesh: trimesh.Trimesh) -> dict[str, Callable[[], Stimulus]]:
+    """Return the contact models, by name, for the mesh (mm) of a stimulus, as functions that make the stimulus."""
+    true = stimulus_named(name)
+    out: dict[str, Callable[[], Stimulus]] = {}
     both = TOUCHES_VERTICES | TOUCHES_FACETS
     for size in SIZES_MM:
-        fine = cut(name, mesh, size)
-        tell = f"{len(fine.faces)} triangles"
+        fine = subdivide(name, mesh, size)
+        count = f"{len(fine.faces)} triangles"
         sharpest = EDGE_RADIUS_M if name != "sphere" else SPHERE_RADIUS_M
-        out[f"follows the skin, {tell}"] = lambda fine=fine, r=sharpest: SolidStimulus(
-            SignedDistanceMesh(fine.vertices, fine.faces), sharpest_m=r
+        out[f"follows the skin, {count}"] = lambda fine=fine, r=sharpest: SolidStimulus(
+            SignedDistanceMesh(fine.vertices, fine.faces), min_radius_m=r
         )
         if size != SIZES_MM[-1]:
-            out[f"rigid flex, {tell}"] = lambda fine=fine: Native(true, fine, "flex", both)
-            out[f"rigid flex, vertices alone, {tell}"] = lambda fine=fine: Native(true, fine, "flex", TOUCHES_VERTICES)
-            out[f"signed distance, {tell}"] = lambda fine=fine: Native(true, fine, "sdf", both)
+            out[f"rigid flex, {count}"] = lambda fine=fine: NativeMesh(true, fine, "flex", both)
+            out[f"rigid flex, vertices alone, {count}"] = lambda fine=fine: NativeMesh(true, fine, "flex", TOUCHES_VERTICES)
+            out[f"signed distance, {count}"] = lambda fine=fine: NativeMesh(true, fine, "sdf", both)
     return out
 
 
-def contacts(name):
-    """Poses and shears (pairs of (6,), m and rad), the same for all ways."""
-    draw = np.random.default_rng(SEED)
+def contacts(name: str) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return poses and shears (6,), m and rad, for a stimulus; the same for all contact models."""
+    rng = np.random.default_rng(SEED)
     low, high = np.array([-2, 0, -4, -10, -10, -30.0]), np.array([2, 0, -2, 10, 10, 30.0])
     if name == "sphere":
         low[:2], high[:2] = -1, 1
     far = np.array([3, 3, 0, 4, 4, 4.0])
-    return [(from_mm_deg(draw.uniform(low, high)), from_mm_deg(draw.uniform(-far, far))) for _ in range(CONTACTS)]
+    return [(from_mm_deg(rng.uniform(low, high)), from_mm_deg(rng.uniform(-far, far))) for _ in range(CONTACTS)]
 
 
 def measure(log: Callable[[str], None]) -> dict[str, Any]:
-    """The record (dict, JSON): for each stimulus, rows of ways."""
+    """Return all results, for docs/mesh_contact.json: a row for each stimulus and contact model."""
     design, fidelity = load_design(DESIGN), fidelity_named(FIDELITY)
     out = {"machine": machine(), "contacts": CONTACTS, "design": DESIGN, "fidelity": FIDELITY, "stimuli": {}}
-    for name, mesh in shapes().items():
-        rows, true = [], None
-        for way, stimulus in {"the stimulus itself": lambda name=name: name, **ways(name, mesh)}.items():
+    for name, mesh in meshes().items():
+        rows: list[dict[str, Any]] = []
+        true: list[Contact] = []
+        own: dict[str, Callable[[], Stimulus]] = {"the stimulus itself": lambda name=name: stimulus_named(name)}
+        for way, stimulus in (own | contact_models(name, mesh)).items():
             try:
-                player = ContactSimulator(design, stimulus(), fidelity)
+                simulator = ContactSimulator(design, stimulus(), fidelity)
             except TactipError as error:
                 rows.append({"way": way, "refused": str(error).splitlines()[0]})
                 log(f"{name}: {way}: refused")
                 continue
-            played, seconds = [], []
+            found, seconds = [], []
             for pose, shear in contacts(name):
                 start = time.perf_counter()
-                played.append(player.play(pose, shear))
+                found.append(simulator.play(pose, shear))
                 seconds.append(time.perf_counter() - start)
-            true = true or played
-            rows.append({"way": way, **_figures(played, true, seconds)})
+            true = true or found
+            rows.append({"way": way, **_figures(found, true, seconds)})
             if way.startswith("rigid flex"):
-                rows[-1]["force"] = None  # Scene.contact_force tells sides by geoms: a flex has none
+                rows[-1]["force"] = None  # Scene.contact_force distinguishes the sides by geoms, and a flex has none
             log(f"{name}: {way}: {rows[-1]['pins_mm']} mm, {rows[-1]['seconds']:.2f} s")
         out["stimuli"][name] = rows
     return out
 
 
-def _figures(played, true, seconds):
-    apart = [1e3 * float(np.sqrt(((p.tips - t.tips) ** 2).sum(1).mean())) for p, t in zip(played, true, strict=True)]
-    force = [abs(abs(p.normal_force_n / t.normal_force_n) - 1) for p, t in zip(played, true, strict=True)]
+def _figures(found: Sequence[Contact], true: Sequence[Contact], seconds: Sequence[float]) -> dict[str, Any]:
+    """Return the errors of contacts against those with the stimulus itself, and their costs."""
+    apart = [1e3 * float(np.sqrt(((p.tips - t.tips) ** 2).sum(1).mean())) for p, t in zip(found, true, strict=True)]
+    force = [abs(abs(p.normal_force_n / t.normal_force_n) - 1) for p, t in zip(found, true, strict=True)]
     return {
         "pins_mm": [float(np.median(apart)), max(apart)],
         "force": float(np.median(force)),
-        "overlap_mm": 1e3 * max(p.overlap_m for p in played),
+        "overlap_mm": 1e3 * max(p.overlap_m for p in found),
         "seconds": float(np.median(seconds)),
-        "steps": float(np.median([p.steps for p in played])),
+        "steps": float(np.median([p.steps for p in found])),
     }
 
 
-def page(record):
-    """The Markdown (str) of a record."""
+def markdown(record: dict[str, Any]) -> str:
+    """Return the page of a result."""
     state = machine_text(record["machine"])
     lines = [
         "# By what a mesh is met",
@@ -201,5 +213,5 @@ def run(options: MeshContactOptions, log: Callable[[str], None] = print) -> dict
     record = measure(log)
     options.out.mkdir(parents=True, exist_ok=True)
     write_file(options.out / "mesh_contact.json", (json.dumps(record, indent=1) + "\n").encode())
-    write_file(options.out / "mesh_contact.md", page(record).encode())
+    write_file(options.out / "mesh_contact.md", markdown(record).encode())
     return record

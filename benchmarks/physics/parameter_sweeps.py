@@ -1,39 +1,41 @@
-"""What is swept: `standard` with one number changed at a time, and the sequences by which the reference is refined."""
+"""Variants to measure: `standard` with one number changed at a time, and sequences that refine the reference."""
 
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 from tactip_twin.benchmarks.physics.contact_cache import STANDARD, Variant
-from tactip_twin.sim.contact.fidelity import FIDELITIES, finer
+from tactip_twin.sim.contact.fidelity import FIDELITIES, Fidelity, finer
 
 REFINED_MM = tuple(1.2 * 2 ** (k / 2) for k in (2, 1, 0, -1))
-"""Spacings on the surface of the sequence that ends one refinement beyond the reference, mm; all else in proportion."""
+"""Spacings on the surface of a sequence that ends one refinement beyond the reference, mm; other spacings in proportion."""
 
 
-def changed(part, **changes):
-    """`standard` with numbers of one of its parts (str) changed: a Variant."""
+def changed(part: str, **changes: Any) -> Variant:
+    """Return `standard` with numbers of one of its parts (a field of Fidelity) changed."""
     fidelity = STANDARD.fidelity
     return Variant(replace(fidelity, **{part: replace(getattr(fidelity, part), **changes)}))
 
 
-def small_steps(fidelity):
-    """The Fidelity's mesh played as the reference is, at half its steps."""
+def small_steps(fidelity: Fidelity) -> Fidelity:
+    """Return a fidelity with the given one's mesh and half the steps of the reference."""
     fine = finer(FIDELITIES["reference"])
     return replace(fine, name=f"mesh of {fidelity.name}, small steps", mesh=fidelity.mesh)
 
 
-def refined_meshes():
-    """Spacing on the surface, mm, to the reference with a mesh of that spacing: a dict of Variant."""
+def refined_meshes() -> dict[float, Variant]:
+    """Return the reference with meshes of REFINED_MM, by the spacing on the surface, mm."""
     reference = FIDELITIES["reference"]
     mesh, out = reference.mesh, {}
     for spacing in REFINED_MM:
-        share = spacing * 1e-3 / mesh.surface_m
-        lengths = {name: getattr(mesh, name) * share for name in ("surface_m", "rim_m", "coarsest_m")}
+        ratio = spacing * 1e-3 / mesh.surface_m
+        lengths = {name: getattr(mesh, name) * ratio for name in ("surface_m", "rim_m", "coarsest_m")}
         out[spacing] = Variant(replace(reference, name=f"reference, {spacing:.2f} mm", mesh=replace(mesh, **lengths)))
     return out
 
 
-def refined_steps():
-    """Share of the reference's steps to the mesh of `standard` played with them: a dict of Variant."""
+def refined_steps() -> dict[float, Variant]:
+    """Return the mesh of `standard` with the reference's steps refined, by the ratio of the steps to the reference's."""
     mesh, reference = STANDARD.fidelity.mesh, FIDELITIES["reference"]
     half = finer(reference)
     motion = reference.motion
@@ -48,13 +50,20 @@ def refined_steps():
     return {s: Variant(replace(f, name=f"mesh of standard, {s:g} steps", mesh=mesh)) for s, f in fidelities.items()}
 
 
-def _row(part, name, values, scale=1.0):
-    """Variants of one number: dict of text of its value to Variant. values: in the page's unit; scale: of it in SI."""
+def _row(part: str, name: str, values: Sequence[float], scale: float = 1.0) -> dict[str, Variant]:
+    """Return variants of one number by the text of its value.
+
+    Args:
+        part: Field of Fidelity.
+        name: Field of that part.
+        values: In the page's unit.
+        scale: The page's unit in SI units.
+    """
     return {f"{v:g}": changed(part, **{name: type(v)(v * scale) if isinstance(v, int) else v * scale}) for v in values}
 
 
-def sweeps():
-    """What is swept (str, with its unit) to (whether it is of the mesh, dict of its value as text to Variant)."""
+def sweeps() -> dict[str, tuple[bool, dict[str, Variant]]]:
+    """Return the sweeps by their name on the page, with its unit: whether it changes the mesh, and variants by the value."""
     contact, motion = STANDARD.fidelity.contact, STANDARD.fidelity.motion
     (k_moving, d_moving), (k_resting, d_resting) = contact.moving, contact.resting
     easing = {
@@ -102,8 +111,8 @@ def sweeps():
         "mass of a skin vertex, mg": _row("contact", "vertex_mass_kg", (3.0, 10.0, 100.0, 300.0), 1e-6),
         "sliding skin (De Saxcé)": {"lifted": replace(STANDARD, lowered=False)},
     }
-    least = min(motion.settle_steps, 4)
-    rest["steps at rest, at most"]["4"] = changed("motion", settle_limit=least, settle_steps=least)
+    min_steps = min(motion.settle_steps, 4)
+    rest["steps at rest, at most"]["4"] = changed("motion", settle_limit=min_steps, settle_steps=min_steps)
     found = {name: (True, v) for name, v in mesh.items()} | {name: (False, v) for name, v in rest.items()}
-    # What is listed above may be what `standard` has: it is measured as itself.
+    # Values above that are those of `standard` are left out, because `standard` is measured itself.
     return {name: (m, {t: v for t, v in variants.items() if v != STANDARD}) for name, (m, variants) in found.items()}

@@ -1,64 +1,79 @@
-"""What an error of the pins is worth in the label: the change of pose that moves the pins alike, by least squares.
+"""Change of pose that an error of the pins is worth: the one that moves the pins alike, by least squares.
 
-The pins' places in the tactile image are taken for linear in the pose about a contact. It is a plain estimator: it takes
-whatever it can of an error for a change of pose, and so bounds what an estimator makes of it that knows shear and the
-ranges of poses beside.
+The pins' positions in the tactile image are taken as linear in the pose about a contact. It is a plain estimator that
+attributes as much of an error as possible to a change of pose. It so bounds the effect on an estimator that also knows
+shear and the ranges of poses.
 """
 
-import numpy as np
+from collections.abc import Callable, Sequence
 
-from tactip_twin.benchmarks.physics.contact_cache import STANDARD
-from tactip_twin.benchmarks.physics.contact_cases import LABELS, moved
+import numpy as np
+from numpy.typing import ArrayLike
+
+from tactip_twin.benchmarks.physics.contact_cache import STANDARD, CachedContact, Variant
+from tactip_twin.benchmarks.physics.contact_cases import LABELS, Case, moved
+from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.optics import Lens
 
 STEP = {"x": 0.25, "y": 0.25, "z": 0.25, "Rx": 1.5, "Ry": 1.5, "Rz": 1.5}
-"""Half the distance of the two poses that a derivative is taken from, mm or degrees: several times the steps in which
-vertices of the mesh meet the stimulus."""
+"""Half the distance between the two poses of a finite difference, mm or degrees: several times the steps in which vertices
+of the mesh come into contact."""
 
-TELLS_PX = 0.1
-"""Least change of the pins (root of the sum of squares over all of them, px) by a step in any direction of pose for a
-contact to tell that direction. An edge that lies beside the contact, or is hardly touched, does not tell its yaw."""
+MIN_CHANGE_PX = 0.1
+"""Minimum change of the pins (root of the sum of squares over all of them, px) by a step in any direction of pose. Below it,
+the contact does not determine that direction: an edge beside the contact, or hardly touched, does not determine its yaw."""
 
 
-def moved_about(case):
-    """The Case moved up and down in each component that it tells: a list of Case."""
+def moved_about(case: Case) -> list[Case]:
+    """Return the case moved up and down in each component of pose that it determines."""
     return [moved(case, name, sign * STEP[name]) for name in LABELS[case.stimulus] for sign in (1, -1)]
 
 
 class ImagePins:
-    """Where a design's pins appear in its tactile image."""
+    """Projection of a design's pins into its tactile image."""
 
-    def __init__(self, design):
-        """design: Design, whose frame is used whole."""
+    def __init__(self, design: Design) -> None:
+        """Prepare the projection of a design whose whole frame is used."""
         self._lens, self._size = Lens(design), design.image.size_px
 
-    def __call__(self, tips):
-        """Places (..., p, 2), px of the tactile image, of tips (..., p, 3), m, sensor frame."""
+    def __call__(self, tips: ArrayLike) -> np.ndarray:
+        """Return positions (..., p, 2), px of the tactile image, of pin tips (..., p, 3), m, in the sensor frame."""
         return (self._lens.project(np.asarray(tips, float)) + 0.5) * self._size / self._lens.width - 0.5
 
 
 class PoseSensitivity:
-    """The linear estimator about one contact."""
+    """Linear estimator of pose about one contact."""
 
-    def __init__(self, components, jacobian):
-        """components: names, of COMPONENTS. jacobian: (p, 2, c), px over mm or degrees."""
+    def __init__(self, components: Sequence[str], jacobian: ArrayLike) -> None:
+        """Prepare the estimator.
+
+        Args:
+            components: Names of COMPONENTS.
+            jacobian: (p, 2, c), px per mm or degree.
+        """
         self.components = tuple(components)
         self._jacobian = np.asarray(jacobian, float)
         steps = np.array([STEP[c] for c in self.components])
         weakest = np.linalg.svd(self._jacobian.reshape(-1, len(steps)) * steps, compute_uv=False)[-1]
-        self.tells = bool(weakest >= TELLS_PX)
-        """Whether the contact tells all components: one that hardly touches does not."""
+        self.is_determined = bool(weakest >= MIN_CHANGE_PX)
+        """Whether the contact determines all components; one that hardly touches does not."""
 
     @classmethod
-    def about(cls, case, plays, pins):
-        """The estimator about a Case at `standard`. plays: called with Case and Variant. pins: ImagePins."""
-        places = [pins(plays(other, STANDARD).tips) for other in moved_about(case)]
+    def about(cls, case: Case, contact_of: Callable[[Case, Variant], CachedContact], pins: ImagePins) -> "PoseSensitivity":
+        """Return the estimator about a case at `standard`.
+
+        Args:
+            case: The contact.
+            contact_of: Simulator of contacts, such as a ContactCache.
+            pins: Projection of the pins.
+        """
+        positions = [pins(contact_of(other, STANDARD).tips) for other in moved_about(case)]
         components = LABELS[case.stimulus]
-        pairs = zip(components, places[::2], places[1::2], strict=True)
+        pairs = zip(components, positions[::2], positions[1::2], strict=True)
         return cls(components, np.stack([(up - down) / (2 * STEP[name]) for name, up, down in pairs], -1))
 
-    def __call__(self, error):
-        """The pose (dict of component to mm or degrees) that an error (p, 2) px is worth. Pins that are NaN do not count."""
+    def __call__(self, error: ArrayLike) -> dict[str, float]:
+        """Return the pose, mm or degrees by component, that an error (p, 2) px is worth. Pins that are NaN do not count."""
         error = np.asarray(error, float)
         seen = np.isfinite(error).all(-1)
         matrix = self._jacobian[seen].reshape(-1, len(self.components))

@@ -1,15 +1,17 @@
-"""What each part of the data-set scene costs, and that it holds no other: `tactip bench scene-cost`.
+"""Cost of each part of the data-set scene, and an inventory of the scene: `tactip bench scene-cost`.
 
-The first contacts of the training sets at `standard`, and right after each the same without one part: what that saves and
-what it does to the pins. Where the time of a contact goes, call by call. What a sample costs beside its contact. And an
-account of all that the compiled scene holds. Writes docs/scene_cost.md and docs/scene_cost.json.
+Simulates the first contacts of the training sets at `standard`, and right after each the same contact without one part: the
+time that this saves, and its effect on the pins. Also measures the time of a contact by MuJoCo's functions, and the cost of
+a sample besides its contact, and lists what the compiled scene contains. Writes docs/scene_cost.md and docs/scene_cost.json.
 """
 
 import json
 import sys
 import time
-from collections import Counter
+from collections import defaultdict
+from collections.abc import Callable, Iterable
 from dataclasses import replace
+from typing import Any, TypeVar
 from unittest import mock
 
 import mujoco
@@ -18,8 +20,11 @@ from tqdm import tqdm
 
 import tactip_twin.sim.contact.scene
 from tactip_twin.benchmarks.hardware import machine, machine_text
-from tactip_twin.benchmarks.physics.contact_cache import DESIGN, STANDARD, UncorrectedSimulator
+from tactip_twin.benchmarks.options import SceneCostOptions
+from tactip_twin.benchmarks.physics.contact_cache import DESIGN, STANDARD, UncorrectedSimulator, timed
 from tactip_twin.benchmarks.physics.contact_cases import Case, training
+from tactip_twin.sim.contact.record import Contact
+from tactip_twin.sim.contact.scene import Scene
 from tactip_twin.sim.contact.simulator import ContactSimulator
 from tactip_twin.sim.dataset.format import encode_image
 from tactip_twin.sim.labels import TASKS
@@ -31,79 +36,85 @@ from tactip_twin.tactip_model.raster_renderer import Raster
 from tactip_twin.tactip_model.soft_body import TOUCHES_VERTICES, skin_attributes
 from tactip_twin.tactip_model.tactile_image import tactile_image
 
+T = TypeVar("T")
+
+MakeSimulator = Callable[[str], ContactSimulator]
+"""Maker of a simulator for the contacts of a task."""
+
 STRETCHING_ALONE = 2
 NOTHING = 0
-"""MjsFlex.elastic2d."""
+"""Values of MjsFlex.elastic2d."""
 
 AWAY_MM = -15.0
-"""Place beside the edge, x, at which the tip touches the block's flat top alone, mm."""
+"""Position along x at which the tip touches only the flat top of the edge's block, mm."""
 
 
-def _with_skin(**changes):
-    """A maker of players whose skin has other attributes of its flex."""
+def _with_skin(**changes: int) -> MakeSimulator:
+    """Return a maker of simulators whose skin has other attributes of its flex."""
 
-    def make(task):
+    def make(task: str) -> ContactSimulator:
         with mock.patch.object(body, "skin_attributes", lambda materials: skin_attributes(materials) | changes):
-            return _player(task)
+            return _simulator(task)
 
     return make
 
 
-def _player(task, **materials):
+def _simulator(task: str, **materials: float) -> ContactSimulator:
     design = design_named(DESIGN)
     design = replace(design, materials=replace(design.materials, **materials))
     return ContactSimulator(design, task, STANDARD.fidelity)
 
 
-def _with_facets_deaf(task):
-    """A player whose stimulus the skin's facets do not meet."""
-    player = _player(task)
-    model = player.scene.model
+def _without_facet_contact(task: str) -> ContactSimulator:
+    """Return a simulator without contact between stimulus and the skin's facets."""
+    simulator = _simulator(task)
+    model = simulator.scene.model
     model.geom_conaffinity[model.geom_bodyid == model.body("stimulus").id] &= TOUCHES_VERTICES
-    return player
+    return simulator
 
 
-def _with_plain_steps(task):
-    """A player that steps by mujoco.mj_step, with contacts that begin where they touch."""
-    player = _player(task)
-    scene = player.scene
+def _with_plain_steps(task: str) -> ContactSimulator:
+    """Return a simulator that steps by mujoco.mj_step, with contacts that begin where they touch."""
+    simulator = _simulator(task)
+    scene = simulator.scene
     scene.model.geom_margin[:] = 0
     scene.step = lambda: mujoco.mj_step(scene.model, scene.data)
-    return player
+    return simulator
 
 
-PARTS = {
-    "nothing (the same twice)": _player,
+PARTS: dict[str, MakeSimulator] = {
+    "nothing (the same twice)": _simulator,
     "the skin's bending": _with_skin(elastic2d=STRETCHING_ALONE),
     "the skin, stretching and bending": _with_skin(elastic2d=NOTHING),
-    "friction": lambda task: _player(task, friction=0.0),
-    "contact of the skin's facets": _with_facets_deaf,
+    "friction": lambda task: _simulator(task, friction=0.0),
+    "contact of the skin's facets": _without_facet_contact,
     "the correction for sliding skin": lambda task: UncorrectedSimulator(design_named(DESIGN), task, STANDARD.fidelity),
     "Scene.step (mujoco.mj_step in its place)": _with_plain_steps,
 }
-"""What is left out, to a function of the task that makes a player without it. The gel cannot be left out."""
+"""Makers of a simulator without a part, by the part. The gel cannot be left out."""
 
 
-def _played(player, case):
-    """A Contact and its CPU time, s."""
-    start = time.process_time()
-    contact = player.play(*case.si())
-    return contact, time.process_time() - start
-
-
-def side_by_side(pairs):
-    """Median ratio of CPU times and mean distance of pins, mm, over ((player, Case), (player, Case)) pairs."""
+def side_by_side(
+    pairs: Iterable[tuple[tuple[ContactSimulator, Case], tuple[ContactSimulator, Case]]],
+) -> tuple[float, float]:
+    """Return the median ratio of CPU times and the mean distance of pins, mm, over pairs of contacts."""
     ratios, apart = [], []
     for first, second in pairs:
-        (a, a_s), (b, b_s) = _played(*first), _played(*second)
+        (a, a_s), (b, b_s) = timed(first[0], *first[1].si()), timed(second[0], *second[1].si())
         ratios.append(b_s / a_s)
         apart.append(np.linalg.norm(a.tips - b.tips, axis=1).mean())
     return float(np.median(ratios)), float(1e3 * np.mean(apart))
 
 
-def parts(task, count, step):
-    """Rows (list of dict): what it saves to leave a part out. step: called after each."""
-    whole, rows = _player(task), []
+def parts(task: str, count: int, step: Callable[[], object]) -> list[dict[str, Any]]:
+    """Return what leaving out each of PARTS saves.
+
+    Args:
+        task: Task of the contacts.
+        count: Number of contacts.
+        step: Called after each part.
+    """
+    whole, rows = _simulator(task), []
     for what, make in PARTS.items():
         without = make(task)
         cost, pins = side_by_side(((whole, case), (without, case)) for case in training(task, count))
@@ -112,50 +123,50 @@ def parts(task, count, step):
     return rows
 
 
-def edge_against_plane(count):
-    """The edge's block over the flat surface (dict): the same contacts on its top, and at its edge."""
-    flat, block = _player("surface"), _player("edge")
+def edge_against_plane(count: int) -> dict[str, float]:
+    """Return the cost of the edge's block relative to the flat surface, for the same contacts on its top and at its edge."""
+    flat, block = _simulator("surface"), _simulator("edge")
     cases = [(case, Case(case.name, "edge", (AWAY_MM, *case.pose_mm_deg[1:]), case.shear_mm_deg)) for case in _level(count)]
     cost, pins = side_by_side(((flat, a), (block, b)) for a, b in cases)
     at_edge, _ = side_by_side(((flat, a), (block, a)) for a, _ in cases)
     return {"on_top": cost, "on_top_pins_mm": pins, "at_its_edge": at_edge}
 
 
-def _level(count):
-    """Presses of the surface's training set whose shear leads along the edge alone, so that the top holds all of it."""
+def _level(count: int) -> list[Case]:
+    """Return contacts of the surface's training set without shear along x, so they stay on the block's top."""
     return [replace(case, shear_mm_deg=(0.0, *case.shear_mm_deg[1:])) for case in training("surface", count)]
 
 
 class _TimedCalls:
-    """MuJoCo's module with the CPU time of each function's calls added up."""
+    """MuJoCo's module, with the total CPU time of each function."""
 
-    def __init__(self):
-        self.seconds = Counter()
+    def __init__(self) -> None:
+        self.seconds: defaultdict[str, float] = defaultdict(float)
 
-    def __getattr__(self, name):
+    def __getattr__(self, name: str) -> Any:
         value = getattr(mujoco, name)
         if not name.startswith("mj_"):
             return value
 
-        def timed(*arguments):
+        def timed_call(*arguments: object) -> object:
             start = time.process_time()
             try:
                 return value(*arguments)
             finally:
                 self.seconds[name] += time.process_time() - start
 
-        return timed
+        return timed_call
 
 
-class _TimedPlayer(ContactSimulator):
-    """A player that adds up the CPU time of its records."""
+class _TimedSimulator(ContactSimulator):
+    """Simulator that adds up the CPU time of its records."""
 
     recording = 0.0
 
-    def _record(self, *arguments):
+    def _record(self, pose: np.ndarray, shear: np.ndarray, warnings: int, label: np.ndarray | None = None) -> Contact:
         start = time.process_time()
         try:
-            return super()._record(*arguments)
+            return super()._record(pose, shear, warnings, label)
         finally:
             self.recording += time.process_time() - start
 
@@ -169,30 +180,30 @@ CALLS = {
     "mj_step": "mj_step",
     "mj_resetData": "reset",
 }
-"""MuJoCo's functions that Scene calls, and what they are for."""
+"""Purposes of the MuJoCo functions that Scene calls."""
 
 
-def split(task, count):
-    """Where the time of a contact goes: shares of its CPU time by what it is for (dict), of `count` contacts."""
+def time_fractions(task: str, count: int) -> dict[str, float]:
+    """Return the fractions of the CPU time of `count` contacts by purpose."""
     calls = _TimedCalls()
-    player = _TimedPlayer(design_named(DESIGN), task, STANDARD.fidelity)
+    simulator = _TimedSimulator(design_named(DESIGN), task, STANDARD.fidelity)
     with mock.patch.object(tactip_twin.sim.contact.scene, "mujoco", calls):
-        total = sum(_played(player, case)[1] for case in training(task, count))
-    shares = {CALLS.get(name, name): s / total for name, s in calls.seconds.items()}
-    shares["recording"] = player.recording / total
-    return shares | {"the rest (path, pace, Python)": 1 - sum(shares.values())}
+        total = sum(timed(simulator, *case.si())[1] for case in training(task, count))
+    fractions = {CALLS.get(name, name): s / total for name, s in calls.seconds.items()}
+    fractions["recording"] = simulator.recording / total
+    return fractions | {"the rest (path, pace, Python)": 1 - sum(fractions.values())}
 
 
-def position_stage(task):
-    """What mj_fwdPosition is made of, CPU ms a call (dict), in the state of the task's first contact.
+def position_stage(task: str) -> dict[str, float]:
+    """Return the parts of mj_fwdPosition, CPU ms per call, in the state of the task's first contact.
 
-    With explicit steps MuJoCo does the same but for the matrix of the implicit step: the difference is the matrix's.
+    With explicit steps MuJoCo leaves out only the matrix of the implicit step, so the difference is the matrix's.
     """
-    player = _player(task)
-    player.play(*training(task, 1)[0].si())
-    model, data = player.scene.model, player.scene.data
+    simulator = _simulator(task)
+    simulator.play(*training(task, 1)[0].si())
+    model, data = simulator.scene.model, simulator.scene.data
 
-    def milliseconds(function):
+    def milliseconds(function: Callable[[mujoco.MjModel, mujoco.MjData], object]) -> float:
         took = []
         for _ in range(20):
             start = time.process_time()
@@ -212,30 +223,28 @@ def position_stage(task):
     }
 
 
-def beside(task, count):
-    """What a sample costs beside its contact: median CPU milliseconds (dict), and the contact's own."""
-    design, player = design_named(DESIGN), _player(task)
-    painters = {"image by pyrender": PinCamera(design), "image by raster": Raster(design)}
-    out = {"contact": []}
+def sample_costs(task: str, count: int) -> dict[str, float]:
+    """Return the median CPU times of a sample, ms: of its contact, and of everything besides it."""
+    design, simulator = design_named(DESIGN), _simulator(task)
+    renderers = {"image by pyrender": PinCamera(design), "image by raster": Raster(design)}
+    out: dict[str, list[float]] = {"contact": []}
 
-    def timed(what, function):
+    def measured(what: str, function: Callable[[], T]) -> T:
         start = time.process_time()
         result = function()
         out.setdefault(what, []).append(1e3 * (time.process_time() - start))
         return result
 
     for case in training(task, count):
-        contact = timed("contact", lambda case=case: player.play(*case.si()))
-        for what, painter in painters.items():
-            frame = timed(what, lambda p=painter, c=contact: p.render(c.tips, c.directions))
-        image = timed("threshold", lambda f=frame: tactile_image(f, design.image))
-        timed("PNG", lambda i=image: encode_image(i))
+        contact = measured("contact", lambda case=case: simulator.play(*case.si()))
+        frames = [measured(what, lambda r=r, c=contact: r.render(c.tips, c.directions)) for what, r in renderers.items()]
+        image = measured("threshold", lambda f=frames[-1]: tactile_image(f, design.image))
+        measured("PNG", lambda i=image: encode_image(i))
     return {what: float(np.median(ms[1:])) for what, ms in out.items()}  # the first of each warms up
 
 
-def inventory(scene):
-    """All that a compiled scene (tactip_twin.sim.contact.scene.Scene) holds, as rows (what, how many, how many its job
-    needs, for what)."""
+def inventory(scene: Scene) -> list[tuple[str, int, int, str]]:
+    """Return what a compiled scene contains: rows of a name, the number, the number that is needed, and its purpose."""
     model, mesh = scene.model, scene.mesh
     free = int((~mesh.bonded).sum())
     skin = int((~mesh.bonded[: mesh.surface_count]).sum())
@@ -259,11 +268,8 @@ def inventory(scene):
     return rows
 
 
-def run(options):
-    """Measure, and write scene_cost.json and scene_cost.md. options: SceneCostOptions. Returns the result (dict).
-
-    Raises TactipError and OSError.
-    """
+def run(options: SceneCostOptions) -> dict[str, Any]:
+    """Measure, write scene_cost.json and scene_cost.md, and return the results. Raises TactipError and OSError."""
     with tqdm(total=len(TASKS) * (len(PARTS) + 2) + 1, unit="part", file=sys.stderr) as bar:
         result = {
             "contacts_a_task": options.contacts,
@@ -275,21 +281,21 @@ def run(options):
         }
         for task in TASKS:
             result["parts"] += parts(task, options.contacts, bar.update)
-            result["split"][task] = split(task, options.contacts)
+            result["split"][task] = time_fractions(task, options.contacts)
             result["stage"][task] = position_stage(task)
-            result["beside"][task] = beside(task, options.contacts)
+            result["beside"][task] = sample_costs(task, options.contacts)
             bar.update(2)
         result["edge"] = edge_against_plane(options.contacts)
         bar.update()
-    result["inventory"] = {task: [list(row) for row in inventory(_player(task).scene)] for task in TASKS}
+    result["inventory"] = {task: [list(row) for row in inventory(_simulator(task).scene)] for task in TASKS}
     options.out.mkdir(parents=True, exist_ok=True)
     write_file(options.out / "scene_cost.json", (json.dumps(result, indent=1) + "\n").encode())
-    write_file(options.out / "scene_cost.md", page(result).encode())
+    write_file(options.out / "scene_cost.md", markdown(result).encode())
     return result
 
 
-def page(result):
-    """The Markdown (str) of a result."""
+def markdown(result: dict[str, Any]) -> str:
+    """Return the page of a result."""
     lines = [
         "# What a scene does not need",
         "",

@@ -10,13 +10,11 @@ import pytest
 
 import tactip_twin.sim.contact.scene
 from tactip_twin.benchmarks.options import FidelityOptions
-from tactip_twin.benchmarks.physics import contact_cache as played_contacts
-from tactip_twin.benchmarks.physics import fidelity as error_against_time
-from tactip_twin.benchmarks.physics import pose_sensitivity as label_worth
-from tactip_twin.benchmarks.physics.contact_cache import STANDARD, Played, Plays, Variant, without_timings
+from tactip_twin.benchmarks.physics import contact_cache, fidelity, pose_sensitivity
+from tactip_twin.benchmarks.physics.contact_cache import STANDARD, CachedContact, ContactCache, Variant, without_timings
 from tactip_twin.benchmarks.physics.contact_cases import CASES, LABELS, Case, moved, training
-from tactip_twin.benchmarks.physics.fidelity import jobs, seen_at, sequence, spread
-from tactip_twin.benchmarks.physics.fidelity_page import page
+from tactip_twin.benchmarks.physics.fidelity import blobs_at, jobs, sequence, spread
+from tactip_twin.benchmarks.physics.fidelity_page import markdown
 from tactip_twin.benchmarks.physics.parameter_sweeps import REFINED_MM, small_steps, sweeps
 from tactip_twin.benchmarks.physics.pose_sensitivity import ImagePins, PoseSensitivity
 from tactip_twin.benchmarks.physics.scene_cost import inventory
@@ -34,36 +32,36 @@ CHEAP = [
 
 
 @pytest.fixture(scope="module")
-def plays(tmp_path_factory):
-    return Plays(tmp_path_factory.mktemp("plays"))
+def cache(tmp_path_factory):
+    return ContactCache(tmp_path_factory.mktemp("cache"))
 
 
-def test_presets_are_in_order(plays):
-    played = [plays(CHEAP[0], Variant(FIDELITIES[name])) for name in ("draft", "standard", "reference")]
+def test_presets_are_in_order(cache):
+    played = [cache(CHEAP[0], Variant(FIDELITIES[name])) for name in ("draft", "standard", "reference")]
     for coarse, fine in pairwise(played):
         assert coarse.freedom < fine.freedom
         assert coarse.steps < fine.steps
         assert coarse.model_bytes < fine.model_bytes
 
 
-def test_standards_steps_cost_little_error(plays):
+def test_standards_steps_cost_little_error(cache):
     slow = Variant(small_steps(STANDARD.fidelity))
-    tips = [[plays(case, v).tips for case in CHEAP] for v in (STANDARD, slow)]
+    tips = [[cache(case, v).tips for case in CHEAP] for v in (STANDARD, slow)]
     mean, _, greatest = spread(*tips)
     assert mean < 0.012
     assert greatest < 0.05
     # The bound can fail: a jerk of few steps is worse.
     jerk = replace(STANDARD.fidelity, motion=Motion(press_step_m=3.5e-3, shear_step_m=1e-3, least_steps=1, settle_limit=4))
-    assert spread([plays(case, Variant(jerk)).tips for case in CHEAP], tips[1])[0] > 2 * mean
+    assert spread([cache(case, Variant(jerk)).tips for case in CHEAP], tips[1])[0] > 2 * mean
 
 
-def test_the_label_worth_of_a_small_move_is_the_move(plays, design):
+def test_the_label_worth_of_a_small_move_is_the_move(cache, design):
     pins, case = ImagePins(design), CHEAP[1]
-    estimator = PoseSensitivity.about(case, plays, pins)
-    assert estimator.tells
-    here = pins(plays(case, STANDARD).tips)
+    estimator = PoseSensitivity.about(case, cache, pins)
+    assert estimator.is_determined
+    here = pins(cache(case, STANDARD).tips)
     for component, amount in (("z", 0.15), ("Rx", -1.0), ("Ry", 1.0)):
-        there = pins(plays(moved(case, component, amount), STANDARD).tips)
+        there = pins(cache(moved(case, component, amount), STANDARD).tips)
         found = estimator(there - here)
         assert found.pop(component) == pytest.approx(amount, rel=0.3)
         for other, value in found.items():
@@ -76,31 +74,31 @@ def test_the_label_worth_is_least_squares_without_the_pins_not_seen():
     error = jacobian @ np.array([0.1, -0.2, 0.3])
     error[4] = np.nan
     assert estimator(error) == pytest.approx({"z": 0.1, "Rx": -0.2, "Ry": 0.3})
-    assert not PoseSensitivity(LABELS["surface"], 1e-3 * jacobian).tells
+    assert not PoseSensitivity(LABELS["surface"], 1e-3 * jacobian).is_determined
 
 
 def test_richardson_finds_what_remains():
     tips = [np.full((4, 3), [1.0 + 0.01 * 0.5 ** (2 * k), 0, 0]) * 1e-3 for k in range(4)]
-    played = [Played(t, t, 1.0, 0, 0, 0, 0, 1, 1, 1, 1.0, 1.0) for t in tips]
-    found = sequence(played, 2.0)
+    contacts = [CachedContact(t, t, 1.0, 0, 0, 0, 0, 1, 1, 1, 1.0, 1.0) for t in tips]
+    found = sequence(contacts, 2.0)
     assert found["order"] == pytest.approx(2.0)
     assert found["remains_mm"] == pytest.approx([0.01 / 16, 0.01 / 64])
-    assert sequence([played[k] for k in (0, 3, 2, 0)], 2.0)["remains_mm"] is None
+    assert sequence([contacts[k] for k in (0, 3, 2, 0)], 2.0)["remains_mm"] is None
 
 
 def test_blobs_are_the_pins_that_were_drawn(design):
     tips, directions = neutral_pins(design)
     frame = Raster(design).render(tips, directions)
     places = ImagePins(design)(tips)
-    off = np.linalg.norm(seen_at(frame, design.image, places) - places, axis=1)
+    off = np.linalg.norm(blobs_at(frame, design.image, places) - places, axis=1)
     assert off.max() < 0.2
-    assert np.isnan(seen_at(frame, design.image, places + [4.0, 0.0])).mean() > 0.5
-    assert np.isnan(seen_at(np.zeros_like(frame), design.image, places)).all()
+    assert np.isnan(blobs_at(frame, design.image, places + [4.0, 0.0])).mean() > 0.5
+    assert np.isnan(blobs_at(np.zeros_like(frame), design.image, places)).all()
 
 
 @pytest.mark.parametrize("task", TASKS)
 def test_a_scene_holds_what_its_job_needs_and_nothing_else(task, on_surface, on_edge):
-    scene = (on_surface if task == "surface" else on_edge).player.scene
+    scene = (on_surface if task == "surface" else on_edge).simulator.scene
     for what, count, needed, _ in inventory(scene):
         assert count == needed, what
     model = scene.model
@@ -122,7 +120,7 @@ def test_the_inventory_sees_what_is_too_much(design, monkeypatch):
     assert found == {"ncam", "nlight", "ngeom", "geoms that touch nothing"}
 
 
-def test_sweeps_change_one_thing(plays):
+def test_sweeps_change_one_thing(cache):
     for what, (of_mesh, variants) in sweeps().items():
         assert 1 <= len(variants) <= 6, what
         for variant in variants.values():
@@ -153,7 +151,7 @@ def small(monkeypatch, tmp_path):
     draft = FIDELITIES["draft"]
     hasty = replace(draft, motion=replace(draft.motion, settle_limit=3))
     fine = replace(draft, mesh=replace(draft.mesh, surface_m=2.9e-3))
-    for module in (error_against_time, played_contacts, label_worth):
+    for module in (fidelity, contact_cache, pose_sensitivity):
         monkeypatch.setattr(module, "STANDARD", Variant(draft))
     presets = {name: Variant(f) for name, f in (("draft", hasty), ("standard", draft), ("reference", fine))}
     paced = {s: Variant(replace(hasty, motion=replace(hasty.motion, press_step_m=s * 1e-3))) for s in (2.0, 1.0, 0.5, 0.25)}
@@ -170,43 +168,43 @@ def small(monkeypatch, tmp_path):
         "sweeps": lambda: {"approach a step, mm": (False, {"1": paced[1.0]})},
     }
     for name, value in small.items():
-        monkeypatch.setattr(error_against_time, name, value)
+        monkeypatch.setattr(fidelity, name, value)
     return FidelityOptions(contacts=1, swept=1, out=tmp_path / "docs", kept=tmp_path / "kept")
 
 
 def test_a_stopped_measurement_goes_on_and_gives_the_same(small, monkeypatch):
     wanted = jobs(small)
     assert len(set(wanted)) == len(wanted)
-    first = error_against_time.run(small)
+    first = fidelity.run(small)
     known = {name: (small.out / name).read_bytes() for name in ("fidelity.md", "fidelity.png", "fidelity.json")}
     assert not list(small.kept.glob("*.npz"))
-    plays = Plays(small.kept)
+    cache = ContactCache(small.kept)
     for case, variant in wanted[: len(wanted) // 2]:
-        plays(case, variant)
+        cache(case, variant)
     assert len(list(small.kept.glob("*.npz"))) == len(wanted) // 2
-    played, play = [], Plays._play
-    monkeypatch.setattr(Plays, "_play", lambda self, *job: played.append(job) or play(self, *job))
-    second = error_against_time.run(small)
-    assert played == wanted[len(wanted) // 2 :]
+    simulated, simulate = [], ContactCache._simulate
+    monkeypatch.setattr(ContactCache, "_simulate", lambda self, *job: simulated.append(job) or simulate(self, *job))
+    second = fidelity.run(small)
+    assert simulated == wanted[len(wanted) // 2 :]
     assert without_timings(first) == without_timings(second)
-    error_against_time.run(replace(small, redraw=True))
+    fidelity.run(replace(small, redraw=True))
     assert json.loads((small.out / "fidelity.json").read_text())["sweeps"]
     assert known["fidelity.png"][:4] == b"\x89PNG"
-    assert page(json.loads(known["fidelity.json"])).encode() == known["fidelity.md"]
+    assert markdown(json.loads(known["fidelity.json"])).encode() == known["fidelity.md"]
 
 
 def test_nothing_to_redraw_from_is_an_error(tmp_path):
     with pytest.raises(TactipError, match="measure first"):
-        error_against_time.run(FidelityOptions(out=tmp_path, redraw=True))
+        fidelity.run(FidelityOptions(out=tmp_path, redraw=True))
     with pytest.raises(TactipError, match="at least 1"):
-        error_against_time.run(FidelityOptions(out=tmp_path, swept=0))
+        fidelity.run(FidelityOptions(out=tmp_path, swept=0))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("task", TASKS)
-def test_standard_is_near_the_reference(plays, task):
+def test_standard_is_near_the_reference(cache, task):
     """The mean over as many contacts as the page has: single ones are between 0.02 and 0.08 mm off."""
     cases = training(task, 10)
-    tips = [[plays(case, Variant(FIDELITIES[name])).tips for case in cases] for name in ("standard", "reference", "draft")]
+    tips = [[cache(case, Variant(FIDELITIES[name])).tips for case in cases] for name in ("standard", "reference", "draft")]
     assert spread(tips[0], tips[1])[0] <= 0.05
     assert spread(tips[2], tips[1])[0] > spread(tips[0], tips[1])[0]

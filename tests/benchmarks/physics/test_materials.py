@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tactip_twin.benchmarks.physics import fem_cross_check as second_code
-from tactip_twin.benchmarks.physics import materials
+from tactip_twin.benchmarks.physics import fem_cross_check, materials, materials_page
 from tactip_twin.benchmarks.physics.fem_tetrahedra import Solid, piola
 from tactip_twin.benchmarks.physics.materials import LAWS, PATCHES, POISSONS, Specimen
 from tactip_twin.sim.contact.fidelity import FIDELITIES
@@ -22,9 +21,9 @@ def test_one_element_has_the_stress_of_its_law(law):
     vertices = 1e-2 * np.array([[0, 0, 0], [1.1, 0.1, 0], [0.2, 0.9, 0.1], [0.1, 0.2, 1.0]])
     edges = (vertices[1:] - vertices[0]).T
     specimen = Specimen(vertices, np.array([[0, 1, 2, 3]]), materials.gel(0.45, law), np.ones((4, 3), bool))
-    draw = np.random.default_rng(0)
+    rng = np.random.default_rng(0)
     for size in (0.01, 0.1, 0.4, 0.8):
-        gradient = np.eye(3) + size * draw.normal(size=(3, 3))
+        gradient = np.eye(3) + size * rng.normal(size=(3, 3))
         force = specimen.forces(vertices @ gradient.T)
         stress = -force[1:].T @ edges.T * 6 / np.linalg.det(edges)
         expected = piola(law, 2e4, 0.45, gradient)
@@ -105,16 +104,16 @@ def test_independent_tetrahedra_against_the_closed_form():
 @pytest.mark.parametrize("depth_mm", [1.0, 3.0])
 def test_pressed_gel_in_an_independent_code(depth_mm):
     """The very contact that is played for data sets: the rest of the surface within 8 µm, force within 0.5 %."""
-    row = second_code.compare_simulator(depth_mm)
+    row = fem_cross_check.compare_simulator(depth_mm)
     assert row["of_mm"] > 0.9 * depth_mm
     assert row["greatest_mm"] < 0.008
     assert row["force_ratio"] == pytest.approx(1, abs=0.005)
 
 
-@pytest.mark.skipif(second_code.calculix() is None, reason="CalculiX is not installed (Debian: calculix-ccx)")
+@pytest.mark.skipif(fem_cross_check.calculix() is None, reason="CalculiX is not installed (Debian: calculix-ccx)")
 @pytest.mark.parametrize(("depth_mm", "law"), [(2.0, "St Venant-Kirchhoff"), (3.0, "split neo-Hooke")])
 def test_pressed_gel_in_calculix(depth_mm, law, tmp_path):
-    for row in second_code.compare_codes(depth_mm, law, tmp_path):
+    for row in fem_cross_check.compare_codes(depth_mm, law, tmp_path):
         assert row["of_mm"] > 0.9 * depth_mm
         assert row["greatest_mm"] < 1e-4
         assert row["force_ratio"] == pytest.approx(1, abs=1e-4)
@@ -124,5 +123,5 @@ def test_what_the_page_says_of_bending_is_what_was_measured():
     record = json.loads((Path(__file__).parents[3] / "docs" / "materials.json").read_text())
     for shape, ratio in (("cylinder", 0.5), ("saddle", 7.5)):
         record["curving"]["spiral"]["1.5"][shape] = ratio
-    told = materials.page(record)
-    assert "cylinders 0.50 to 1.23 (spiral)" in told and "saddles 2.78 to 7.50 (spiral)" in told
+    text = materials_page.markdown(record)
+    assert "cylinders 0.50 to 1.23 (spiral)" in text and "saddles 2.78 to 7.50 (spiral)" in text
