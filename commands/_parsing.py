@@ -67,7 +67,7 @@ def parse_subcommand(table: Mapping[str, Entry], arguments: Sequence[str], prog:
 def last_value(arguments: Sequence[str], option: str) -> str | None:
     """Return the last value of an option in a command line that is not parsed yet; None where it is not given."""
     name, value = f"--{option}", None
-    for word, after in zip(arguments, [*arguments[1:], None], strict=True):
+    for word, after in zip(arguments, [*arguments, None][1:], strict=True):
         if word == name:
             value = after
         elif word.startswith(f"{name}="):

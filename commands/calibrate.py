@@ -1,11 +1,14 @@
 """tactip calibrate: a design from real frames."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
 from tactip_twin.commands._parsing import Command
+from tactip_twin.sim2real.calibration.settings import FrameSelection, Settings
+from tactip_twin.tactip_model.bounds import require
 from tactip_twin.tactip_model.errors import TactipError
 
 
@@ -22,27 +25,23 @@ class Calibrate(Command):
     """Design file to write; --design of other commands takes it."""
     report: Path | None = None
     """Folder for the report; the design file's name with _calibration if not given."""
-    frames: int = 60
-    """Frames to fit, of one half of the set."""
-    judged: int = 150
-    """Frames to judge, of the other half."""
-    seed: int = 0
-    """Seed of the draws of frames."""
+    selection: Annotated[FrameSelection, tyro.conf.arg(name="")] = field(default_factory=FrameSelection)
+    """Frames to use."""
 
     def run(self) -> int:
         from dataclasses import replace
 
         from tactip_twin.sim2real.calibration.fit import calibrate
         from tactip_twin.sim2real.calibration.report import write_report
-        from tactip_twin.sim2real.calibration.settings import Settings
         from tactip_twin.tactip_model.presets import load_design
 
         if self.out.suffix != ".json":
             raise TactipError(f"the design file {self.out} must end in .json")
-        if self.frames < 10 or self.judged < 10:
-            raise TactipError(f"{self.frames} frames to fit and {self.judged} to judge: each must be at least 10")
+        for name in ("frames", "judged"):
+            count = getattr(self.selection, name)
+            require(count >= 10, name, count, "at least 10")
         report = self.report or self.out.with_name(f"{self.out.stem}_calibration")
-        settings = Settings(frames=self.frames, judged=self.judged, seed=self.seed)
+        settings = Settings(**vars(self.selection))
         result = calibrate(self.real, load_design(self.design), settings, report / "state.json")
         design = replace(result.twin.design, name=self.out.stem)
         result = replace(result, twin=replace(result.twin, design=design))

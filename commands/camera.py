@@ -14,7 +14,7 @@ from tactip_twin.tactip_model.bounds import check, within
 if TYPE_CHECKING:
     from tactip_twin.sim2real.sensor.frame_sources import CameraFrames, ImageFrames
     from tactip_twin.sim2real.sensor.live_page import CameraPage
-    from tactip_twin.sim2real.sensor.video_frames import FilmFrames
+    from tactip_twin.sim2real.sensor.video_frames import VideoFrames
 
 
 @dataclass(frozen=True)
@@ -85,10 +85,10 @@ class Camera(Command):
                 page.close()
         return 0
 
-    def _source(self) -> "CameraFrames | FilmFrames | ImageFrames":
+    def _source(self) -> "CameraFrames | VideoFrames | ImageFrames":
         """Return the source of the frames."""
         from tactip_twin.sim2real.sensor.frame_sources import CameraFrames, ImageFrames
-        from tactip_twin.sim2real.sensor.video_frames import FilmFrames
+        from tactip_twin.sim2real.sensor.video_frames import VideoFrames
         from tactip_twin.tactip_model.errors import TactipError
 
         count = sum(x is not None for x in (self.device, self.video, self.images))
@@ -96,7 +96,7 @@ class Camera(Command):
             if self.device is not None:
                 return CameraFrames(self.device)
             if self.video is not None:
-                return FilmFrames(self.video)
+                return VideoFrames(self.video)
             if self.images is not None:
                 return ImageFrames(self.images)
         raise TactipError(f"{count} sources of frames are given: give one of --device, --video and --images")

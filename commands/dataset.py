@@ -2,9 +2,9 @@
 
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
@@ -12,9 +12,9 @@ from tactip_twin.commands._parsing import Command, Entry, last_value, parse_opti
 from tactip_twin.commands._pose_reader import load_pose_reader
 from tactip_twin.commands._progress import DelayedStatus, to_stderr
 from tactip_twin.sim.dataset.mechanics_randomization import MechanicsName
-from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES, SPLITS, Ranges, Split
+from tactip_twin.sim.dataset.options import DatasetOptions
+from tactip_twin.sim.dataset.sampling import POSE_RANGES, SPLITS, Split
 from tactip_twin.sim.labels import TASKS, FidelityName, Task
-from tactip_twin.tactip_model.renderer import RendererName
 
 if TYPE_CHECKING:
     from tactip_twin.sim.dataset.generate import Job
@@ -30,10 +30,6 @@ class Make(Command):
     """Task."""
     split: Split | Literal["all"] = "train"
     """Set of the task; all are independent."""
-    samples: int = 200
-    """Samples of a set: contacts, or with --symmetric and --looks what is made of them; the paper has 2000."""
-    seed: int = 0
-    """Seed of the draws."""
     workers: str = "auto"
     """Worker processes; auto is one a core."""
     cluster: str = ""
@@ -43,29 +39,13 @@ class Make(Command):
     """Fidelity of the simulation (sim/contact/fidelity.py)."""
     design: str = "tactip-127"
     """Sensor: tactip-127, tactip-331, or a design file (.json) as `tactip calibrate` writes it."""
-    symmetric: bool = False
-    """Make samples of each contact's turns and mirrors, too: 8 of a contact on the surface, 2 of one on the edge."""
-    curvature_per_m: tuple[float, float] = (0.0, 0.0)
-    """Both principal curvatures of the surface, 1/m, drawn from LOW to HIGH for each contact; positive bulges out. Not a
-    label."""
-    uneven: float = 0.0
-    """Share of the contacts, 0 to 1, where they change along the surface, within LOW and HIGH, as about a nose."""
-    looks: int = 1
-    """Times that each contact is looked at: once where it is pressed and sheared to, and then after each stride of a walk as
-    the tip slides on, as in a servo. A look costs less than a contact."""
     mechanics: MechanicsName = "none"
     """Randomization of the mechanics; with real, stiffness, friction, thickness and pin length of the tip differ from
     contact to contact (sim/dataset/mechanics_randomization.py)."""
-    renderer: RendererName = "pyrender"
-    """Renderer of the pins; raster makes the same image without OpenGL."""
-    shard_samples: int = 10_000
-    """Samples of a shard: a larger set is a folder of shards, which all commands take as one set."""
-    pose: Ranges = POSE_RANGES["surface"]
-    """Labelled poses: low and high of each component. The defaults are the paper's (Table 1) for the task."""
-    shear: Ranges = SHEAR_RANGES
-    """Unlabelled perturbations: low and high of each component. The defaults are the paper's (Table 1)."""
     json: bool = False
-    """Print a JSON list, an object a set, and nothing else."""
+    """Print a JSON list with one object per set, and nothing else."""
+    options: Annotated[DatasetOptions, tyro.conf.arg(name="")] = field(default_factory=DatasetOptions)
+    """Contents of the sets."""
 
     @classmethod
     def parse(cls, arguments: Sequence[str], prog: str) -> Command:
@@ -79,7 +59,7 @@ class Make(Command):
     @classmethod
     def _with_ranges(cls, task: Task) -> "Make":
         """Return the defaults for a task."""
-        return cls(out=tyro.MISSING, pose=POSE_RANGES[task])
+        return cls(out=tyro.MISSING, options=DatasetOptions(pose=POSE_RANGES[task]))
 
     def run(self) -> int:
         return self.make_sets(self.jobs())
@@ -128,18 +108,9 @@ class Make(Command):
             configuration = Configuration(
                 task=self.task,
                 split=split,
-                samples=self.samples,
-                seed=self.seed,
-                renderer=self.renderer,
+                **vars(self.options),
                 design=load_design(self.design),
                 fidelity=fidelity_named(self.fidelity),
-                pose=self.pose,
-                shear=self.shear,
-                symmetric=self.symmetric,
-                curvature_per_m=self.curvature_per_m,
-                uneven=self.uneven,
-                shard_samples=self.shard_samples,
-                looks=self.looks,
                 mechanics=MECHANICS_RANDOMIZATIONS[self.mechanics],
             )
             jobs.append(Job(configuration, self.out / self.task / split if several else self.out))

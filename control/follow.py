@@ -131,7 +131,7 @@ class ContourFollower:
                 trouble, good = trouble + 1, 0
                 self._note(*fault)
                 if trouble > self._settings.most_trouble:
-                    raise FollowingFailed(f"{fault[0]} again and again: {fault[1]}")
+                    raise FollowingFailed(f"{fault[0]} {trouble} times in a row: {fault[1]}")
                 estimate, centred = self._react(fault[0]), 0
                 continue
             good += 1
@@ -150,7 +150,7 @@ class ContourFollower:
                 along = measured[:3, :3].T @ (self._step_fraction(estimate) * self._settings.step_mm / 1e3 * direction)
             T = measured @ self._controller.move(estimate.label, along)
             estimate = self._go(T, self._clock() - start)
-        self.stopped_because = f"it took {self._settings.most_steps} steps, as many as it may"
+        self.stopped_because = f"reached the limit of {self._settings.most_steps} steps"
 
     def _step_fraction(self, estimate: Estimate) -> float:
         """Return the fraction of the tangential step to take: smaller where the sensor tilts, because it lags behind the
@@ -174,8 +174,8 @@ class ContourFollower:
             unit = self._labels.units[worst]
             return (
                 "estimate out of range",
-                f"{self._labels.names[worst]} is felt as {predicted[worst]:.1f} {unit} "
-                f"(learned: {low[worst]:g} to {high[worst]:g})",
+                f"{self._labels.names[worst]} predicted as {predicted[worst]:.1f} {unit} "
+                f"(training range: {low[worst]:g} to {high[worst]:g})",
             )
         return None
 
@@ -185,7 +185,7 @@ class ContourFollower:
         if force > limit:
             return "force", f"{force:.1f} N on the tip (at most {limit:g} N)"
         if self._touch.clearance_m < 0:
-            return "collision", f"the sensor's housing runs against the object, {-1e3 * self._touch.clearance_m:.1f} mm"
+            return "collision", f"the sensor's housing overlaps the object by {-1e3 * self._touch.clearance_m:.1f} mm"
         return None
 
     def _react(self, kind: str) -> Estimate:
@@ -209,9 +209,9 @@ class ContourFollower:
             danger = self._danger()
             if danger:
                 self._note(*danger)
-                raise FollowingFailed(f"nothing is felt, and yet there is {danger[0]}: {danger[1]}")
+                raise FollowingFailed(f"no contact detected in the image, but {danger[0]}: {danger[1]}")
             if travelled_mm >= max_mm:
-                raise FollowingFailed(f"nothing is felt within {max_mm:g} mm")
+                raise FollowingFailed(f"no contact detected within {max_mm:g} mm")
             estimate = self._go(self._finger.arm_model.measured_pose() @ _shift(s.search_step_mm))
             travelled_mm += s.search_step_mm
         return estimate
@@ -239,13 +239,13 @@ class ContourFollower:
         try:
             self._finger.reset_to(T, float(np.nan_to_num(self._finger.arm_model.angles[5])))
         except TactipError as error:
-            raise FollowingFailed(f"the simulation lost the tip, and there is no room to begin again: {error}") from error
-        self._touch = self._finger.touch()
+            raise FollowingFailed(f"the simulation lost the tip, and there is no room to restart: {error}") from error
+        self._touch = self._finger.tip_state()
 
     def _estimate(self, simulation_s: float, control_s: float = 0.0) -> Estimate:
         """Estimate the label now, and record the step."""
         if not self._steps:
-            self._touch = self._finger.touch()
+            self._touch = self._finger.tip_state()
         arm = self._finger.arm_model
         estimate = self._estimator.estimate(self._touch, arm.pose)
         seconds = {

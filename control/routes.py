@@ -65,7 +65,7 @@ class PlanarPath(Route):
         self._at = float(candidates[np.linalg.norm(self._point(candidates) - place, axis=1).argmin()])
         self.part = int(np.clip(np.searchsorted(self._before, self._at + 1e-9, "right") - 1, 0, len(self._before) - 2))
         if self.length_m - self._at < _LOOKAHEAD_M / 6:
-            self.ended = "the route is done"
+            self.ended = "route completed"
             return None
         if axis @ -self._up < MIN_TILT_COSINE:
             self.ended = f"the surface is too steep: {np.degrees(np.arccos(axis @ -self._up)):.0f} degrees from the plan"
@@ -94,7 +94,7 @@ class Geodesic(Route):
             self._left -= float(np.linalg.norm(T_base_tcp[:3, 3] - self._last))
         self._last = T_base_tcp[:3, 3].copy()
         if self._left <= 0:
-            self.ended = "the route is done"
+            self.ended = "route completed"
             return None
         return T_base_tcp[:3, :3] @ self._heading
 
@@ -127,10 +127,10 @@ class EdgePath(Route):
         away = float(np.linalg.norm(place - self._start))
         self._farthest = max(self._farthest, away)
         if self._farthest > 4 * self._close and away < self._close and self._gone > 2 * self._farthest:
-            self.closed, self.ended = True, "the loop is closed"
+            self.closed, self.ended = True, "loop closed"
             return None
         if self._gone > self._limit:
-            self.ended = f"the way is longer than {1e3 * self._limit:.0f} mm"
+            self.ended = f"stopped at the path limit of {1e3 * self._limit:.0f} mm"
             return None
         axis = T_base_tcp[:3, 2]
         heading = self._sense * T_base_contact[:3, 1]

@@ -7,7 +7,8 @@ import numpy as np
 import tyro
 
 import tactip_twin as tt
-from tactip_twin.sim.contact.stimuli import HALF_SIZE_M
+from tactip_twin.sim.contact.stimuli import HALF_SIZE_M, ContactAttributes
+from tactip_twin.sim.labels import FidelityName
 from tactip_twin.tactip_model.soft_body import TOUCHES_VERTICES
 
 
@@ -18,7 +19,7 @@ class Pipe(tt.Stimulus):
     radius_m: float = 15e-3
     """Radius, m."""
 
-    def add_geoms(self, spec, body, touch) -> None:
+    def add_geoms(self, spec: mujoco.MjSpec, body: mujoco.MjsBody, touch: ContactAttributes) -> None:
         """Add a cylinder, which the skin's vertices touch."""
         kind, size, along_y = mujoco.mjtGeom.mjGEOM_CYLINDER, [self.radius_m, HALF_SIZE_M, 0], [1, -1, 0, 0]
         place = [0, 0, -self.radius_m]
@@ -29,7 +30,9 @@ class Pipe(tt.Stimulus):
         return np.hypot(points[..., 0], points[..., 2] + self.radius_m) - self.radius_m
 
 
-def main(radii_mm: tuple[float, ...] = (10.0, 15.0, 30.0), depth_mm: float = 3.0, fidelity: str = "standard") -> None:
+def main(
+    radii_mm: tuple[float, ...] = (10.0, 15.0, 30.0), depth_mm: float = 3.0, fidelity: FidelityName = "standard"
+) -> None:
     """radii_mm: of the pipes. depth_mm: of the press. fidelity: draft, standard or reference."""
     tip = tt.TacTip("tactip-127", fidelity)
     for radius_mm in radii_mm:

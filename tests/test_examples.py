@@ -75,14 +75,14 @@ def test_a_network_is_trained_on_a_folder(tmp_path):
 def test_an_estimator_of_ones_own_follows_a_sphere(followed):
     folder, told = followed
     score = json.loads((folder / "score.json").read_text())
-    assert "the route is done" in told
+    assert "route completed" in told
     assert score["contact_losses"] == 0 and score["depth_mae_mm"] < 1 and score["angle_mean_deg"] < 8
 
 
 def test_own_controller_follows_a_sphere(tmp_path):
     printed = run(EXAMPLES / "own_controller.py", "--out", tmp_path / "run", "--length-mm", "8")
     score = json.loads((tmp_path / "run" / "score.json").read_text())
-    assert "the route is done" in printed
+    assert "route completed" in printed
     assert score["contact_losses"] == 0 and score["depth_mae_mm"] < 0.6 and score["angle_mean_deg"] < 8
     assert json.loads((tmp_path / "run" / "recording.json").read_text())["controller"] == "Proportional"
 
@@ -94,5 +94,5 @@ def test_a_run_is_replayed_in_a_notebook(followed, tmp_path):
     script = tmp_path / "cells.py"
     script.write_text("\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"))
     told = run(script, RUN=str(folder))
-    assert "steps on sphere: the route is done" in told
+    assert "steps on sphere: route completed" in told
     assert (folder / "pass.gif").read_bytes()[:3] == b"GIF"

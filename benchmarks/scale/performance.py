@@ -38,6 +38,7 @@ from tactip_twin.tactip_model.bounds import require
 from tactip_twin.tactip_model.errors import TactipError, lookup
 from tactip_twin.tactip_model.files import write_file
 from tactip_twin.tactip_model.presets import load_design
+from tactip_twin.tactip_model.renderer import RendererName
 
 _LOOKS = 20
 """Sequence images of a contact, where there is more than one."""
@@ -114,7 +115,7 @@ def made_set(
     workers: int,
     task: str,
     fidelity: str,
-    renderer: str,
+    renderer: RendererName,
     symmetric: bool,
     design: str,
     looks: int = 1,

@@ -9,7 +9,7 @@ from typing import Any
 from tactip_twin.sim.contact.fidelity import Fidelity
 from tactip_twin.sim.contact.record import QualityLimits
 from tactip_twin.sim.dataset.mechanics_randomization import MechanicsRandomization
-from tactip_twin.sim.dataset.sampling import Ranges
+from tactip_twin.sim.dataset.options import DatasetOptions
 from tactip_twin.sim.dataset.symmetry import SYMMETRIES, Symmetry
 from tactip_twin.tactip_model.design import Design
 
@@ -17,42 +17,29 @@ _WRITTEN_IF_NOT_DEFAULT = ("curvature_per_m", "uneven", "shard_samples", "first"
 """Fields added after version 1: written only where they differ from their default, so older sets keep their digest."""
 
 
-@dataclass(frozen=True)
-class Configuration:
+_KEY_ORDER = (
+    *("task", "split", "samples", "seed", "renderer", "design", "fidelity", "pose", "shear", "bounds", "symmetric"),
+    *("curvature_per_m", "uneven", "shard_samples", "first", "looks", "mechanics"),
+)
+"""Order of the keys in files, so that a set made again has the same bytes."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Configuration(DatasetOptions):
     """Configuration of a simulated data set."""
 
     task: str
     """`surface` or `edge`."""
     split: str
     """`train`, `val` or `test`."""
-    samples: int
-    """Number of samples: contacts, times the symmetries and the images of each."""
-    seed: int
-    """Seed of the set; each contact spawns its own generator from it (sim/dataset/sampling.py)."""
-    renderer: str
-    """`pyrender` or `raster`."""
     design: Design
     """Sensor."""
     fidelity: Fidelity
     """Mesh, steps and tolerances, which trade the error of a contact for time."""
-    pose: Ranges
-    """Ranges of the labelled poses."""
-    shear: Ranges
-    """Ranges of the unlabelled shears."""
     bounds: QualityLimits = field(default_factory=QualityLimits)
     """Limits that a simulated contact must meet to become a sample."""
-    symmetric: bool = False
-    """Whether each contact makes a sample for every symmetry of its task (sim/dataset/symmetry.py)."""
-    curvature_per_m: tuple[float, float] = (0.0, 0.0)
-    """Range of both principal curvatures of the surface, 1/m, positive where convex; flat if both are 0. Not a label."""
-    uneven: float = 0.0
-    """Fraction of the surfaces whose curvature varies (sim/contact/curved_surface.py), 0 to 1. Not a label."""
-    shard_samples: int = 10_000
-    """Samples per shard: a larger set is a folder of shards (sim/dataset/shards.py)."""
     first: int = 0
     """Index of the first sample, where the set is a shard of a larger one."""
-    looks: int = 1
-    """Images of each contact: one at its pose, then one after each stride of a sliding path (sim/dataset/sliding.py)."""
     mechanics: MechanicsRandomization = field(default_factory=MechanicsRandomization)
     """Randomization of the tip's mechanics by contact (sim/dataset/mechanics_randomization.py); the optics stay the same."""
 
@@ -73,7 +60,8 @@ class Configuration:
 
     def as_json(self) -> dict[str, Any]:
         """Return the configuration as a JSON object."""
-        values = dataclasses.asdict(self)
+        unordered = dataclasses.asdict(self)
+        values = {name: unordered[name] for name in _KEY_ORDER}
         for f in dataclasses.fields(self):
             if f.name in _WRITTEN_IF_NOT_DEFAULT and getattr(self, f.name) == _default(f):
                 del values[f.name]

@@ -78,13 +78,13 @@ def calibrate(
     real = read_real_set(real_dir)
     fitted_design, neutral = fit_neutral(design, real.neutral)
     log(
-        f"neutral image: {neutral.before_px:.2f} px rms as it came, {neutral.lattice_px:.2f} px with lens, camera and turn "
-        "fitted, the rest is how the pins were built (256 px image)"
+        f"neutral image: {neutral.before_px:.2f} px rms before the fit, {neutral.lattice_px:.2f} px with lens, camera and "
+        "rotation fitted; the rest is fitted by offsets of the pins (256 px image)"
     )
     width = real.neutral.shape[1]
     matcher = PinMatcher((neutral.pins_px[np.isfinite(neutral.pins_px[:, 0])] + 0.5) * width / REFERENCE_PX - 0.5)
     if not np.isfinite(neutral.pins_px).all():
-        raise TactipError("some pins are hidden in the neutral image: every pin must be seen there")
+        raise TactipError("every pin must be visible in the neutral image, but some are hidden")
     rngs = np.random.default_rng(np.random.SeedSequence(settings.seed)).spawn(2)
     fit_frames = sample_frames(real, matcher, False, settings.frames, rngs[0])
     chosen = parameters(design, _camera_prior(real, fit_frames, fitted_design, log))
@@ -96,7 +96,7 @@ def calibrate(
     deviations = np.full(len(chosen), np.nan)
     if state_path.exists():
         twin, deviations, rounds = read_state(state_path, identity, twin, chosen, neutral.pins_px)
-        log(f"going on after round {len(rounds)} of {len(settings.rounds)}")
+        log(f"resuming after round {len(rounds)} of {len(settings.rounds)}")
     with ProcessPoolExecutor(min(2, os.cpu_count() or 1), initializer=_ignore_interrupts) as executor:
         calibrator = Calibrator(fit_frames, neutral.pins_px, executor)
         try:
@@ -108,7 +108,7 @@ def calibrate(
                 if fidelity == settings.judging:
                     twin, deviations, searched = calibrator.search(twin, chosen, deviations, fidelity)
                     figures["search"] = searched
-                    text += f"; friction searched, to {searched['cost_after']:.3f} px²"
+                    text += f"; {searched['cost_after']:.3f} px² after the search for friction"
                 rounds.append(figures)
                 write_state(state_path, identity, twin, deviations, rounds, chosen)
                 log(f"round {len(rounds)} of {len(settings.rounds)} ({fidelity}): {text}")
@@ -117,7 +117,7 @@ def calibrate(
             forces = calibrator.forces(twin, settings.judging)
         except KeyboardInterrupt:
             executor.shutdown(wait=False, cancel_futures=True)
-            raise Interrupted("the same command goes on after the last round") from None
+            raise Interrupted("finished rounds are kept, and the same command resumes after them") from None
     return Result(twin, chosen, deviations, neutral, rounds, test_frames, along, forces)
 
 
@@ -128,9 +128,12 @@ def _camera_prior(
     axis = np.array(design.optics.centre) * real.neutral.shape[1] - 0.5
     camera = camera_change(real.neutral, (real.frame(i) for i in frames.indices), axis)
     if camera is None:
-        log("too little light at the rim to tell by it how the camera has changed since the neutral image")
+        log("too little light at the rim to measure the camera's change since the neutral image")
         return UNKNOWN_CAMERA
-    log(f"reflections at the rim: the image is {camera[0][0]:.4f} times the neutral one ({camera[1][0]:.4f} a frame)")
+    log(
+        f"reflections at the rim: image scale {camera[0][0]:.4f} relative to the neutral image "
+        f"(± {camera[1][0]:.4f} per frame)"
+    )
     return camera[0], np.maximum(camera[1], _CAMERA_SPREAD)
 
 
@@ -149,8 +152,8 @@ def _first_guess(real: RealSet, design: Design, chosen: tuple[Parameter, ...]) -
 def _round_text(figures: dict[str, Any]) -> str:
     """Return a round's figures as text for people."""
     return (
-        f"began at {figures['rms_px']:.2f} px rms, median frame {figures['median_px']:.2f} px; cost "
-        f"{figures['cost_before']:.3f} to {figures['cost_after']:.3f} px² by {figures['share_of_step']:g} of the step"
+        f"started at {figures['rms_px']:.2f} px rms, median frame {figures['median_px']:.2f} px; cost "
+        f"{figures['cost_before']:.3f} to {figures['cost_after']:.3f} px² with {figures['share_of_step']:g} of the step"
     )
 
 

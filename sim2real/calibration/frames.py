@@ -39,7 +39,7 @@ def sample_frames(real: RealSet, matcher: PinMatcher, odd: bool, count: int, rng
     """
     rows = np.arange(len(real.files))[1 if odd else 0 :: 2]
     if len(rows) < 10:
-        raise TactipError(f"{real.folder} has {len(real.files)} frames: a calibration needs at least 20")
+        raise TactipError(f"a calibration needs at least 20 frames, got {len(real.files)} in {real.folder}")
     indices = np.sort(rng.choice(rows, min(count, len(rows)), replace=False))
     width = real.neutral.shape[1]
     pins = np.array([reference_pixels(matcher.match(find_blobs(real.frame(i))), width) for i in indices])
@@ -47,6 +47,8 @@ def sample_frames(real: RealSet, matcher: PinMatcher, odd: bool, count: int, rng
     good = detected > 0.9
     if good.mean() < 0.7:
         worst = real.files[indices[detected.argmin()]]
-        raise TactipError(f"in {(~good).sum()} of {len(good)} frames fewer than 90 % of the pins are found, as in {worst}")
+        raise TactipError(
+            f"fewer than 90 % of the pins were detected in {(~good).sum()} of {len(good)} frames, for example {worst}"
+        )
     kept = indices[good]
     return Frames(kept, pins[good], [(real.poses[i], real.moves[i]) for i in kept], real.tap)

@@ -70,7 +70,9 @@ def simulate_along(job: tuple[Design, Rig, str, Commands, np.ndarray]) -> np.nda
     design, rig, fidelity, commands, tap = job
     simulator, motion = _simulator(_mechanical(design), fidelity), RigMotion(rig)
     contacts = (motion.contact(pose, move, tap) for pose, move in commands)
-    return np.array([[_skin(simulator) for _ in simulator.stages(*contact, MOVE_FRACTIONS)] for contact in contacts])
+    return np.array(
+        [[_skin(simulator) for _ in simulator.simulate_partial_shears(*contact, MOVE_FRACTIONS)] for contact in contacts]
+    )
 
 
 def simulate_forces(job: tuple[Design, str]) -> np.ndarray:

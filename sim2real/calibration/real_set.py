@@ -41,8 +41,8 @@ class RealSet:
         """Return frame `index`, (h, w) uint8. Raises TactipError where it cannot be read or its size differs."""
         frame = _image(self.files[index])
         if frame.shape != self.neutral.shape:
-            sizes = (f"{i.shape[1]} by {i.shape[0]} px" for i in (frame, self.neutral))
-            raise TactipError(f"{self.files[index]}: a frame of {next(sizes)}, and the neutral image has {next(sizes)}")
+            sizes = (f"{i.shape[1]}×{i.shape[0]} px" for i in (self.neutral, frame))
+            raise TactipError(f"{self.files[index]} must be {next(sizes)} like the neutral image, got {next(sizes)}")
         return frame
 
 
@@ -51,17 +51,17 @@ def read_real_set(folder: str | Path) -> RealSet:
     folder = Path(folder)
     if not folder.is_dir():
         raise TactipError(
-            f"{folder} is no folder: it must hold targets.csv, meta.json, a neutral image init*.png and frames"
+            f"{folder} is not a folder: it must hold targets.csv, meta.json, a neutral image init*.png and frames"
         )
     inits = sorted(folder.glob("init*.png"))
     if not inits:
-        raise TactipError(f"{folder} has no neutral image: a file init*.png")
+        raise TactipError(f"{folder} has no neutral image: add one named init*.png")
     rows = _rows(folder / "targets.csv")
     name = next((n for n in _NAMES if n in rows[0]), None)
     columns = [[f"{kind}_{k}" for k in range(1, 7)] for kind in ("pose", "move")]
-    lacking = [c for group in columns for c in group if c not in rows[0]]
-    if name is None or lacking:
-        what = f"none of {', '.join(_NAMES)}" if name is None else f"no {', '.join(lacking)}"
+    missing = [c for group in columns for c in group if c not in rows[0]]
+    if name is None or missing:
+        what = f"none of {', '.join(_NAMES)}" if name is None else f"no {', '.join(missing)}"
         raise TactipError(
             f"{folder / 'targets.csv'} has {what}: columns must be image_name, pose_1 … pose_6, move_1 … move_6"
         )
@@ -98,7 +98,7 @@ def _found(folder: Path, name: str) -> Path:
     for path in (folder / "images" / name, folder / name):
         if path.is_file():
             return path
-    raise TactipError(f"{folder} lacks the frame {name}, in it or in its folder images")
+    raise TactipError(f"the frame {name} does not exist in {folder} or its folder images")
 
 
 def _tap(path: Path) -> np.ndarray:
@@ -110,9 +110,9 @@ def _tap(path: Path) -> np.ndarray:
             f"{path} does not exist: it must give tap_move, the tap that makes contact, mm and degrees"
         ) from None
     except (ValueError, KeyError, TypeError) as error:
-        raise TactipError(f"{path} has no usable tap_move, six numbers in mm and degrees: {error}") from error
+        raise TactipError(f"{path} must give tap_move, six numbers in mm and degrees: {error}") from error
     if tap.shape != (6,) or not np.isfinite(tap).all() or not np.linalg.norm(tap[:3]) > 0 or tap[3:].any():
-        raise TactipError(f"{path}: tap_move is {tap.tolist()}: it must be six numbers, mm and degrees, a translation")
+        raise TactipError(f"tap_move in {path} must be a translation, six numbers in mm and degrees, got {tap.tolist()}")
     return from_mm_deg(tap)
 
 

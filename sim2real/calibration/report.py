@@ -12,7 +12,7 @@ from tactip_twin.sim2real.calibration.fit import Result
 from tactip_twin.sim2real.calibration.moves import LOAD_CELL_N, best_fraction, distances
 from tactip_twin.sim2real.calibration.rig import RigMotion
 from tactip_twin.sim2real.calibration.settings import Settings
-from tactip_twin.tactip_model.design_file import write_fitted
+from tactip_twin.tactip_model.design_file import write_fitted_design
 from tactip_twin.tactip_model.files import write_file
 
 RINGS = 8
@@ -159,7 +159,7 @@ def write_report(result: Result, real_name: str, settings: Settings, out: str | 
     _plot_pins(result, folder / "pins.png")
     _plot_curves(figures, folder / "curves.png")
     kept = ("real", "settings", "parameters", "rig", "neutral_px", "judged_frames", "frames_px", "force_n")
-    write_fitted(out, result.twin.design, {"by": "tactip calibrate"} | {k: figures[k] for k in kept})
+    write_fitted_design(out, result.twin.design, {"by": "tactip calibrate"} | {k: figures[k] for k in kept})
     return figures
 
 

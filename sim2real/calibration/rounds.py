@@ -23,7 +23,7 @@ from tactip_twin.sim2real.calibration.moves import (
     simulate_forces,
 )
 from tactip_twin.sim2real.calibration.parameters import Parameter, SensorOnRig, parameters
-from tactip_twin.tactip_model.neutral_image import as_built
+from tactip_twin.tactip_model.neutral_image import with_pin_offsets
 
 _FORCE_SPREAD = 0.15
 """Standard deviation of the logarithm of a load cell's force, -."""
@@ -69,7 +69,7 @@ class Calibrator:
         frames = frames or self._frames
         parts = np.array_split(np.arange(len(frames.commands)), min(16, len(frames.commands)))
         jobs = [(twin.design, twin.rig, fidelity, [frames.commands[i] for i in part], frames.tap) for part in parts]
-        skins = np.concatenate(self._progress(simulate_along, jobs, "shares of the moves"))
+        skins = np.concatenate(self._progress(simulate_along, jobs, "simulating moves"))
         return pin_pixels(twin.design, fidelity, skins)
 
     def misfit(self, twin: SensorOnRig, fidelity: str, count: int = 12) -> float:
@@ -124,7 +124,7 @@ class Calibrator:
         twins = [twin] + [p.moved(twin, 1.0) for p in mechanical]
         names = [None] + [p.name for p in mechanical]
         jobs = [(t.design, t.rig, fidelity, self._frames.commands, self._frames.tap, fractions) for t in twins]
-        skins = dict(zip(names, self._progress(simulate_at, jobs, "slopes"), strict=True))
+        skins = dict(zip(names, self._progress(simulate_at, jobs, "simulating slopes"), strict=True))
         pressed = list(self._executor.map(simulate_forces, [(t.design, fidelity) for t in twins]))
         forces = dict(zip(names, pressed, strict=True))
 
@@ -213,7 +213,7 @@ class Calibrator:
 
     def _rebuilt(self, twin: SensorOnRig) -> SensorOnRig:
         """Return the SensorOnRig with its pins where the neutral image has them, as it was when that was taken."""
-        return replace(twin, design=as_built(twin.design, self._neutral))
+        return replace(twin, design=with_pin_offsets(twin.design, self._neutral))
 
     def _progress(self, work: Callable[[_Job], np.ndarray], jobs: Sequence[_Job], what: str) -> list[np.ndarray]:
         return list(tqdm(self._executor.map(work, jobs), total=len(jobs), desc=what, leave=False))

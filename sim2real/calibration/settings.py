@@ -1,19 +1,25 @@
-"""Settings of a calibration. Light to import."""
+"""Settings of a calibration. Light to import, for the command line."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class Settings:
-    """How a calibration is run."""
+class FrameSelection:
+    """Frames that a calibration uses."""
 
     frames: int = 60
-    """Frames to fit, sampled from the first half of the set (rows 0, 2, 4 …)."""
+    """Number of frames to fit, sampled from one half of the set (rows 0, 2, 4 …); at least 10."""
     judged: int = 150
-    """Frames to test on, sampled from the other half (rows 1, 3, 5 …)."""
+    """Number of frames to test the fit on, sampled from the other half (rows 1, 3, 5 …); at least 10."""
+    seed: int = 0
+    """Seed of the choice of frames."""
+
+
+@dataclass(frozen=True)
+class Settings(FrameSelection):
+    """How a calibration is run."""
+
     rounds: tuple[str, ...] = ("draft", "draft", "standard", "standard")
     """Fidelity of each round of the fit."""
     judging: str = "standard"
     """Fidelity of the test."""
-    seed: int = 0
-    """Seed of the choice of frames."""

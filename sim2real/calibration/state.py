@@ -12,7 +12,7 @@ from tactip_twin.sim.parallel.resume import check_resumable
 from tactip_twin.sim2real.calibration.parameters import Parameter, SensorOnRig
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.files import write_file
-from tactip_twin.tactip_model.neutral_image import as_built
+from tactip_twin.tactip_model.neutral_image import with_pin_offsets
 
 
 def write_state(
@@ -58,9 +58,9 @@ def read_state(
         state = json.loads(path.read_text())
         recorded = state["of"]
     except (ValueError, KeyError, TypeError) as error:
-        raise TactipError(f"{path} is no state of a calibration ({error}): remove it to begin anew") from error
+        raise TactipError(f"{path} is not the state of a calibration ({error}): remove it to start again") from error
     check_resumable(path.parent, "calibration", recorded, identity)
     for p in chosen:
         twin = p.write(twin, state["values"][p.name])
-    twin = replace(twin, design=as_built(twin.design, neutral_px))
+    twin = replace(twin, design=with_pin_offsets(twin.design, neutral_px))
     return twin, np.array(state["deviations"]), state["rounds"]

@@ -66,11 +66,11 @@ def parse_column(spec: str) -> tuple[str, tuple[float, str | None, float]]:
     ours, equals, theirs = (part.strip() for part in str(spec).partition("="))
     theirs = theirs.replace(" ", "")
     if ours not in (*LABELS, *SHEARS):
-        raise TactipError(f"{spec!r} does not begin with a component: {', '.join((*LABELS, *SHEARS))}")
+        raise TactipError(f"a column must be mapped to one of {', '.join((*LABELS, *SHEARS))}, got {spec!r}")
     match = _TERM.fullmatch(theirs)
     if match:
         factor = float(match["factor"] or 1) * (-1 if match["sign"] == "-" else 1)
         return ours, (factor, match["column"], float(match["offset"] or 0))
     if equals and re.fullmatch(rf"[+-]?{_NUMBER}", theirs):
         return ours, (0.0, None, float(theirs))
-    raise TactipError(f"{spec!r} is not understood: it must be as pose_z=-pose_2-5, pose_Ry=0.5*angle or shear_x=0")
+    raise TactipError(f"a column must be written like pose_z=-pose_2-5, pose_Ry=0.5*angle or shear_x=0, got {spec!r}")

@@ -31,13 +31,13 @@ def convert_labels(column_map: ColumnMap, table: Mapping[str, Sequence[str]]) ->
         table: Cells (n,) of each column.
 
     Raises:
-        TactipError: Where a column is missing, or none is given and none has a name of ours.
+        TactipError: Where a column is missing, or none is mapped and none has the name of a component.
     """
     given = dict(parse_column(spec) for spec in column_map.columns)
     found = [name for name in (*LABELS, *SHEARS) if name in table]
     if not given and not found:
         raise TactipError(
-            "the table has none of our columns (pose_x … shear_Rz): say by --columns which is what, as pose_z=-pose_2-5; "
+            "the table has no column named pose_x … shear_Rz: map its columns with --columns, for example pose_z=-pose_2-5; "
             f"its columns are {', '.join(name + _span(cells) for name, cells in table.items())}"
         )
     count = len(next(iter(table.values())))

@@ -72,19 +72,19 @@ def import_set(
     out = Path(out)
     record = {"task": layout.column_map.task, "layout": layout.as_dict()}
     if layout.column_map.film_frame == ColumnMap.film_frame:
-        del record["layout"]["film_frame"]  # sets that were imported before there were films are the same still
+        del record["layout"]["film_frame"]  # written only where it differs from its default, so older sets keep their digest
     record |= {"source": {"name": source.folder.resolve().name, "targets_sha256": source.digest}}
     record["source"]["neutral_sha256"] = source.neutral and checksum(source.neutral.read_bytes())
     if not (out / _WORK).exists() and check_resumable(out, _KIND, _recorded(out, record), record):
         report = read_report(out)
         if report and ("camera" in report and (report["neutral_image"] or "stand_in" in report)):
-            log(f"{out} holds this set, imported already")
+            log(f"{out} already holds this set")
             return report
-        log(f"{out} was imported by an earlier version, which looked at less: it is imported anew")
+        log(f"{out} was imported by an earlier version, whose report is incomplete: importing it again")
     try:
         return _import(source, layout, out, record, quiet)
     except KeyboardInterrupt:
-        raise Interrupted("nothing is kept of an import that was stopped: the same command begins anew") from None
+        raise Interrupted("an import keeps no partial results: run the same command to start again") from None
 
 
 _WORK = ".importing"
@@ -116,9 +116,9 @@ def read_report(folder: str | Path) -> dict[str, Any] | None:
     try:
         report = json.loads(path.read_text())
     except ValueError as error:
-        raise TactipError(f"{path} cannot be read as JSON: {error}; import the set anew") from error
+        raise TactipError(f"{path} cannot be read as JSON: {error}; import the set again") from error
     if not isinstance(report, dict) or not {"pins", "neutral_image"} <= set(report):
-        raise TactipError(f"{path} is no report of an import: import the set anew")
+        raise TactipError(f"{path} is not an import report: import the set again")
     return report
 
 
@@ -126,7 +126,7 @@ def _import(source: Source, layout: Layout, out: Path, record: dict[str, Any], q
     neutral = None if source.neutral is None else load_neutral(source.neutral)
     reader = _reader(source, layout.preprocessing, neutral)
     out.mkdir(parents=True, exist_ok=True)
-    write_file(out / _WORK, b"")  # first of all, so what a kill leaves is known as ours
+    write_file(out / _WORK, b"")  # written first, so the folder of a killed import is recognized
     (out / "meta.json").unlink(missing_ok=True)  # of an earlier version's import: until the last file it is no set
     shutil.rmtree(out / "images", ignore_errors=True)
     (out / "images").mkdir()
@@ -135,20 +135,22 @@ def _import(source: Source, layout: Layout, out: Path, record: dict[str, Any], q
     for i, name in enumerate(bar):
         try:
             if not (np.isfinite(source.poses[i]).all() and np.isfinite(source.shears[i]).all()):
-                raise TactipError("its row has a cell that is no finite number")
+                raise TactipError("its row has a value that is not a finite number")
             binary = reader.masked(source.load(i))
             pins[i], images[i] = len(find_blobs(binary).centres), encode_image(reader.shrunk(binary))
         except TactipError as error:
             left_out.append({"row": i, "frame": name, "why": str(error)})
     usual = float(np.median(list(pins.values()))) if pins else 0.0
     for i in [i for i, count in pins.items() if count < MIN_PIN_FRACTION * usual or not count]:
-        left_out.append({"row": i, "frame": source.names[i], "why": f"{pins[i]} pins are seen, {usual:g} in most"})
+        left_out.append({"row": i, "frame": source.names[i], "why": f"{pins[i]} pins detected, the median is {usual:g}"})
         del images[i]
     kept = np.array(sorted(images), int)
     if len(left_out) > _MAX_LEFT_OUT_FRACTION * len(source.names):
         first = left_out[0]
-        what = f"{len(left_out)} of {len(source.names)} frames do not fit, as {first['frame']!r}: {first['why']}"
-        raise TactipError(f"{what}; is the layout right?")
+        what = (
+            f"{len(left_out)} of {len(source.names)} frames cannot be used, for example {first['frame']!r}: {first['why']}"
+        )
+        raise TactipError(f"{what}; check the layout")
     for k, i in enumerate(kept):
         write_file(out / "images" / image_name(k), images[i])
     report = report_of(source, kept, pins, left_out) | {"neutral_image": neutral is not None}
@@ -194,7 +196,7 @@ def _reader(source: Source, options: ImagePreprocessing, neutral: np.ndarray | N
         if first is not None:
             reader.read(first)
     except TactipError as error:
-        raise TactipError(f"the {'frames do' if neutral is None else 'neutral image does'} not fit: {error}") from error
+        raise TactipError(f"the {'frames' if neutral is None else 'neutral image'} cannot be used: {error}") from error
     return reader
 
 

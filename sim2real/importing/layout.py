@@ -55,9 +55,11 @@ def read_layout(path: str | Path) -> Layout:
         raise TactipError(f"the layout file {path} is not JSON: {error}") from error
     known = {*_TABLE_KEYS, *_FRAME_KEYS}
     if not isinstance(content, dict) or set(content) - known:
-        strange = sorted(set(content) - known) if isinstance(content, dict) else [type(content).__name__]
-        raise TactipError(f"the layout file {path} has {', '.join(strange)}: its fields are {', '.join(sorted(known))}")
+        unknown = sorted(set(content) - known) if isinstance(content, dict) else [type(content).__name__]
+        raise TactipError(
+            f"unknown field {', '.join(unknown)} in the layout file {path}: its fields are {', '.join(sorted(known))}"
+        )
     try:
         return Layout.from_dict(content)
     except TypeError as error:
-        raise TactipError(f"the layout file {path} has a value of the wrong kind: {error}") from error
+        raise TactipError(f"the layout file {path} has a value of the wrong type: {error}") from error

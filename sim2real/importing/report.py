@@ -39,30 +39,31 @@ def report_lines(report: Mapping[str, Any]) -> list[str]:
     """Return a report as lines of text."""
     pins = report["pins"]
     lines = [
-        f"{report['kept']} of {report['frames']} frames; {pins['median']:g} pins in most, {pins['least']} to {pins['most']}",
+        f"{report['kept']} of {report['frames']} frames imported; pins: median {pins['median']:g}, "
+        f"{pins['least']} to {pins['most']}",
     ]
     for name, (low, high) in report["ranges"].items():
         if low or high:
             lines.append(f"{name}: {low:g} to {high:g} {'°' if '_R' in name else 'mm'}")
     if report["ranges"]["pose_z"][0] + report["ranges"]["pose_z"][1] > 0:
-        lines.append("pose_z is mostly positive, and is negative into the object: is its sign right (--columns pose_z=-…)?")
+        lines.append("pose_z is mostly positive, but must be negative into the object: check its sign (--columns pose_z=-…)")
     if not report["neutral_image"]:
         low, high = report["stand_in"]["pose_z"]
         many = report["stand_in"]["frames"]
         what = (
-            f"the middle of {many} of the shallowest frames, {low:g} to {high:g} mm,"
+            f"the median of {many} of the shallowest frames ({low:g} to {high:g} mm)"
             if many > 1
-            else f"a frame at {low:g} mm"
+            else f"one frame at {low:g} mm"
         )
-        lines.append(f"there is no neutral image: {what} stands for it")
+        lines.append(f"no neutral image: replaced by {what}")
     elif report["camera"]:
         zoom, drift = report["camera"]["zoom"], report["camera"]["drift"]
         lines.append(
-            f"by the light at the rim the image is {zoom:.4f} times the neutral one, and moved by {drift[0]:+.4f} and "
-            f"{drift[1]:+.4f} of its width"
+            f"reflections at the rim: image scale {zoom:.4f} relative to the neutral image, shift {drift[0]:+.4f} and "
+            f"{drift[1]:+.4f} image widths"
         )
     else:
-        lines.append("too little light at the rim to tell by it how the camera has changed since the neutral image")
+        lines.append("too little light at the rim to measure the camera's change since the neutral image")
     lines += [f"left out: {one['frame'] or 'row ' + str(one['row'])}: {one['why']}" for one in report["left_out"][:5]]
     if len(report["left_out"]) > 5:
         lines.append(f"and {len(report['left_out']) - 5} more: see import.json")
@@ -104,6 +105,6 @@ def _tile(frame: np.ndarray, reader: FrameReader, caption: str) -> np.ndarray:
     masked = cv2.cvtColor(cv2.resize(binary, size, interpolation=cv2.INTER_AREA), cv2.COLOR_GRAY2BGR)
     for x, y in (find_blobs(binary).centres + 0.5) * scale:
         cv2.circle(masked, (round(x), round(y)), 5, (60, 160, 255), 1, cv2.LINE_AA)
-    words = np.full((24, _TILE, 3), 255, np.uint8)
-    cv2.putText(words, caption, (3, 16), cv2.FONT_HERSHEY_SIMPLEX, 0.4, (0, 0, 0), 1, cv2.LINE_AA)
-    return np.concatenate([cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR), masked, words], 0)
+    label = np.full((24, _TILE, 3), 255, np.uint8)
+    cv2.putText(label, caption, (3, 16), cv2.FONT_HERSHEY_SIMPLEX, 0.4, (0, 0, 0), 1, cv2.LINE_AA)
+    return np.concatenate([cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR), masked, label], 0)

@@ -13,7 +13,7 @@ from tactip_twin.sim.dataset.format import checksum
 from tactip_twin.sim2real.importing.column_map import ColumnMap
 from tactip_twin.sim2real.importing.convert_labels import convert_labels, image_column
 from tactip_twin.sim2real.sensor.preprocess import IMAGES, load
-from tactip_twin.sim2real.sensor.video_frames import FILMS
+from tactip_twin.sim2real.sensor.video_frames import VIDEOS
 from tactip_twin.tactip_model.errors import TactipError
 
 FOLDERS = ("images", "frames", "frames_bw", "videos", "")
@@ -43,15 +43,15 @@ class Source:
     """Image of the undeformed tip, if there is one."""
     digest: str
     """Checksum of the table."""
-    film_frame: int = -1
+    video_frame: int = -1
     """Frame that is used of a video (ColumnMap.film_frame)."""
 
     def load(self, i: int) -> np.ndarray:
         """Return frame i, (h, w, 3) uint8. Raises TactipError where it is missing or cannot be read."""
         path = self.paths[i]
         if path is None:
-            raise TactipError("the frame is not there")
-        return load(path, self.film_frame)
+            raise TactipError("the file does not exist")
+        return load(path, self.video_frame)
 
 
 def read_source(
@@ -70,13 +70,13 @@ def read_source(
     """
     folder = Path(folder)
     if not folder.is_dir():
-        raise TactipError(f"{folder} is no folder: it must hold a table targets.csv and frames")
+        raise TactipError(f"{folder} is not a folder: it must hold a table targets.csv and frames")
     path = Path(targets) if targets else _table_in(folder)
     try:
         data = path.read_bytes()
         rows = list(csv.DictReader(io.StringIO(data.decode("utf-8-sig"))))
     except FileNotFoundError:
-        raise TactipError(f"the table {path} does not exist: name it by --targets") from None
+        raise TactipError(f"the table {path} does not exist: name the table with --targets") from None
     except (UnicodeDecodeError, csv.Error) as error:
         raise TactipError(f"the table {path} cannot be read: {error}") from error
     if not rows:
@@ -90,7 +90,7 @@ def read_source(
     paths = tuple(_frame_path(folder, name) for name in names)
     if not any(paths):
         places = ", ".join(str(folder / f) for f in FOLDERS)
-        raise TactipError(f"no frame of the table is there: {names[0]!r} was looked for in {places}")
+        raise TactipError(f"none of the table's frames exists: {names[0]!r} was searched in {places}")
     neutral = Path(neutral) if neutral else next(iter(found), None)
     return Source(folder, names, paths, poses, shears, neutral, checksum(data), column_map.film_frame)
 
@@ -102,7 +102,7 @@ def _table_in(folder: Path) -> Path:
     if path in tables or not tables:
         return path
     if len(tables) > 1:
-        raise TactipError(f"{folder} has no targets.csv: name its table by --targets, {' or '.join(map(str, tables))}")
+        raise TactipError(f"{folder} has no targets.csv: name the table with --targets, {' or '.join(map(str, tables))}")
     return tables[0]
 
 
@@ -113,7 +113,7 @@ def _frame_path(folder: Path, name: str) -> Path | None:
         return None
     for place in FOLDERS:
         for tail in dict.fromkeys((name, Path(name).name)):
-            for suffix in ("", ".png", ".jpg", *FILMS):
+            for suffix in ("", ".png", ".jpg", *VIDEOS):
                 path = folder / place / f"{tail}{suffix}"
                 if path.is_file():
                     return path
@@ -124,7 +124,7 @@ def pin_detection_frames(source: Source) -> list[np.ndarray]:
     """Return PIN_DETECTION_FRAMES frames spread over a Source: those that can be read and are as large as the first."""
     frames = []
     for i in spread([i for i, path in enumerate(source.paths) if path]):
-        with contextlib.suppress(TactipError):  # it is left out, and reported, when its turn comes
+        with contextlib.suppress(TactipError):  # the import leaves it out later, and reports it
             frames.append(source.load(i))
     return [frame for frame in frames if frame.shape == frames[0].shape]
 

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from tactip_twin.sim2real.sensor.preprocess import IMAGES, load
-from tactip_twin.sim2real.sensor.video_frames import quiet
+from tactip_twin.sim2real.sensor.video_frames import silence_opencv
 from tactip_twin.tactip_model.errors import TactipError
 
 _MAX_SILENCE_S = 3.0
@@ -21,10 +21,12 @@ class CameraFrames:
     def __init__(self, device: int, max_silence_s: float = _MAX_SILENCE_S) -> None:
         """Open a camera by its number. Raises TactipError where there is none."""
         self._device, self._max_silence_s = device, max_silence_s
-        with quiet():
+        with silence_opencv():
             self._capture = cv2.VideoCapture(device)
         if not self._capture.isOpened():
-            raise TactipError(f"the camera {device} cannot be opened: is it plugged in, and not in use by another program?")
+            raise TactipError(
+                f"camera {device} cannot be opened: check that it is plugged in and not used by another program"
+            )
         # A queued frame would show a touch that is over.
         self._capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
 
@@ -38,7 +40,7 @@ class CameraFrames:
                 yield frame
             elif time.monotonic() - last > self._max_silence_s:
                 raise TactipError(
-                    f"the camera {self._device} has given no frame for {self._max_silence_s:g} s: is it unplugged?"
+                    f"no frame from camera {self._device} for {self._max_silence_s:g} s: check that it is plugged in"
                 )
             else:
                 time.sleep(0.01)
@@ -55,10 +57,10 @@ class ImageFrames:
         """List the images of a folder. Raises TactipError where there is none."""
         folder = Path(folder)
         if not folder.is_dir():
-            raise TactipError(f"{folder} is no folder of images")
+            raise TactipError(f"{folder} is not a folder of images")
         self._paths = sorted((p for p in folder.iterdir() if p.suffix.lower() in IMAGES), key=_by_number)
         if not self._paths:
-            raise TactipError(f"there is no image in {folder}: {', '.join(IMAGES)} are looked for")
+            raise TactipError(f"no image in {folder}: supported file types are {', '.join(IMAGES)}")
 
     def __iter__(self) -> Iterator[np.ndarray]:
         """Yield frames (h, w, 3) uint8. Raises TactipError on one that cannot be read."""

@@ -65,7 +65,7 @@ class LiveSensor:
             TactipError: Where the network takes images of another size.
         """
         if model and model.size != options.size_px:
-            raise TactipError(f"the images are {options.size_px} px wide, the network takes {model.size} px")
+            raise TactipError(f"size_px must be {model.size} for this network, got {options.size_px}")
         self._frames, self._options, self._model, self._neutral = frames, options, model, neutral
 
     def __iter__(self) -> Iterator[Reading]:
@@ -84,12 +84,12 @@ class LiveSensor:
                 image = reader.shrunk(binary)
             except TactipError as error:
                 if number == 0:
-                    raise TactipError(f"the frames do not fit: {error}") from error
+                    raise TactipError(f"the first frame cannot be used: {error}") from error
                 size = self._options.size_px
                 yield Reading(number, time.perf_counter() - start, 0, np.zeros((size, size), np.uint8), {}, str(error))
                 continue
             pins = len(find_blobs(binary).centres)
-            fault = "" if pins >= MIN_PIN_FRACTION * usual else f"{pins} pins are seen, {usual} were in the undeformed tip"
+            fault = "" if pins >= MIN_PIN_FRACTION * usual else f"{pins} pins detected, the undeformed tip has {usual}"
             predicted = {} if fault or self._model is None else _predicted(self._model, image)
             yield Reading(number, time.perf_counter() - start, pins, image, predicted, fault)
 
@@ -98,10 +98,12 @@ class LiveSensor:
         try:
             reader = FrameReader(self._options, neutral)
         except TactipError as error:
-            raise TactipError(f"the first frame shows no tip: {error}; are light, threshold and crop right?") from error
+            raise TactipError(f"no tip in the first frame: {error}; check light, threshold and crop") from error
         usual = len(find_blobs(reader.masked(neutral)).centres)
         if usual < _MIN_PINS:
-            raise TactipError(f"the first frame shows {usual} pins: are light, threshold and crop right?")
+            raise TactipError(
+                f"the first frame must show at least {_MIN_PINS} pins, got {usual}: check light, threshold and crop"
+            )
         return reader, usual, time.perf_counter()
 
 

@@ -5,7 +5,7 @@ from tactip_twin.sim2real.sensor.live import Reading
 
 
 class CameraPage:
-    """A page that shows Readings as they come."""
+    """A page that shows each Reading."""
 
     def __init__(self, title: str, host: str = LOCAL, port: int = 8080) -> None:
         """Start to serve the page.
@@ -30,12 +30,12 @@ class CameraPage:
         lines = [f"frame {reading.number}, {reading.pins} pins, {rate:.1f} frames/s"]
         if reading.predicted:
             rows = [f"| {name} | {value:.2f} {'°' if '_R' in name else 'mm'} |" for name, value in reading.predicted.items()]
-            lines.append("\n".join(["| | felt |", "|---|---|", *rows]))
+            lines.append("\n".join(["| | predicted |", "|---|---|", *rows]))
         lines += [f"**{reading.fault}**"] if reading.fault else []
         with self._server.atomic():
             self._text.content = "\n\n".join(lines)
             if self._image is None:
-                self._image = self._server.gui.add_image(grey(reading.image), label="felt", format="png")
+                self._image = self._server.gui.add_image(grey(reading.image), label="tactile image", format="png")
             else:
                 self._image.image = grey(reading.image)
 

@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 
 from tactip_twin.sim2real.sensor.preprocessing_options import ImagePreprocessing
-from tactip_twin.sim2real.sensor.video_frames import FILMS, frame_of
+from tactip_twin.sim2real.sensor.video_frames import VIDEOS, frame_of
 from tactip_twin.tactip_model.design import TactileImage
 from tactip_twin.tactip_model.errors import TactipError
-from tactip_twin.tactip_model.mask import pin_area, pins_of
+from tactip_twin.tactip_model.mask import detect_pins, pin_area
 from tactip_twin.tactip_model.tactile_image import binary_frame, tactile_image
 
 IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
@@ -31,20 +31,20 @@ _MARGIN = 1.28
 """Half of the width of a frame, in distances of the outermost pins from the middle, as the presets' cameras have it."""
 
 
-def load(path: str | Path, film_frame: int = -1) -> np.ndarray:
+def load(path: str | Path, video_frame: int = -1) -> np.ndarray:
     """Return a frame (h, w, 3) uint8: an image, or one frame of a video.
 
     Args:
         path: Image or video.
-        film_frame: Frame of a video: 0 is the first, -1 the last.
+        video_frame: Frame of a video: 0 is the first, -1 the last.
 
     Raises:
         TactipError: Where it cannot be read.
     """
     if not Path(path).is_file():
         raise TactipError("it does not exist")
-    if Path(path).suffix.lower() in FILMS:
-        return frame_of(path, film_frame)
+    if Path(path).suffix.lower() in VIDEOS:
+        return frame_of(path, video_frame)
     frame = cv2.imread(str(path), cv2.IMREAD_COLOR)
     if frame is None:
         raise TactipError("it cannot be read as an image")
@@ -73,14 +73,14 @@ def check_frame(frame: np.ndarray, options: ImagePreprocessing) -> None:
         block = min(frame.shape[:2]) // 6 | 1
         raise TactipError(
             f"{grey:.0%} of its pixels are neither black nor white: frames must be binary, or give --threshold {block} -5 "
-            "(width of the block whose mean a pixel is compared with, and by how much a pin is brighter, negative)"
+            "(block width in px, and minus the brightness of a pin above the mean of its block)"
         )
 
 
 def _crop_round_pins(binary: np.ndarray) -> str:
     """Return a proper crop of a binary frame (h, w) as text, with numbers where pins are detected."""
     try:
-        pins = pins_of(binary)
+        pins = detect_pins(binary)
     except TactipError:
         return "LEFT TOP RIGHT BOTTOM"
     low, high = pins.min(0), pins.max(0)
@@ -89,7 +89,7 @@ def _crop_round_pins(binary: np.ndarray) -> str:
     ends = np.array([width, height]) - 1
     half = min(_MARGIN * np.linalg.norm(pins - middle, axis=1).max(), *middle, *(ends - middle))
     left, top, right, bottom = np.rint([*(middle - half), *(middle + half + 1)]).astype(int)
-    return f"{left} {top} {right} {bottom}, which has the pins in its middle"
+    return f"{left} {top} {right} {bottom}, which centers the pins"
 
 
 class FrameReader:
@@ -132,8 +132,8 @@ class FrameReader:
         if self.shape is None:
             self.shape = frame.shape[:2]
         if frame.shape[:2] != self.shape:
-            one, other = (f"{w} by {h} px" for h, w in (frame.shape[:2], self.shape))
-            raise TactipError(f"it is {one}, the others are {other}")
+            one, other = (f"{w}×{h} px" for h, w in (frame.shape[:2], self.shape))
+            raise TactipError(f"it must be {other} like the others, got {one}")
         binary = self.binary(frame)
         return binary if self._mask is None else np.where(self._mask, binary, 0).astype(np.uint8)
 
@@ -157,7 +157,7 @@ class FrameReader:
     def _square(self, binary: np.ndarray, size: int) -> np.ndarray:
         left, top, right, bottom = self._image.crop or (0, 0, *binary.shape[::-1])
         if abs((right - left) / max(bottom - top, 1) - 1) > _MAX_OBLONG:
-            problem = f"what is used of it is {right - left} by {bottom - top} px, and should be square"
+            problem = f"the used part of the frame must be square, got {right - left}×{bottom - top} px"
             raise TactipError(f"{problem}: give --crop {_crop_round_pins(binary)}")
         return tactile_image(binary, replace(self._image, size_px=size))
 

@@ -11,22 +11,22 @@ import numpy as np
 
 from tactip_twin.tactip_model.errors import TactipError
 
-FILMS = (".mp4", ".avi", ".mov", ".mkv")
+VIDEOS = (".mp4", ".avi", ".mov", ".mkv")
 """File endings of videos."""
 
 
-class FilmFrames:
+class VideoFrames:
     """Frames of a video, in order."""
 
     def __init__(self, path: str | Path) -> None:
         """Open a video. Raises TactipError where the file is none."""
         self._path = Path(path)
         if not self._path.is_file():
-            raise TactipError(f"the film {path} does not exist")
-        with quiet():
+            raise TactipError(f"the video {path} does not exist")
+        with silence_opencv():
             self._capture = cv2.VideoCapture(str(path))
         if not self._capture.isOpened():
-            raise TactipError(f"{path} cannot be read as a film")
+            raise TactipError(f"{path} cannot be read as a video")
 
     def __iter__(self) -> Iterator[np.ndarray]:
         """Yield frames (h, w, 3) uint8. Raises TactipError where there is none."""
@@ -38,7 +38,7 @@ class FilmFrames:
             count += 1
             yield frame
         if not count:
-            raise TactipError(f"{self._path} cannot be read as a film: it has no frame")
+            raise TactipError(f"{self._path} cannot be read as a video: it has no frame")
 
     def close(self) -> None:
         """Close the video."""
@@ -55,19 +55,19 @@ def frame_of(path: str | Path, index: int) -> np.ndarray:
     Raises:
         TactipError: Where the video cannot be read or has no such frame.
     """
-    film = FilmFrames(path)
+    video = VideoFrames(path)
     try:
-        found = list(islice(film, index, index + 1)) if index >= 0 else deque(film, -index)
+        found = list(islice(video, index, index + 1)) if index >= 0 else deque(video, -index)
     finally:
-        film.close()
+        video.close()
     if len(found) < (1 if index >= 0 else -index):
-        raise TactipError(f"the film has no frame {index} (0 is the first, -1 the last)")
+        raise TactipError(f"the video has no frame {index} (0 is the first, -1 the last)")
     return found[0]
 
 
 @contextlib.contextmanager
-def quiet() -> Iterator[None]:
-    """Silence OpenCV's log about files and devices that cannot be opened: the error says it."""
+def silence_opencv() -> Iterator[None]:
+    """Silence OpenCV's log about files and devices that cannot be opened: the error raised afterwards names it."""
     before = cv2.utils.logging.getLogLevel()
     cv2.utils.logging.setLogLevel(0)
     try:

@@ -14,7 +14,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from tactip_twin.learning.configuration import Recipe
+from tactip_twin.learning.configuration import DeviceName, Recipe
 from tactip_twin.learning.data import Samples, read_samples
 from tactip_twin.learning.model import Model, load_model, load_network
 from tactip_twin.learning.optics_ranges import noiseless
@@ -74,13 +74,13 @@ def split_of(samples: Samples, settings: TransferSettings) -> RealSplit:
         known = min(_TRAIN_FRAMES, round(_MAX_TRAIN_FRACTION * len(samples)))
         if known < _MIN_TRAIN_FRAMES:
             raise TactipError(
-                f"{samples.folder} has {len(samples)} frames: "
-                f"at least {round(_MIN_TRAIN_FRAMES / _MAX_TRAIN_FRACTION)} are needed"
+                f"at least {round(_MIN_TRAIN_FRAMES / _MAX_TRAIN_FRACTION)} real frames are needed, "
+                f"got {len(samples)} in {samples.folder}"
             )
     if len(samples) < known + 20:
         raise TactipError(
-            f"{samples.folder} has {len(samples)} frames: with {known} to learn from, 20 or more must be "
-            f"left to test on; ask for at most {max(0, len(samples) - 20)} by --real-frames"
+            f"real_frames must be at most {max(0, len(samples) - 20)}, so 20 of the {len(samples)} frames in "
+            f"{samples.folder} are left to test on, got {known}"
         )
     order = np.random.default_rng(settings.seed).permutation(len(samples))
     return RealSplit(samples.take(order[:known]), samples.take(np.sort(order[known:])))
@@ -134,7 +134,7 @@ class Experiment:
         out: str | Path,
         settings: TransferSettings,
         workers: str | int = "auto",
-        device: str = "auto",
+        device: DeviceName = "auto",
         log: Callable[[str], None] = print,
     ) -> None:
         """Read the real set.
@@ -151,15 +151,16 @@ class Experiment:
             TactipError: Where the set cannot be used, or a name in the settings is unknown.
         """
         self.real, self.out, self.settings = Path(real), Path(out), settings
-        self._workers, self._device, self._log = worker_count(workers), device, log
+        self._device: DeviceName = device
+        self._workers, self._log = worker_count(workers), log
         self.samples = read_samples(self.real)
         self.split = split_of(self.samples, settings)
         self.task = self.samples.labels.task
         depth = float(np.median(self.samples.dataset.poses[:, 2]))
         if depth > 0:
             raise TactipError(
-                f"pose_z of {self.real} is {depth:g} mm in the middle, and must be negative into the object: import it anew "
-                "with --columns pose_z=-COLUMN"
+                f"the median pose_z of {self.real} must be negative (into the object), got {depth:g} mm: import the set "
+                "again with --columns pose_z=-COLUMN"
             )
         # Unknown names are reported before anything is made.
         fidelity_named(settings.fidelity)
@@ -193,12 +194,10 @@ class Experiment:
             design = with_camera_drift(self._given_design, camera_of(self.real))
             return replace(design, image=replace(design.image, size_px=self.samples.size))
         if self._fitted is None:
-            self._log("the tip and its camera are fitted to its image at rest")
+            self._log("fitting tip and camera to the neutral image")
             self._fitted, figures = fit_design_to_neutral_image(self.real, self.samples.size)
             if figures["pressed_mm"]:
-                self._log(
-                    f"there is no such image: a press of {figures['pressed_mm']:.2f} mm is taken off its shallowest frames"
-                )
+                self._log(f"no neutral image: removed a press of {figures['pressed_mm']:.2f} mm from its replacement")
             self.out.mkdir(parents=True, exist_ok=True)
             write_design(self.out / "design.json", self._fitted, {"neutral_image_of": self.real.name, **figures})
         return self._fitted
@@ -215,7 +214,7 @@ class Experiment:
         """Return the median number of pins in a frame."""
         report = read_report(self.real)
         if report is None:
-            raise TactipError(f"{self.real} has no import.json: it is no set that tactip import made")
+            raise TactipError(f"{self.real} has no import.json: import the set with tactip import")
         return report["pins"]["median"]
 
     def _job(self, design: Design, variant: Variant, split: Split) -> Job:

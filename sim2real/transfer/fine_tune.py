@@ -15,6 +15,7 @@ import torch
 from tqdm import tqdm
 
 from tactip_twin.learning.augmentation import OpticsAugmentation
+from tactip_twin.learning.configuration import DeviceName
 from tactip_twin.learning.data import Samples
 from tactip_twin.learning.device import device_named
 from tactip_twin.learning.model import DESCRIPTION, WEIGHTS, Model, net_sha256, save_model, to_input
@@ -53,7 +54,7 @@ def fine_tune(
     real: Samples,
     settings: FineTuning,
     folder: str | Path,
-    device: str = "auto",
+    device: DeviceName = "auto",
     log: Callable[[str], object] = print,
 ) -> None:
     """Fine-tune a network and write it to a folder. A network that is there already is left as it is.
@@ -81,17 +82,17 @@ def fine_tune(
     }
     # Weights without a description are what an interruption leaves.
     if check_resumable(folder, "fine-tuned network", _recorded(folder, record), record, own=(WEIGHTS,)):
-        log(f"{folder} holds this network already")
+        log(f"{folder} already holds this network")
         return
     if not len(real):
-        raise TactipError("there are no real frames to fine-tune with: at least 1 is needed")
+        raise TactipError("fine-tuning needs at least 1 real frame, got 0")
     device = device_named(device)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(settings.seed)
         try:
             state = _steps(model, simulated, real, settings, device)
         except KeyboardInterrupt:
-            raise Interrupted("the same command begins this fine-tuning anew") from None
+            raise Interrupted("fine-tuning keeps no partial results: run the same command to start again") from None
     folder.mkdir(parents=True, exist_ok=True)
     save_model(folder, state, model.config, model.labels, model.size, model.provenance | record)
 

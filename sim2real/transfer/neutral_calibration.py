@@ -56,11 +56,11 @@ def fit_design_to_neutral_image(folder: Path, size_px: int) -> tuple[Design, dic
     image, tactile = (cv2.imread(str(folder / name), cv2.IMREAD_GRAYSCALE) for name in (NEUTRAL, NEUTRAL_TACTILE))
     if image is None:
         raise TactipError(
-            f"{folder} has no {NEUTRAL}, it was imported by an earlier version: import the set anew, or name a design by "
+            f"{folder} has no {NEUTRAL} because an earlier version imported it: import the set again, or give a design with "
             "--design"
         )
     if tactile is None:
-        raise TactipError(f"{folder} has no {NEUTRAL_TACTILE}, it was imported by an earlier version: import the set anew")
+        raise TactipError(f"{folder} has no {NEUTRAL_TACTILE} because an earlier version imported it: import the set again")
     blobs = len(find_blobs(image).centres)
     name = _nearest(blobs)
     design, fit = fit_neutral(replace(NOMINAL[name], name=folder.resolve().name), image)

@@ -60,8 +60,7 @@ def sim_to_real_gap(
     good = np.isfinite(real[..., 0]).mean(1) > _MIN_PIN_FRACTION
     if not good.any():
         raise TactipError(
-            f"in none of {len(good)} frames {_MIN_PIN_FRACTION:.0%} of the pins of {design.name!r} are found: "
-            "is it the design?"
+            f"none of {len(good)} frames shows {_MIN_PIN_FRACTION:.0%} of the pins of {design.name!r}: check the design"
         )
     simulated, images = _simulated(chosen.take(good), design, fidelity)
     real, chosen = real[good], chosen.take(good)
@@ -71,8 +70,8 @@ def sim_to_real_gap(
     right = np.nanmedian(np.linalg.norm(fitted - real, axis=-1), 1) < between / 2
     if not right.any():
         raise TactipError(
-            f"in none of {len(good)} frames the pins of {design.name!r} are nearer to those seen than to their neighbours: "
-            "is it the design?"
+            f"none of {len(good)} frames shows the pins of {design.name!r} nearer to their predictions than to their "
+            "neighbours: check the design"
         )
     chosen = chosen.take(right)
     real, fractions, fitted, simulated, images = (a[right] for a in (real, fractions, fitted, simulated, images))
@@ -105,7 +104,7 @@ def _simulated(samples: Samples, design: Design, fidelity: str) -> tuple[np.ndar
     pins, images = [], []
     for pose, shear in zip(tqdm(poses, unit="contact", file=sys.stderr, mininterval=5), shears, strict=True):
         skins, contacts = [], []
-        for contact in simulator.stages(from_mm_deg(pose), from_mm_deg(shear), MOVE_FRACTIONS):
+        for contact in simulator.simulate_partial_shears(from_mm_deg(pose), from_mm_deg(shear), MOVE_FRACTIONS):
             skins.append(simulator.scene.vertices()[: simulator.scene.mesh.surface_count])
             contacts.append((contact.tips, contact.directions))
         pins.append(pin_pixels(design, fidelity, np.array(skins)))

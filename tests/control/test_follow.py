@@ -75,7 +75,7 @@ def over(world, length_m=0.012):
 def test_a_ball_is_followed(arm):
     world = World("sphere", arm)
     explorer = world.explore(world.start([0, 0, 0.06]), over(world))
-    assert explorer.stopped_because == "the route is done"
+    assert explorer.stopped_because == "route completed"
     assert not explorer.events
     labels = world.true_labels()
     assert len(labels) >= 11
@@ -91,7 +91,7 @@ def test_an_edge_is_followed_to_its_end():
     world = World("edge", task="edge")
     start = world.start([0.06, 0, 0])
     explorer = world.explore(start, EdgePath(max_length_m=0.01))
-    assert "longer than 10 mm" in explorer.stopped_because
+    assert explorer.stopped_because == "stopped at the path limit of 10 mm"
     labels = world.true_labels()
     assert np.abs(labels[:, 0]).max() < 0.1
     assert np.abs(labels[:, 2] + 3).max() < 0.1
@@ -136,7 +136,7 @@ def wild(sight):
 def test_a_passing_fault_is_noted_and_overcome(fault, kind):
     world = World("plate")
     explorer = world.explore(world.start([0, 0, 0]), over(world), Scripted(world, {20: fault}), centre_steps=5)
-    assert explorer.stopped_because == "the route is done"
+    assert explorer.stopped_because == "route completed"
     assert [e.kind for e in explorer.events] == [kind]
 
 
@@ -145,7 +145,8 @@ def test_a_lasting_fault_ends_the_route_with_its_reason():
     said = dict.fromkeys(range(12, 400), wild)
     explorer = world.explore(world.start([0, 0, 0]), over(world), Scripted(world, said), most_trouble=2)
     assert (
-        "estimate out of range again and again: pose_Rx is felt as 40.0 ° (learned: -15 to 15)" in explorer.stopped_because
+        "estimate out of range 3 times in a row: pose_Rx predicted as 40.0 ° (training range: -15 to 15)"
+        in explorer.stopped_because
     )
     assert len(explorer.events) == 3
 
@@ -153,7 +154,7 @@ def test_a_lasting_fault_ends_the_route_with_its_reason():
 def test_nothing_to_touch_is_said():
     world = World("plate")
     explorer = world.explore(world.start([0, 0, 0], off_mm=9), over(world), search_mm=2.0)
-    assert explorer.stopped_because == "nothing is felt within 2 mm"
+    assert explorer.stopped_because == "no contact detected within 2 mm"
 
 
 def test_the_end_of_the_object_ends_the_route():
@@ -161,7 +162,7 @@ def test_the_end_of_the_object_ends_the_route():
     stops."""
     world = World("plate")
     explorer = world.explore(world.start([0.076, 0, 0]), over(world, 0.2), search_mm=3.0, centre_steps=3)
-    assert explorer.stopped_because.startswith(("nothing is felt", "contact lost", "estimate out of range"))
+    assert explorer.stopped_because.startswith(("no contact detected", "contact lost", "estimate out of range"))
     assert {e.kind for e in explorer.events} <= {"contact lost", "estimate out of range"}
     assert explorer.events
 
@@ -169,7 +170,7 @@ def test_the_end_of_the_object_ends_the_route():
 def test_too_high_a_force_backs_off():
     world = World("plate")
     explorer = world.explore(world.start([0, 0, 0]), over(world), most_force_n=0.8, most_trouble=1)
-    assert explorer.stopped_because.startswith("force again and again")
+    assert explorer.stopped_because.startswith("force 2 times in a row: ")
     assert explorer.events[0].kind == "force"
 
 
@@ -186,7 +187,7 @@ def test_a_search_that_feels_nothing_stops_at_the_force():
     world = World("plate")
     numb = Scripted(world, dict.fromkeys(range(400), lost))
     explorer = world.explore(world.start([0, 0, 0]), over(world), numb, search_mm=8.0, most_force_n=2.0)
-    assert explorer.stopped_because.startswith("nothing is felt, and yet there is force: ")
+    assert explorer.stopped_because.startswith("no contact detected in the image, but force: ")
     assert [e.kind for e in explorer.events] == ["force"]
     forces = [np.linalg.norm(s.touch.force) for s in world.steps]
     assert forces[-1] > 2.0 >= max(forces[:-1])
@@ -206,23 +207,23 @@ def test_the_arm_s_reach_ends_a_route():
 
 def test_a_simulation_that_loses_the_tip_begins_again(monkeypatch):
     world = World("plate")
-    calls, touch = [], world.finger.touch
+    calls, tip_state = [], world.finger.tip_state
 
     def torn():
         calls.append(1)
         if len(calls) == 15:
             raise Diverged("the simulated tip is lost")
-        return touch()
+        return tip_state()
 
-    monkeypatch.setattr(world.finger, "touch", torn)
+    monkeypatch.setattr(world.finger, "tip_state", torn)
     explorer = world.explore(world.start([0, 0, 0]), over(world), centre_steps=3)
-    assert explorer.stopped_because == "the route is done"
+    assert explorer.stopped_because == "route completed"
     assert next(e.kind for e in explorer.events) == "diverged"
 
 
 def test_a_start_inside_of_the_object_is_refused():
     world = World("plate")
-    with pytest.raises(TactipError, match="begin further off"):
+    with pytest.raises(TactipError, match="start farther away from it"):
         world.explore(world.start([0, 0, 0], off_mm=-2), over(world))
 
 
@@ -245,7 +246,7 @@ def test_it_slows_down_where_it_leans():
         middle = (world.thing.T_base_object @ [*top, 1])[:3]
         route = PlanarPath(middle + np.array([[0.0, 0, 0], [8e-3, 0, 0]]), [0, 0, 1])
         explorer = world.explore(world.start(top), route, slow_deg=slow)
-        assert explorer.stopped_because == "the route is done"
+        assert explorer.stopped_because == "route completed"
         following = [s for s in world.steps if s.phase == "follow"]
         leans[slow] = np.mean([np.degrees(np.linalg.norm(s.estimate.label[3:5])) for s in following])
         counts[slow] = len(following)
@@ -261,10 +262,10 @@ def test_the_housing_is_kept_off_the_object(monkeypatch):
         world.finger.arm_model.reset_to(T)
         lean = np.radians(lean_deg)
         height = 0.5e-3 + 20e-3 * np.cos(lean) - 22e-3 * np.sin(lean)
-        assert world.finger.touch().clearance_m == pytest.approx(height, abs=1e-7)
+        assert world.finger.tip_state().clearance_m == pytest.approx(height, abs=1e-7)
     once = iter([1.0] * 10 + [-1e-3])
     monkeypatch.setattr(world.finger, "_clearance", lambda: next(once, 1.0))
     explorer = world.explore(world.start([0, 0, 0]), over(world), centre_steps=5)
     assert [(e.kind, e.what) for e in explorer.events] == [
-        ("collision", "the sensor's housing runs against the object, 1.0 mm")
+        ("collision", "the sensor's housing overlaps the object by 1.0 mm")
     ]

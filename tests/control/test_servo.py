@@ -120,7 +120,7 @@ def test_a_plan_is_walked_to_its_end_and_told_by_its_parts():
     assert len(corners) == 6
     route = PlanarPath(corners, [0, 0, 1])
     places = walk(route, matrix(corners[0] + [0, 0, 0.05], DOWN), 500)
-    assert route.ended == "the route is done"
+    assert route.ended == "route completed"
     assert route.part == 4
     assert np.linalg.norm(places[-1] - corners[-1] - [0, 0, 0.05]) < 1e-3
     # Corners are cut by as much as the route looks ahead, and no more.
@@ -150,7 +150,7 @@ def test_a_loop_is_closed_and_an_endless_edge_is_not():
     straight = EdgePath(max_length_m=0.05, backward=True)
     places = walk(straight, matrix([0, 0, 0], DOWN), 1000)
     assert not straight.closed
-    assert "longer than 50 mm" in straight.ended
+    assert straight.ended == "stopped at the path limit of 50 mm"
     assert np.allclose(places[-1], [0, 0.0505, 0], atol=0.6e-3)  # the contact frame's y is against the base's here
 
 

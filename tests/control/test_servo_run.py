@@ -48,7 +48,7 @@ def test_options_out_of_bounds_are_refused_before_anything_is_made(tmp_path, ask
 
 def test_a_run_leaves_a_score_with_all_its_figures(ran):
     _, score, record, _ = ran
-    assert score["stopped_because"] == "the route is done"
+    assert score["stopped_because"] == "route completed"
     assert score["contact_losses"] == score["events"] == 0
     assert score["depth_mae_mm"] < 0.4
     assert score["angle_mean_deg"] < score["angle_p95_deg"] < 3
@@ -144,9 +144,9 @@ def test_ctrl_c_keeps_what_was_recorded(tmp_path, monkeypatch, capsys):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--object", "cup"], "there is no object 'cup': choose one of bust"),
+        (["--object", "cup"], "unknown object 'cup': choose one of bust"),
         (["--design", "tactip-331"], "no network of the surface is shipped for the tip 'tactip-331': give --model"),
-        (["--model", "none"], "no shipped model of that name"),
+        (["--model", "none"], "neither a folder nor a shipped model"),
         (["--task", "edge"], "plate has no edge that is known: the edge task takes one of edge, rim-round"),
         (["--task", "surface", "--model", "edge-tactip-127"], "was trained for the edge, not for the surface"),
         (["--route.middle-mm", "900", "0"], "must be above the object"),
@@ -229,7 +229,7 @@ def test_run_servo_function_of_the_image_takes_the_networks_place(tmp_path, labe
 
     score = run_servo(own_options(tmp_path), log=lambda line: None, estimator=estimate)
     record, arrays = read_recording(tmp_path / "run")
-    assert score["stopped_because"] == "the route is done"
+    assert score["stopped_because"] == "route completed"
     assert (record["estimator"], record["network"]) == ("ImageEstimator", None)
     assert len(images) == 1 + len(arrays["felt"])  # one is the neutral image
     assert images[0].shape == (128, 128)

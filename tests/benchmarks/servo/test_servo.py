@@ -46,7 +46,7 @@ def test_runs_are_made_once_and_stand_on_the_page(options):
     assert list(record["groups"]) == ["objects", "fidelity", "robust", "starts"]
     row = record["groups"]["fidelity"][0]
     score = json.loads((options.runs / "fidelity" / "bust_plate" / "score.json").read_text())
-    assert row["depth_mae_mm"] == score["depth_mae_mm"] and row["stopped_because"] == "the route is done"
+    assert row["depth_mae_mm"] == score["depth_mae_mm"] and row["stopped_because"] == "route completed"
     page = (options.out / "servo.md").read_text()
     assert f"| bust, plate | {row['depth_mae_mm']:.2f} |  | {row['angle_mean_deg']:.2f} |" in page
     assert "| away | " in page and "out of reach" in page

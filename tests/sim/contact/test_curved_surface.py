@@ -76,7 +76,10 @@ def test_curved_set_does_not_depend_on_worker_count(tmp_path):
 
 def test_flat_configuration_omits_curvature():
     zero = Ranges()
-    made = Configuration("surface", "train", 1, 0, "raster", load_design("tactip-127"), fidelity_named("draft"), zero, zero)
+    tip, fidelity = load_design("tactip-127"), fidelity_named("draft")
+    made = Configuration(
+        task="surface", split="train", samples=1, renderer="raster", design=tip, fidelity=fidelity, pose=zero, shear=zero
+    )
     assert "curvature_per_m" not in made.as_json()
     assert json.dumps(made.as_json())
 

@@ -19,7 +19,7 @@ from tactip_twin.sim2real.calibration.report import figures_of, write_report
 from tactip_twin.sim2real.calibration.rig import Rig, RigMotion
 from tactip_twin.sim2real.calibration.rounds import robust_cost
 from tactip_twin.sim2real.calibration.settings import Settings
-from tactip_twin.tactip_model.design_file import read_design, read_in_use
+from tactip_twin.tactip_model.design_file import read_design, read_design_with_drift
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.pins import neutral_pins
 from tactip_twin.tactip_model.presets import design_named
@@ -55,25 +55,25 @@ def picture(design, tips, directions):
 
 
 def write_set(folder, twin, count, seed=0):
-    """A real set as the hidden twin makes it, half of its frames taken before the move is over. Returns the shares done."""
-    draw = np.random.default_rng(seed)
+    """Write a real set of the hidden sensor, half of its frames taken during the move; return the finished fractions."""
+    rng = np.random.default_rng(seed)
     player, motion = ContactSimulator(twin.design, "surface", fidelity_named("draft")), RigMotion(twin.rig)
     (folder / "images").mkdir(parents=True)
     at_rest = replace(twin.design, optics=replace(twin.design.optics, zoom=1.0, drift=(0.0, 0.0)))
     cv2.imwrite(str(folder / "init_0.png"), picture(at_rest, *neutral_pins(at_rest)))
-    shares = np.where(draw.random(count) < 0.5, 1.0, draw.random(count))
+    fractions = np.where(rng.random(count) < 0.5, 1.0, rng.random(count))
     columns = ["image_name", *(f"{k}_{i}" for k in ("pose", "move") for i in range(1, 7))]
     with (folder / "targets.csv").open("w", newline="") as file:
         rows = csv.writer(file)
         rows.writerow(columns)
-        for i, share in enumerate(shares):
-            pose = from_mm_deg([0, draw.uniform(-3.5, -0.5), 0, 0, 0, draw.uniform(-15, 15)])
-            move = from_mm_deg([draw.uniform(-3, 3), 0, 0, 0, 0, draw.uniform(-4, 4)])
-            contact = player.play(*motion.contact(pose, move, TAP, share))
+        for i, fraction in enumerate(fractions):
+            pose = from_mm_deg([0, rng.uniform(-3.5, -0.5), 0, 0, 0, rng.uniform(-15, 15)])
+            move = from_mm_deg([rng.uniform(-3, 3), 0, 0, 0, 0, rng.uniform(-4, 4)])
+            contact = player.play(*motion.contact(pose, move, TAP, fraction))
             cv2.imwrite(str(folder / f"images/f_{i}.png"), picture(twin.design, contact.tips, contact.directions))
             rows.writerow([f"f_{i}.png", *to_mm_deg(pose), *to_mm_deg(move)])
     (folder / "meta.json").write_text(json.dumps({"tap_move": to_mm_deg(TAP).tolist()}))
-    return shares
+    return fractions
 
 
 @pytest.fixture(scope="module")
@@ -87,7 +87,7 @@ def start():
     return replace(design_named("nominal-127"), name="mine")
 
 
-def test_a_parameter_reads_what_it_writes_and_keeps_its_bounds():
+def test_parameter_reads_what_it_writes_within_bounds():
     twin = SensorOnRig(start(), RIG)
     twin = next(p for p in parameters(start()) if p.name == "kinetic_share").write(twin, 0.6)
     for p in parameters(start()):
@@ -98,37 +98,37 @@ def test_a_parameter_reads_what_it_writes_and_keeps_its_bounds():
         assert p.read(p.write(twin, 1e9)) == p.high and p.read(p.write(twin, -1e9)) == p.low, p.name
 
 
-def test_the_share_done_is_where_the_stages_say():
+def test_best_fraction_finds_interpolated_stage():
     stages = np.zeros((1, len(MOVE_FRACTIONS), 5, 2))
     stages[0, :, :, 0] = 10 * MOVE_FRACTIONS[:, None] ** 2
     seen = np.full((1, 5, 2), np.nan)
     seen[0, :3] = [[4.4, 0.0]] * 3  # between 0.6 (3.6) and 0.8 (6.4)
-    share, pins, tangents = best_fraction(stages, seen)
-    assert share[0] == pytest.approx(0.66, abs=0.011)
+    fraction, pins, tangents = best_fraction(stages, seen)
+    assert fraction[0] == pytest.approx(0.66, abs=0.011)
     assert np.allclose(tangents[0, :, 0], 6.4 - 3.6)
     assert distances(pins, seen)[0] < 0.15
 
 
-def test_a_share_at_its_end_gives_no_way():
+def test_best_fraction_at_end_has_no_tangent():
     stages = np.zeros((1, len(MOVE_FRACTIONS), 5, 2))
     stages[0, :, :, 0] = 10 * MOVE_FRACTIONS[:, None]
-    share, _, tangents = best_fraction(stages, np.full((1, 5, 2), 11.0))
-    assert share[0] == 1
+    fraction, _, tangents = best_fraction(stages, np.full((1, 5, 2), 11.0))
+    assert fraction[0] == 1
     assert not tangents.any()
 
 
-def test_the_cost_of_outliers_is_straight():
+def test_robust_cost_of_outliers_is_linear():
     assert robust_cost(np.array([0.5, 0.5])) == pytest.approx(0.25)
     assert robust_cost(np.array([3.0])) - robust_cost(np.array([2.0])) == pytest.approx(
         robust_cost(np.array([4.0])) - robust_cost(np.array([3.0]))
     )
 
 
-def test_one_round_comes_nearer(real, tmp_path):
+def test_calibrate_rounds_lower_cost_and_resume(real, tmp_path):
     """Two frames of each kind suffice to see that the slopes point the right way."""
-    say = []
+    log = []
     settings = Settings(frames=10, judged=10, rounds=("draft", "draft"), judging="draft")
-    result = calibrate(real, start(), settings, tmp_path / "state.json", say.append)
+    result = calibrate(real, start(), settings, tmp_path / "state.json", log.append)
     assert result.rounds[1]["rms_px"] < 0.7 * result.rounds[0]["rms_px"]
     for figures in result.rounds:
         assert figures["cost_after"] <= figures["cost_before"]
@@ -138,7 +138,7 @@ def test_one_round_comes_nearer(real, tmp_path):
     state = json.loads((tmp_path / "state.json").read_text())
     again = []
     same = calibrate(real, start(), settings, tmp_path / "state.json", again.append)
-    assert "going on after round 2 of 2" in again
+    assert "resuming after round 2 of 2" in again
     assert same.twin == result.twin
     assert json.loads((tmp_path / "state.json").read_text()) == state
     with pytest.raises(
@@ -151,7 +151,7 @@ def test_one_round_comes_nearer(real, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_hidden_twin_is_found(real, tmp_path):
+def test_calibrate_recovers_hidden_sensor(real, tmp_path):
     """What mechanics can be seen, from frames half of which were taken before they say."""
     settings = Settings(frames=24, judged=24, rounds=("draft",) * 4, judging="draft")
     result = calibrate(real, start(), settings, tmp_path / "state.json", print)
@@ -170,7 +170,7 @@ def test_a_hidden_twin_is_found(real, tmp_path):
     ratio = [t.design.materials.skin_young_pa / t.design.materials.gel_young_pa for t in (found, hidden)]
     assert 0.6 < ratio[0] / ratio[1] < 1.6
     write_report(result, "hidden", settings, tmp_path / "d.json", tmp_path / "report")
-    assert read_in_use(tmp_path / "d.json") == found.design
+    assert read_design_with_drift(tmp_path / "d.json") == found.design
     assert read_design(tmp_path / "d.json").optics.zoom == 1
     assert {f.name for f in (tmp_path / "report").iterdir()} == {
         "calibration.json",
@@ -180,21 +180,21 @@ def test_a_hidden_twin_is_found(real, tmp_path):
     }
 
 
-def test_frames_of_another_tip_are_refused(real, tmp_path):
-    with pytest.raises(TactipError, match="has 331"):
+def test_calibrate_frames_of_other_tip_are_refused(real, tmp_path):
+    with pytest.raises(TactipError, match=r"must show the 331 pins of the design .tactip-331., got 127"):
         calibrate(real, design_named("tactip-331"), Settings(), tmp_path / "state.json")
 
 
-def test_what_is_refused_leaves_nothing(real, tmp_path, capsys):
+def test_calibrate_command_refused_writes_nothing(real, tmp_path, capsys):
     for command, words in (
-        ([str(tmp_path / "none")], "is no folder"),
-        ([str(real), "--design", "tactip-331"], "the design 'tactip-331' has 331"),
+        ([str(tmp_path / "none")], "is not a folder"),
+        ([str(real), "--design", "tactip-331"], "must show the 331 pins of the design 'tactip-331', got 127"),
     ):
         assert tactip.main(["calibrate", *command, "--out", str(tmp_path / "mine.json")]) == 1
         assert words in capsys.readouterr().err
         assert not list(tmp_path.glob("mine*"))
 
 
-def test_constants_are_in_their_order():
+def test_constants_are_sorted():
     assert list(LOAD_CELL_N) == sorted(LOAD_CELL_N)
     assert MOVE_FRACTIONS[0] == 0 and MOVE_FRACTIONS[-1] == 1

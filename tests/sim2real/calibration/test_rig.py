@@ -15,7 +15,7 @@ from tactip_twin.tactip_model.errors import TactipError
 TAP = from_mm_deg([0, 5, 0, 0, 0, 0])
 
 
-def test_a_perfect_rig_does_as_told():
+def test_rig_perfect_contact_equals_command():
     """Pressing along y with x to the side: the work frame's x, z, -y are the contact frame's x, y, z."""
     motion = RigMotion(Rig(press_axis=(0.0, 1.0, 0.0)))
     pose, shear = motion.contact(from_mm_deg([0, -2, 0, 0, 0, 12]), from_mm_deg([3, 0, 0, 0, 0, 4]), TAP)
@@ -23,7 +23,7 @@ def test_a_perfect_rig_does_as_told():
     assert np.allclose(shear, from_mm_deg([3, 0, 0, 0, 4, 0]))
 
 
-def test_an_image_taken_early_shows_the_start():
+def test_rig_fraction_zero_is_start_of_move():
     motion = RigMotion(Rig(press_axis=(0.0, 1.0, 0.0), tcp_behind_apex_m=20e-3))
     command, move = from_mm_deg([0, -1, 0, 0, 0, 10]), from_mm_deg([2, 0, 0, 0, 0, 3])
     last, shear = motion.contact(command, move, TAP, 1.0)
@@ -33,7 +33,7 @@ def test_an_image_taken_early_shows_the_start():
     assert np.allclose(first[2], last[2] - shear[2])
 
 
-def test_the_lever_lifts_and_moves_a_turned_tip():
+def test_rig_lever_lifts_and_moves_rotated_tip():
     lever, turn = 20e-3, np.radians(15)
     motion = RigMotion(Rig(press_axis=(0.0, 0.0, -1.0), tcp_behind_apex_m=lever, depth_zero_m=0.1e-3))
     tap = from_mm_deg([0, 0, -5, 0, 0, 0])
@@ -42,7 +42,7 @@ def test_the_lever_lifts_and_moves_a_turned_tip():
     assert np.allclose(shear, [-lever * np.sin(turn), 0, lever * (1 - np.cos(turn)), 0, turn, 0])
 
 
-def test_azimuth_turns_everything():
+def test_rig_azimuth_rotates_pose_and_shear():
     """The same commands with the camera turned are the same contact seen turned."""
     command, move = from_mm_deg([0, 0, 1, 3, 8, 0]), from_mm_deg([2, 1, 0, 1, -2, 0])
     tap = from_mm_deg([0, 0, -4, 0, 0, 0])
@@ -78,7 +78,7 @@ def folder(tmp_path):
     return tmp_path
 
 
-def test_a_real_set_is_read(folder):
+def test_read_real_set_returns_frames_and_commands(folder):
     real = read_real_set(folder)
     assert len(real.files) == 2
     assert np.allclose(real.poses[1], from_mm_deg([0, -2, 0, 0, 0, 7]))
@@ -95,7 +95,7 @@ def test_a_real_set_is_read(folder):
         (lambda f: (f / "meta.json").unlink(), "tap_move"),
         (lambda f: (f / "meta.json").write_text("{}"), "tap_move"),
         (lambda f: (f / "meta.json").write_text('{"tap_move": [0, 0, 0, 1, 0, 0]}'), "a translation"),
-        (lambda f: (f / "images/frame_1.png").unlink(), "lacks the frame frame_1.png"),
+        (lambda f: (f / "images/frame_1.png").unlink(), "the frame frame_1.png does not exist"),
         (lambda f: _replace(f / "targets.csv", "pose_3", "pose_x"), "no pose_3"),
         (lambda f: _replace(f / "targets.csv", "-2", "nan"), "not finite"),
         (lambda f: _replace(f / "targets.csv", "-2", "deep"), "deep"),
@@ -103,17 +103,20 @@ def test_a_real_set_is_read(folder):
         (lambda f: _replace(f / "targets.csv", "frame_1.png,0,-2,0,0,0,7,1,0,0,0,0,2", "frame_1.png"), "row 2 ends before"),
         (lambda f: (f / "targets.csv").write_bytes(b"image_name\nfr\xe4me.png\n"), "targets.csv cannot be read"),
         (lambda f: (f / "images/frame_1.png").write_bytes(b"no"), "cannot be read"),
-        (lambda f: cv2.imwrite(str(f / "images/frame_1.png"), np.zeros((32, 64), np.uint8)), "64 by 32 px"),
+        (
+            lambda f: cv2.imwrite(str(f / "images/frame_1.png"), np.zeros((32, 64), np.uint8)),
+            "64×64 px like the neutral image, got 64×32 px",
+        ),
     ],
 )
-def test_a_spoiled_real_set_is_refused(folder, spoil, words):
+def test_read_real_set_damaged_is_refused(folder, spoil, words):
     spoil(folder)
     with pytest.raises(TactipError, match=words):
         read_real_set(folder).frame(1)
 
 
-def test_no_folder_is_refused(tmp_path):
-    with pytest.raises(TactipError, match="is no folder"):
+def test_read_real_set_missing_folder_is_refused(tmp_path):
+    with pytest.raises(TactipError, match="is not a folder"):
         read_real_set(tmp_path / "none")
 
 

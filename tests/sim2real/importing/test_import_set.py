@@ -51,13 +51,13 @@ def with_rim(image):
 def write_set(folder, count=12, name="frame_{}.png", **extra):
     (folder / "images").mkdir(parents=True)
     cv2.imwrite(str(folder / "init_0.png"), with_rim(frame()))
-    draw = np.random.default_rng(0)
+    rng = np.random.default_rng(0)
     rows = []
     for k in range(count):
-        depth = draw.uniform(-4, 0)
+        depth = rng.uniform(-4, 0)
         cv2.imwrite(str(folder / "images" / name.format(k)), with_rim(frame(1 + 0.02 * (5 + depth))))
-        row = {"image_name": name.format(k), "pose_1": 0, "pose_2": depth, "pose_6": draw.uniform(-20, 20)}
-        rows.append(row | {"move_1": draw.uniform(-5, 5)} | extra)
+        row = {"image_name": name.format(k), "pose_1": 0, "pose_2": depth, "pose_6": rng.uniform(-20, 20)}
+        rows.append(row | {"move_1": rng.uniform(-5, 5)} | extra)
     write_table(folder, rows)
     return rows
 
@@ -81,11 +81,11 @@ def bring(folder, out, *options):
     return tactip.main(["import", str(folder), "--out", str(out), "--columns", *COLUMNS, *options])
 
 
-def test_a_set_comes_in_whole(tmp_path, capsys):
+def test_import_complete_set(tmp_path, capsys):
     rows = write_set(tmp_path / "lab")
     assert bring(tmp_path / "lab", tmp_path / "set", "--tcp-behind-apex-mm", "0") == 0
     told = capsys.readouterr().out
-    assert "12 of 12 frames; 127 pins in most, 127 to 127" in told
+    assert "12 of 12 frames imported; pins: median 127, 127 to 127" in told
     assert "shear_x: " in told
     assert tactip.main(["dataset", "verify", str(tmp_path / "set")]) == 0
     dataset = read_dataset(tmp_path / "set")
@@ -98,7 +98,7 @@ def test_a_set_comes_in_whole(tmp_path, capsys):
     assert picture is not None and picture.shape[1] > 1000
     # The same command again finds it done; another one does not write over it.
     assert bring(tmp_path / "lab", tmp_path / "set", "--tcp-behind-apex-mm", "0") == 0
-    assert "imported already" in capsys.readouterr().out
+    assert "already holds this set" in capsys.readouterr().out
     assert bring(tmp_path / "lab", tmp_path / "set", "--tcp-behind-apex-mm", "5") == 1
     told = capsys.readouterr().err
     assert "holds a real data set with other settings (layout.tcp_behind_apex_mm is 0.0 there, 5.0 here)" in told
@@ -109,7 +109,7 @@ def test_a_set_comes_in_whole(tmp_path, capsys):
     assert "is not empty and holds no real data set" in capsys.readouterr().err
 
 
-def test_light_at_the_rim_is_masked_and_pins_are_not(tmp_path):
+def test_mask_removes_light_at_rim_only(tmp_path):
     plain, lit = frame(1.08), with_rim(frame(1.08))
     reader = FrameReader(ImagePreprocessing(), with_rim(frame()))
     assert np.array_equal(reader.masked(lit), plain)
@@ -117,7 +117,7 @@ def test_light_at_the_rim_is_masked_and_pins_are_not(tmp_path):
     # Without a neutral image, frames tell where the pins are.
     told = FrameReader(ImagePreprocessing(), None, [with_rim(frame(z)) for z in (1.0, 1.04, 1.1)])
     assert np.array_equal(told.masked(lit), plain)
-    with pytest.raises(TactipError, match="at most 0 pins are seen"):
+    with pytest.raises(TactipError, match="at least 20 pins must be detected in an image, got 0"):
         pin_area([np.zeros((64, 64), np.uint8)])
 
 
@@ -130,13 +130,13 @@ def lit_all_round(image, zoom=1.0, right_px=0.0):
     return np.where(lit > 127, 255, 0).astype(np.uint8)
 
 
-def test_light_at_the_rim_tells_how_the_camera_has_changed(tmp_path, capsys, monkeypatch):
+def test_import_measures_camera_change_from_rim(tmp_path, capsys, monkeypatch):
     write_set(tmp_path / "lab")
     cv2.imwrite(str(tmp_path / "lab" / "init_0.png"), lit_all_round(frame()))
     for k in range(12):
         cv2.imwrite(str(tmp_path / "lab" / "images" / f"frame_{k}.png"), lit_all_round(frame(1 + 0.005 * k), 1.02, 1.0))
     assert bring(tmp_path / "lab", tmp_path / "set") == 0
-    assert "by the light at the rim the image is 1.0" in capsys.readouterr().out
+    assert "reflections at the rim: image scale 1.0" in capsys.readouterr().out
     camera = json.loads((tmp_path / "set" / "import.json").read_text())["camera"]
     assert camera["zoom"] == pytest.approx(1.02, abs=0.003)
     assert camera["drift"] == pytest.approx([1 / SIZE, 0.0], abs=0.001)
@@ -146,7 +146,7 @@ def test_light_at_the_rim_tells_how_the_camera_has_changed(tmp_path, capsys, mon
     del report["camera"]
     (tmp_path / "set" / "import.json").write_text(json.dumps(report))
     assert bring(tmp_path / "lab", tmp_path / "set") == 0
-    assert "which looked at less" in capsys.readouterr().out
+    assert "whose report is incomplete" in capsys.readouterr().out
     assert (tmp_path / "set" / "meta.json").read_bytes() == meta
     # And if that is stopped before its end, it is no set until the command is run again.
     (tmp_path / "set" / "import.json").write_text(json.dumps(report))
@@ -163,7 +163,7 @@ def test_light_at_the_rim_tells_how_the_camera_has_changed(tmp_path, capsys, mon
     assert np.abs(neutral_px(then) - neutral_px(DESIGN)).max() < 0.6
 
 
-def test_a_camera_of_which_no_light_tells_is_not_known(tmp_path, capsys):
+def test_import_too_little_light_leaves_camera_unknown(tmp_path, capsys):
     write_set(tmp_path / "lab")  # one arc of light
     assert bring(tmp_path / "lab", tmp_path / "set") == 0
     assert "too little light at the rim" in capsys.readouterr().out
@@ -171,7 +171,7 @@ def test_a_camera_of_which_no_light_tells_is_not_known(tmp_path, capsys):
     assert fit_design_to_neutral_image(tmp_path / "set", 128)[0].optics.zoom == 1.0
 
 
-def test_frames_that_are_mirrored_turned_and_dark():
+def test_frame_reader_undoes_mirror_rotation_and_dark():
     upright = frame()
     assert len(find_blobs(upright).centres) == 127
     for turn in (90, 180, -90):
@@ -187,13 +187,13 @@ def test_frames_that_are_mirrored_turned_and_dark():
     assert (np.abs(back.astype(int) - upright) > 127).mean() < 0.01
 
 
-def test_grey_frames_are_thresholded_as_a_simulated_one():
+def test_frame_reader_thresholds_grey_frames_as_simulation():
     grey = Raster(DESIGN).render(*neutral_pins(DESIGN))
     reader = FrameReader(ImagePreprocessing(threshold=(61, -5.0), mask="none"))
     assert np.array_equal(reader.read(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)), tactile_image(grey, DESIGN.image))
 
 
-def test_what_does_not_fit_is_left_out_and_named(tmp_path, capsys):
+def test_import_unusable_frames_are_left_out_and_named(tmp_path, capsys):
     rows = write_set(tmp_path / "lab")
     images = tmp_path / "lab" / "images"
     (images / "frame_1.png").unlink()
@@ -206,38 +206,38 @@ def test_what_does_not_fit_is_left_out_and_named(tmp_path, capsys):
     report = json.loads((tmp_path / "set" / "import.json").read_text())
     assert report["kept"] == 7
     why = {one["frame"]: one["why"] for one in report["left_out"]}
-    assert why["frame_1.png"] == "the frame is not there"
+    assert why["frame_1.png"] == "the file does not exist"
     assert why["frame_2.png"] == "it cannot be read as an image"
-    assert why["frame_3.png"] == "0 pins are seen, 127 in most"
-    assert why["frame_4.png"] == "it is 300 by 256 px, the others are 256 by 256 px"
-    assert why["frame_5.png"] == "its row has a cell that is no finite number"
+    assert why["frame_3.png"] == "0 pins detected, the median is 127"
+    assert why["frame_4.png"] == "it must be 256×256 px like the others, got 300×256 px"
+    assert why["frame_5.png"] == "its row has a value that is not a finite number"
     assert tactip.main(["dataset", "verify", str(tmp_path / "set")]) == 0
 
 
 @pytest.mark.parametrize(
     ("spoil", "options", "words"),
     [
-        (lambda lab: (lab / "targets.csv").unlink(), [], "targets.csv does not exist: name it by --targets"),
+        (lambda lab: (lab / "targets.csv").unlink(), [], "targets.csv does not exist: name the table with --targets"),
         (
             lambda lab: [(lab / "targets.csv").rename(lab / "a.csv"), (lab / "b.csv").touch()],
             [],
-            "has no targets.csv: name its table by --targets",
+            "has no targets.csv: name the table with --targets",
         ),
         (lambda lab: (lab / "targets.csv").write_text("image_name,pose_2\n"), [], "has no rows"),
         (lambda lab: None, ["--image-column", "photo"], "has no column photo"),
-        (lambda lab: [p.unlink() for p in (lab / "images").iterdir()], [], "no frame of the table is there"),
+        (lambda lab: [p.unlink() for p in (lab / "images").iterdir()], [], "none of the table's frames exists"),
         (
             lambda lab: [cv2.imwrite(str(p), np.zeros((9, 9))) for p in (lab / "images").iterdir()],
             [],
-            "12 of 12 frames do not",
+            "12 of 12 frames cannot be used",
         ),
         (lambda lab: None, ["--neutral", "none.png"], "the neutral image none.png does not exist"),
-        (lambda lab: None, ["--crop", "0", "0", "256", "128"], "is 256 by 128 px, and should be square"),
-        (lambda lab: None, ["--crop", "0", "0", "0", "0"], "is 0 by 0 px, and should be square"),
-        (lambda lab: None, ["--crop", "0", "0", "999", "999"], "does not fit a frame of 256 by 256 px"),
+        (lambda lab: None, ["--crop", "0", "0", "256", "128"], "must be square, got 256×128 px"),
+        (lambda lab: None, ["--crop", "0", "0", "0", "0"], "must be square, got 0×0 px"),
+        (lambda lab: None, ["--crop", "0", "0", "999", "999"], "must lie within the frame of 256×256 px"),
     ],
 )
-def test_a_wrong_set_is_one_sentence(tmp_path, capsys, spoil, options, words):
+def test_import_wrong_set_reports_error(tmp_path, capsys, spoil, options, words):
     write_set(tmp_path / "lab")
     spoil(tmp_path / "lab")
     assert bring(tmp_path / "lab", tmp_path / "set", *options) == 1
@@ -246,7 +246,7 @@ def test_a_wrong_set_is_one_sentence(tmp_path, capsys, spoil, options, words):
     assert not (tmp_path / "set" / "meta.json").exists()
 
 
-def test_a_task_that_there_is_not_is_refused_with_those_there_are(tmp_path, capsys):
+def test_import_unknown_task_lists_choices(tmp_path, capsys):
     with pytest.raises(SystemExit) as ended:
         bring(tmp_path / "lab", tmp_path / "set", "--task", "corner")
     assert ended.value.code == 2
@@ -254,14 +254,14 @@ def test_a_task_that_there_is_not_is_refused_with_those_there_are(tmp_path, caps
     assert "invalid choice 'corner' for argument '--task'. Expected one of ('surface', 'edge')" in told
 
 
-def test_the_only_table_is_the_sets_whatever_its_name(tmp_path):
+def test_import_uses_only_table_of_any_name(tmp_path):
     write_set(tmp_path / "lab")
     (tmp_path / "lab" / "targets.csv").rename(tmp_path / "lab" / "targets_images.csv")
     assert bring(tmp_path / "lab", tmp_path / "set") == 0
     assert len(read_dataset(tmp_path / "set").images) == 12
 
 
-def test_an_imported_set_that_is_damaged_is_one_sentence(tmp_path, capsys):
+def test_import_into_damaged_set_reports_error(tmp_path, capsys):
     write_set(tmp_path / "lab")
     (tmp_path / "set").mkdir()
     (tmp_path / "set" / "meta.json").write_text('{"format": ')
@@ -269,17 +269,17 @@ def test_an_imported_set_that_is_damaged_is_one_sentence(tmp_path, capsys):
     assert "meta.json cannot be read as JSON" in capsys.readouterr().err
 
 
-def test_names_may_not_leave_the_folder(tmp_path, capsys):
+def test_import_names_outside_folder_are_refused(tmp_path, capsys):
     rows = write_set(tmp_path / "lab")
     cv2.imwrite(str(tmp_path / "secret.png"), frame())
     rows[0]["image_name"] = "../secret.png"
     write_table(tmp_path / "lab", rows)
     assert bring(tmp_path / "lab", tmp_path / "set") == 0
     report = json.loads((tmp_path / "set" / "import.json").read_text())
-    assert report["left_out"][0]["why"] == "the frame is not there"
+    assert report["left_out"][0]["why"] == "the file does not exist"
 
 
-def test_what_a_kill_leaves_is_begun_anew(tmp_path, monkeypatch):
+def test_import_interrupted_starts_again(tmp_path, monkeypatch):
     write_set(tmp_path / "lab")
     real = cv2.imread
 
@@ -298,7 +298,7 @@ def test_what_a_kill_leaves_is_begun_anew(tmp_path, monkeypatch):
         assert (tmp_path / "set" / name).read_bytes() == (tmp_path / "other" / name).read_bytes()
 
 
-def test_a_kill_before_the_last_file_leaves_a_folder_that_is_ours(tmp_path, monkeypatch):
+def test_import_killed_before_last_file_is_recognized(tmp_path, monkeypatch):
     write_set(tmp_path / "lab")
     real = importing.write_file
 
@@ -315,7 +315,7 @@ def test_a_kill_before_the_last_file_leaves_a_folder_that_is_ours(tmp_path, monk
     assert tactip.main(["dataset", "verify", str(tmp_path / "set")]) == 0
 
 
-def test_another_neutral_image_is_another_set_and_a_broken_one_is_named(tmp_path, capsys):
+def test_import_other_or_broken_neutral_image_is_refused(tmp_path, capsys):
     write_set(tmp_path / "lab")
     assert bring(tmp_path / "lab", tmp_path / "set") == 0
     other, broken = tmp_path / "other.png", tmp_path / "broken.png"
@@ -328,7 +328,7 @@ def test_another_neutral_image_is_another_set_and_a_broken_one_is_named(tmp_path
     assert "broken.png: it cannot be read as an image" in capsys.readouterr().err
 
 
-def test_without_a_neutral_image_a_frame_that_does_not_fit_spoils_nothing(tmp_path):
+def test_import_without_neutral_image_skips_unusable_frames(tmp_path):
     write_set(tmp_path / "lab")
     (tmp_path / "lab" / "init_0.png").unlink()
     images = tmp_path / "lab" / "images"
@@ -339,7 +339,7 @@ def test_without_a_neutral_image_a_frame_that_does_not_fit_spoils_nothing(tmp_pa
     assert [one["frame"] for one in report["left_out"]] == ["frame_1.png", "frame_3.png"]
 
 
-def test_without_a_neutral_image_the_shallowest_frames_stand_for_it(tmp_path, capsys):
+def test_import_without_neutral_image_uses_shallowest_frames(tmp_path, capsys):
     """Each presses the pins of another part outward by two of their widths: in most frames they are where they were."""
     write_set(tmp_path / "lab", 1)
     (tmp_path / "lab" / "init_0.png").unlink()
@@ -356,7 +356,7 @@ def test_without_a_neutral_image_the_shallowest_frames_stand_for_it(tmp_path, ca
     write_table(tmp_path / "lab", rows)
     command = ["import", str(tmp_path / "lab"), "--out", str(tmp_path / "set"), "--columns", "pose_z=-pose_2-5"]
     assert tactip.main(command) == 0
-    told = "the middle of 5 of the shallowest frames, -0.05 to -0.05 mm, stands for it"
+    told = "no neutral image: replaced by the median of 5 of the shallowest frames (-0.05 to -0.05 mm)"
     assert told in capsys.readouterr().out
     design, figures = fit_design_to_neutral_image(tmp_path / "set", 128)
     assert figures["pins"] == 127 and figures["camera"] is None
@@ -366,14 +366,14 @@ def test_without_a_neutral_image_the_shallowest_frames_stand_for_it(tmp_path, ca
     del report["stand_in"]
     (tmp_path / "set" / "import.json").write_text(json.dumps(report))
     assert tactip.main(command) == 0
-    assert "which looked at less" in capsys.readouterr().out
+    assert "whose report is incomplete" in capsys.readouterr().out
     # And one whose report is damaged is named.
     (tmp_path / "set" / "import.json").write_text("{")
     assert tactip.main(command) == 1
     assert "import.json cannot be read as JSON" in capsys.readouterr().err
 
 
-def test_the_press_of_frames_that_stand_for_a_neutral_image_is_taken_off(tmp_path):
+def test_fit_design_removes_press_of_pseudo_neutral_frames(tmp_path):
     """Six frames of a stiffer tip at rest 1 to 2 mm deep: the twin's pins are where that tip's are when nothing touches."""
     write_set(tmp_path / "lab", 1)
     (tmp_path / "lab" / "init_0.png").unlink()
@@ -404,8 +404,8 @@ def test_the_press_of_frames_that_stand_for_a_neutral_image_is_taken_off(tmp_pat
     assert off_px()[:2] == (pytest.approx(1.15, abs=0.2), 0.0)
 
 
-def test_films_stand_where_frames_do(tmp_path, capsys):
-    """Each row's film is at rest but in its middle frame, which is the row's own; films are squeezed as cameras' are."""
+def test_import_videos_instead_of_frames(tmp_path, capsys):
+    """Each row's video shows the tip at rest, except in its middle frame; videos are compressed, as those of cameras are."""
     rows = write_set(tmp_path / "lab")
     assert bring(tmp_path / "lab", tmp_path / "frames") == 0
     (tmp_path / "lab" / "images").rename(tmp_path / "lab" / "stills")
@@ -416,22 +416,22 @@ def test_films_stand_where_frames_do(tmp_path, capsys):
         write_video(tmp_path / "lab" / "videos" / f"video_{k}.mp4", [rest, still, rest], 10)
         row["sensor_video"] = f"video_{k}.mp4"
     write_table(tmp_path / "lab", rows)
-    assert bring(tmp_path / "lab", tmp_path / "films", "--film-frame", "1") == 0
-    films, frames = (read_dataset(tmp_path / name) for name in ("films", "frames"))
-    assert np.array_equal(films.poses, frames.poses)
+    assert bring(tmp_path / "lab", tmp_path / "videos", "--film-frame", "1") == 0
+    videos, frames = (read_dataset(tmp_path / name) for name in ("videos", "frames"))
+    assert np.array_equal(videos.poses, frames.poses)
     for i in range(len(rows)):
-        assert (films.image(i) != frames.image(i)).mean() < 0.01
+        assert (videos.image(i) != frames.image(i)).mean() < 0.01
     # The last frame, if none is told; here each shows the tip at rest.
     assert bring(tmp_path / "lab", tmp_path / "last") == 0
     last = read_dataset(tmp_path / "last")
-    apart = [(each.image(0) != each.image(1)).mean() for each in (last, films)]
+    apart = [(each.image(0) != each.image(1)).mean() for each in (last, videos)]
     assert apart[0] < 0.001 and apart[1] > 0.01
     capsys.readouterr()
     assert bring(tmp_path / "lab", tmp_path / "none", "--film-frame", "3") == 1
-    assert "the film has no frame 3 (0 is the first, -1 the last)" in capsys.readouterr().err
+    assert "the video has no frame 3 (0 is the first, -1 the last)" in capsys.readouterr().err
 
 
-def test_frames_that_are_grey_are_told_of_and_how(tmp_path, capsys):
+def test_import_grey_frames_suggest_threshold(tmp_path, capsys):
     write_set(tmp_path / "lab")
     redraw(tmp_path / "lab", lambda image: (60 + 0.5 * image).astype(np.uint8))
     assert bring(tmp_path / "lab", tmp_path / "set") == 1
@@ -439,32 +439,32 @@ def test_frames_that_are_grey_are_told_of_and_how(tmp_path, capsys):
     assert "are neither black nor white" in told and "give --threshold 43 -5" in told
     assert not (tmp_path / "set").exists()
     assert bring(tmp_path / "lab", tmp_path / "set", "--threshold", "43", "-5") == 0
-    assert "127 pins in most" in capsys.readouterr().out
+    assert "pins: median 127" in capsys.readouterr().out
 
 
-def test_a_wide_frame_is_refused_with_the_crop_that_does(tmp_path, capsys):
+def test_import_wide_frame_suggests_crop(tmp_path, capsys):
     write_set(tmp_path / "lab")
     redraw(tmp_path / "lab", lambda image: np.pad(image, ((20, 30), (150, 40))))
     assert bring(tmp_path / "lab", tmp_path / "set") == 1
     told = capsys.readouterr().err
-    assert "should be square: give --crop " in told
+    assert "must be square, got 446×306 px: give --crop " in told
     crop = told.split("--crop ")[1].split(",")[0].split()
     # The pins in the middle, as they were before the frames were made wide.
     assert np.allclose(np.array(crop, int), [150, 20, 150 + SIZE, 20 + SIZE], atol=6)
     assert bring(tmp_path / "lab", tmp_path / "set", "--crop", *crop) == 0
-    assert "127 pins in most, 127 to 127" in capsys.readouterr().out
+    assert "pins: median 127, 127 to 127" in capsys.readouterr().out
 
 
-def test_depths_of_the_other_sign_are_told(tmp_path, capsys):
+def test_import_depth_of_wrong_sign_warns(tmp_path, capsys):
     write_set(tmp_path / "lab")
     wrong = ["pose_z=pose_2+5", *COLUMNS[1:]]
     assert tactip.main(["import", str(tmp_path / "lab"), "--out", str(tmp_path / "set"), "--columns", *wrong]) == 0
-    assert "pose_z is mostly positive, and is negative into the object" in capsys.readouterr().out
+    assert "pose_z is mostly positive, but must be negative into the object" in capsys.readouterr().out
     assert bring(tmp_path / "lab", tmp_path / "other") == 0
     assert "mostly positive" not in capsys.readouterr().out
 
 
-def test_layouts_of_other_families(tmp_path):
+def test_import_other_layout_without_neutral_image(tmp_path):
     """128 px frames of a tip with 331 pins, named without an ending; depth positive, three components, no neutral image."""
     design = design_named("nominal-331")
     small = replace(design, image=replace(design.image, size_px=128))

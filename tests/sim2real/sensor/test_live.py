@@ -1,4 +1,4 @@
-"""The live sensor: films and folders in the place of a camera, and all that goes wrong with one."""
+"""The live sensor: videos and folders as sources, and its errors."""
 
 import json
 import signal
@@ -45,8 +45,8 @@ def presses():
 
 
 @pytest.fixture
-def film(presses, tmp_path):
-    path = tmp_path / "film.avi"
+def video(presses, tmp_path):
+    path = tmp_path / "video.avi"
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 30, (WIDTH, HEIGHT))
     for shot in presses[0]:
         for _ in range(3):
@@ -59,18 +59,18 @@ def rows(capsys):
     return [json.loads(line) for line in capsys.readouterr().out.splitlines()]
 
 
-def test_a_film_is_felt(film, presses, capsys):
+def test_camera_video_predicts_each_frame(video, presses, capsys):
     crop = [str(x) for x in CROP]
-    assert tactip.main(["camera", "--video", str(film), "--crop", *crop]) == 0
-    told = rows(capsys)
-    assert [row["frame"] for row in told] == list(range(12))
-    assert all(row["pins"] == 127 and "fault" not in row for row in told)
-    felt = np.array([row["pose_z"] for row in told]).reshape(4, 3)[1:].mean(1)
-    assert np.allclose(felt, [-d for d in presses[1]], atol=0.15)
-    assert np.allclose([[row["pose_Rx"], row["pose_Ry"]] for row in told[3:]], 0, atol=1.0)
+    assert tactip.main(["camera", "--video", str(video), "--crop", *crop]) == 0
+    lines = rows(capsys)
+    assert [row["frame"] for row in lines] == list(range(12))
+    assert all(row["pins"] == 127 and "fault" not in row for row in lines)
+    predicted = np.array([row["pose_z"] for row in lines]).reshape(4, 3)[1:].mean(1)
+    assert np.allclose(predicted, [-d for d in presses[1]], atol=0.15)
+    assert np.allclose([[row["pose_Rx"], row["pose_Ry"]] for row in lines[3:]], 0, atol=1.0)
 
 
-def test_images_are_read_in_their_order_and_as_few_as_asked_for(presses, tmp_path, capsys):
+def test_camera_images_are_read_in_numeric_order_up_to_limit(presses, tmp_path, capsys):
     for name, shot in zip(("shot_2", "shot_10", "shot_9"), presses[0], strict=False):
         cv2.imwrite(str(tmp_path / f"{name}.png"), shot)
     crop = [str(x) for x in CROP]
@@ -83,7 +83,7 @@ def test_images_are_read_in_their_order_and_as_few_as_asked_for(presses, tmp_pat
     assert len(rows(capsys)) == 2
 
 
-def test_the_image_is_the_one_that_a_set_would_have(presses):
+def test_live_sensor_image_equals_dataset_image(presses):
     options = ImagePreprocessing(threshold=(61, -5.0), crop=CROP, mask="none")
     design = load_design("tactip-127")
     reading = next(iter(LiveSensor(presses[0][1:2], options)))
@@ -91,19 +91,21 @@ def test_the_image_is_the_one_that_a_set_would_have(presses):
     assert np.array_equal(reading.image, plain)
 
 
-def test_a_frame_that_does_not_fit_is_a_fault_and_the_next_goes_on(presses):
+def test_live_sensor_unusable_frame_is_fault_and_next_is_read(presses):
     shots = [presses[0][0], np.zeros_like(presses[0][0]), presses[0][1][:100], presses[0][2]]
     readings = list(LiveSensor(shots, ImagePreprocessing(threshold=(61, -5.0), crop=CROP)))
     assert [bool(s.fault) for s in readings] == [False, True, True, False]
-    assert "pins are seen, 127 were in the undeformed tip" in readings[1].fault
-    assert "it is 640 by 100 px, the others are 640 by 480 px" in readings[2].fault
+    assert "pins detected, the undeformed tip has 127" in readings[1].fault
+    assert "it must be 640×480 px like the others, got 640×100 px" in readings[2].fault
     assert not readings[1].predicted and "fault" in readings[1].as_json()
 
 
-def test_a_first_frame_without_a_tip(presses):
-    with pytest.raises(TactipError, match="the first frame shows no tip: at most 0 pins are seen"):
+def test_live_sensor_first_frame_without_tip_is_refused(presses):
+    with pytest.raises(TactipError, match="no tip in the first frame: at least 20 pins must be detected in an image, got 0"):
         list(LiveSensor([np.zeros((HEIGHT, WIDTH, 3), np.uint8)], ImagePreprocessing(threshold=(61, -5.0))))
-    with pytest.raises(TactipError, match=r"the frames do not fit: .* should be square: give --crop 132 65 488 421"):
+    with pytest.raises(
+        TactipError, match=r"the first frame cannot be used: .* must be square, got 640×480 px: give --crop 132 65 488 421"
+    ):
         list(LiveSensor(presses[0], ImagePreprocessing(threshold=(61, -5.0))))
 
 
@@ -126,27 +128,27 @@ class Unplugged:
         self._opened = False
 
 
-def test_a_camera_that_is_unplugged_ends_in_a_sentence(presses, monkeypatch, capsys):
+def test_camera_unplugged_reports_error(presses, monkeypatch, capsys):
     monkeypatch.setattr(cv2, "VideoCapture", lambda device: Unplugged(True, presses[0]))
     monkeypatch.setattr(CameraFrames.__init__, "__defaults__", (0.05,))
     crop = [str(x) for x in CROP]
     assert tactip.main(["camera", "--device", "0", "--model", "none", "--crop", *crop]) == 1
     captured = capsys.readouterr()
-    assert len(captured.out.splitlines()) == 4  # what was seen before was told
-    assert "the camera 0 has given no frame for 0.05 s: is it unplugged?" in captured.err
+    assert len(captured.out.splitlines()) == 4  # earlier frames were printed
+    assert "no frame from camera 0 for 0.05 s: check that it is plugged in" in captured.err
     monkeypatch.setattr(cv2, "VideoCapture", lambda device: Unplugged(False, []))
     assert tactip.main(["camera", "--device", "0"]) == 1
-    assert "the camera 0 cannot be opened" in capsys.readouterr().err
+    assert "camera 0 cannot be opened" in capsys.readouterr().err
 
 
-def test_a_page_stays_after_the_last_frame_until_it_is_ended(film):
+def test_camera_page_stays_after_last_frame_until_interrupt(video):
     command = [
         sys.executable,
         "-m",
         "tactip_twin.commands.main",
         "camera",
         "--video",
-        str(film),
+        str(video),
         "--model",
         "none",
         "--page",
@@ -162,11 +164,11 @@ def test_a_page_stays_after_the_last_frame_until_it_is_ended(film):
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),  # noqa: PLW1509
     ) as process:
         assert process.stderr is not None
-        told = ""
-        while "Ctrl-C ends it" not in told:
+        lines = ""
+        while "Ctrl-C ends it" not in lines:
             line = process.stderr.readline()
-            assert line, told
-            told += line
+            assert line, lines
+            lines += line
         assert process.poll() is None
         process.send_signal(signal.SIGINT)
         assert process.wait(30) == 0
@@ -180,18 +182,18 @@ def test_a_page_stays_after_the_last_frame_until_it_is_ended(film):
         (["--images", "b", "--frames", "-2"], "tactip: frames must be a whole number from 0 to 1e+09, got -2"),
         ([], "0 sources of frames are given: give one of --device, --video and --images"),
         (["--video", "a.avi", "--images", "b"], "2 sources of frames"),
-        (["--video", "nothing.avi"], "the film nothing.avi does not exist"),
-        (["--video", __file__], "cannot be read as a film"),
-        (["--images", "nowhere"], "nowhere is no folder of images"),
-        (["--images", "."], "there is no image in ."),
+        (["--video", "nothing.avi"], "the video nothing.avi does not exist"),
+        (["--video", __file__], "cannot be read as a video"),
+        (["--images", "nowhere"], "nowhere is not a folder of images"),
+        (["--images", "."], "no image in ."),
     ],
 )
-def test_wrong_sources_are_one_sentence(options, words, capsys, monkeypatch, tmp_path):
+def test_camera_wrong_source_reports_error(options, words, capsys, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     assert tactip.main(["camera", *options]) == 1
     assert words in capsys.readouterr().err
 
 
-def test_a_network_of_another_size(film, capsys):
-    assert tactip.main(["camera", "--video", str(film), "--size-px", "64"]) == 1
-    assert "the images are 64 px wide, the network takes 128 px" in capsys.readouterr().err
+def test_camera_network_of_other_size_is_refused(video, capsys):
+    assert tactip.main(["camera", "--video", str(video), "--size-px", "64"]) == 1
+    assert "size_px must be 128 for this network, got 64" in capsys.readouterr().err

@@ -85,7 +85,7 @@ def tiny(monkeypatch):
     monkeypatch.setitem(RECIPES, "laptop", {"surface": TINY, "edge": TINY})
 
 
-def test_the_twin_has_the_hidden_sensors_pins_where_they_are(lab):
+def test_fit_design_recovers_hidden_pins(lab):
     design, figures = fit_design_to_neutral_image(lab, 128)
     true = hidden(design_named("nominal-127"))
     assert figures["pins"] == 127 and figures["layout"] == "nominal-127"
@@ -124,7 +124,7 @@ def test_zero_and_few_shot_from_the_command_line(lab, tiny, tmp_path, capsys):
     assert made == {p: p.stat().st_mtime_ns for p in made}
 
 
-def test_optics_are_as_narrow_as_the_light_at_the_rim_allows(lab, tmp_path):
+def test_experiment_optics_follow_camera_measurement(lab, tmp_path):
     report = json.loads((lab / "import.json").read_text())
     assert report["camera"] is None  # one arc of light is too little
     known = tmp_path / "known"
@@ -149,7 +149,7 @@ def test_optics_are_as_narrow_as_the_light_at_the_rim_allows(lab, tmp_path):
 
 
 @pytest.mark.slow
-def test_each_part_is_left_out_by_itself(lab, tiny, tmp_path):
+def test_ablate_leaves_out_one_part_each(lab, tiny, tmp_path):
     command = ["--real", str(lab), "--out", str(tmp_path / "out"), *FEW]
     assert tactip.main(["transfer", "zero-shot", *command]) == 0
     assert tactip.main(["transfer", "ablate", *command]) == 0
@@ -162,7 +162,7 @@ def test_each_part_is_left_out_by_itself(lab, tiny, tmp_path):
     assert not flat.shears.any() and read_samples(tmp_path / "out" / "sim" / "train").shears.any()
 
 
-def test_what_is_tested_on_is_never_learned_from(lab):
+def test_split_train_and_test_are_disjoint(lab):
     settings = TransferSettings(real_frames=30)
     experiment = Experiment(lab, "unused", settings, workers=1)
     known, test = set(experiment.split.known.rows), set(experiment.split.test.rows)
@@ -187,7 +187,7 @@ class Constant:
         return self.targets + self.off + self.noise
 
 
-def test_the_zero_is_taken_out_of_the_depth_alone(lab):
+def test_score_removes_offset_of_depth_only(lab):
     samples = read_samples(lab)
     figures = score(Constant(samples), samples)
     assert figures["mae"]["pose_z"] == pytest.approx(0.4, abs=0.05)
@@ -195,7 +195,7 @@ def test_the_zero_is_taken_out_of_the_depth_alone(lab):
     assert figures["mae_zeroed"]["pose_Ry"] == figures["mae"]["pose_Ry"] == pytest.approx(3.0)
 
 
-def test_fine_tuning_learns_the_real_frames_and_leaves_the_base_alone(lab, tiny, tmp_path):
+def test_fine_tune_learns_real_frames_and_keeps_base(lab, tiny, tmp_path):
     few = TransferSettings(real_frames=30, contacts=12, held=10, fidelity="draft")
     experiment = Experiment(lab, tmp_path, few, workers=1)
     trained, val = experiment.simulated()
@@ -214,11 +214,11 @@ def test_fine_tuning_learns_the_real_frames_and_leaves_the_base_alone(lab, tiny,
         TactipError, match=r"holds a fine-tuned network with other settings \(fine_tuning.seed is 0 there, 1 here\)"
     ):
         fine_tune(base, trained, known, replace(settings, seed=1), tmp_path / "tuned", "cpu")
-    with pytest.raises(TactipError, match="no real frames to fine-tune with"):
+    with pytest.raises(TactipError, match="fine-tuning needs at least 1 real frame, got 0"):
         fine_tune(base, trained, known.take(slice(0, 0)), settings, tmp_path / "none", "cpu")
 
 
-def test_the_gap_is_seen_and_closes_with_the_right_design(lab, tmp_path, capsys):
+def test_gap_is_small_with_right_design(lab, tmp_path, capsys):
     """The hidden sensor's own design explains its frames; what is fitted to the neutral image alone, nearly."""
     command = ["transfer", "gap", "--real", str(lab), "--out", str(tmp_path / "out"), "--real-frames", "20"]
     assert tactip.main([*command, "--gap-frames", "20", "--fidelity", "draft", "--json"]) == 0
@@ -235,19 +235,19 @@ def test_the_gap_is_seen_and_closes_with_the_right_design(lab, tmp_path, capsys)
     right, _ = sim_to_real_gap(read_samples(lab), hidden(design_named("nominal-127")), "draft", 20)
     assert right["at_the_best_share_of_the_move"]["median"] < 0.5  # a blob's middle in an image of 128 px
     assert right["images"]["white_within_a_pixel"] > 0.9
-    with pytest.raises(TactipError, match="in none of 8 frames"):
+    with pytest.raises(TactipError, match="none of 8 frames shows"):
         sim_to_real_gap(read_samples(lab), design_named("nominal-331"), "draft", 8)
 
 
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--real-frames", "50"], "with 50 to learn from, 20 or more must be left to test on"),
+        (["--real-frames", "50"], "real_frames must be at most 40, so 20 of the 60 frames"),
         (["--design", "cube"], "unknown design 'cube'"),
-        (["--start", "nobody"], "no shipped model of that name"),
+        (["--start", "nobody"], "neither a folder nor a shipped model"),
     ],
 )
-def test_wrong_words_are_one_sentence(lab, tmp_path, capsys, options, words):
+def test_transfer_wrong_option_reports_error(lab, tmp_path, capsys, options, words):
     command = ["transfer", "zero-shot", "--real", str(lab), "--out", str(tmp_path / "out"), "--real-frames", "30"]
     assert tactip.main([*command, *options]) == 1
     assert words in capsys.readouterr().err
@@ -263,7 +263,7 @@ def test_wrong_words_are_one_sentence(lab, tmp_path, capsys, options, words):
         ("fidelity", "exact", "('draft', 'standard', 'reference')"),
     ],
 )
-def test_a_choice_that_there_is_not_is_refused_with_those_there_are(tmp_path, capsys, option, value, choices):
+def test_transfer_unknown_choice_lists_choices(tmp_path, capsys, option, value, choices):
     command = ["transfer", "zero-shot", "--real", "nowhere", "--out", str(tmp_path / "out")]
     with pytest.raises(SystemExit) as ended:
         tactip.main([*command, f"--{option}", value])
@@ -272,7 +272,7 @@ def test_a_choice_that_there_is_not_is_refused_with_those_there_are(tmp_path, ca
     assert f"invalid choice '{value}' for argument '--{option}'. Expected one of {choices}" in told
 
 
-def test_settings_refuse_names_that_there_are_not():
+def test_settings_unknown_name_is_refused():
     with pytest.raises(TactipError, match="unknown optics 'rainbow': choose one of auto, lens, real, rim, steady"):
         TransferSettings(optics="rainbow")
     with pytest.raises(TactipError, match="unknown mechanics 'stone': choose one of none, real"):
@@ -281,26 +281,26 @@ def test_settings_refuse_names_that_there_are_not():
         TransferSettings(recipe="cake")
 
 
-def test_how_many_labels_may_be_used_goes_by_the_set_if_it_is_not_told(lab):
+def test_split_default_depends_on_set_size(lab):
     samples = read_samples(lab)
     halves = split_of(samples, TransferSettings())
     assert (len(halves.known), len(halves.test)) == (36, 24)
     many = samples.take(np.arange(3000) % 60)
     assert len(split_of(many, TransferSettings()).known) == 1500
-    with pytest.raises(TactipError, match="has 30 frames: at least 33 are needed"):
+    with pytest.raises(TactipError, match="at least 33 real frames are needed, got 30 in"):
         split_of(samples.take(slice(0, 30)), TransferSettings())
 
 
-def test_a_set_whose_depths_have_the_other_sign_is_refused_before_anything_is_made(lab, tmp_path, capsys):
+def test_transfer_depth_of_wrong_sign_is_refused(lab, tmp_path, capsys):
     folder, wrong = lab.with_name("other_tip"), ["pose_z=pose_2+5", "pose_Ry=pose_6"]
     assert tactip.main(["import", str(folder), "--out", str(tmp_path / "set"), "--columns", *wrong]) == 0
     assert tactip.main(["transfer", "zero-shot", "--real", str(tmp_path / "set"), "--out", str(tmp_path / "out")]) == 1
-    assert "and must be negative into the object" in capsys.readouterr().err
+    assert "must be negative (into the object)" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.slow
-def test_pseudo_real_runs_without_any_real_data(tiny, tmp_path, capsys):
+def test_pseudo_real_needs_no_real_data(tiny, tmp_path, capsys):
     command = ["transfer", "pseudo-real", "--out", str(tmp_path / "out"), "--frames", "50", "--gap-frames", "8", *FEW]
     assert tactip.main([*command, "--shots", "10", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
@@ -308,7 +308,7 @@ def test_pseudo_real_runs_without_any_real_data(tiny, tmp_path, capsys):
     assert told["gap"]["at_the_best_share_of_the_move"]["median"] < told["gap"]["pins_move"]
 
 
-def test_what_is_hidden_is_another_sensor_and_the_same_from_its_seed(tmp_path, capsys):
+def test_hidden_design_depends_on_seed_only(tmp_path, capsys):
     assert hidden_design("nominal-127", 0) == hidden_design("nominal-127", 0) != hidden_design("nominal-127", 1)
     assert hidden_design("nominal-127", 0).optics != design_named("nominal-127").optics
     assert tactip.main(["transfer", "pseudo-real", "--out", str(tmp_path / "out"), "--real", "x"]) == 1
@@ -317,18 +317,18 @@ def test_what_is_hidden_is_another_sensor_and_the_same_from_its_seed(tmp_path, c
     assert "gap needs the folder of an imported set: give --real" in capsys.readouterr().err
 
 
-def test_an_unknown_experiment_and_a_set_without_a_neutral_image(lab, tmp_path, capsys):
+def test_transfer_unknown_experiment_or_missing_neutral_image(lab, tmp_path, capsys):
     with pytest.raises(SystemExit) as ended:
         tactip.main(["transfer", "many-shot", "--real", str(lab), "--out", str(tmp_path / "out")])
     assert ended.value.code == 2
     told = " ".join(capsys.readouterr().err.replace("│", " ").split())
     assert "Expected one of ('zero-shot', 'ablate', 'few-shot', 'gap', 'pseudo-real')" in told
     (tmp_path / "set").mkdir()
-    with pytest.raises(TactipError, match=r"has no neutral\.png, it was imported by an earlier version"):
+    with pytest.raises(TactipError, match=r"has no neutral\.png because an earlier version imported it"):
         fit_design_to_neutral_image(tmp_path / "set", 128)
 
 
-def test_the_page_of_all_sets_says_what_was_asked(lab, tmp_path, monkeypatch):
+def test_transfer_page_shows_targets(lab, tmp_path, monkeypatch):
     """Errors are held to what is asked and to those of real training; what was made before stays on the page."""
 
     def figures(depth, tilt):
