@@ -10,12 +10,16 @@ from tactip_twin.sim.contact.fidelity import Fidelity
 from tactip_twin.sim.contact.record import QualityLimits
 from tactip_twin.sim.dataset.mechanics_randomization import MechanicsRandomization
 from tactip_twin.sim.dataset.options import DatasetOptions
+from tactip_twin.sim.dataset.sampling import Ranges
 from tactip_twin.sim.dataset.symmetry import SYMMETRIES, Symmetry
 from tactip_twin.tactip_model.design import Design
 
 _WRITTEN_IF_NOT_DEFAULT = ("curvature_per_m", "uneven", "shard_samples", "first", "looks", "mechanics")
 """Fields added after version 1: written only where they differ from their default, so older sets keep their digest."""
 
+
+REQUIRED_KEYS = ("task", "split", "samples", "seed", "renderer", "design", "fidelity", "pose", "shear")
+"""Keys that a file must have: what decides a set's samples is not left to today's defaults."""
 
 _KEY_ORDER = (
     *("task", "split", "samples", "seed", "renderer", "design", "fidelity", "pose", "shear", "bounds", "symmetric"),
@@ -34,6 +38,8 @@ class Configuration(DatasetOptions):
     """`train`, `val` or `test`."""
     design: Design
     """Sensor."""
+    pose: Ranges = field()
+    """Ranges of the labelled poses: those of the task in the paper are in POSE_RANGES."""
     fidelity: Fidelity
     """Mesh, steps and tolerances, which trade the error of a contact for time."""
     bounds: QualityLimits = field(default_factory=QualityLimits)

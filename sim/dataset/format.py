@@ -27,7 +27,7 @@ import cv2
 import numpy as np
 
 from tactip_twin.sim.contact.record import Contact
-from tactip_twin.sim.dataset.configuration import Configuration
+from tactip_twin.sim.dataset.configuration import REQUIRED_KEYS, Configuration
 from tactip_twin.sim.labels import LABELS, SHEARS
 from tactip_twin.sim.pose import to_mm_deg
 from tactip_twin.tactip_model.design_file import from_dict
@@ -204,6 +204,9 @@ def read_configuration(meta: dict[str, Any], folder: str | Path) -> Configuratio
     """
     if not isinstance(meta.get("configuration"), dict) or "fidelity" not in meta["configuration"]:
         raise TactipError(f"the set in {folder} was not simulated: it has no configuration to simulate its contacts from")
+    for key in REQUIRED_KEYS:
+        if key not in meta["configuration"]:
+            raise TactipError(f"{folder}: configuration lacks the field {key!r}")
     return from_dict(Configuration, meta["configuration"], f"{folder}: configuration")
 
 

@@ -50,9 +50,15 @@ def test_mechanics_randomization_default_is_identity_and_factors_below_1_are_ref
 
 def configuration(**changes):
     made = Configuration(
-        "surface", "train", 4, 0, "raster", design_named("nominal-127"), fidelity_named("draft"), POSE_RANGES["surface"],
-        SHEAR_RANGES,
-    )  # fmt: skip
+        task="surface",
+        split="train",
+        samples=4,
+        renderer="raster",
+        design=design_named("nominal-127"),
+        fidelity=fidelity_named("draft"),
+        pose=POSE_RANGES["surface"],
+        shear=SHEAR_RANGES,
+    )
     return replace(made, **changes)
 
 

@@ -10,6 +10,8 @@ import pytest
 
 from helpers.set_commands import table
 from tactip_twin.commands import main as tactip
+from tactip_twin.sim.dataset.format import read_configuration
+from tactip_twin.tactip_model.errors import TactipError
 
 
 def damage_missing_image(folder):
@@ -131,3 +133,11 @@ def test_a_foreign_meta_is_refused(tmp_path, capsys):
     (tmp_path / "meta.json").write_text('{"num_poses": 5000}')
     assert tactip.main(["dataset", "verify", str(tmp_path)]) == 1
     assert "not describe a data set of this project" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("key", ["task", "seed", "renderer", "pose", "shear"])
+def test_configuration_without_a_key_is_refused_not_filled_in(copy, key):
+    meta = json.loads((copy / "meta.json").read_text())
+    del meta["configuration"][key]
+    with pytest.raises(TactipError, match=f"configuration lacks the field '{key}'"):
+        read_configuration(meta, copy)
