@@ -27,7 +27,7 @@ PerformanceGroup = Literal[
 
 @dataclass(frozen=True)
 class FidelityOptions:
-    """Measure errors and costs of contacts over presets and numbers. Run again, it goes on where it stopped."""
+    """Measure errors and costs of contacts over presets and numbers. Rerun to resume."""
 
     out: Path = Path("docs")
     """Folder for fidelity.json, fidelity.md and fidelity.png."""
@@ -43,7 +43,7 @@ class FidelityOptions:
 
 @dataclass(frozen=True)
 class StabilityOptions:
-    """Map where contacts converge and where they are refused. Run again, it goes on where it stopped."""
+    """Map where contacts converge and where they are refused. Rerun to resume."""
 
     out: Path = Path("docs")
     """Folder for stability.json, stability.md and stability.png."""
@@ -272,7 +272,7 @@ class PerformanceOptions:
 
 @dataclass(frozen=True)
 class ScaleOptions:
-    """Reckon what a million contacts cost on many machines, from rates measured on this one."""
+    """Estimate the cost of a million contacts on many machines, from rates measured on this one."""
 
     contacts: int = 60
     """Contacts of a set that is measured."""

@@ -14,7 +14,7 @@ from tactip_twin.tactip_model.errors import TactipError
 
 @dataclass(frozen=True)
 class Calibrate(Command):
-    """Fit the sensor to real frames: lens, pins, materials, friction, rig. Run again, it goes on where it stopped."""
+    """Fit the sensor to real frames: lens, pins, materials, friction, rig. Rerun to resume."""
 
     real: tyro.conf.Positional[Path]
     """Folder of the real set: a neutral image init*.png, frames, targets.csv and meta.json

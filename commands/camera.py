@@ -75,7 +75,7 @@ class Camera(Command):
                         break
                 else:
                     if page:
-                        print("that was the last frame, which the page goes on showing: Ctrl-C ends it", file=sys.stderr)
+                        print("that was the last frame; the page keeps showing it until Ctrl-C", file=sys.stderr)
                         Event().wait()
             rate = (count - 1) / last if count > 1 else 0.0
             print(f"{count} frames, {faults} of them faulty; {rate:.1f} frames/s", file=sys.stderr)

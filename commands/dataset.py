@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Make(Command):
-    """Make labelled, sheared tactile images with the simulated sensor. Run again, it goes on where it stopped."""
+    """Make labelled, sheared tactile images with the simulated sensor. Rerun to resume."""
 
     out: Path
     """Folder of the set; of the sets (OUT/TASK/SPLIT) if task or split is all."""

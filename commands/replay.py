@@ -33,7 +33,7 @@ class Replay(Command):
     rate: int = 25
     """Pictures a second."""
     window: bool = False
-    """Show it in MuJoCo's own window in the place of a page in a browser: for where there is a display."""
+    """Show it in MuJoCo's own window instead of a page in a browser: for where there is a display."""
     host: str = "127.0.0.1"
     """Address to serve the page at: this machine alone."""
     port: int = 8080

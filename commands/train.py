@@ -16,7 +16,7 @@ from tactip_twin.learning.recipes import read_recipe
 
 @dataclass(frozen=True)
 class Train(Command):
-    """Train a network on a data set. Run again, it goes on where it stopped."""
+    """Train a network on a data set. Rerun to resume."""
 
     data: Path
     """Folder of a task's sets: DATA/train and DATA/val."""

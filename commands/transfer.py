@@ -34,7 +34,7 @@ class Transfer(Command):
     frames: int = 2500
     """Frames of pseudo-real."""
     json: bool = False
-    """Print the results, as JSON, in the place of words."""
+    """Print the results as JSON instead of text."""
     workers: str = "auto"
     """Worker processes that make contacts; auto is one a core."""
     device: DeviceName = "auto"

@@ -14,7 +14,7 @@ from tactip_twin.tactip_model.errors import TactipError
 
 @dataclass(frozen=True)
 class Tune(Command):
-    """Search for a network by TPE, each trial a training. Run again, it goes on where it stopped."""
+    """Search for a network by TPE, each trial a training. Rerun to resume."""
 
     data: Path
     """Folder of a task's sets: DATA/train and DATA/val."""
