@@ -9,7 +9,6 @@ from typing import Annotated, Literal, NamedTuple
 
 import tyro
 
-from tactip_twin.assets import MODELS
 from tactip_twin.sim.labels import FidelityName, Task
 from tactip_twin.sim2real.transfer.settings import TransferSettings
 
@@ -191,7 +190,7 @@ class ReleaseModelsOptions:
     """Its folder of sets."""
     runs: Path = Path("runs/learning")
     """Its folder of trainings."""
-    out: Path = MODELS
+    out: Path = Path("assets/models")
     """Folder of the shipped networks."""
     again: bool = False
     """Judge the network that is shipped, and leave its weights as they are."""

@@ -23,6 +23,10 @@ def test_the_reference_is_that_of_the_commands(reference):
     assert reference == (ROOT / "docs" / "commands.md").read_text(), "make reference writes it anew"
 
 
+def test_reference_holds_no_path_of_the_machine(reference):
+    assert str(ROOT) not in reference
+
+
 def sections(reference):
     """Options by command: a dict of a command's words (tuple of str) to its options (set of str)."""
     parts = re.split(r"^#+ tactip (.*)$", reference, flags=re.MULTILINE)[1:]

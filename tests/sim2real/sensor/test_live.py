@@ -165,7 +165,7 @@ def test_camera_page_stays_after_last_frame_until_interrupt(video):
     ) as process:
         assert process.stderr is not None
         lines = ""
-        while "Ctrl-C ends it" not in lines:
+        while "until Ctrl-C" not in lines:
             line = process.stderr.readline()
             assert line, lines
             lines += line
