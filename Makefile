@@ -64,8 +64,8 @@ servo: $(READY)
 
 demo: $(READY)
 	@rm -rf runs/demo
-	@$(BIN)/tactip servo --task surface --object bust --route.kind straight --route.length-mm 40 --film --out runs/demo/bust
-	@$(BIN)/tactip servo --task edge --object rim-round --settings.step-mm 2 --film --out runs/demo/rim
+	@$(BIN)/tactip servo --task surface --object bust --route.kind straight --route.length-mm 40 --video --out runs/demo/bust
+	@$(BIN)/tactip servo --task edge --object rim-round --settings.step-mm 2 --video --out runs/demo/rim
 
 replay: $(READY)
 	@$(BIN)/tactip replay "$(RUN)"

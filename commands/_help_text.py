@@ -15,7 +15,7 @@ from typing import Annotated, Any, get_type_hints
 import tyro
 from tyro.constructors import ConstructorRegistry, StructConstructorSpec, StructFieldSpec, StructTypeInfo
 
-_ALIASES = {("SearchSpace", "most_filters"): "--max-filters"}
+_ALIASES = {("SearchSpace", "max_filters"): "--max-filters"}
 """Second names of options, by class and field."""
 
 REGISTRY = ConstructorRegistry()

@@ -37,7 +37,7 @@ class Calibrate(Command):
 
         if self.out.suffix != ".json":
             raise TactipError(f"the design file {self.out} must end in .json")
-        for name in ("frames", "judged"):
+        for name in ("fit_frames", "test_frames"):
             count = getattr(self.selection, name)
             require(count >= 10, name, count, "at least 10")
         report = self.report or self.out.with_name(f"{self.out.stem}_calibration")

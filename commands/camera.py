@@ -32,7 +32,7 @@ class Camera(Command):
     """A shipped network or the folder of a training; none for none."""
     neutral: Path | None = None
     """Image of the untouched tip; the first frame if not given."""
-    page: bool = False
+    browser: bool = False
     """Show it in a browser, too."""
     host: str = "127.0.0.1"
     """Address that the page is served at."""
@@ -103,7 +103,7 @@ class Camera(Command):
 
     def _page(self) -> "CameraPage | None":
         """Return the page in a browser, if there is to be one."""
-        if not self.page:
+        if not self.browser:
             return None
         from tactip_twin.sim2real.sensor.live_page import CameraPage
 

@@ -39,7 +39,7 @@ class Make(Command):
     """Fidelity of the simulation (sim/contact/fidelity.py)."""
     design: str = "tactip-127"
     """Sensor: tactip-127, tactip-331, or a design file (.json) as `tactip calibrate` writes it."""
-    mechanics: MechanicsName = "none"
+    randomize_mechanics: MechanicsName = "none"
     """Randomization of the mechanics; with real, stiffness, friction, thickness and pin length of the tip differ from
     contact to contact (sim/dataset/mechanics_randomization.py)."""
     json: bool = False
@@ -111,7 +111,7 @@ class Make(Command):
                 **vars(self.options),
                 design=load_design(self.design),
                 fidelity=fidelity_named(self.fidelity),
-                mechanics=MECHANICS_RANDOMIZATIONS[self.mechanics],
+                mechanics_randomization=MECHANICS_RANDOMIZATIONS[self.randomize_mechanics],
             )
             jobs.append(Job(configuration, self.out / self.task / split if several else self.out))
         return jobs

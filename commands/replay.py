@@ -28,9 +28,9 @@ class Replay(Command):
     """Film to write, .mp4."""
     gif: Path | None = None
     """GIF to write, .gif."""
-    every: int = 1
+    stride: int = 1
     """Steps a picture."""
-    rate: int = 25
+    fps: int = 25
     """Pictures a second."""
     window: bool = False
     """Show it in MuJoCo's own window instead of a page in a browser: for where there is a display."""
@@ -46,8 +46,8 @@ class Replay(Command):
         from tactip_twin.sim.view.replay_video import render_frames
         from tactip_twin.sim.view.video import write_video
 
-        if self.every < 1 or self.rate < 1:
-            raise TactipError(f"--every is {self.every} and --rate {self.rate}: both must be at least 1")
+        if self.stride < 1 or self.fps < 1:
+            raise TactipError(f"--stride is {self.stride} and --fps {self.fps}: both must be at least 1")
         asked = [(path, ending) for path, ending in ((self.video, ".mp4"), (self.gif, ".gif")) if path is not None]
         for path, ending in asked:
             if path.suffix.lower() != ending:
@@ -56,10 +56,10 @@ class Replay(Command):
         (record, arrays), scenery = read_recording(self.run_), read_recorded_scene(self.run_)
         if not record["complete"]:
             print(f"{self.run_} was not completed: it has {record['steps']} steps", file=sys.stderr)
-        count = -(-record["steps"] // self.every)
+        count = -(-record["steps"] // self.stride)
         for path, _ in asked:
-            drawn = render_frames(scenery, record, arrays, self.every)
-            write_video(path, tqdm(drawn, total=count, unit="picture", file=sys.stderr, disable=not count), self.rate)
+            drawn = render_frames(scenery, record, arrays, self.stride)
+            write_video(path, tqdm(drawn, total=count, unit="picture", file=sys.stderr, disable=not count), self.fps)
             print(f"{path} written")
         if asked:
             return 0

@@ -26,7 +26,7 @@ class Train(Command):
     """Network and training that the options below change; their defaults are those of the recipe for the set's task."""
     config: Path | None = None
     """Instead of a recipe: a JSON file, as `tactip tune` writes best.json."""
-    start: str = ""
+    init_from: str = ""
     """A shipped network or the folder of a training, whose weights it begins with; at random if empty. Its layers are the
     recipe's then."""
     device: DeviceName = "auto"
@@ -38,7 +38,7 @@ class Train(Command):
 
     @classmethod
     def defaults(cls, arguments: Sequence[str]) -> "Train":
-        """Return the defaults: network and training of --config, or of --recipe for the task of --data, with --start's
+        """Return the defaults: network and training of --config, or of --recipe for the task of --data, with --init-from's
         network."""
         data, recipe = _train_set(arguments), _recipe(arguments)
         training = recipe.settings
@@ -54,10 +54,14 @@ class Train(Command):
             from tactip_twin.learning.train import train
 
             device_named(self.device)
-            start = load_network(self.start) if self.start else None
+            start = load_network(self.init_from) if self.init_from else None
             train_samples, val_samples = read_splits(self.data)
         recipe = read_recipe(self.config) if self.config else RECIPES[self.recipe][train_samples.labels.task]
-        if recipe.settings.drawn and not self.training.drawn and not train_samples.dataset.simulated:
+        if (
+            recipe.settings.augmented_fraction
+            and not self.training.augmented_fraction
+            and not train_samples.dataset.simulated
+        ):
             to_stderr(f"{train_samples.folder} has no pins: its images are taken as they are, and none is drawn anew")
         train(train_samples, val_samples, self.network, self.training, self.out, self.device, to_stderr, init_from=start)
         print(f"{self.out / 'model.json'} written")
@@ -69,7 +73,7 @@ def _recipe(arguments: Sequence[str]) -> Recipe:
     config = last_value(arguments, "config")
     if config is not None:
         return read_recipe(config)
-    name, start = last_value(arguments, "recipe"), last_value(arguments, "start")
+    name, start = last_value(arguments, "recipe"), last_value(arguments, "init-from")
     named = next((recipes for key, recipes in RECIPES.items() if key == name), RECIPES["laptop"])
     recipe = named[_task(_train_set(arguments))]
     if start:
@@ -104,4 +108,4 @@ def _without_rendered_images(training: TrainSettings) -> TrainSettings:
     """Return the settings for a set without pins, from which no image can be rendered anew."""
     from dataclasses import replace
 
-    return replace(training, drawn=0.0)
+    return replace(training, augmented_fraction=0.0)

@@ -29,7 +29,7 @@ class Transfer(Command):
     """Folder of an imported set (tactip import); pseudo-real makes its own."""
     task: Task = "surface"
     """Task of pseudo-real."""
-    kind: PseudoKind = "nominal-127"
+    pseudo_design: PseudoKind = "nominal-127"
     """Nominal design of the hidden sensor of pseudo-real."""
     frames: int = 2500
     """Frames of pseudo-real."""
@@ -71,7 +71,7 @@ class Transfer(Command):
             if self.real is not None:
                 raise TactipError(f"pseudo-real makes its own set, and --real {self.real} is given: leave it out")
             seed, workers = self.settings.seed, worker_count(self.workers)
-            return make_pseudo_real(self.out / "hidden", self.task, self.kind, self.frames, seed, workers, log)
+            return make_pseudo_real(self.out / "hidden", self.task, self.pseudo_design, self.frames, seed, workers, log)
         if self.real is None:
             raise TactipError(f"{self.experiment} needs the folder of an imported set: give --real")
         return self.real

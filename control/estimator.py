@@ -112,7 +112,7 @@ class ImageEstimator:
     def estimate(self, touch: TipState, T_base_tcp: np.ndarray) -> Estimate:
         """Return the function's estimate; the true pose is not used."""
         start = time.perf_counter()
-        image = self._image(touch.tips, touch.directions)
+        image = self._image(touch.pin_tips, touch.directions)
         rendered = time.perf_counter()
         label = self._label(image)
         end = time.perf_counter()

@@ -58,7 +58,7 @@ class Step:
 
 
 _SLOW_DEG = {"surface": 2.0, "edge": 0.0}
-"""Default of Settings.slow_deg by task."""
+"""Default of Settings.slowdown_angle_deg by task."""
 
 _MIN_STEP_FRACTION = 0.2
 """Smallest fraction of the tangential step, - [?]."""
@@ -124,13 +124,13 @@ class ContourFollower:
 
     def _follow(self, route: Route) -> None:
         estimate, centred, good, trouble = self._search(self._settings.search_mm), 0, 0, 0
-        while self._steps < self._settings.most_steps:
+        while self._steps < self._settings.max_steps:
             measured = self._finger.arm_model.measured_pose()
             fault = self._fault(estimate)
             if fault:
                 trouble, good = trouble + 1, 0
                 self._note(*fault)
-                if trouble > self._settings.most_trouble:
+                if trouble > self._settings.max_recoveries:
                     raise FollowingFailed(f"{fault[0]} {trouble} times in a row: {fault[1]}")
                 estimate, centred = self._react(fault[0]), 0
                 continue
@@ -138,7 +138,7 @@ class ContourFollower:
             trouble = 0 if good >= _RECOVERED_STEPS else trouble
             start = self._clock()
             along = np.zeros(3)
-            if centred < self._settings.centre_steps:
+            if centred < self._settings.alignment_steps:
                 self._phase, centred = "centre", centred + 1
             else:
                 self._phase = "follow"
@@ -150,12 +150,14 @@ class ContourFollower:
                 along = measured[:3, :3].T @ (self._step_fraction(estimate) * self._settings.step_mm / 1e3 * direction)
             T = measured @ self._controller.move(estimate.label, along)
             estimate = self._go(T, self._clock() - start)
-        self.stopped_because = f"reached the limit of {self._settings.most_steps} steps"
+        self.stopped_because = f"reached the limit of {self._settings.max_steps} steps"
 
     def _step_fraction(self, estimate: Estimate) -> float:
         """Return the fraction of the tangential step to take: smaller where the sensor tilts, because it lags behind the
         surface's turns."""
-        slow = _SLOW_DEG[self._labels.task] if self._settings.slow_deg is None else self._settings.slow_deg
+        slow = (
+            _SLOW_DEG[self._labels.task] if self._settings.slowdown_angle_deg is None else self._settings.slowdown_angle_deg
+        )
         tilt = np.degrees(np.linalg.norm(pose_error(estimate.label, np.zeros(6))[3:5]))
         return max(_MIN_STEP_FRACTION, 1 - tilt / slow) if slow else 1.0
 
@@ -164,13 +166,13 @@ class ContourFollower:
         danger, s = self._danger(), self._settings
         if danger:
             return danger
-        if estimate.touching < s.touch:
+        if estimate.touching < s.contact_threshold:
             return "contact lost", f"the image is that of a tip in the air, to {estimate.touching:.2f}"
         low, high = np.array(self._labels.low), np.array(self._labels.high)
         predicted = to_mm_deg(estimate.label)[[COMPONENTS.index(c) for c in self._labels.components]]
         out = np.maximum(low - predicted, predicted - high) / ((high - low) / 2)
         worst = int(out.argmax())
-        if not np.isfinite(predicted).all() or out[worst] > s.beyond:
+        if not np.isfinite(predicted).all() or out[worst] > s.range_margin:
             unit = self._labels.units[worst]
             return (
                 "estimate out of range",
@@ -181,7 +183,7 @@ class ContourFollower:
 
     def _danger(self) -> tuple[str, str] | None:
         """Return kind and description of what could do damage, whatever the estimate, or None."""
-        force, limit = float(np.linalg.norm(self._touch.force)), self._settings.most_force_n
+        force, limit = float(np.linalg.norm(self._touch.force)), self._settings.max_force_n
         if force > limit:
             return "force", f"{force:.1f} N on the tip (at most {limit:g} N)"
         if self._touch.clearance_m < 0:
@@ -193,7 +195,7 @@ class ContourFollower:
         self._phase = "search"
         self._controller.reset()
         if kind != "contact lost":
-            self._go(self._finger.arm_model.measured_pose() @ _shift(-self._settings.back_off_mm))
+            self._go(self._finger.arm_model.measured_pose() @ _shift(-self._settings.retract_mm))
         return self._search(self._settings.search_mm / 2)
 
     def _search(self, max_mm: float) -> Estimate:
@@ -205,7 +207,7 @@ class ContourFollower:
         s, self._phase = self._settings, "search"
         estimate = self._estimate(0.0)
         travelled_mm = 0.0
-        while estimate.touching < s.touch:
+        while estimate.touching < s.contact_threshold:
             danger = self._danger()
             if danger:
                 self._note(*danger)
@@ -233,9 +235,9 @@ class ContourFollower:
         """Restart with an undeformed tip, clear of the object and behind the place where the simulation lost it."""
         self._phase = "search"
         lost = self._note_count("diverged")
-        if lost > self._settings.most_trouble:
+        if lost > self._settings.max_recoveries:
             raise FollowingFailed(f"the simulation lost the tip {lost} times")
-        T = self._finger.arm_model.measured_pose() @ _shift(-3 * self._settings.back_off_mm)
+        T = self._finger.arm_model.measured_pose() @ _shift(-3 * self._settings.retract_mm)
         try:
             self._finger.reset_to(T, float(np.nan_to_num(self._finger.arm_model.angles[5])))
         except TactipError as error:

@@ -10,7 +10,7 @@ from tactip_twin.tactip_model.bounds import check, within
 from tactip_twin.tactip_model.errors import lookup
 from tactip_twin.tactip_model.renderer import RendererName
 
-GainsName = Literal["paper", "later"]
+GainsName = Literal["paper", "tactile-servo-control"]
 """Names of the gains (servo.GAINS)."""
 
 RouteKind = Literal["serpentine", "straight", "geodesic"]
@@ -26,28 +26,28 @@ class Settings:
 
     step_mm: float = within(0.05, 10, default=1.0)
     """Tangential step, mm [P]."""
-    slow_deg: float | None = within(0, 90, default=None)
+    slowdown_angle_deg: float | None = within(0, 90, default=None)
     """Felt angle to the normal at which the step would be nothing, degrees: it shrinks evenly with the angle, to a fifth at
     0.8 of it, and no further. 0: never, as the paper. If not given 2 over surfaces (docs/servo.md has what it buys on the
     bust, and at what price), and 0 along edges, whose pitch is felt to 2 degrees only."""
-    touch: float = within(0.01, 0.99, default=0.12)
+    contact_threshold: float = within(0.01, 0.99, default=0.12)
     """How far an image must be from that of a tip in the air to count as touched, -: on a ball and a rim, presses of half a
     millimetre gave 0.1, of one 0.2. An estimate: what a camera's noise gives is not measured."""
     search_mm: float = within(0, 50, default=12.0)
     """How far contact is looked for along the sensor's axis, mm."""
     search_step_mm: float = within(0.05, 2, default=0.5)
     """Steps of that, mm."""
-    centre_steps: int = within(1, 100, default=12)
+    alignment_steps: int = within(1, 100, default=12)
     """Steps without going on, in which the servo finds the reference after contact is made."""
-    beyond: float = within(0, 10, default=0.5)
+    range_margin: float = within(0, 10, default=0.5)
     """How far an estimate may be out of the range that was learned, in its half width: farther, it is none."""
-    most_force_n: float = within(0.1, 100, default=8.0)
+    max_force_n: float = within(0.1, 100, default=8.0)
     """Force at which the arm stops and backs off, N; an estimate, above what a press as deep as was learned takes."""
-    back_off_mm: float = within(0.1, 20, default=2.0)
+    retract_mm: float = within(0.1, 20, default=2.0)
     """How far it backs off along the sensor's axis, mm."""
-    most_trouble: int = within(0, 1000, default=5)
+    max_recoveries: int = within(0, 1000, default=5)
     """Reactions in a row, without three good steps between, after which it gives up."""
-    most_steps: int = within(1, 1000000, default=20000)
+    max_steps: int = within(1, 1000000, default=20000)
     """Steps after which it stops."""
 
     def __post_init__(self) -> None:
@@ -70,11 +70,11 @@ class RouteOptions:
     """Distance between passes, mm."""
     heading_deg: float = within(-360, 360, default=90.0)
     """Direction of the passes in the base frame, from x towards y, degrees."""
-    backward: bool = False
+    reverse: bool = False
     """Along an edge: clockwise as seen from above."""
-    start_share: float = within(0, 1, default=0.0)
+    start_fraction: float = within(0, 1, default=0.0)
     """Along an edge: where to begin, as a share of it."""
-    most_mm: float = within(1, 10000, default=1000.0)
+    max_length_mm: float = within(1, 10000, default=1000.0)
     """Along an edge: longest way, mm."""
 
     def __post_init__(self) -> None:
@@ -96,9 +96,9 @@ class ServoOptions:
     """What a file's numbers are in: mm, which it is if not given, cm or m."""
     scale: float = within(1e-6, 1e6, default=1.0)
     """Size of the object over that."""
-    place_mm: tuple[float, float, float] | None = within(-1e4, 1e4, default=None)
+    position_mm: tuple[float, float, float] | None = within(-1e4, 1e4, default=None)
     """Where the middle of its underside is in the base frame, mm; in front of the arm if not given."""
-    turn_deg: tuple[float, float, float] | None = None
+    rotation_deg: tuple[float, float, float] | None = None
     """How it is turned, rotation vector, degrees."""
     model: str = ""
     """A shipped network or the folder of a training; `oracle` is the truth. If empty the shipped one: for surfaces, that
@@ -123,12 +123,12 @@ class ServoOptions:
     """Moduli of skin and gel, over the design's."""
     seed: int | None = within(0, 2**63 - 1, default=None)
     """Seed of a start that is off the mark: by up to 3 mm and 8 degrees. Without, it is on it."""
-    film: bool = False
+    video: bool = False
     """Make a film of the run, too."""
     settle_steps: int | None = within(1, 1000, default=None)
     """Time steps at rest before an image is taken; half of the fidelity's over surfaces and a quarter along edges if not
     given."""
-    pace: float = within(0.1, 4, default=1.0)
+    speed_scale: float = within(0.1, 4, default=1.0)
     """Way of the tip in a time step, over the fidelity's."""
     route: RouteOptions = field(default_factory=RouteOptions)
     """Where to go."""

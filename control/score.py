@@ -40,7 +40,7 @@ def score(
     reference; angle between the sensor's axis and the true normal.
     """
     following = arrays["phase"] == PHASES.index("follow")
-    true, felt = to_mm_deg(arrays["true"][following]), to_mm_deg(arrays["felt"][following])
+    true, felt = to_mm_deg(arrays["true"][following]), to_mm_deg(arrays["predicted"][following])
     edge = record["task"] == "edge"
     poses, seconds = arrays["T_base_tcp"][following], arrays["seconds"]
     # Points of contact: the apex is below them by the depth.
@@ -56,7 +56,7 @@ def score(
         "angle_mean_deg": _mean(angles),
         "angle_p95_deg": float(np.percentile(angles, 95)) if len(angles) else None,
         "lateral_mae_mm": _mean(np.abs(true[:, 0] - reference_mm_deg[0])) if edge else None,
-        "felt_mae": {name: _mean(np.abs(felt - true)[:, k]) for k, name in enumerate(COMPONENTS)},
+        "prediction_mae": {name: _mean(np.abs(felt - true)[:, k]) for k, name in enumerate(COMPONENTS)},
         "contact_losses": sum(e["kind"] == "contact lost" for e in record["events"]),
         "events": len(record["events"]),
         "coverage": coverage(places, targets, EDGE_COVERED_M if edge else COVERED_M),

@@ -29,9 +29,9 @@ class Gains:
     """Proportional, - [P]."""
     ki: tuple[float, float, float, float, float, float] = within(0, 2, default=(0.3, 0.3, 0.3, 0.1, 0.1, 0.1))
     """Integral, a step [P]."""
-    most_mm: float = within(0, 100, default=5.0)
+    integral_limit_mm: float = within(0, 100, default=5.0)
     """The summed error is kept within so much, mm [L] ..."""
-    most_deg: float = within(0, 180, default=45.0)
+    integral_limit_deg: float = within(0, 180, default=45.0)
     """... and so many degrees [L]."""
 
     def __post_init__(self) -> None:
@@ -40,7 +40,7 @@ class Gains:
 
 GAINS: dict[GainsName, dict[Task, Gains]] = {
     "paper": {"surface": Gains(), "edge": Gains()},
-    "later": {
+    "tactile-servo-control": {
         "surface": Gains(kp=(1, 1, 0.5, 0.5, 0.5, 1), ki=(0, 0, 0.3, 0.1, 0.1, 0)),
         "edge": Gains(kp=(0.5, 1, 0.5, 0.5, 0.5, 0.5), ki=(0.3, 0, 0.3, 0.1, 0.1, 0.1)),
     },
@@ -96,7 +96,7 @@ class Servo:
     def __init__(self, gains: Gains, depth_mm: float) -> None:
         """Keep a depth, mm, by gains."""
         self._kp, self._ki = np.array(gains.kp), np.array(gains.ki)
-        self._limit = from_mm_deg([gains.most_mm] * 3 + [gains.most_deg] * 3)
+        self._limit = from_mm_deg([gains.integral_limit_mm] * 3 + [gains.integral_limit_deg] * 3)
         self._reference = from_mm_deg(reference_mm_deg(depth_mm))
         self.reset()
 

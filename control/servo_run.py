@@ -87,7 +87,7 @@ def run_servo(
     write_file(options.out / SCORE, (json.dumps(figures, indent=1) + "\n").encode())
     if options.renderer == "pyrender":
         write_figure(options.out / FIGURE, scenery, arrays, options.task)
-    if options.film and not interrupted and finished["steps"]:
+    if options.video and not interrupted and finished["steps"]:
         write_video(options.out / FILM, render_frames(scenery, finished, arrays))
     if interrupted:
         raise Interrupted(f"what was recorded is in {options.out}")
@@ -123,13 +123,13 @@ def _row(step: Step, label: np.ndarray) -> dict[str, Any]:
     """Return a row of recording.ARRAYS from a step and its true label (6,), m and rad."""
     return {
         "T_base_tcp": step.T_base_tcp,
-        "T_told": step.T_base_tcp_measured,
+        "T_base_tcp_measured": step.T_base_tcp_measured,
         "angles_rad": step.angles,
-        "tips_m": step.touch.tips,
+        "pin_tips_m": step.touch.pin_tips,
         "directions": step.touch.directions,
         "skin_m": step.touch.skin,
         "force_n": step.touch.force,
-        "felt": step.estimate.label,
+        "predicted": step.estimate.label,
         "true": label,
         "touching": step.estimate.touching,
         "penetration_m": step.touch.penetration_m,

@@ -83,9 +83,9 @@ def prepare(
         TactipError: The options cannot be met.
     """
     lookup("task", options.task, dict.fromkeys(DEPTHS_MM))
-    if options.film and options.renderer != "pyrender":
-        raise TactipError(f"a film is drawn by pyrender: --film does not go with --renderer {options.renderer}")
-    thing = load_object(options.object, options.unit, options.scale, options.place_mm, options.turn_deg)
+    if options.video and options.renderer != "pyrender":
+        raise TactipError(f"a film is drawn by pyrender: --video does not go with --renderer {options.renderer}")
+    thing = load_object(options.object, options.unit, options.scale, options.position_mm, options.rotation_deg)
     for repair in thing.notes:
         log(f"{options.object}: {repair}")
     design = _with_overrides(load_design(options.design), options)
@@ -99,7 +99,7 @@ def prepare(
         )
     chosen = _estimator(estimator, options, model, design, truth, thing)
     settle_steps = _settle_steps(options, fidelity.motion)
-    finger = MountedTip(design, thing.solid, fidelity, arm_model, thing.T_base_object, settle_steps, options.pace)
+    finger = MountedTip(design, thing.solid, fidelity, arm_model, thing.T_base_object, settle_steps, options.speed_scale)
     depth_mm = _depth_mm(options, model.labels)
     T_start, route, targets = _plan(options, thing, truth)
     network = model if isinstance(chosen, NetworkEstimator) else None
@@ -183,8 +183,8 @@ def _plan(
     """Return the first pose (4, 4), the route, and the points to touch (m, 3), base frame, m."""
     r, T, edge = options.route, thing.T_base_object, thing.edge
     if options.task == "edge" and edge is not None:
-        first = edge.points[round(r.start_share * (len(edge.points) - 1))]
-        route = EdgePath(r.backward, r.most_mm / 1e3, options.settings.step_mm / 1e3)
+        first = edge.points[round(r.start_fraction * (len(edge.points) - 1))]
+        route = EdgePath(r.reverse, r.max_length_mm / 1e3, options.settings.step_mm / 1e3)
         return _start(options, thing, truth, first), route, edge.points @ T[:3, :3].T + T[:3, 3]
     corners = _corners(options, thing)
     targets = surface_targets(thing, corners, UP)

@@ -16,8 +16,8 @@ def main(data: Path, out: Path = Path("runs/example"), epochs: int = 20, filters
     train_samples, val_samples = read_splits(data)
     recipe = recipe_named("laptop", train_samples.labels.task)
     # Images can be rendered anew during training, as the recipe does, where the pins are known.
-    fraction = recipe.settings.drawn if train_samples.dataset.simulated else 0.0
-    settings = replace(recipe.settings, epochs=epochs, least_steps=0, drawn=fraction)
+    fraction = recipe.settings.augmented_fraction if train_samples.dataset.simulated else 0.0
+    settings = replace(recipe.settings, epochs=epochs, min_steps=0, augmented_fraction=fraction)
     train(train_samples, val_samples, replace(recipe.network, filters=filters), settings, out)
     figures = tt.evaluate(tt.load_network(str(out)), tt.read_samples(data / "test")).figures
     for name, error in figures["mae"].items():

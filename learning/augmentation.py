@@ -59,7 +59,7 @@ class OpticsAugmentation:
         self._size, self._device = samples.size, device
         self._centres, self._radii = torch.from_numpy(centres).to(device), torch.from_numpy(radii).to(device)
         r = ranges
-        widths = fraction * np.array([r.zoom, r.turn_deg * np.pi / 180, r.drift * self._size, r.pin_size])
+        widths = fraction * np.array([r.zoom, r.rotation_deg * np.pi / 180, r.drift * self._size, r.pin_size])
         self._zoom, self._turn, self._drift, self._pin_size = widths.tolist()
         self._fraction, self._ranges, self._px = fraction, ranges, samples.size / 128
         self._cameras: _Cameras | None = None

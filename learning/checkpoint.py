@@ -48,7 +48,7 @@ def provenance(
         "torch": torch.__version__,
     }
     if init_from is not None:
-        record["begun_from"] = net_sha256(init_from.net)
+        record["initial_weights"] = net_sha256(init_from.net)
     return json.loads(json.dumps(record))
 
 
@@ -91,7 +91,7 @@ def load_checkpoint(folder: Path, record: dict[str, Any]) -> dict[str, Any] | Li
             raise TactipError(f"cannot read {checkpoint} ({error}): delete it to restart the training") from error
     elif description.exists():
         state, recorded = "finished", json.loads(description.read_text()).get("provenance", {})
-    requested = {"begun_from": None} | record
+    requested = {"initial_weights": None} | record
     if recorded is not None:
         defaults = {"network": dataclasses.asdict(PoseNetConfig()), "settings": dataclasses.asdict(TrainSettings())}
         recorded = {part: with_new_defaults(recorded.get(part), defaults.get(part)) for part in requested}

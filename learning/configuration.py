@@ -12,7 +12,7 @@ from tactip_twin.tactip_model.errors import lookup
 Activation = Literal["relu", "elu"]
 """Names of the activations [P]."""
 
-Halving = Literal["pool", "stride"]
+Downsampling = Literal["pool", "stride"]
 """Names of the methods of halving an image in a convolution layer."""
 
 ScheduleName = Literal["paper", "cosine"]
@@ -53,21 +53,21 @@ class PoseNetConfig:
     """N_conv, convolutions; 1 to 5 [P]."""
     filters: int = within(1, 1024, default=512)
     """N_filters, of the first convolution; 2, 4, … 512 [P]."""
-    widening: float = within(0.5, 4, default=1.0)
+    filter_growth: float = within(0.5, 4, default=1.0)
     """Filters of each convolution over those of the one before; 1 [P]."""
-    most_filters: int = within(1, 1024, default=1024)
+    max_filters: int = within(1, 1024, default=1024)
     """... up to so many."""
     blur_px: float = within(0, 4, default=0.0)
     """Standard deviation of a blur of the image before all else, px; none [P]. Pooling keeps the place of a grey slope to
     a part of a pixel, and that of a step only to a pixel."""
-    reduce: int = within(1, 8, default=1)
+    downsample: int = within(1, 8, default=1)
     """The image is then averaged over squares of so many px; 1 [P]. At 2, a blurred image keeps what it tells, and costs a
     quarter."""
-    fold: bool = False
+    pixel_unshuffle: bool = False
     """The pixels of those squares become channels instead: none is lost, and only the first convolution costs more."""
     dense_layers: int = within(1, 5, default=1)
     """N_dense, dense layers; 1 to 5 [P]."""
-    units: int = within(1, 4096, default=16)
+    dense_units: int = within(1, 4096, default=16)
     """N_units, of each dense layer; 2, 4, … 512 [P]."""
     activation: Activation = "relu"
     """relu or elu [P]."""
@@ -76,10 +76,10 @@ class PoseNetConfig:
     group_norm: int = within(0, 1024, default=0)
     """Group normalisation in its place, over so many filters each; none [P]. A batch's mean is another at every step, which
     features that are to tell a hundredth of a millimetre notice."""
-    halving: Halving = "pool"
+    downsampling: Downsampling = "pool"
     """How a convolution layer halves its image: pool, 2×2 max-pooling [P], or stride, a convolution of stride 2. The largest
     of four does not tell where a pin is to a part of a pixel; a stride does, and costs less."""
-    further: int = within(0, 4, default=0)
+    extra_convs: int = within(0, 4, default=0)
     """Convolutions that follow in each layer, of the same width; none [P]."""
     dropout: float = within(0, 0.9, default=0.001)
     """Share of the inputs of each dense layer that is left out in training; 0 to 0.5 [P]."""
@@ -94,8 +94,13 @@ class PoseNetConfig:
         check(self)
         check_choice("activation", self.activation, Activation)
         require(not (self.batch_norm and self.group_norm), "group_norm", self.group_norm, "0 with batch norm")
-        check_choice("halving", self.halving, Halving)
-        require(not (self.fold and self.reduce == 1), "reduce", self.reduce, "above 1 with fold")
+        check_choice("downsampling", self.downsampling, Downsampling)
+        require(
+            not (self.pixel_unshuffle and self.downsample == 1),
+            "downsample",
+            self.downsample,
+            "above 1 with pixel_unshuffle",
+        )
 
     def shape(self) -> dict[str, Any]:
         """Return the fields that determine the weights' shapes, i.e. all except those that affect training only."""
@@ -103,8 +108,8 @@ class PoseNetConfig:
 
     def widths(self) -> list[int]:
         """Return the number of filters of each convolution layer."""
-        unlimited = (self.filters * self.widening**k for k in range(self.conv_layers))
-        return [max(1, min(round(w), self.most_filters)) for w in unlimited]
+        unlimited = (self.filters * self.filter_growth**k for k in range(self.conv_layers))
+        return [max(1, min(round(w), self.max_filters)) for w in unlimited]
 
     def last_size(self, size: int) -> int:
         """Return the width, px, of the last convolution layer's output for images of `size` px.
@@ -112,7 +117,7 @@ class PoseNetConfig:
         Raises:
             TactipError: If no pixels remain.
         """
-        remaining = size // self.reduce
+        remaining = size // self.downsample
         for layer in range(1, self.conv_layers + 1):
             remaining = (remaining - 2) // 2
             require(
@@ -132,34 +137,34 @@ class TrainSettings:
     """Seed of weights, order and dropout."""
     epochs: int = within(1, 100000, default=500)
     """Most epochs; the paper names no limit."""
-    least_steps: int = within(0, 10**8, default=0)
+    min_steps: int = within(0, 10**8, default=0)
     """Steps for which a small set is gone through more often than `epochs`; none [P]."""
     patience: int = within(1, 100000, default=10)
     """Epochs without a lower validation error after which training ends [P]."""
-    rate: float = within(1e-7, 1, default=1e-4)
+    learning_rate: float = within(1e-7, 1, default=1e-4)
     """Learning rate of Adam [P]."""
-    muon: float = within(0, 1, default=0.0)
+    muon_learning_rate: float = within(0, 1, default=0.0)
     """Learning rate of Muon (muon.py), which then takes the weights between layers; 0 for Adam alone [P]."""
-    decay: float = within(0, 1, default=1e-6)
+    learning_rate_decay: float = within(0, 1, default=1e-6)
     """Its decay a step [P], of the schedule `paper`."""
     schedule: ScheduleName = "paper"
     """paper, or cosine: to zero over all epochs."""
     precision: Precision = "auto"
     """Of the convolutions: float32, bfloat16, or auto: bfloat16 on a GPU, and on a CPU that multiplies matrices of it (AMX),
     where that is twice as fast."""
-    drawn: float = within(0, 1, default=0.0)
+    augmented_fraction: float = within(0, 1, default=0.0)
     """Share of the images that are drawn anew at every step, from their pins under varied optics (augmentation.py); the rest
     are the plain images of the set [P]."""
-    optics: float = within(0, 4, default=1.0)
+    augmentation_strength: float = within(0, 4, default=1.0)
     """How far the optics are varied for that, of the ranges `varied`; 0.2 of `lens` is little more than which pixels a pin
     falls on."""
-    varied: OpticsName = "lens"
+    optics_ranges: OpticsName = "lens"
     """What is varied: lens, real, rim or steady (optics_ranges.py), each also without noise: lens-clean and so on."""
 
     def __post_init__(self) -> None:
         check(self)
         check_choice("schedule", self.schedule, ScheduleName)
-        check_choice("varied", self.varied, OpticsName)
+        check_choice("optics_ranges", self.optics_ranges, OpticsName)
         check_choice("precision", self.precision, Precision)
 
 
@@ -167,17 +172,17 @@ class TrainSettings:
 class SearchSpace:
     """Limits of the networks that a search tries; the paper's by default. Filters and units are powers of two from 2 on."""
 
-    most_conv_layers: int = within(1, 8, default=5)
+    max_conv_layers: int = within(1, 8, default=5)
     """Most convolutions [P]."""
-    most_filters: int = within(2, 1024, default=512)
+    max_filters: int = within(2, 1024, default=512)
     """Most filters [P]; a CPU hardly trains more than 64."""
-    most_dense_layers: int = within(1, 5, default=5)
+    max_dense_layers: int = within(1, 5, default=5)
     """Most dense layers [P]."""
-    most_units: int = within(2, 4096, default=512)
+    max_dense_units: int = within(2, 4096, default=512)
     """Most units [P]."""
     blur_px: float = within(0, 4, default=0.0)
     """Of every network (PoseNetConfig.blur_px); none [P]."""
-    reduce: int = within(1, 8, default=1)
+    downsample: int = within(1, 8, default=1)
     """Of every network (PoseNetConfig.reduce); 1 [P]. At 2 convolutions multiply a quarter, and 4 of them are the most."""
 
     def __post_init__(self) -> None:
@@ -189,7 +194,7 @@ class SearchSpace:
         Raises:
             TactipError: If the convolutions of one leave no pixels.
         """
-        PoseNetConfig(conv_layers=self.most_conv_layers, reduce=self.reduce).last_size(size)
+        PoseNetConfig(conv_layers=self.max_conv_layers, downsample=self.downsample).last_size(size)
 
 
 @dataclass(frozen=True)
@@ -198,13 +203,13 @@ class TuneSettings:
 
     trials: int = within(1, 100000, default=300)
     """Trainings in all [P]."""
-    startup: int = within(1, 100000, default=50)
+    random_trials: int = within(1, 100000, default=50)
     """The first so many at random [P]."""
     seed: int = within(0, 2**31, default=0)
     """Seed of the suggestions; every training has the seed of `training`."""
     prune: bool = False
     """End a trial that, after as many epochs, is worse than half of those before it; the paper did not."""
-    least_epochs: int = within(1, 1000, default=5)
+    min_epochs: int = within(1, 1000, default=5)
     """... but not before so many epochs."""
     space: SearchSpace = field(default_factory=SearchSpace)
     """Networks that may be tried."""
@@ -227,21 +232,21 @@ class Recipe:
 
 _PAPER = {
     "surface": PoseNetConfig(),
-    "edge": PoseNetConfig(filters=256, dense_layers=2, units=512, dropout=0.203, l1=1e-4, l2=3e-4, batch_size=16),
+    "edge": PoseNetConfig(filters=256, dense_layers=2, dense_units=512, dropout=0.203, l1=1e-4, l2=3e-4, batch_size=16),
 }
 """The paper's best networks. Where its text and Table 2 differ, these are from the table [P]."""
 
 _LAPTOP = PoseNetConfig(
     conv_layers=4,
     filters=32,
-    widening=2.0,
-    most_filters=128,
-    reduce=2,
-    fold=True,
-    halving="stride",
-    further=1,
+    filter_growth=2.0,
+    max_filters=128,
+    downsample=2,
+    pixel_unshuffle=True,
+    downsampling="stride",
+    extra_convs=1,
     dense_layers=3,
-    units=256,
+    dense_units=256,
     activation="elu",
     group_norm=16,
     dropout=0.0,
@@ -252,19 +257,19 @@ _LAPTOP = PoseNetConfig(
 
 _LAPTOP_TRAINING = TrainSettings(
     epochs=36,
-    least_steps=8000,
+    min_steps=8000,
     patience=100000,
-    rate=1.4e-3,
-    muon=0.014,
+    learning_rate=1.4e-3,
+    muon_learning_rate=0.014,
     schedule="cosine",
-    drawn=0.4,
-    optics=0.2,
+    augmented_fraction=0.4,
+    augmentation_strength=0.2,
 )
 
 RECIPES: dict[RecipeName, dict[str, Recipe]] = {
     "laptop": {
         "surface": Recipe(_LAPTOP, _LAPTOP_TRAINING),
-        "edge": Recipe(_LAPTOP, replace(_LAPTOP_TRAINING, epochs=26, drawn=0.5)),
+        "edge": Recipe(_LAPTOP, replace(_LAPTOP_TRAINING, epochs=26, augmented_fraction=0.5)),
     },
     "paper": {task: Recipe(network, TrainSettings()) for task, network in _PAPER.items()},
 }

@@ -25,7 +25,7 @@ from tactip_twin.tactip_model.errors import TactipError, lookup
 from tactip_twin.tactip_model.files import write_file
 
 FORMAT = "tactip-twin PoseNet"
-VERSION = 1
+VERSION = 2
 
 WEIGHTS, DESCRIPTION = "model.pt", "model.json"
 

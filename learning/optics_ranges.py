@@ -11,7 +11,7 @@ class OpticsRanges:
 
     zoom: float = within(0, 0.1, default=0.012)
     """Relative image size, -; a change of 1 % was measured between a neutral image and later frames [M]."""
-    turn_deg: float = within(0, 10, default=0.5)
+    rotation_deg: float = within(0, 10, default=0.5)
     """Rotation of the image about its centre, degrees [?]."""
     drift: float = within(0, 0.05, default=0.008)
     """Translation of the image, as a fraction of its width [?]."""
@@ -45,7 +45,7 @@ class OpticsRanges:
 
 _REAL = OpticsRanges(
     zoom=0.02,
-    turn_deg=1.0,
+    rotation_deg=1.0,
     drift=0.01,
     pin_size=0.25,
     camera_height_m=3e-3,

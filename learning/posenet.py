@@ -35,12 +35,12 @@ class PoseNet(nn.Module):
         super().__init__()
         last = config.last_size(size)
         activation = ACTIVATIONS[config.activation]
-        reduce = 1 if config.fold else config.reduce
+        reduce = 1 if config.pixel_unshuffle else config.downsample
         layers: list[nn.Module] = [_Blur(config.blur_px, reduce)] if config.blur_px or reduce > 1 else []
         channels = 1
-        if config.fold:
-            layers.append(nn.PixelUnshuffle(config.reduce))
-            channels = config.reduce**2
+        if config.pixel_unshuffle:
+            layers.append(nn.PixelUnshuffle(config.downsample))
+            channels = config.downsample**2
         for width in config.widths():
             layers += self._layer(config, channels, width)
             channels = width
@@ -48,8 +48,8 @@ class PoseNet(nn.Module):
         dense: list[nn.Module] = []
         inputs = channels * last**2
         for _ in range(config.dense_layers):
-            dense += [nn.Dropout(config.dropout), nn.Linear(inputs, config.units), activation()]
-            inputs = config.units
+            dense += [nn.Dropout(config.dropout), nn.Linear(inputs, config.dense_units), activation()]
+            inputs = config.dense_units
         self.dense = nn.Sequential(*dense, nn.Dropout(config.dropout), nn.Linear(inputs, outputs))
         self._l1, self._l2 = config.l1, config.l2
 
@@ -64,13 +64,13 @@ class PoseNet(nn.Module):
                 norm = [nn.GroupNorm(groups if width % groups == 0 else 1, width)]
             return [*norm, ACTIVATIONS[config.activation]()]
 
-        if config.halving == "stride":
+        if config.downsampling == "stride":
             layers = [nn.Conv2d(channels, width, 4, stride=2), *finish()]
         elif config.batch_norm or config.group_norm:
             layers = [nn.Conv2d(channels, width, 3), *finish(), nn.MaxPool2d(2)]
         else:  # the activations are monotonic, so pooling first gives the same result at a lower cost
             layers = [nn.Conv2d(channels, width, 3), nn.MaxPool2d(2), *finish()]
-        for _ in range(config.further):
+        for _ in range(config.extra_convs):
             layers += [nn.Conv2d(width, width, 3, padding=1), *finish()]
         return layers
 
@@ -100,12 +100,12 @@ class _Blur(nn.Module):
         line = torch.exp(-0.5 * (torch.arange(-radius, radius + 1) / sigma) ** 2) if radius else torch.ones(1)
         box = torch.ones(1, 1, reduce) / reduce
         line = nn.functional.conv1d((line / line.sum())[None, None], box, padding=reduce - 1)[0, 0]
-        self.radius, self.reduce = radius, reduce
+        self.radius, self.downsample = radius, reduce
         self.register_buffer("kernel", torch.outer(line, line)[None, None], persistent=False)
 
     def forward(self, images: torch.Tensor) -> torch.Tensor:
         """Return the blurred and averaged images."""
-        return nn.functional.conv2d(images, self.kernel.to(images.dtype), padding=self.radius, stride=self.reduce)
+        return nn.functional.conv2d(images, self.kernel.to(images.dtype), padding=self.radius, stride=self.downsample)
 
 
 def parameter_count(net: nn.Module) -> int:

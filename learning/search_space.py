@@ -15,12 +15,12 @@ BATCH_SIZES = (16, 32, 64, 128)
 
 def expressions(space: SearchSpace) -> dict[str, Any]:
     """Return hyperopt's expressions of the space, by label."""
-    require(space.most_filters >= 2, "most_filters", space.most_filters, "at least 2")
+    require(space.max_filters >= 2, "max_filters", space.max_filters, "at least 2")
     return {
-        "conv_layers": hp.randint("conv_layers", 1, space.most_conv_layers + 1),
-        "log2_filters": hp.randint("log2_filters", 1, _log2(space.most_filters) + 1),
-        "dense_layers": hp.randint("dense_layers", 1, space.most_dense_layers + 1),
-        "log2_units": hp.randint("log2_units", 1, _log2(space.most_units) + 1),
+        "conv_layers": hp.randint("conv_layers", 1, space.max_conv_layers + 1),
+        "log2_filters": hp.randint("log2_filters", 1, _log2(space.max_filters) + 1),
+        "dense_layers": hp.randint("dense_layers", 1, space.max_dense_layers + 1),
+        "log2_units": hp.randint("log2_units", 1, _log2(space.max_dense_units) + 1),
         "activation": hp.choice("activation", list(get_args(Activation))),
         "batch_norm": hp.choice("batch_norm", [False, True]),
         "dropout": hp.uniform("dropout", 0.0, 0.5),
@@ -39,7 +39,9 @@ def network_of_point(space: SearchSpace, point: Mapping[str, Any]) -> PoseNetCon
     """Return the network of a point of the space (label to value)."""
     plain = {k: v.item() if isinstance(v, np.generic) else v for k, v in point.items()}
     filters, units = 2 ** plain.pop("log2_filters"), 2 ** plain.pop("log2_units")
-    return PoseNetConfig(filters=int(filters), units=int(units), blur_px=space.blur_px, reduce=space.reduce, **plain)
+    return PoseNetConfig(
+        filters=int(filters), dense_units=int(units), blur_px=space.blur_px, downsample=space.downsample, **plain
+    )
 
 
 def _log2(number: int) -> int:

@@ -31,20 +31,22 @@ class HasRate(Protocol):
     """Settings with a learning rate."""
 
     @property
-    def rate(self) -> float:
+    def learning_rate(self) -> float:
         """Learning rate."""
         ...
 
 
 def paper_rate(settings: TrainSettings, step: int, steps: int) -> float:
     """Return the learning rate at a step, rate / (1 + decay × step), as in the paper's library [P]."""
-    return settings.rate / (1 + settings.decay * step)
+    return settings.learning_rate / (1 + settings.learning_rate_decay * step)
 
 
 def cosine_rate(settings: HasRate, step: int, steps: int) -> float:
     """Return the learning rate at a step of `steps`: linear warm-up over the first twentieth, cosine decay to zero."""
     warm = max(1, steps // 20)
-    return settings.rate * min(1.0, (step + 1) / warm) * 0.5 * (1 + math.cos(math.pi * min(1.0, step / max(1, steps))))
+    return (
+        settings.learning_rate * min(1.0, (step + 1) / warm) * 0.5 * (1 + math.cos(math.pi * min(1.0, step / max(1, steps))))
+    )
 
 
 SCHEDULES: dict[ScheduleName, Callable[[TrainSettings, int, int], float]] = {"paper": paper_rate, "cosine": cosine_rate}
@@ -93,7 +95,9 @@ class Training:
         # The whole set is kept on the device, as bytes.
         self._images, self._targets = self._to_device(train)
         self._augmentation = (
-            OpticsAugmentation(train, settings.optics, OPTICS[settings.varied], self.device) if settings.drawn else None
+            OpticsAugmentation(train, settings.augmentation_strength, OPTICS[settings.optics_ranges], self.device)
+            if settings.augmented_fraction
+            else None
         )
         self._val_images, self._val_targets = self._to_device(val)
         self.epoch = 0
@@ -120,7 +124,7 @@ class Training:
     @property
     def epochs(self) -> int:
         """Maximum number of epochs."""
-        return max(self.settings.epochs, -(-self.settings.least_steps // self.steps_per_epoch))
+        return max(self.settings.epochs, -(-self.settings.min_steps // self.steps_per_epoch))
 
     @property
     def best_error(self) -> float:
@@ -155,7 +159,7 @@ class Training:
         if not math.isfinite(loss) or not math.isfinite(val):
             raise TrainingDiverged(
                 f"the training diverged in epoch {self.epoch + 1} (loss {loss}, validation loss {val}): "
-                f"try a learning rate below {self.settings.rate:g}"
+                f"try a learning rate below {self.settings.learning_rate:g}"
             )
         figures = {"epoch": self.epoch + 1, "loss": loss, "val_loss": val, "seconds": time.perf_counter() - start}
         if val < self.best_error:
@@ -168,7 +172,7 @@ class Training:
         """Return images (m, size, size) uint8 of samples `chosen` (m,) int, a fraction of them augmented."""
         if not self._augmentation:
             return self._images[chosen]
-        plain = torch.rand(len(chosen), 1, 1, device=self.device) >= self.settings.drawn
+        plain = torch.rand(len(chosen), 1, 1, device=self.device) >= self.settings.augmented_fraction
         return torch.where(plain, self._images[chosen], self._augmentation.render(chosen))
 
     def _train_steps(self, order: torch.Tensor, progress: Callable[[int], object]) -> float:
@@ -177,7 +181,7 @@ class Training:
         schedule = SCHEDULES[self.settings.schedule]
         total, steps = torch.zeros((), device=self.device), self.steps_per_epoch
         for i in range(steps):
-            fraction = schedule(self.settings, self.epoch * steps + i, self.epochs * steps) / self.settings.rate
+            fraction = schedule(self.settings, self.epoch * steps + i, self.epochs * steps) / self.settings.learning_rate
             chosen = order[i * self.config.batch_size : (i + 1) * self.config.batch_size]
             with torch.autocast(self.device, dtype=torch.bfloat16, enabled=self._half):
                 out = self.net(to_input(self._batch(chosen)))
@@ -254,8 +258,10 @@ def initial_state(init_from: Model, config: PoseNetConfig, samples: Samples) -> 
 
 def _optimizers(net: PoseNet, settings: TrainSettings, half: bool) -> list[tuple[torch.optim.Optimizer, float]]:
     """Return the optimizers of a network, each with its learning rate."""
-    inner = inner_weights(net) if settings.muon else []
+    inner = inner_weights(net) if settings.muon_learning_rate else []
     of_muon = {id(p) for p in inner}
     rest = [p for p in net.parameters() if id(p) not in of_muon]
-    out: list[tuple[torch.optim.Optimizer, float]] = [(torch.optim.Adam(rest, lr=settings.rate), settings.rate)]
-    return [*out, (Muon(inner, lr=settings.muon, half=half), settings.muon)] if inner else out
+    out: list[tuple[torch.optim.Optimizer, float]] = [
+        (torch.optim.Adam(rest, lr=settings.learning_rate), settings.learning_rate)
+    ]
+    return [*out, (Muon(inner, lr=settings.muon_learning_rate, half=half), settings.muon_learning_rate)] if inner else out

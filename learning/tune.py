@@ -72,7 +72,7 @@ def suggest(settings: TuneSettings, index: int, results: Sequence[Result]) -> di
     domain = Domain(lambda point: 0.0, expressions(settings.space))
     trials = to_hyperopt_trials(results, domain)
     seed = int(np.random.SeedSequence(settings.seed, spawn_key=(index,)).generate_state(1)[0])
-    algorithm = rand if index < settings.startup else tpe
+    algorithm = rand if index < settings.random_trials else tpe
     (doc,) = algorithm.suggest(trials.new_trial_ids(1), domain, trials, seed)
     return values_of(doc)
 
@@ -135,7 +135,7 @@ def _tune(
             for process in running.values():
                 process.terminate()
                 process.join()
-    plot_search(results, folder / "tune.png", settings.startup)
+    plot_search(results, folder / "tune.png", settings.random_trials)
     return results
 
 
@@ -249,7 +249,7 @@ def run_trial(data: str, folder: str, index: int, settings: TuneSettings, device
     try:
         network = network_of_values(settings.space, record["values"])
         result["network"] = dataclasses.asdict(network)
-        prune = _should_prune(read_results(folder), folder, settings.least_epochs) if settings.prune else None
+        prune = _should_prune(read_results(folder), folder, settings.min_epochs) if settings.prune else None
         history = train(*read_splits(data), network, settings.training, place, device, lambda line: None, prune, quiet=True)
         result |= {"status": "ok", "loss": min(h["val_loss"] for h in history), "epochs": len(history)}
         result["seconds"] = sum(h["seconds"] for h in history)

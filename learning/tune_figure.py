@@ -13,7 +13,7 @@ PARAMETERS = (
     ("conv_layers", False),
     ("filters", True),
     ("dense_layers", False),
-    ("units", True),
+    ("dense_units", True),
     ("activation", False),
     ("batch_norm", False),
     ("dropout", False),

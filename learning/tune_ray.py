@@ -119,7 +119,7 @@ def _tune(
             raise Interrupted(interrupted_message(results, settings)) from None
     if len(results) < settings.trials:  # Ray handles Ctrl-C itself and then returns
         raise Interrupted(interrupted_message(results, settings))
-    plot_search(results, folder / "tune.png", settings.startup)
+    plot_search(results, folder / "tune.png", settings.random_trials)
     return results
 
 
@@ -136,7 +136,7 @@ def _search(settings: TuneSettings, results: Sequence[Result]) -> Any:
                 space=space,
                 metric="loss",
                 mode="min",
-                n_initial_points=max(1, settings.startup),  # includes the trials so far
+                n_initial_points=max(1, settings.random_trials),  # includes the trials so far
                 random_state_seed=settings.seed + len(results),
             )
             self._hpopt_trials = to_hyperopt_trials(results, Domain(lambda point: 0.0, space))

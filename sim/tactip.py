@@ -60,12 +60,12 @@ class TactileContact:
     @property
     def pins_mm(self) -> np.ndarray:
         """Pin tips (p, 3), mm, sensor frame."""
-        return 1e3 * self.record.tips
+        return 1e3 * self.record.pin_tips
 
     @cached_property
     def frame(self) -> np.ndarray:
         """The camera's grey frame (h, w) uint8. Raises TactipError if the renderer cannot be used."""
-        return self._tip.render(self.record.tips, self.record.directions)
+        return self._tip.render(self.record.pin_tips, self.record.directions)
 
     @cached_property
     def image(self) -> np.ndarray:
@@ -160,7 +160,7 @@ class TacTip:
         pose = from_mm_deg([x_mm, y_mm, -depth_mm, roll_deg, pitch_deg, yaw_deg])
         shear = from_mm_deg([*shear_mm, *[0.0] * (3 - len(shear_mm)), *shear_deg])
         simulator = self._simulator_for(stimulus, at_mm)
-        record, failures = simulator.play(pose, shear)
+        record, failures = simulator.simulate(pose, shear)
         if len(failures) == simulator.tries:
             raise UntrustedContact(
                 f"the contact failed its checks in {simulator.tries} tries: {'; '.join(failures[-1])}", record

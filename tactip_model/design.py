@@ -54,10 +54,10 @@ class Materials:
     friction: float = within(0, 2, default=0.6)
     """Coulomb friction coefficient of the skin on the stimulus, -; 0.55 to 0.7 was measured with a load cell [R], and frames
     of real tips are reproduced with similar values [M]."""
-    kinetic_share: float = within(0.1, 1, default=1.0)
+    kinetic_fraction: float = within(0.1, 1, default=1.0)
     """Ratio of the friction that remains once the skin has slid to `friction`, -; 1 is Coulomb's law. Frames of two real
     tips are reproduced with about a half [M]."""
-    kinetic_after_m: float = within(0.1e-3, 20e-3, default=1e-3)
+    slip_weakening_m: float = within(0.1e-3, 20e-3, default=1e-3)
     """Slip-weakening distance, m: the sliding distance over which friction falls to that ratio. About 1e-3 from frames of a
     real tip [M]; no effect if the ratio is 1."""
     damping_s: float = within(0.5e-3, 50e-3, default=0.005)

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T", bound="DataclassInstance")
 
-FORMAT = "tactip-design 1"
+FORMAT = "tactip-design 2"
 
 
 def write_design(path: str | Path, design: Design, provenance: dict[str, Any]) -> None:
@@ -65,6 +65,11 @@ def read_design(path: str | Path) -> Design:
         raise TactipError(f"the design file {path} does not exist") from None
     except ValueError as error:
         raise TactipError(f"the design file {path} is not JSON: {error}") from error
+    if isinstance(content, dict) and content.get("format") == "tactip-design 1":
+        raise TactipError(
+            f"{path} has the format 'tactip-design 1', but this program reads {FORMAT!r}: fit the design again by "
+            "`tactip calibrate`, or rename kinetic_share to kinetic_fraction and kinetic_after_m to slip_weakening_m in it"
+        )
     if not isinstance(content, dict) or content.get("format") != FORMAT or not isinstance(content.get("provenance"), dict):
         raise TactipError(f"{path} is not a design file: it must have the format {FORMAT!r} and a provenance")
     return design_from_dict(content.get("design"), f"{path}: design")

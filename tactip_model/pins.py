@@ -66,7 +66,7 @@ class PinReader:
 
     def __init__(self, design: Design, mesh: Mesh) -> None:
         """Prepare the interpolation for a design and its mesh."""
-        self.tips, self.directions = neutral_pins(design)
+        self.pin_tips, self.directions = neutral_pins(design)
         self._triangles = mesh.triangles
         self._rest = mesh.vertices[: mesh.surface_count]
         self._lever = design.pins.length_m - CONTACT_RADIUS_M
@@ -83,7 +83,7 @@ class PinReader:
         turned = self._normals(skin) - self._rest_normals
         directions = self.directions - turned
         directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
-        return self.tips + moved - self._lever * turned, directions
+        return self.pin_tips + moved - self._lever * turned, directions
 
     @staticmethod
     def _spread(values: np.ndarray, matrix: csr_array) -> np.ndarray:

@@ -63,7 +63,7 @@ class Press:
         self.simulator = simulator
 
     def __call__(self, pose, shear=(0, 0, 0, 0, 0, 0)):
-        return self.simulator.play(from_mm_deg(pose), from_mm_deg(shear))
+        return self.simulator.simulate(from_mm_deg(pose), from_mm_deg(shear))
 
 
 @pytest.fixture(scope="session")

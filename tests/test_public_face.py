@@ -42,9 +42,9 @@ def test_import_loads_nothing_heavy():
 def test_press_gives_the_record_of_the_simulator(tip):
     contact = tip.press("surface", depth_mm=3, roll_deg=8, shear_mm=(2, 0), shear_deg=(0, 0, 5))
     plain = ContactSimulator(tip.design, "surface", tip.fidelity)
-    record = plain.play(from_mm_deg([0, 0, -3, 8, 0, 0]), from_mm_deg([2, 0, 0, 0, 0, 5]))
-    assert np.array_equal(contact.pins_mm, 1e3 * record.tips)
-    frame = renderer_named("raster", tip.design)(record.tips, record.directions)
+    record = plain.simulate(from_mm_deg([0, 0, -3, 8, 0, 0]), from_mm_deg([2, 0, 0, 0, 0, 5]))
+    assert np.array_equal(contact.pins_mm, 1e3 * record.pin_tips)
+    frame = renderer_named("raster", tip.design)(record.pin_tips, record.directions)
     assert np.array_equal(contact.image, tactile_image(frame, tip.design.image))
     assert np.isclose(contact.force_N[2], record.normal_force_n)
     assert np.isclose(np.hypot(*contact.force_N[:2]), record.tangential_force_n)
@@ -93,7 +93,7 @@ def test_record_that_fails_its_checks_is_repeated_and_passes():
     limits = QualityLimits()
     tip = tt.TacTip("tactip-127", fidelity="draft", renderer="raster")
     contacts = [tip.press(ring(), depth_mm=depth, at_mm=(0, 10)) for depth in (2.0, 3.0, 4.0)]
-    assert all(contact.record.faults(limits) == [] for contact in contacts)
+    assert all(contact.record.violations(limits) == [] for contact in contacts)
     assert max(contact.tries for contact in contacts) > 1
 
 

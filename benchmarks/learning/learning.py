@@ -47,7 +47,7 @@ BARS = {
 }
 """Target mean errors of this project."""
 
-_FURTHER = {"epochs": 16, "rate": 7e-4, "muon": 0.007}
+_FURTHER = {"epochs": 16, "learning_rate": 7e-4, "muon_learning_rate": 0.007}
 """Settings of a training with initial weights: half of the rates, and fewer epochs; estimates [?]."""
 
 FILTERS = (4, 8, 16)
@@ -96,7 +96,7 @@ class Row:
     """Training set: plain, symmetric, most, looks, taps or bent."""
     recipe: Recipe
     """Network and training."""
-    start: str = ""
+    init_from: str = ""
     """Shipped network whose weights are the initial ones; empty for random ones."""
 
 
@@ -105,13 +105,16 @@ def rows(task: Task, paper: bool) -> list[Row]:
     laptop, papers = recipe_named("laptop", task), recipe_named("paper", task)
 
     def papers_with(filters: int) -> Recipe:
-        return replace(papers, network=replace(papers.network, filters=filters, units=min(papers.network.units, 64)))
+        return replace(
+            papers, network=replace(papers.network, filters=filters, dense_units=min(papers.network.dense_units, 64))
+        )
 
     def wide(filters: int) -> Recipe:
         return replace(laptop, network=replace(laptop.network, filters=filters))
 
     plain, varied = (
-        replace(laptop, settings=replace(laptop.settings, **changes)) for changes in ({"drawn": 0.0}, {"optics": 1.0})
+        replace(laptop, settings=replace(laptop.settings, **changes))
+        for changes in ({"augmented_fraction": 0.0}, {"augmentation_strength": 1.0})
     )
     ours = "the network and training of `laptop`"
     out = [Row("paper", "the paper's network and training", "plain", papers)] if paper else []
@@ -175,10 +178,10 @@ def jobs(options: LearningOptions, kinds: Collection[str]) -> list[Job]:
             fidelity=fidelity_named(FIDELITY),
             pose=POSE_RANGES[task],
             shear=shear,
-            symmetric=kind == "symmetric" or (kind, split) == ("bent", "train"),
+            augment_symmetry=kind == "symmetric" or (kind, split) == ("bent", "train"),
             curvature_per_m=BENT_PER_M if kind == "bent" else (0.0, 0.0),
-            uneven=UNEVEN if kind == "bent" else 0.0,
-            looks=LOOKS if kind == "looks" else 1,
+            varying_curvature_fraction=UNEVEN if kind == "bent" else 0.0,
+            snapshots_per_contact=LOOKS if kind == "looks" else 1,
         )
         out.append(Job(configuration, options.data / kind / task / split))
     return out
@@ -246,7 +249,7 @@ def run(options: LearningOptions, log: Callable[[str], None] = print) -> dict[st
         folder = options.runs / options.task / row.name
         log(f"{row.name}: {row.what}")
         training, validation = sets.training(row.kind)
-        initial = load_network(row.start) if row.start else None
+        initial = load_network(row.init_from) if row.init_from else None
         history = train(training, validation, row.recipe.network, row.recipe.settings, folder, log=log, init_from=initial)
         model = load_model(folder)
         figures = {name: evaluate(model, samples).figures for name, samples in tests.items()}

@@ -84,8 +84,8 @@ def simulated_outward_px(simulator: ContactSimulator, depths_mm: np.ndarray) -> 
     lens, n, neutral = Lens(design), shells(design.pins), neutral_px(at_rest(design))
     outward = neutral - neutral[n == 0]
     outward /= np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-9)
-    contacts = [simulator.play(from_mm_deg([0, 0, -d, 0, 0, 0]), np.zeros(6)) for d in depths_mm]
-    moved = [((reference_pixels(lens.project(c.tips), lens.width) - neutral) * outward).sum(1) for c in contacts]
+    contacts = [simulator.simulate(from_mm_deg([0, 0, -d, 0, 0, 0]), np.zeros(6)) for d in depths_mm]
+    moved = [((reference_pixels(lens.project(c.pin_tips), lens.width) - neutral) * outward).sum(1) for c in contacts]
     return np.array([[m[n == s].mean() for s in SHELLS] for m in moved]), contacts
 
 
@@ -108,7 +108,7 @@ def simulated_shift_px(simulator: ContactSimulator) -> tuple[np.ndarray, np.ndar
         contacts = simulator.simulate_partial_shears(
             from_mm_deg([0, 0, -depth, 0, 0, 0]), from_mm_deg([shear, 0, 0, 0, 0, 0]), MOVE_FRACTIONS
         )
-        x = [reference_pixels(lens.project(c.tips), lens.width)[:, 0].mean() for c in contacts]
+        x = [reference_pixels(lens.project(c.pin_tips), lens.width)[:, 0].mean() for c in contacts]
         return x[0] - np.array(x)
 
     table = np.array([[shifts(d, s) for s in SHEARS_MM] for d in DEPTHS_MM])
@@ -149,13 +149,13 @@ def run(options: RealComparisonOptions, log: Callable[[str], None] = print) -> d
         log(f"{depth:.2f} mm: " + " | ".join(" ".join(f"{x:.1f}" for x in row) for row in rows))
     log(f"as frames lag: {rms(lagging - REAL_SHIFT_PX):.2f} px rms; all moves over: {rms(over - REAL_SHIFT_PX):.2f} px rms")
     for depth in (1, 2, 3):
-        force = simulator.play(from_mm_deg([0, 0, -depth, 0, 0, 0]), np.zeros(6)).normal_force_n
+        force = simulator.simulate(from_mm_deg([0, 0, -depth, 0, 0, 0]), np.zeros(6)).normal_force_n
         log(f"normal force at {depth} mm: {force:.2f} N")
 
     camera = PinCamera(design)
     neutral = tactile_image(camera.render(*neutral_pins(design)), design.image)
-    sheared = simulator.play(from_mm_deg([0, 0, -4, 8, -6, 0]), from_mm_deg([3, 2, 0, 0, 0, 0]))
-    pressed = tactile_image(camera.render(sheared.tips, sheared.directions), design.image)
+    sheared = simulator.simulate(from_mm_deg([0, 0, -4, 8, -6, 0]), from_mm_deg([3, 2, 0, 0, 0, 0]))
+    pressed = tactile_image(camera.render(sheared.pin_tips, sheared.directions), design.image)
     if options.real is None:
         real, title = measured_neutral(design), "real tip, at rest\n(drawn from its measured pin map)"
     else:

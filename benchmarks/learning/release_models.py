@@ -79,7 +79,7 @@ def release_model(options: ReleaseModelsOptions, log: Callable[[str], None] = pr
 
 def _is_curved(model: Model) -> bool:
     """Return whether a model was trained on curved surfaces: its set has a curvature (sim/dataset/configuration.py)."""
-    return "curvature_per_m" in model.provenance["train"]["configuration"]
+    return any(model.provenance["train"]["configuration"].get("curvature_per_m", ()))  # 0.3.0 left it out for flat sets
 
 
 def _name(model: Model) -> str:
@@ -89,12 +89,12 @@ def _name(model: Model) -> str:
 
 def _initial_weights(model: Model, options: ReleaseModelsOptions) -> list[str]:
     """Return a line on the initial weights of a training; none if they were random."""
-    if "begun_from" not in model.provenance:
+    if "initial_weights" not in model.provenance:
         return []
-    (start,) = (row.start for row in rows(options.task, False) if row.name == options.name)
-    same = net_sha256(load_network(start).net) == model.provenance["begun_from"]
+    (start,) = (row.init_from for row in rows(options.task, False) if row.name == options.name)
+    same = net_sha256(load_network(start).net) == model.provenance["initial_weights"]
     its = "" if same else " as an earlier version shipped it"
-    return [f"- Begun from the weights of `{start}`{its} (checksum {model.provenance['begun_from'][:16]})."]
+    return [f"- Begun from the weights of `{start}`{its} (checksum {model.provenance['initial_weights'][:16]})."]
 
 
 def card(model: Model, record: Mapping[str, Any], options: ReleaseModelsOptions) -> str:
@@ -104,14 +104,14 @@ def card(model: Model, record: Mapping[str, Any], options: ReleaseModelsOptions)
     made = data["configuration"]
     # Of all of a set, what was asked for: a contact that could not be trusted may be missing among the samples.
     samples = made["samples"] if data.get("chosen") is None else data["samples"]
-    contacts = samples // (len(SYMMETRIES[task]) if made["symmetric"] else 1)
+    contacts = samples // (len(SYMMETRIES[task]) if made["augment_symmetry"] else 1)
     missing = data["samples"] < samples
     ran, asked = p["outcome"]["epochs"], settings["epochs"]
-    longer = f", since {asked} would be fewer than {settings['least_steps']} steps" if ran > asked else ""
+    longer = f", since {asked} would be fewer than {settings['min_steps']} steps" if ran > asked else ""
     what = {"surface": "a flat surface", "edge": "a straight edge"}[task]
     if _is_curved(model):
         what = "a surface bent by {:g} to {:g} /m, two ways{},".format(
-            *made["curvature_per_m"], " and half of the time unevenly" if made.get("uneven") else ""
+            *made["curvature_per_m"], " and half of the time unevenly" if made.get("varying_curvature_fraction") else ""
         )
     # What the paper reached and what is asked is of flat surfaces.
     beside = () if _is_curved(model) else (("the paper, real sensor", PAPER), ("what we ask", BARS))

@@ -25,9 +25,9 @@ from tactip_twin.tactip_model.files import write_file
 
 LAPTOP = TuneSettings(
     trials=60,
-    startup=20,
-    space=SearchSpace(most_conv_layers=4, most_filters=16, most_units=128, blur_px=1.0, reduce=2),
-    training=TrainSettings(epochs=40, rate=1e-3),
+    random_trials=20,
+    space=SearchSpace(max_conv_layers=4, max_filters=16, max_dense_units=128, blur_px=1.0, downsample=2),
+    training=TrainSettings(epochs=40, learning_rate=1e-3),
 )
 """A search for two cores: few epochs, hence ten times the paper's rate [?]."""
 
@@ -69,7 +69,7 @@ def run(options: SearchOptions, log: Callable[[str], None] = print) -> dict[str,
     whole = {task: whole[task] for task in learning.PAPER if task in whole}
     write_file(path, (json.dumps(whole, indent=1) + "\n").encode())
     write_file(options.out / "search.md", markdown(whole).encode())
-    plot_search(results, options.out / f"search_{options.task}.png", settings.startup)
+    plot_search(results, options.out / f"search_{options.task}.png", settings.random_trials)
     return record
 
 

@@ -48,7 +48,7 @@ _CODE += ("sim/contact/scene.py", "sim/contact/simulator.py", "sim/contact/recor
 class CachedContact:
     """What is kept of a contact."""
 
-    tips: np.ndarray
+    pin_tips: np.ndarray
     """(p, 3) pin tips, m."""
     directions: np.ndarray
     """(p, 3) unit vectors from the pins' roots to their tips."""
@@ -60,7 +60,7 @@ class CachedContact:
     """Speed of the fastest vertex, m/s."""
     imbalance: float
     """Norm of the unbalanced force over that of the contact force, -."""
-    faults: int
+    violations: int
     """Number of QualityLimits that the record fails."""
     steps: int
     """Number of time steps."""
@@ -147,13 +147,13 @@ class ContactCache:
         contact, seconds = timed(simulator, pose, shear)
         model, data = simulator.scene.model, simulator.scene.data
         return CachedContact(
-            tips=contact.tips,
+            pin_tips=contact.pin_tips,
             directions=contact.directions,
             force_n=contact.normal_force_n,
             penetration_m=contact.penetration_m,
             speed_m_s=contact.speed_m_s,
             imbalance=contact.imbalance,
-            faults=len(contact.faults(QualityLimits())),
+            violations=len(contact.violations(QualityLimits())),
             steps=contact.steps,
             freedom=int(model.nv) - 6,  # the stimulus has six
             model_bytes=int(mujoco.mj_sizeModel(model) + data.nbuffer + data.maxuse_arena),
@@ -165,7 +165,7 @@ class ContactCache:
 def timed(simulator: ContactSimulator, pose: ArrayLike, shear: ArrayLike) -> tuple[Contact, float]:
     """Simulate a contact; return it and its CPU time, s."""
     start = time.process_time()
-    contact = simulator.play(pose, shear)
+    contact = simulator.simulate(pose, shear)
     return contact, time.process_time() - start
 
 
@@ -181,14 +181,14 @@ def code_sum() -> str:
 
 def _packed(contact: CachedContact) -> bytes:
     stream, numbers = io.BytesIO(), asdict(contact)
-    arrays = {name: numbers.pop(name) for name in ("tips", "directions")}
+    arrays = {name: numbers.pop(name) for name in ("pin_tips", "directions")}
     np.savez(stream, numbers=json.dumps(numbers), **arrays)
     return stream.getvalue()
 
 
 def _unpacked(data: bytes) -> CachedContact:
     with np.load(io.BytesIO(data)) as file:
-        return CachedContact(tips=file["tips"], directions=file["directions"], **json.loads(str(file["numbers"])))
+        return CachedContact(pin_tips=file["pin_tips"], directions=file["directions"], **json.loads(str(file["numbers"])))
 
 
 def without_timings(result: Any) -> Any:

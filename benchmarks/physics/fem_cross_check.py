@@ -106,7 +106,7 @@ def pressed_gel(
     materials = replace(design.materials, friction=0.0, skin_young_pa=1.0)  # a skin of 1 Pa is none
     fidelity = FIDELITIES[preset]
     simulator = ContactSimulator(replace(design, materials=materials), "surface", fidelity)
-    force = simulator.play(from_mm_deg([0, 0, -depth_mm, 0, 0, 0]), np.zeros(6)).normal_force_n
+    force = simulator.simulate(from_mm_deg([0, 0, -depth_mm, 0, 0, 0]), np.zeros(6)).normal_force_n
     scene = simulator.scene
     fixed = np.repeat(scene.mesh.bonded[:, None], 3, 1)
     names = [scene.model.geom(g).name for pair in scene.data.contact.geom for g in pair if g >= 0]

@@ -106,12 +106,12 @@ class Measurement:
         best = [self._cache(case, REFERENCE) for case in cases]
         force, expected = (np.array([p.force_n for p in ps]) for ps in (contacts, best))
         return {
-            "pins_mm": spread([p.tips for p in contacts], [p.tips for p in best]),
+            "pins_mm": spread([p.pin_tips for p in contacts], [p.pin_tips for p in best]),
             "force_percent": float(100 * np.abs(force - expected).sum() / np.abs(expected).sum()),
             "label": self._label(cases, contacts, best),
             "penetration_mm": 1e3 * max(p.penetration_m for p in contacts),
             "speed_mm_s": 1e3 * float(np.median([p.speed_m_s for p in contacts])),
-            "untrusted": sum(p.faults > 0 for p in contacts),
+            "untrusted": sum(p.violations > 0 for p in contacts),
             "steps": float(np.median([p.steps for p in contacts])),
             "degrees_of_freedom": contacts[0].freedom,
             "megabytes": max(p.model_bytes for p in contacts) / 1e6,
@@ -132,12 +132,12 @@ class Measurement:
         for case, p, b in zip(cases, contacts, best, strict=True):
             sensitivity = self._sensitivity(case)
             if sensitivity.is_determined:
-                worths.append(sensitivity(self._pins(p.tips) - self._pins(b.tips)))
+                worths.append(sensitivity(self._pins(p.pin_tips) - self._pins(b.pin_tips)))
         return median_by_component(worths)
 
     def _against_small_steps(self, cases: Sequence[Case], variant: Variant) -> list[float]:
         slow = Variant(small_steps(variant.fidelity))
-        return spread(*([self._cache(case, v).tips for case in cases] for v in (variant, slow)))
+        return spread(*([self._cache(case, v).pin_tips for case in cases] for v in (variant, slow)))
 
     def _preset(self, task: str, name: FidelityName, cases: Sequence[Case]) -> dict[str, Any]:
         variant = PRESETS[name]
@@ -152,14 +152,14 @@ class Measurement:
     def _swept(self, task: str) -> Iterator[dict[str, Any]]:
         """Yield the rows of all sweeps on one task."""
         cases = training(task, self._options.swept)
-        slow = [self._cache(case, Variant(small_steps(STANDARD.fidelity))).tips for case in cases]
+        slow = [self._cache(case, Variant(small_steps(STANDARD.fidelity))).pin_tips for case in cases]
         for name, variant in PRESETS.items():
             yield {"task": task, "what": "preset", "value": name, "of_mesh": True} | self.row(cases, variant)
         for what, (of_mesh, variants) in sweeps().items():
             for value, variant in variants.items():
                 row = {"task": task, "what": what, "value": value, "of_mesh": of_mesh} | self.row(cases, variant)
                 if not of_mesh:
-                    row["steps_mm"] = spread([self._cache(case, variant).tips for case in cases], slow)
+                    row["steps_mm"] = spread([self._cache(case, variant).pin_tips for case in cases], slow)
                 yield row
 
     def _reference(self) -> dict[str, Any]:
@@ -172,7 +172,10 @@ class Measurement:
             over_steps = sequence([self._cache(case, v) for v in steps.values()], 2.0)
             half = self._cache(case, Variant(finer(REFERENCE.fidelity)))
             whole = self._cache(case, REFERENCE)
-            halved = {"pins_mm": spread([half.tips], [whole.tips]), "force_percent": _percent(half.force_n, whole.force_n)}
+            halved = {
+                "pins_mm": spread([half.pin_tips], [whole.pin_tips]),
+                "force_percent": _percent(half.force_n, whole.force_n),
+            }
             rows.append({"case": case.name, "mesh": over_mesh, "steps": over_steps, "half_the_steps": halved})
         return {"spacings_mm": list(meshes), "shares_of_steps": list(steps), "rows": rows}
 
@@ -202,7 +205,7 @@ def sequence(contacts: Sequence[CachedContact], ratio: float) -> dict[str, Any]:
         differences; `remains_mm`, Richardson's estimate of the mean errors of the last but one and of the last, None if the
         order is below MIN_ORDER.
     """
-    tips = [p.tips for p in contacts]
+    tips = [p.pin_tips for p in contacts]
     differences = [spread([a], [b])[0] for a, b in pairwise(tips)]
     out: dict[str, Any] = {"differences_mm": differences, "forces_n": [p.force_n for p in contacts]}
     order = float(np.log(differences[-2] / differences[-1]) / np.log(ratio))
@@ -219,17 +222,17 @@ def compare_renderers(contacts: Sequence[tuple[Case, CachedContact, PoseSensitiv
     renderers = {"raster": Raster(design), "pyrender": PinCamera(design)}
     times, grey, binary, shifts, worths = {name: [] for name in renderers}, [], [], [], []
     for renderer in renderers.values():  # the first image of each is slow: it builds what later ones reuse
-        renderer.render(contacts[0][1].tips, contacts[0][1].directions)
+        renderer.render(contacts[0][1].pin_tips, contacts[0][1].directions)
     for _, contact, sensitivity in contacts:
         frames, images = {}, {}
         for name, renderer in renderers.items():
             start = time.process_time()
-            frames[name] = renderer.render(contact.tips, contact.directions)
+            frames[name] = renderer.render(contact.pin_tips, contact.directions)
             times[name].append(1e3 * (time.process_time() - start))
             images[name] = tactile_image(frames[name], design.image)
         grey.append(np.abs(frames["raster"].astype(float) - frames["pyrender"]))
         binary.append((images["raster"] != images["pyrender"]).mean())
-        expected = pins(contact.tips)
+        expected = pins(contact.pin_tips)
         shift = np.subtract(*(blobs_at(frames[name], design.image, expected) for name in ("raster", "pyrender")))
         shifts.append(np.linalg.norm(shift, axis=1))
         if sensitivity.is_determined:

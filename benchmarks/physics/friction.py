@@ -150,7 +150,7 @@ def chatter(travel: np.ndarray, normal: np.ndarray, tangential: np.ndarray) -> d
 
 def pins_apart(contact: Contact, other: Contact) -> list[float]:
     """Return the mean and the maximum distance, mm, between the pins of two contacts."""
-    distance = 1e3 * np.linalg.norm(contact.tips - other.tips, axis=1)
+    distance = 1e3 * np.linalg.norm(contact.pin_tips - other.pin_tips, axis=1)
     return [float(distance.mean()), float(distance.max())]
 
 

@@ -93,7 +93,7 @@ def _pressed(layers: Sequence[Layer], log: Callable[[str], None]) -> dict[float,
 
 def press(simulator: ContactSimulator, depth_mm: float) -> Contact:
     """Press the centre."""
-    return simulator.play(from_mm_deg([0, 0, -depth_mm, 0, 0, 0]), np.zeros(6))
+    return simulator.simulate(from_mm_deg([0, 0, -depth_mm, 0, 0, 0]), np.zeros(6))
 
 
 def frictionless(what: str, poisson: float | None = None) -> Design:

@@ -148,7 +148,7 @@ def measure(log: Callable[[str], None]) -> dict[str, Any]:
             found, seconds = [], []
             for pose, shear in contacts(name):
                 start = time.perf_counter()
-                found.append(simulator.play(pose, shear))
+                found.append(simulator.simulate(pose, shear))
                 seconds.append(time.perf_counter() - start)
             true = true or found
             rows.append({"way": way, **_figures(found, true, seconds)})
@@ -161,7 +161,7 @@ def measure(log: Callable[[str], None]) -> dict[str, Any]:
 
 def _figures(found: Sequence[Contact], true: Sequence[Contact], seconds: Sequence[float]) -> dict[str, Any]:
     """Return the errors of contacts against those with the stimulus itself, and their costs."""
-    apart = [1e3 * float(np.sqrt(((p.tips - t.tips) ** 2).sum(1).mean())) for p, t in zip(found, true, strict=True)]
+    apart = [1e3 * float(np.sqrt(((p.pin_tips - t.pin_tips) ** 2).sum(1).mean())) for p, t in zip(found, true, strict=True)]
     force = [abs(abs(p.normal_force_n / t.normal_force_n) - 1) for p, t in zip(found, true, strict=True)]
     return {
         "pins_mm": [float(np.median(apart)), max(apart)],

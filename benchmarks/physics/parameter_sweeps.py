@@ -84,7 +84,7 @@ def sweeps() -> dict[str, tuple[bool, dict[str, Variant]]]:
         "time step, ms": _row("motion", "step_s", (3.0, 4.0, 10.0, 14.0), 1e-3),
         "approach a step, mm": _row("motion", "press_step_m", (0.3, 0.6, 2.4), 1e-3),
         "travel of the skin a step of the shear, mm": _row("motion", "shear_step_m", (0.1, 0.2, 0.6, 1.0), 1e-3),
-        "fewest steps of a motion": _row("motion", "least_steps", (2, 8, 16)),
+        "fewest steps of a motion": _row("motion", "min_steps", (2, 8, 16)),
         "steps at rest, at least": _row("motion", "settle_steps", (1, 2, 8, 16)),
         "settled below, mm/s": _row("motion", "settle_speed_m_s", (0.2, 0.7, 6.0, 20.0), 1e-3),
         "steps at rest, at most": _row("motion", "settle_limit", (4, 10, 40, 100)),

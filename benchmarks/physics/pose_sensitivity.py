@@ -67,7 +67,7 @@ class PoseSensitivity:
             contact_of: Simulator of contacts, such as a ContactCache.
             pins: Projection of the pins.
         """
-        positions = [pins(contact_of(other, STANDARD).tips) for other in moved_about(case)]
+        positions = [pins(contact_of(other, STANDARD).pin_tips) for other in moved_about(case)]
         components = LABELS[case.stimulus]
         pairs = zip(components, positions[::2], positions[1::2], strict=True)
         return cls(components, np.stack([(up - down) / (2 * STEP[name]) for name, up, down in pairs], -1))

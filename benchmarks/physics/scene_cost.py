@@ -102,7 +102,7 @@ def side_by_side(
     for first, second in pairs:
         (a, a_s), (b, b_s) = timed(first[0], *first[1].si()), timed(second[0], *second[1].si())
         ratios.append(b_s / a_s)
-        apart.append(np.linalg.norm(a.tips - b.tips, axis=1).mean())
+        apart.append(np.linalg.norm(a.pin_tips - b.pin_tips, axis=1).mean())
     return float(np.median(ratios)), float(1e3 * np.mean(apart))
 
 
@@ -200,7 +200,7 @@ def position_stage(task: str) -> dict[str, float]:
     With explicit steps MuJoCo leaves out only the matrix of the implicit step, so the difference is the matrix's.
     """
     simulator = _simulator(task)
-    simulator.play(*training(task, 1)[0].si())
+    simulator.simulate(*training(task, 1)[0].si())
     model, data = simulator.scene.model, simulator.scene.data
 
     def milliseconds(function: Callable[[mujoco.MjModel, mujoco.MjData], object]) -> float:
@@ -236,8 +236,8 @@ def sample_costs(task: str, count: int) -> dict[str, float]:
         return result
 
     for case in training(task, count):
-        contact = measured("contact", lambda case=case: simulator.play(*case.si()))
-        frames = [measured(what, lambda r=r, c=contact: r.render(c.tips, c.directions)) for what, r in renderers.items()]
+        contact = measured("contact", lambda case=case: simulator.simulate(*case.si()))
+        frames = [measured(what, lambda r=r, c=contact: r.render(c.pin_tips, c.directions)) for what, r in renderers.items()]
         image = measured("threshold", lambda f=frames[-1]: tactile_image(f, design.image))
         measured("PNG", lambda i=image: encode_image(i))
     return {what: float(np.median(ms[1:])) for what, ms in out.items()}  # the first of each warms up

@@ -58,22 +58,22 @@ def judge(cell: Cell, fidelity: Fidelity) -> dict[str, Any]:
     try:
         design, fidelity = _changed(cell, fidelity)
         simulator = RetryingSimulator(design, cell.stimulus, fidelity, QualityLimits())
-        contact, faults = simulator.play(pose, shear, cell.approach)
+        contact, violations = simulator.simulate(pose, shear, cell.approach)
     except TactipError as error:
         return result | {"reasons": [str(error)]}
-    result["tries"] = min(len(faults) + 1, simulator.tries)
-    result["first_try"] = faults[0] if faults else []
+    result["tries"] = min(len(violations) + 1, simulator.tries)
+    result["first_try"] = violations[0] if violations else []
     result |= {name: _rounded(getattr(contact, name)) for name in _MEASURES}
-    if len(faults) == simulator.tries:
-        return result | {"verdict": "refused", "reasons": faults[-1]}
-    for _ in faults:
+    if len(violations) == simulator.tries:
+        return result | {"verdict": "refused", "reasons": violations[-1]}
+    for _ in violations:
         fidelity = finer(fidelity)
-    half = ContactSimulator(design, cell.stimulus, finer(fidelity)).play(pose, shear, cell.approach)
+    half = ContactSimulator(design, cell.stimulus, finer(fidelity)).simulate(pose, shear, cell.approach)
     result |= {"half_step_" + key: value for key, value in _difference(contact, half).items()}
-    differs = half.faults(QualityLimits()) + _disagreement(contact, half)
+    differs = half.violations(QualityLimits()) + _disagreement(contact, half)
     if differs:
         return result | {"verdict": "wrong", "reasons": ["with half the step: " + text for text in differs]}
-    refined = any(found != [UNCONFIRMED] for found in faults)
+    refined = any(found != [UNCONFIRMED] for found in violations)
     return result | {"verdict": "after refinement" if refined else "converged"}
 
 
@@ -85,10 +85,10 @@ _MEASURES = (
     "volume_ratio",
     "speed_m_s",
     "imbalance",
-    "creep_m_s",
+    "energy_drift_m_s",
     "area_ratio",
     "fold_rad",
-    "unsolved",
+    "unconverged_fraction",
     "warnings",
     "steps",
 )
@@ -118,7 +118,7 @@ def _changed(cell: Cell, fidelity: Fidelity) -> tuple[Design, Fidelity]:
 
 def _difference(contact: Contact, half: Contact) -> dict[str, float | None]:
     """Return the force of a contact with half the step, and the pins' distance from the contact with the whole step."""
-    apart = 1e3 * np.linalg.norm(contact.tips - half.tips, axis=1)
+    apart = 1e3 * np.linalg.norm(contact.pin_tips - half.pin_tips, axis=1)
     return {
         "force_n": _rounded(half.normal_force_n),
         "pins_rms_mm": _rounded(np.sqrt(np.mean(apart**2))),

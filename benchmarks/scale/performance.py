@@ -116,9 +116,9 @@ def made_set(
     task: str,
     fidelity: str,
     renderer: RendererName,
-    symmetric: bool,
+    augment_symmetry: bool,
     design: str,
-    looks: int = 1,
+    snapshots_per_contact: int = 1,
 ) -> Path:
     """Make a training set in a subfolder, and return its folder."""
     configuration = Configuration(
@@ -131,8 +131,8 @@ def made_set(
         fidelity=fidelity_named(fidelity),
         pose=POSE_RANGES[task],
         shear=SHEAR_RANGES,
-        symmetric=symmetric,
-        looks=looks,
+        augment_symmetry=augment_symmetry,
+        snapshots_per_contact=snapshots_per_contact,
     )
     with _quietly():
         make([Job(configuration, Path(folder) / "set")], workers, lambda line: None)
@@ -152,7 +152,7 @@ def set_seconds(contacts: int, workers: int, **case: Any) -> tuple[float, float]
 
 def _samples_per_contact(case: dict[str, Any]) -> int:
     """Return the number of samples of a contact."""
-    return (len(SYMMETRIES[case["task"]]) if case["symmetric"] else 1) * case.get("looks", 1)
+    return (len(SYMMETRIES[case["task"]]) if case["augment_symmetry"] else 1) * case.get("snapshots_per_contact", 1)
 
 
 def _samples(options: PerformanceOptions) -> list[dict[str, Any]]:
@@ -161,23 +161,23 @@ def _samples(options: PerformanceOptions) -> list[dict[str, Any]]:
         "task": "surface",
         "fidelity": "standard",
         "renderer": "raster",
-        "symmetric": False,
+        "augment_symmetry": False,
         "design": "tactip-127",
     }
     cores = int(machine()["cores"])
     cases = [(plain, workers) for workers in sorted({1, cores})]
     changes: tuple[dict[str, Any], ...] = (
-        {"symmetric": True},
+        {"augment_symmetry": True},
         {"renderer": "pyrender"},
         {"fidelity": "draft"},
         {"fidelity": "reference"},
     )
     cases += [(plain | change, cores) for change in (*changes, {"design": "nominal-331"}, {"task": "edge"})]
-    cases += [(plain | {"task": "edge", "symmetric": True}, cores)]
-    cases += [(plain | {"task": task, "looks": _LOOKS}, cores) for task in ("surface", "edge")]
+    cases += [(plain | {"task": "edge", "augment_symmetry": True}, cores)]
+    cases += [(plain | {"task": task, "snapshots_per_contact": _LOOKS}, cores) for task in ("surface", "edge")]
     rows = []
     for case, workers in cases:
-        more = max(cores, options.contacts // case.get("looks", 1))
+        more = max(cores, options.contacts // case.get("snapshots_per_contact", 1))
         rate, once, peak = _rate(_FEW * workers, more, workers, **case)
         rows.append({
             "what": _name(case, plain), "workers": workers, "contacts/s": rate,
@@ -217,7 +217,7 @@ def _growth(options: PerformanceOptions) -> list[dict[str, Any]]:
         "task": "surface",
         "fidelity": "draft",
         "renderer": "raster",
-        "symmetric": True,
+        "augment_symmetry": True,
         "design": "tactip-127",
     }
     cores, rows = int(machine()["cores"]), []
@@ -234,8 +234,8 @@ def _growth(options: PerformanceOptions) -> list[dict[str, Any]]:
 def _name(case: dict[str, Any], plain: dict[str, Any]) -> str:
     """Return the description of a set in the table."""
     words = [case["task"], case["fidelity"], case["renderer"], case["design"]]
-    words += ["symmetric"] * (case["symmetric"] != plain["symmetric"])
-    return ", ".join(words + [f"{looks} looks a contact" for looks in [case.get("looks", 1)] if looks > 1])
+    words += ["symmetric"] * (case["augment_symmetry"] != plain["augment_symmetry"])
+    return ", ".join(words + [f"{looks} looks a contact" for looks in [case.get("snapshots_per_contact", 1)] if looks > 1])
 
 
 def _images(options: PerformanceOptions) -> list[dict[str, Any]]:
@@ -263,7 +263,7 @@ def _images(options: PerformanceOptions) -> list[dict[str, Any]]:
                 "tactile image of a frame/s": 1 / _median(lambda f=frame, d=design: tactile_image(f, d.image), 20),
             })  # fmt: skip
         with tempfile.TemporaryDirectory() as folder:
-            case = {"task": "surface", "fidelity": "draft", "renderer": "raster", "symmetric": True, "design": name}
+            case = {"task": "surface", "fidelity": "draft", "renderer": "raster", "augment_symmetry": True, "design": name}
             samples = read_samples(made_set(folder, _BATCH, 1, **case))
             chosen = torch.arange(len(samples))
             for varied in ("lens", "real"):
@@ -287,13 +287,19 @@ def _learning(options: PerformanceOptions) -> list[dict[str, Any]]:
 
     rows = []
     with tempfile.TemporaryDirectory() as folder:
-        case = {"task": "surface", "fidelity": "draft", "renderer": "raster", "symmetric": True, "design": "tactip-127"}
+        case = {
+            "task": "surface",
+            "fidelity": "draft",
+            "renderer": "raster",
+            "augment_symmetry": True,
+            "design": "tactip-127",
+        }
         samples = read_samples(made_set(folder, _BATCH, 1, **case))
         for recipe in ("laptop", "paper"):
             its = recipe_named(recipe, "surface")
-            settings = replace(its.settings, drawn=0.0)
-            for drawn in (0.0, its.settings.drawn) if its.settings.drawn else (0.0,):
-                training = Training(samples, samples, its.network, replace(settings, drawn=drawn))
+            settings = replace(its.settings, augmented_fraction=0.0)
+            for drawn in (0.0, its.settings.augmented_fraction) if its.settings.augmented_fraction else (0.0,):
+                training = Training(samples, samples, its.network, replace(settings, augmented_fraction=drawn))
                 seconds = _median(lambda t=training: t.train_epoch(), 3 if recipe == "laptop" else 1)
                 rows.append({
                     "what": f"an epoch of `{recipe}`, {drawn:.0%} of the images drawn anew",
@@ -323,7 +329,7 @@ def _servo(options: PerformanceOptions) -> list[dict[str, Any]]:
                 with tempfile.TemporaryDirectory() as folder:
                     run_options = ServoOptions(
                         Path(folder) / "run", task, thing, arm=arm, fidelity=fidelity, route=RouteOptions(),
-                        settings=Settings(most_steps=options.steps),
+                        settings=Settings(max_steps=options.steps),
                     )  # fmt: skip
                     score = run_servo(run_options, log=lambda line: None)
                 what = f"{thing}, arm {arm}, {fidelity}"
@@ -383,10 +389,10 @@ _SHEARED_M = (2e-3, 0.0, 0.0, 0.0, 0.0, 0.0)
 def _contacts_s(count: int) -> float:
     """Return the time of a number of contacts by a simulator of their own, after a first one, s."""
     simulator = ContactSimulator(load_design("tactip-127"), "surface", fidelity_named("standard"))
-    simulator.play(_PRESSED_M, _SHEARED_M)
+    simulator.simulate(_PRESSED_M, _SHEARED_M)
     start = time.perf_counter()
     for _ in range(count):
-        simulator.play(_PRESSED_M, _SHEARED_M)
+        simulator.simulate(_PRESSED_M, _SHEARED_M)
     return time.perf_counter() - start
 
 
@@ -403,7 +409,7 @@ def _threads(options: PerformanceOptions) -> list[dict[str, Any]]:
         seconds = max(pool.map(_contacts_s, [count] * cores))
     rows.append({"what": "contacts, threads of one process", "workers": cores, "contacts/s": cores * count / seconds})
     simulator = ContactSimulator(load_design("tactip-127"), "surface", fidelity_named("standard"))
-    simulator.play(_PRESSED_M, _SHEARED_M)
+    simulator.simulate(_PRESSED_M, _SHEARED_M)
     model, data, steps = simulator.scene.model, simulator.scene.data, 25 * count
     size = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_INTEGRATION)
     state = np.empty(size)
@@ -448,7 +454,7 @@ def _first_words(options: PerformanceOptions) -> list[dict[str, Any]]:
         "task": "surface",
         "fidelity": "draft",
         "renderer": "raster",
-        "symmetric": False,
+        "augment_symmetry": False,
         "design": "tactip-127",
     }
     rows = []

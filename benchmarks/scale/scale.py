@@ -67,7 +67,7 @@ def run(options: ScaleOptions, log: Callable[[str], None] = print) -> dict[str, 
 
 def _task(task: str, options: ScaleOptions) -> dict[str, float]:
     """Return the rates and sizes of a set of a task."""
-    case = {"task": task, "fidelity": "standard", "renderer": "raster", "symmetric": True, "design": "tactip-127"}
+    case = {"task": task, "fidelity": "standard", "renderer": "raster", "augment_symmetry": True, "design": "tactip-127"}
     few, _ = set_seconds(options.few, 1, **case)
     many, peak = set_seconds(options.few + options.contacts, 1, **case)
     with tempfile.TemporaryDirectory() as place:
@@ -150,8 +150,8 @@ def markdown(record: dict[str, Any]) -> str:
         "# A million contacts on many machines",
         "",
         "Written by `tactip bench scale`; do not edit. Rates were measured on one machine, the rest is arithmetic on them: "
-        f"{CONTACTS:,} contacts at `standard` fidelity with every turn and mirror as a sample (`--symmetric`, raster), on "
-        f"machines of {cores} cores as this one that share a folder (`tactip dataset make --cluster ADDRESS`).",
+        f"{CONTACTS:,} contacts at `standard` fidelity with every turn and mirror as a sample (`--augment-symmetry`, "
+        f"raster), on machines of {cores} cores as this one that share a folder (`tactip dataset make --cluster ADDRESS`).",
         "",
         f"Measured on: {state}. Settings: {record['settings']}.",
         "",

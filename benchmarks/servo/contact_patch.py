@@ -25,7 +25,7 @@ def contact_patch_normal(folder: str | PathLike[str], thing: SceneObject) -> dic
         thing: The object that was followed.
 
     Returns:
-        `felt_deg` and `apart_deg`, lists by RADII_MM: mean angle in degrees from the predicted normal to the disc's, and
+        `predicted_deg` and `apart_deg`, lists by RADII_MM: mean angle in degrees from predicted to disc's normal, and
         from the nearest point's to the disc's.
     """
     arrays = read_recording(folder)[1]
@@ -37,7 +37,7 @@ def contact_patch_normal(folder: str | PathLike[str], thing: SceneObject) -> dic
     nearest = thing.solid.smooth_normal(points)
     means = [_mean_normals(thing.solid, points, nearest, 1e-3 * radius) for radius in RADII_MM]
     return {
-        "felt_deg": [float(_angles(predicted, mean).mean()) for mean in means],
+        "predicted_deg": [float(_angles(predicted, mean).mean()) for mean in means],
         "apart_deg": [float(_angles(nearest, mean).mean()) for mean in means],
     }
 

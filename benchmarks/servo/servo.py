@@ -84,7 +84,7 @@ _LONG = {
 
 _SHORT = {
     "bust": replace(_LONG["bust"], route=RouteOptions(kind="straight", length_mm=60)),
-    "rim": replace(_LONG["rim-uneven"], route=RouteOptions(most_mm=120)),
+    "rim": replace(_LONG["rim-uneven"], route=RouteOptions(max_length_mm=120)),
 }
 """A pass over the face and a third of a rim, for everything else that is measured."""
 
@@ -101,7 +101,7 @@ def cases(options: ServoBenchOptions) -> list[Case]:
                 changed = replace(run, fidelity=fidelity, renderer=renderer)
                 out.append(Case("fidelity", f"{name}, {fidelity}, {renderer}", changed))
         for settle, pace in ((4, 1.0), (2, 1.0), (1, 1.0), (2, 2.0), (1, 2.0)):
-            changed = replace(run, settle_steps=settle, pace=pace)
+            changed = replace(run, settle_steps=settle, speed_scale=pace)
             out.append(Case("fidelity", f"{name}, standard, {settle} at rest, pace {pace:g}", changed))
         changes: dict[str, dict[str, Any]] = {"as it is": {}}
         changes |= {f"friction {mu:g}": {"friction": mu} for mu in (0.2, 0.4, 1.2)}
@@ -109,8 +109,10 @@ def cases(options: ServoBenchOptions) -> list[Case]:
         changes |= {f"noise of {grey:g} grey levels": {"noise_grey": grey} for grey in (5.0, 15.0, 30.0)}
         changes |= {f"steps of {mm:g} mm": {"settings": Settings(step_mm=mm)} for mm in (3.0, 5.0)}
         changes |= {_DEEP.format(mm): {"depth_mm": mm} for mm in DEPTHS_MM}
-        changes |= {"gains of the later work": {"gains": "later"}}
-        changes |= {f"slow at {deg:g} degrees": {"settings": Settings(slow_deg=deg)} for deg in (0.0, 3.0, 6.0, 12.0)}
+        changes |= {"gains of the later work": {"gains": "tactile-servo-control"}}
+        changes |= {
+            f"slow at {deg:g} degrees": {"settings": Settings(slowdown_angle_deg=deg)} for deg in (0.0, 3.0, 6.0, 12.0)
+        }
         if others[name]:
             changes |= {"a network of another seed": {"model": others[name]}}
         out += [Case("robust", f"{name}, {what}", replace(run, **change)) for what, change in changes.items()]
@@ -124,9 +126,9 @@ def cases(options: ServoBenchOptions) -> list[Case]:
 def _random_start(run: ServoOptions, seed: int, middle_m: np.ndarray) -> ServoOptions:
     """Return a short run from a random place, with a random initial pose error, in a random direction."""
     rng = np.random.default_rng((seed, 5))
-    settings = Settings(most_steps=_START_STEPS)
+    settings = Settings(max_steps=_START_STEPS)
     if run.task == "edge":
-        route = RouteOptions(start_share=float(rng.uniform()), backward=bool(rng.uniform() < 0.5))
+        route = RouteOptions(start_fraction=float(rng.uniform()), reverse=bool(rng.uniform() < 0.5))
         return replace(run, seed=seed, route=route, settings=settings)
     reach, turn = _MAX_START_MM * np.sqrt(rng.uniform()), rng.uniform(0, 2 * np.pi)
     x, y = 1e3 * middle_m[:2] + reach * np.array([np.cos(turn), np.sin(turn)])
@@ -228,9 +230,9 @@ def _training_of(name: str) -> str:
     """Return what a network (name or folder) was trained on, in words."""
     provenance = load_network(name).provenance
     made, count = provenance["train"]["configuration"], provenance["train"]["samples"]
-    looks = made.get("looks", 1)
+    looks = made.get("snapshots_per_contact", 1)
     frames = f", {looks} looks a contact" if looks > 1 else ""
-    begun = ", begun with another network's weights" if "begun_from" in provenance else ""
+    begun = ", begun with another network's weights" if "initial_weights" in provenance else ""
     seed = provenance["settings"]["seed"]
     return f"{count} images of a set of seed {made['seed']}{frames}; training of seed {seed}{begun}"
 
@@ -337,7 +339,7 @@ def _patches(rows: Sequence[dict[str, Any]]) -> list[str]:
         "|" + "---|" * (1 + len(RADII_MM)),
     ]
     for row in rows:
-        pairs = zip(row["felt_deg"], row["apart_deg"], strict=True)
+        pairs = zip(row["predicted_deg"], row["apart_deg"], strict=True)
         lines.append(f"| {row['depth_mm']:g} | " + " | ".join(f"{a:.2f} ({b:.2f})" for a, b in pairs) + " |")
     return lines
 

@@ -29,7 +29,7 @@ SPEED = 4.0
 """Speed of the replay, -: high enough that every frame shows a new step."""
 
 _RUN = ServoOptions(
-    Path("-"), "edge", "rim-round", model="oracle", arm="kinematic", settings=Settings(step_mm=0.4, most_steps=520)
+    Path("-"), "edge", "rim-round", model="oracle", arm="kinematic", settings=Settings(step_mm=0.4, max_steps=520)
 )
 """The recorded run: the 127-pin tip at standard fidelity, with the true pose, which takes no time to estimate."""
 

@@ -29,7 +29,7 @@ STRETCHES_M = (4e-3, 40e-3)
 
 
 def sample_curved_surface(
-    rng: np.random.Generator, low_per_m: float, high_per_m: float, uneven: float
+    rng: np.random.Generator, low_per_m: float, high_per_m: float, varying_curvature_fraction: float
 ) -> SignedDistanceMesh:
     """Return a curved surface with random principal curvatures and a random rotation about the normal.
 
@@ -37,12 +37,12 @@ def sample_curved_surface(
         rng: Random generator.
         low_per_m: Minimum curvature, 1/m.
         high_per_m: Maximum curvature, 1/m.
-        uneven: Probability of curvatures that change abruptly along both directions after stretches of STRETCHES_M, as on
-            solids with round parts. Their values are sampled from twice the range and clipped to it, so surfaces are often
-            as curved as allowed.
+        varying_curvature_fraction: Probability of curvatures that change abruptly along both directions after stretches
+            of STRETCHES_M, as on solids with round parts. Their values are sampled from twice the range and
+            clipped to it, so surfaces are often as curved as allowed.
     """
     # Without varying curvature no number is sampled for it, so sets made before that option keep their bytes.
-    if not (uneven and rng.uniform() < uneven):
+    if not (varying_curvature_fraction and rng.uniform() < varying_curvature_fraction):
         first_per_m, second_per_m = rng.uniform(low_per_m, high_per_m, 2)
         return curved_surface(first_per_m, second_per_m, rng.uniform(0, np.pi))
     profiles = [_sample_profile(rng, low_per_m, high_per_m) for _ in range(2)]

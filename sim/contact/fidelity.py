@@ -34,7 +34,7 @@ class Motion:
     """Mean approach per step, m."""
     shear_step_m: float = within(1e-7, 10e-3, default=0.4e-3)
     """Mean travel of the skin per step of the shear, m."""
-    least_steps: int = within(1, 100000, default=4)
+    min_steps: int = within(1, 100000, default=4)
     """Minimum number of steps of a motion."""
     ease_in: float = within(0, 5, default=0.5)
     """Exponent of the speed at the start of a motion, -: speed ~ t^ease_in (1 - t)^ease_out, t from 0 to 1. At 0 the motion
@@ -139,7 +139,7 @@ def finer(fidelity: Fidelity) -> Fidelity:
             step_s=max(motion.step_s / 2, MIN_STEP_S),
             press_step_m=motion.press_step_m / 2,
             shear_step_m=motion.shear_step_m / 2,
-            least_steps=2 * motion.least_steps,
+            min_steps=2 * motion.min_steps,
             settle_steps=2 * motion.settle_steps,
             settle_limit=4 * motion.settle_limit,
         ),

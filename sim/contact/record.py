@@ -19,13 +19,13 @@ class QualityLimits:
     """Maximum overlap of skin and object by their shapes, m."""
     imbalance: float = 0.5
     """Maximum ratio of the unbalanced force to the contact force, -."""
-    creep_m_s: float = 3e-3
+    energy_drift_m_s: float = 3e-3
     """Maximum rate of change of the elastic energy, divided by the contact force, m/s."""
     area_ratio: float = 0.1
     """Minimum ratio of a facet's area to its undeformed one, -."""
     fold_rad: float = np.radians(160)
     """Maximum angle between the normals of neighbouring facets, rad. At 180 degrees the skin is folded on itself."""
-    unsolved: float = 0.1
+    unconverged_fraction: float = 0.1
     """Maximum fraction of the steps in which the solver ran out of iterations, -."""
     disagreement_m: float = 0.05e-3
     """Maximum distance (rms) between the pins at two step sizes, where skin may snag by chance, m."""
@@ -33,7 +33,7 @@ class QualityLimits:
     def while_sliding(self) -> "QualityLimits":
         """Return the limits for a tip that has just slid and is not fully at rest: no limit on the balance of forces and the
         energy, and three times the penetration [M]."""
-        return replace(self, imbalance=np.inf, creep_m_s=np.inf, penetration_m=3 * self.penetration_m)
+        return replace(self, imbalance=np.inf, energy_drift_m_s=np.inf, penetration_m=3 * self.penetration_m)
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class Contact:
     """(6,) label, m and rad (sim/pose.py)."""
     shear: np.ndarray
     """(6,) motion in contact before the pose, m and rad."""
-    tips: np.ndarray
+    pin_tips: np.ndarray
     """(p, 3) pin tips, m."""
     directions: np.ndarray
     """(p, 3) unit vectors from the pins' roots to their tips."""
@@ -62,21 +62,21 @@ class Contact:
     """Maximum depth of the skin's facets inside the object's true shape, m. It also reveals contacts that MuJoCo missed."""
     imbalance: float
     """Norm of the unbalanced force on the vertices over that of the contact force on them, -; zero at rest."""
-    creep_m_s: float
+    energy_drift_m_s: float
     """Rate of change of the tip's elastic energy divided by the contact force, m/s: the speed of a stimulus that would do
     as much work."""
     area_ratio: float
     """Minimum ratio of a facet's area to its undeformed one, -."""
     fold_rad: float
     """Maximum angle between the normals of neighbouring facets, rad."""
-    unsolved: float
+    unconverged_fraction: float
     """Fraction of the steps in which the solver ran out of iterations, -."""
     warnings: int
     """Number of MuJoCo's warnings."""
     steps: int
     """Number of time steps."""
 
-    def faults(self, limits: QualityLimits) -> list[str]:
+    def violations(self, limits: QualityLimits) -> list[str]:
         """Return the failed checks as sentences; none if the record can be trusted."""
         measures = [getattr(self, f.name) for f in fields(self)]
         if not all(np.isfinite(m).all() for m in measures):
@@ -104,9 +104,9 @@ class Contact:
                 f"{100 * self.imbalance:.1f} % of the contact force is not balanced (allowed: {100 * limits.imbalance} %)",
             ),
             (
-                self.creep_m_s <= limits.creep_m_s,
-                f"the elastic energy over the contact force drifts by {mm * self.creep_m_s:.1f} mm/s "
-                f"(allowed: {mm * limits.creep_m_s} mm/s)",
+                self.energy_drift_m_s <= limits.energy_drift_m_s,
+                f"the elastic energy over the contact force drifts by {mm * self.energy_drift_m_s:.1f} mm/s "
+                f"(allowed: {mm * limits.energy_drift_m_s} mm/s)",
             ),
             (
                 self.area_ratio >= limits.area_ratio,
@@ -117,9 +117,9 @@ class Contact:
                 f"the skin is folded by {degrees * self.fold_rad:.0f} degrees (allowed: {degrees * limits.fold_rad:.0f})",
             ),
             (
-                self.unsolved <= limits.unsolved,
-                f"the solver ran out of iterations in {100 * self.unsolved:.0f} % of the steps "
-                f"(allowed: {100 * limits.unsolved:.0f} %)",
+                self.unconverged_fraction <= limits.unconverged_fraction,
+                f"the solver ran out of iterations in {100 * self.unconverged_fraction:.0f} % of the steps "
+                f"(allowed: {100 * limits.unconverged_fraction:.0f} %)",
             ),
         ]
         return [sentence for passed, sentence in checks if not passed]

@@ -58,7 +58,7 @@ class Scene:
         self._neighbours = _neighbours(self.mesh.triangles)
         self._areas = np.linalg.norm(_area_normals(self.mesh.vertices, self.mesh.triangles), axis=1)
         self._stimulus_body = self.model.body("stimulus").id
-        weakens = self._has_friction() and design.materials.kinetic_share < 1
+        weakens = self._has_friction() and design.materials.kinetic_fraction < 1
         self._slip = SlipWeakening(self.model, self._stimulus_body, design.materials) if weakens else None
 
     def _compile(self) -> mujoco.MjModel:

@@ -89,7 +89,7 @@ class ContactSimulator:
         self.press_step_m, self.shear_step_m = self._step_sizes()
         """Mean approach, and mean travel of the skin in contact, per step, m."""
 
-    def play(self, pose: ArrayLike, shear: ArrayLike, approach: bool = True) -> Contact:
+    def simulate(self, pose: ArrayLike, shear: ArrayLike, approach: bool = True) -> Contact:
         """Simulate one contact: press at `pose` minus `shear`, move to `pose`, settle.
 
         Args:
@@ -244,7 +244,7 @@ class ContactSimulator:
         return Contact(
             pose=label,
             shear=shear,
-            tips=tips,
+            pin_tips=tips,
             directions=directions,
             normal_force_n=float(force[2]),
             tangential_force_n=float(np.hypot(force[0], force[1])),
@@ -253,10 +253,10 @@ class ContactSimulator:
             speed_m_s=scene.max_vertex_speed(),
             overlap_m=scene.overlap(sensor_in_contact(pose)),
             imbalance=scene.imbalance(),
-            creep_m_s=scene.elastic_energy_rate() / max(float(np.linalg.norm(force)), _MIN_FORCE_N),
+            energy_drift_m_s=scene.elastic_energy_rate() / max(float(np.linalg.norm(force)), _MIN_FORCE_N),
             area_ratio=area_ratio,
             fold_rad=fold,
-            unsolved=self._unsolved / self._steps,
+            unconverged_fraction=self._unsolved / self._steps,
             warnings=warnings,
             steps=self._steps,
         )
@@ -267,7 +267,7 @@ class RetriedContact(NamedTuple):
 
     contact: Contact
     """Record of the last try."""
-    faults: list[list[str]]
+    violations: list[list[str]]
     """Failed checks of each try that failed; one list per try of RetryingSimulator.tries if the last one failed, too."""
 
 
@@ -307,30 +307,30 @@ class RetryingSimulator:
             raise TypeError(f"the stimulus must be a SolidStimulus, got {type(self.stimulus).__name__}")
         self.stimulus.solid = solid
 
-    def play(self, pose: ArrayLike, shear: ArrayLike, approach: bool = True) -> RetriedContact:
-        """Simulate one contact, as ContactSimulator.play does, until its record passes the checks.
+    def simulate(self, pose: ArrayLike, shear: ArrayLike, approach: bool = True) -> RetriedContact:
+        """Simulate one contact, as ContactSimulator.simulate does, until its record passes the checks.
 
         Returns:
             The last contact, and the failed checks of each failed try. Fewer than `tries` of them mean that the contact
             passed; `tries`, that it failed.
         """
-        faults: list[list[str]] = []
+        violations: list[list[str]] = []
         good: Contact | None = None
         attempt = 0
         while True:
             self._last = self._simulator(attempt)
             self._last.watch = self.watch
-            contact = self._last.play(pose, shear, approach)
-            failed = contact.faults(self._limits)
+            contact = self._last.simulate(pose, shear, approach)
+            failed = contact.violations(self._limits)
             if self._must_agree:
                 failed, good = (failed, None) if failed else (self._disagreement(contact, good), contact)
             # Of two records that agree, the coarser is good as well, and its simulator needs half the steps for a slide.
             self._slider = self._simulators[attempt - 1] if self._must_agree and not failed else self._last
             if failed:
-                faults.append(failed)
+                violations.append(failed)
             attempt += 1
             if not failed or attempt == self.tries:
-                return RetriedContact(contact, faults)
+                return RetriedContact(contact, violations)
 
     def slide(self, pose: ArrayLike, label: np.ndarray) -> Contact:
         """Continue the last contact as ContactSimulator.slide does: once, with the coarsest steps that passed for it."""
@@ -351,7 +351,7 @@ class RetryingSimulator:
         """Compare a good contact with the one before (None if that was not good), and return the failed checks."""
         if coarser is None:
             return [UNCONFIRMED]
-        apart = float(np.sqrt(np.mean(((contact.tips - coarser.tips) ** 2).sum(1))))
+        apart = float(np.sqrt(np.mean(((contact.pin_tips - coarser.pin_tips) ** 2).sum(1))))
         allowed = self._limits.disagreement_m
         if apart <= allowed:
             return []
@@ -370,8 +370,8 @@ def motion_fractions(steps: float, motion: Motion) -> np.ndarray:
     (Motion.ease_in, ease_out).
 
     Args:
-        steps: Number of time steps at the mean speed; n is at least Motion.least_steps.
+        steps: Number of time steps at the mean speed; n is at least Motion.min_steps.
         motion: Speed profile.
     """
-    n = max(motion.least_steps, int(np.ceil(steps)))
+    n = max(motion.min_steps, int(np.ceil(steps)))
     return betainc(motion.ease_in + 1, motion.ease_out + 1, np.arange(n + 1) / n)

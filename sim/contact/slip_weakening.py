@@ -1,7 +1,7 @@
 """Static and kinetic friction of each part of the skin: skin that has slid has less friction than skin that sticks.
 
 The friction of a part of the skin falls linearly with its sliding distance, from the static to the kinetic one over
-Materials.kinetic_after_m (a slip-weakening law, as used for earthquake faults), and stays there until the part leaves the
+Materials.slip_weakening_m (a slip-weakening law, as used for earthquake faults), and stays there until the part leaves the
 object. It depends on distances, not on speeds, so the speed of a simulated contact does not matter.
 """
 
@@ -47,8 +47,8 @@ class SlipWeakening:
         slid = np.where(self._sliding[self._parts], travel, 0.0)
         np.maximum.at(distance, self._parts, self._distance[self._parts] + slid)
         self._distance = distance
-        fraction = np.minimum(distance[self._parts] / self._materials.kinetic_after_m, 1.0)
-        remaining = 1 - (1 - self._materials.kinetic_share) * fraction
+        fraction = np.minimum(distance[self._parts] / self._materials.slip_weakening_m, 1.0)
+        remaining = 1 - (1 - self._materials.kinetic_fraction) * fraction
         friction, cone = contacts.friction, contacts.mu  # views of MuJoCo's own arrays
         friction[:, :2] *= remaining[:, None]
         cone *= remaining

@@ -12,7 +12,7 @@ from tactip_twin.tactip_model.pins import PinReader
 class TipState:
     """State of the tip at one moment, in the sensor frame. (p pins, s vertices of the skin)"""
 
-    tips: np.ndarray
+    pin_tips: np.ndarray
     """(p, 3) pin tips, m."""
     directions: np.ndarray
     """(p, 3) unit vectors from the pins' roots to their tips."""
@@ -42,7 +42,7 @@ def read_tip_state(scene: Scene, reader: PinReader, steps: int = 0, clearance_m:
     skin = scene.vertices()[: scene.mesh.surface_count]
     tips, directions = reader.read(skin)
     return TipState(
-        tips=tips,
+        pin_tips=tips,
         directions=directions,
         skin=skin,
         force=scene.contact_force(),

@@ -223,19 +223,19 @@ class DatasetBuilder:
                 if record["failed"]:
                     for index in sample_indices(self._configuration, number):
                         seed = record["rows"][0]["seed"]
-                        failures.append({"index": index, "seed": seed, "tries": record["faults"]})
+                        failures.append({"index": index, "seed": seed, "tries": record["violations"]})
                     continue
                 failures += record.get("missed", [])
                 rows += record["rows"]
                 images |= record["images"]
-                pin_tips += list(data["tips"])
+                pin_tips += list(data["pin_tips"])
                 directions += list(data["directions"])
         neutral_tips, neutral_directions = neutral_pins(self._configuration.design)
         pins = io.BytesIO()
         shape = (-1, len(neutral_tips), 3)
         np.savez(
             pins,
-            tips=np.array(pin_tips, np.float32).reshape(shape),
+            pin_tips=np.array(pin_tips, np.float32).reshape(shape),
             directions=np.array(directions, np.float32).reshape(shape),
             neutral_tips=neutral_tips.astype(np.float32),
             neutral_directions=neutral_directions.astype(np.float32),

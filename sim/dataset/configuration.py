@@ -14,18 +14,8 @@ from tactip_twin.sim.dataset.sampling import Ranges
 from tactip_twin.sim.dataset.symmetry import SYMMETRIES, Symmetry
 from tactip_twin.tactip_model.design import Design
 
-_WRITTEN_IF_NOT_DEFAULT = ("curvature_per_m", "uneven", "shard_samples", "first", "looks", "mechanics")
-"""Fields added after version 1: written only where they differ from their default, so older sets keep their digest."""
-
-
 REQUIRED_KEYS = ("task", "split", "samples", "seed", "renderer", "design", "fidelity", "pose", "shear")
 """Keys that a file must have: what decides a set's samples is not left to today's defaults."""
-
-_KEY_ORDER = (
-    *("task", "split", "samples", "seed", "renderer", "design", "fidelity", "pose", "shear", "bounds", "symmetric"),
-    *("curvature_per_m", "uneven", "shard_samples", "first", "looks", "mechanics"),
-)
-"""Order of the keys in files, so that a set made again has the same bytes."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,7 +36,7 @@ class Configuration(DatasetOptions):
     """Limits that a simulated contact must meet to become a sample."""
     first: int = 0
     """Index of the first sample, where the set is a shard of a larger one."""
-    mechanics: MechanicsRandomization = field(default_factory=MechanicsRandomization)
+    mechanics_randomization: MechanicsRandomization = field(default_factory=MechanicsRandomization)
     """Randomization of the tip's mechanics by contact (sim/dataset/mechanics_randomization.py); the optics stay the same."""
 
     @property
@@ -57,35 +47,26 @@ class Configuration(DatasetOptions):
     @property
     def symmetries(self) -> tuple[Symmetry, ...]:
         """Symmetries that make samples of each contact."""
-        return SYMMETRIES[self.task][: None if self.symmetric else 1]
+        return SYMMETRIES[self.task][: None if self.augment_symmetry else 1]
 
     @property
     def samples_per_contact(self) -> int:
         """Number of samples of each contact."""
-        return len(self.symmetries) * self.looks
+        return len(self.symmetries) * self.snapshots_per_contact
 
     def as_json(self) -> dict[str, Any]:
         """Return the configuration as a JSON object."""
-        unordered = dataclasses.asdict(self)
-        values = {name: unordered[name] for name in _KEY_ORDER}
-        for f in dataclasses.fields(self):
-            if f.name in _WRITTEN_IF_NOT_DEFAULT and getattr(self, f.name) == _default(f):
-                del values[f.name]
-        return json.loads(json.dumps(values))
+        return json.loads(json.dumps(dataclasses.asdict(self)))
 
     def digest(self) -> str:
         """Return a checksum of the configuration, in hex."""
         return digest_of(self.as_json())
 
 
-def _default(f: dataclasses.Field) -> Any:
-    return f.default if f.default_factory is dataclasses.MISSING else f.default_factory()
-
-
 def samples_per_contact(configuration: dict[str, Any]) -> int:
     """Return the number of samples of each contact for a configuration as a JSON object."""
-    symmetries = len(SYMMETRIES[configuration["task"]]) if configuration.get("symmetric") else 1
-    return symmetries * configuration.get("looks", 1)
+    symmetries = len(SYMMETRIES[configuration["task"]]) if configuration["augment_symmetry"] else 1
+    return symmetries * configuration["snapshots_per_contact"]
 
 
 def digest_of(configuration: dict[str, Any]) -> str:

@@ -34,7 +34,7 @@ from tactip_twin.tactip_model.design_file import from_dict
 from tactip_twin.tactip_model.errors import TactipError
 
 FORMAT = "tactip-twin data set"
-VERSION = 1
+VERSION = 2
 
 MEASURES = (
     "normal_force_N",
@@ -188,7 +188,10 @@ def read_meta(folder: str | Path) -> dict[str, Any]:
     if not isinstance(meta, dict) or meta.get("format") != FORMAT:
         raise TactipError(f"{path} does not describe a data set of this project: its format is not {FORMAT!r}")
     if meta.get("version") != VERSION:
-        raise TactipError(f"{path} has version {meta.get('version')!r}, but this program reads version {VERSION}")
+        raise TactipError(
+            f"{path} has version {meta.get('version')!r}, but this program reads version {VERSION}: make the set again by "
+            "`tactip dataset make`, or a real one by `tactip import`"
+        )
     return meta
 
 
@@ -271,7 +274,7 @@ def read_pins(folder: str | Path, meta: dict[str, Any]) -> tuple[np.ndarray, np.
         path = part / "pins.npz"
         try:
             with path.open("rb") as file, np.load(file, allow_pickle=False) as pins:
-                pin_tips.append(pins["tips"])
+                pin_tips.append(pins["pin_tips"])
                 directions.append(pins["directions"])
         except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile) as error:
             raise TactipError(f"{path} cannot be read ({error}): only simulated sets have pins") from error

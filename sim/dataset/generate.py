@@ -31,7 +31,7 @@ from tactip_twin.sim.dataset.format import checksum, encode_image, image_name, r
 from tactip_twin.sim.dataset.partial_record import pack_record, record_path, sample_indices
 from tactip_twin.sim.dataset.sampling import generator, seed_text
 from tactip_twin.sim.dataset.shards import ShardFinalizer, open_builder, shard_dir
-from tactip_twin.sim.dataset.sliding import MAX_LOOKS, SlidingPath
+from tactip_twin.sim.dataset.sliding import MAX_SNAPSHOTS, SlidingPath
 from tactip_twin.sim.dataset.symmetry import SymmetricReader, ranges_are_symmetric
 from tactip_twin.sim.parallel.ray_pool import RayPool, joined, ray_here
 from tactip_twin.sim.parallel.worker_pool import WorkerPool
@@ -78,19 +78,24 @@ def check(configuration: Configuration) -> None:
         if not ranges_are_symmetric(configuration.symmetries, getattr(configuration, name)):
             raise TactipError(
                 f"the {name} ranges are not symmetric, so samples made by symmetry would lie outside them: make the ranges "
-                "symmetric, or leave --symmetric out"
+                "symmetric, or leave --augment-symmetry out"
             )
 
 
 def _check_snapshots(configuration: Configuration) -> None:
     c = configuration
-    require(1 <= c.looks <= MAX_LOOKS, "looks", c.looks, f"between 1 and {MAX_LOOKS}")
+    require(
+        1 <= c.snapshots_per_contact <= MAX_SNAPSHOTS,
+        "snapshots_per_contact",
+        c.snapshots_per_contact,
+        f"between 1 and {MAX_SNAPSHOTS}",
+    )
     allowed = f"at least {c.samples_per_contact}, the number of samples of one contact"
     require(c.shard_samples >= c.samples_per_contact, "shard_samples", c.shard_samples, allowed)
     names = ("x_mm", "y_mm", "yaw_deg") if c.task == "surface" else ("y_mm",)
-    for name in names if c.looks > 1 else ():
+    for name in names if c.snapshots_per_contact > 1 else ():
         low, high = getattr(c.pose, name)
-        allowed = "a range that includes 0 where looks is above 1, because the samples of a sliding path have 0 there"
+        allowed = "a range that includes 0 if snapshots_per_contact is above 1, because sliding paths start at 0"
         require(low <= 0 <= high, f"pose.{name}", (low, high), allowed)
 
 
@@ -98,14 +103,19 @@ def _check_curvature(configuration: Configuration) -> None:
     low, high = configuration.curvature_per_m
     if configuration.is_curved and configuration.task != "surface":
         raise TactipError(f"curvature_per_m applies to the task 'surface' only, got the task {configuration.task!r}")
-    require(0 <= configuration.uneven <= 1, "uneven", configuration.uneven, "between 0 and 1")
-    if configuration.uneven and not configuration.is_curved:
-        raise TactipError("uneven needs a range of curvature: give --curvature-per-m too")
+    require(
+        0 <= configuration.varying_curvature_fraction <= 1,
+        "varying_curvature_fraction",
+        configuration.varying_curvature_fraction,
+        "between 0 and 1",
+    )
+    if configuration.varying_curvature_fraction and not configuration.is_curved:
+        raise TactipError("varying_curvature_fraction needs a range of curvature: give --curvature-per-m too")
     allowed = f"a low and a high between -{MAX_HOLLOW_PER_M:g} and {MAX_CURVATURE_PER_M:g} 1/m"
     require(-MAX_HOLLOW_PER_M <= low <= high <= MAX_CURVATURE_PER_M, "curvature_per_m", (low, high), allowed)
 
 
-def make(jobs: list[Job], workers: int, say: Callable[[str], None] = print, cluster: str = "") -> list[dict[str, Any]]:
+def make(jobs: list[Job], workers: int, log: Callable[[str], None] = print, cluster: str = "") -> list[dict[str, Any]]:
     """Make sets, or finish them where they were interrupted.
 
     What is done is kept whatever is raised.
@@ -113,7 +123,7 @@ def make(jobs: list[Job], workers: int, say: Callable[[str], None] = print, clus
     Args:
         jobs: Sets to make.
         workers: Number of workers; 0 for as many as there is room for.
-        say: Function that takes messages for the user.
+        log: Function that takes messages for the user.
         cluster: Address of a Ray cluster (sim/parallel/ray_pool.py) whose workers make the sets, in folders that all of its
             machines see; empty for none.
 
@@ -136,7 +146,7 @@ def make(jobs: list[Job], workers: int, say: Callable[[str], None] = print, clus
         total = sum(job.configuration.samples for job in jobs)
         missing = sum(len(sample_indices(jobs[k].configuration, number)) for k, number in contacts)
         if todo and missing < total:
-            say(f"{total - missing} of {total} samples already exist")
+            log(f"{total - missing} of {total} samples already exist")
         start = time.perf_counter()
 
         def done(task: _Task, seconds: float, peak_mib: float) -> list[_Task]:
@@ -156,7 +166,7 @@ def make(jobs: list[Job], workers: int, say: Callable[[str], None] = print, clus
 
         if todo:
             arguments = [job.configuration for job in jobs], [str(job.folder.resolve()) for job in jobs]
-            settings = _SampleMakers, arguments, todo, unit, say, name_of
+            settings = _SampleMakers, arguments, todo, unit, log, name_of
             pool = RayPool(stack.enter_context(joined(cluster)), *settings) if cluster else WorkerPool(*settings)
             workers = min(workers or pool.places(), len(todo))
             pool.work(workers, done)
@@ -200,22 +210,22 @@ class _SampleMaker:
         self._render = alike[0]._render if alike else lookup("renderer", c.renderer, RENDERERS)(c.design)
         same = [m for m in alike if _physics(m._configuration) == _physics(c)]
         self._simulator = same[0]._simulator if same else simulator_for(c, c.design)
-        self._reader = SymmetricReader(c.design, self._simulator.skin()[1], c.symmetries) if c.symmetric else None
+        self._reader = SymmetricReader(c.design, self._simulator.skin()[1], c.symmetries) if c.augment_symmetry else None
 
     def make(self, number: int) -> None:
         """Write the images and the record of contact `number`. Raises OSError."""
         c = self._configuration
         sample = sample_contact(c, number)
         simulator, reader = self._simulator, self._reader
-        if not c.mechanics.is_identity:
+        if not c.mechanics_randomization.is_identity:
             simulator = simulator_for(c, sample.design)
-            reader = SymmetricReader(sample.design, simulator.skin()[1], c.symmetries) if c.symmetric else None
+            reader = SymmetricReader(sample.design, simulator.skin()[1], c.symmetries) if c.augment_symmetry else None
         if sample.solid is not None:
             simulator.replace_solid(sample.solid)
         indices, folder = sample_indices(c, number), shard_dir(c, self._folder, number)
         seed = seed_text(c.seed, c.task, c.split, number)
-        contact, faults = simulator.play(sample.pose, sample.shear)
-        tries, failed = len(faults) + 1, len(faults) == simulator.tries
+        contact, violations = simulator.simulate(sample.pose, sample.shear)
+        tries, failed = len(violations) + 1, len(violations) == simulator.tries
         kept, rows, images, missed = [], [], {}, []
         if failed:
             kept, rows = [contact], [row_of(contact, indices[0], tries, seed)]
@@ -229,11 +239,11 @@ class _SampleMaker:
             for index, one in zip(own, contacts, strict=False):
                 kept.append(one)
                 rows.append(row_of(one, index, tries, seed))
-                data = encode_image(tactile_image(self._render(one.tips, one.directions), c.design.image))
+                data = encode_image(tactile_image(self._render(one.pin_tips, one.directions), c.design.image))
                 write_file(folder / "images" / image_name(index), data)
                 images[image_name(index)] = checksum(data)
-        record = {"rows": rows, "faults": faults, "failed": failed, "images": images, "missed": missed}
-        pins = ([getattr(one, k) for one in kept] for k in ("tips", "directions"))
+        record = {"rows": rows, "violations": violations, "failed": failed, "images": images, "missed": missed}
+        pins = ([getattr(one, k) for one in kept] for k in ("pin_tips", "directions"))
         write_file(record_path(folder, number), pack_record(record, *pins))
 
     def _snapshots(
@@ -242,13 +252,13 @@ class _SampleMaker:
         """Yield the state at each image and its violations of the limits: `contact`, then states on a sliding path."""
         c = self._configuration
         yield contact, []
-        if c.looks == 1:
+        if c.snapshots_per_contact == 1:
             return
         path = SlidingPath(c.task, sample.solid, c.pose, sample.pose, sample.rng)
         low, high = c.pose.bounds().T
-        for _ in range(c.looks - 1):
+        for _ in range(c.snapshots_per_contact - 1):
             contact = simulator.slide(path.stride(), path.label())
-            label, violations = to_mm_deg(contact.pose), contact.faults(c.bounds.while_sliding())
+            label, violations = to_mm_deg(contact.pose), contact.violations(c.bounds.while_sliding())
             if not ((label > low - _ROUNDING) & (label < high + _ROUNDING)).all():
                 violations = [*violations, "its label on the curved surface is outside the ranges"]
             yield contact, violations
@@ -299,8 +309,8 @@ def sample_contact(configuration: Configuration, number: int) -> ContactSample:
     c = configuration
     rng = generator(c.seed, c.task, c.split, number)
     pose, shear = _sample_motion(c, rng)
-    solid = sample_curved_surface(rng, *c.curvature_per_m, c.uneven) if c.is_curved else None
-    design = c.design if c.mechanics.is_identity else c.mechanics.sample(c.design, rng)
+    solid = sample_curved_surface(rng, *c.curvature_per_m, c.varying_curvature_fraction) if c.is_curved else None
+    design = c.design if c.mechanics_randomization.is_identity else c.mechanics_randomization.sample(c.design, rng)
     return ContactSample(pose, shear, solid, design, rng)
 
 

@@ -19,7 +19,7 @@ class MechanicsRandomization:
 
     friction: float = within(1, 4, default=1.0)
     """Of skin on the stimulus."""
-    kinetic_share: float = within(1, 4, default=1.0)
+    kinetic_fraction: float = within(1, 4, default=1.0)
     """Ratio of kinetic to static friction; the result is at most 1."""
     skin_young: float = within(1, 4, default=1.0)
     """Modulus of the skin."""
@@ -45,7 +45,7 @@ class MechanicsRandomization:
         materials = replace(
             m,
             friction=m.friction * factors["friction"],
-            kinetic_share=float(np.clip(m.kinetic_share * factors["kinetic_share"], 0.1, 1.0)),
+            kinetic_fraction=float(np.clip(m.kinetic_fraction * factors["kinetic_fraction"], 0.1, 1.0)),
             skin_young_pa=m.skin_young_pa * factors["skin_young"],
             gel_young_pa=m.gel_young_pa * factors["gel_young"],
             skin_thickness_m=m.skin_thickness_m * factors["skin_thickness"],
@@ -59,7 +59,7 @@ MechanicsName = Literal["none", "real"]
 MECHANICS_RANDOMIZATIONS: dict[str, MechanicsRandomization] = {
     "none": MechanicsRandomization(),
     "real": MechanicsRandomization(
-        friction=1.6, kinetic_share=1.4, skin_young=1.5, gel_young=1.5, skin_thickness=1.15, pin_length=1.1
+        friction=1.6, kinetic_fraction=1.4, skin_young=1.5, gel_young=1.5, skin_thickness=1.15, pin_length=1.1
     ),
 }
 """By name. `real`: friction from 0.45 to 1.1 around the 0.7 of the calibrated 127-pin tip, which includes the 0.55 to 0.7 of

@@ -40,7 +40,7 @@ def pack_record(record: dict[str, Any], pin_tips: ArrayLike, directions: ArrayLi
 
     Args:
         record: A JSON object with `rows`; `images`, checksums by name; `failed`, whether the contact has no samples;
-            `faults` of each try of the contact; `missed`, the failures (index, seed, tries) of single samples.
+            `violations` of each try of the contact; `missed`, the failures (index, seed, tries) of single samples.
         pin_tips: (rows, pins, 3), m, sensor frame.
         directions: (rows, pins, 3), unit, sensor frame.
     """
@@ -48,7 +48,7 @@ def pack_record(record: dict[str, Any], pin_tips: ArrayLike, directions: ArrayLi
     np.savez(
         data,
         record=np.array(json.dumps(record)),
-        tips=np.asarray(pin_tips, np.float32),
+        pin_tips=np.asarray(pin_tips, np.float32),
         directions=np.asarray(directions, np.float32),
     )
     return data.getvalue()
@@ -76,7 +76,7 @@ def unpack_finished_set(folder: Path) -> None:
     each = samples_per_contact(configuration)
     try:
         with np.load(folder / "pins.npz", allow_pickle=False) as pins:
-            pin_tips, directions = pins["tips"], pins["directions"]
+            pin_tips, directions = pins["pin_tips"], pins["directions"]
         row_by_index = {int(row["index"]): k for k, row in enumerate(rows)}
         failures = {f["index"]: f for f in meta["failures"]}
         if len(pin_tips) != len(rows):
@@ -86,10 +86,10 @@ def unpack_finished_set(folder: Path) -> None:
         for number in range(first // each, end // each):
             indices = _indices(number, each, end)
             missed = [failures[i] for i in indices if i in failures]
-            record = {"rows": [], "faults": [], "failed": False, "images": {}, "missed": []}
+            record = {"rows": [], "violations": [], "failed": False, "images": {}, "missed": []}
             if len(missed) == len(indices):
                 failure = missed[0]
-                record |= {"rows": [{"seed": failure["seed"]}], "faults": failure["tries"], "failed": True}
+                record |= {"rows": [{"seed": failure["seed"]}], "violations": failure["tries"], "failed": True}
                 part = slice(0, 0)
             else:
                 part = [row_by_index[i] for i in indices if i not in failures]

@@ -14,7 +14,7 @@ from tactip_twin.sim.dataset.sampling import Ranges
 from tactip_twin.sim.ground_truth import GroundTruth, SurfaceGroundTruth
 from tactip_twin.sim.pose import label_of, matrix, sensor_in_contact
 
-MAX_LOOKS = 1000
+MAX_SNAPSHOTS = 1000
 """Maximum number of images per contact."""
 
 _STRIDE_M = (0.2e-3, 2e-3)

@@ -76,7 +76,7 @@ class SymmetricReader:
         for symmetry, reader in zip(self._symmetries, self._readers, strict=True):
             tips, directions = reader.read(skin @ symmetry.in_sensor.T)
             pose, shear = symmetry.label(contact.pose), symmetry.label(contact.shear)
-            contacts.append(replace(contact, pose=pose, shear=shear, tips=tips, directions=directions))
+            contacts.append(replace(contact, pose=pose, shear=shear, pin_tips=tips, directions=directions))
         return contacts
 
 

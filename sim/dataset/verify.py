@@ -117,7 +117,7 @@ def _rows(rows: list[dict[str, str]], meta: dict[str, Any]) -> list[str]:
     ranges = {}
     if configuration is not None:
         # On a sliding path the shear is the whole motion since the first contact, which no range limits.
-        slides = configuration.get("looks", 1) > 1
+        slides = configuration.get("snapshots_per_contact", 1) > 1
         for columns, key in ((LABELS, "pose"), *(() if slides else ((SHEARS, "shear"),))):
             ranges.update(zip(columns, configuration[key].values(), strict=True))
     for number, row in enumerate(rows, start=2):
@@ -165,8 +165,8 @@ def _pins(folder: Path, meta: dict[str, Any], rows: list[dict[str, str]]) -> lis
         return []  # reported by its checksum
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as pins:
-            digest, tips = str(pins["digest"]), pins["tips"]
-            finite = all(np.isfinite(pins[k]).all() for k in ("tips", "directions"))
+            digest, tips = str(pins["digest"]), pins["pin_tips"]
+            finite = all(np.isfinite(pins[k]).all() for k in ("pin_tips", "directions"))
     except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile) as error:
         return [f"pins.npz: cannot be read: {error}"]
     problems = []

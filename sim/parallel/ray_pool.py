@@ -91,7 +91,7 @@ class RayPool(WorkerPool[Task]):
         arguments: tuple[object, ...],
         tasks: Sequence[Task],
         unit: str,
-        say: Callable[[str], None],
+        log: Callable[[str], None],
         named: Callable[[Task], str] | None = None,
     ) -> None:
         """Prepare the pool; no worker starts yet.
@@ -100,7 +100,7 @@ class RayPool(WorkerPool[Task]):
             ray: The module ray, joined to a cluster.
             begin: As in WorkerPool, like the others.
         """
-        super().__init__(begin, arguments, tasks, unit, say, named)
+        super().__init__(begin, arguments, tasks, unit, log, named)
         self._ray = ray
         variables = {"env_vars": dict.fromkeys(THREADS, "1")}
         self._actor = ray.remote(num_cpus=1, max_restarts=0, runtime_env=variables)(_Actor)

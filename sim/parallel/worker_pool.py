@@ -79,7 +79,7 @@ class WorkerPool(Generic[Task]):
         arguments: tuple[object, ...],
         tasks: Sequence[Task],
         unit: str,
-        say: Callable[[str], None],
+        log: Callable[[str], None],
         named: Callable[[Task], str] | None = None,
     ) -> None:
         """Prepare the pool; no process starts yet.
@@ -89,11 +89,11 @@ class WorkerPool(Generic[Task]):
             arguments: Arguments of `begin`, which can be pickled.
             tasks: Tasks, done in this order.
             unit: What a task makes, as a singular noun.
-            say: Function that takes messages for the user.
+            log: Function that takes messages for the user.
             named: Function from a task to its name in messages; the unit and the task if None.
         """
         self._named = named or (lambda task: f"{unit} {task}")
-        self._begin, self._arguments, self._unit, self._say = begin, arguments, unit, say
+        self._begin, self._arguments, self._unit, self._log = begin, arguments, unit, log
         self._queue, self._count = list(reversed(tasks)), len(tasks)
         self._workers: dict[Any, Any] = {}
         """Workers by what is waited for: pipes here, references of Ray in RayPool."""
@@ -212,7 +212,7 @@ class WorkerPool(Generic[Task]):
                     f"{RESUME_HINT}"
                 )
         more = f" and {len(tasks) - 1} more" if len(tasks) > 1 else ""
-        self._say(f"a worker {how} during {self._named(tasks[0])}{more}: another worker takes over")
+        self._log(f"a worker {how} during {self._named(tasks[0])}{more}: another worker takes over")
         self._queue += reversed(tasks)
 
     def _shut_down(self) -> None:

@@ -106,7 +106,7 @@ class MountedTip:
         motion, here = self.scene.fidelity.motion, self.arm_model.pose
         travel = np.linalg.norm(T_base_tcp[:3, 3] - here[:3, 3]) + LEVER_M * angle_between(here, T_base_tcp)
         step = motion.shear_step_m if self.scene.data.ncon or self.gap(T_base_tcp) < _CLEAR_M else motion.press_step_m
-        count = max(int(np.ceil(motion.least_steps / self._pace)), int(np.ceil(travel / (step * self._pace))))
+        count = max(int(np.ceil(motion.min_steps / self._pace)), int(np.ceil(travel / (step * self._pace))))
         count = self.arm_model.set_target(T_base_tcp, count, motion.step_s)
         with counted_warnings() as messages:
             self.scene.stiffen(resting=False)

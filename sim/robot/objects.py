@@ -88,8 +88,8 @@ def load_object(
     source: str | PathLike[str] | trimesh.Trimesh,
     unit: str | None = None,
     scale: float = 1.0,
-    place_mm: Sequence[float] | None = None,
-    turn_deg: Sequence[float] | None = None,
+    position_mm: Sequence[float] | None = None,
+    rotation_deg: Sequence[float] | None = None,
 ) -> SceneObject:
     """Load an object, validate its mesh and place it before the arm.
 
@@ -97,8 +97,8 @@ def load_object(
         source: One of the project's names, a mesh file, or a mesh in memory (which is not changed).
         unit: Unit of the coordinates, of UNITS_M. By default mm for a file, and m for a mesh in memory.
         scale: Scale factor.
-        place_mm: (3,) mm, position of the middle of the object's underside, base frame; in front of the arm if None.
-        turn_deg: (3,) degrees, rotation vector, applied before that.
+        position_mm: (3,) mm, position of the middle of the object's underside, base frame; in front of the arm if None.
+        rotation_deg: (3,) degrees, rotation vector, applied before that.
 
     Returns:
         The object.
@@ -119,9 +119,13 @@ def load_object(
     mesh = source.copy() if in_memory else _read(path)
     mesh.apply_scale(size)
     mesh, notes = validate_mesh(mesh, name)
-    turn = Rotation.from_rotvec(np.radians(turn_deg)) if turn_deg is not None else _ROTATIONS.get(name, Rotation.identity())
+    turn = (
+        Rotation.from_rotvec(np.radians(rotation_deg))
+        if rotation_deg is not None
+        else _ROTATIONS.get(name, Rotation.identity())
+    )
     low, high = (f(mesh.vertices @ turn.as_matrix().T, axis=0) for f in (np.min, np.max))
-    foot = np.array(_FEET_M.get(name, _FOOT_M)) if place_mm is None else np.array(place_mm, float) / 1e3
+    foot = np.array(_FEET_M.get(name, _FOOT_M)) if position_mm is None else np.array(position_mm, float) / 1e3
     T = matrix(foot - [*(low + high)[:2] / 2, low[2]], turn)
     edge = _read_edge(MESHES / f"{name}.edge.csv", scale) if own else None
     middle = (mesh.vertices.min(0) + mesh.vertices.max(0)) / 2

@@ -24,7 +24,7 @@ from tactip_twin.sim.parallel.file_lock import locked
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.files import write_file
 
-FORMAT, VERSION = "tactip-twin recording", 2
+FORMAT, VERSION = "tactip-twin recording", 3
 
 RECORDING, SCENERY, STEPS, LOG = "recording.json", "scenery.npz", "steps.npz", "steps.log"
 
@@ -38,13 +38,13 @@ _MAX_FRAME_BYTES = 2**28
 
 ARRAYS: dict[str, tuple[int | None, ...]] = {
     "T_base_tcp": (4, 4),
-    "T_told": (4, 4),
+    "T_base_tcp_measured": (4, 4),
     "angles_rad": (6,),
-    "tips_m": (None, 3),
+    "pin_tips_m": (None, 3),
     "directions": (None, 3),
     "skin_m": (None, 3),
     "force_n": (3,),
-    "felt": (6,),
+    "predicted": (6,),
     "true": (6,),
     "touching": (),
     "penetration_m": (),
@@ -57,9 +57,9 @@ ARRAYS: dict[str, tuple[int | None, ...]] = {
 """Quantities and their shapes per step:
 
 T_base_tcp       the sensor's true pose
-T_told           the sensor's pose as measured by the joints
+T_base_tcp_measured           the sensor's pose as measured by the joints
 angles_rad       joint angles, rad; NaN without an arm
-tips_m           pin tips, sensor frame, m
+pin_tips_m           pin tips, sensor frame, m
 directions       directions of the pins, sensor frame
 skin_m           vertices of the skin, sensor frame, m
 force_n          force on the tip, sensor frame, N
@@ -273,7 +273,7 @@ def _unpacked(arrays: dict[str, np.ndarray], size_px: int) -> dict[str, np.ndarr
 
 def _dtype(name: str) -> type[np.generic]:
     dtypes = {"phase": np.uint8, "part": np.int32, "sim_steps": np.int32, "images": np.uint8}
-    large = name in ("tips_m", "directions", "skin_m")
+    large = name in ("pin_tips_m", "directions", "skin_m")
     return dtypes.get(name, np.float32 if large else np.float64)
 
 

@@ -130,7 +130,7 @@ def predicted_frames(arrays: Mapping[str, np.ndarray], end: int | None = None) -
         T_base_contact (n, 4, 4) and their steps (n,).
     """
     steps = np.flatnonzero((arrays["phase"] == PHASES.index("follow"))[:end])
-    frames = [arrays["T_base_tcp"][k] @ np.linalg.inv(sensor_in_contact(arrays["felt"][k])) for k in steps]
+    frames = [arrays["T_base_tcp"][k] @ np.linalg.inv(sensor_in_contact(arrays["predicted"][k])) for k in steps]
     return np.array(frames).reshape(-1, 4, 4), steps
 
 

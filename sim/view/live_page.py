@@ -124,12 +124,12 @@ class LivePage:
 
     def _show(self, state: TipState, seconds: float) -> None:
         """Show a state of the tip, whose simulation took a number of seconds."""
-        image = tactile_image(self._render(state.tips, state.directions), self._design.image)
+        image = tactile_image(self._render(state.pin_tips, state.directions), self._design.image)
         predicted = self._read(image) if self._read else {}
         with self._server.atomic():
             set_pose(self._stimulus, _T_WORLD_SENSOR @ inverse(sensor_in_contact(self._contact.label)))
             self._skin.vertices = state.skin.astype(np.float32)
-            self._pins.points = pin_lines(state.tips, state.directions)
+            self._pins.points = pin_lines(state.pin_tips, state.directions)
             self._image.image = grey(image)
             self._status.content = self._status_text(state, predicted, seconds)
 
@@ -161,7 +161,7 @@ class LivePage:
         triangles = self._contact.scene.mesh.triangles.astype(np.uint32)
         skin = state.skin.astype(np.float32)
         self._skin = scene.add_mesh_simple("/tip/skin", skin, triangles, color=rgb(SKIN_COLOR), side="double")
-        pins = pin_lines(state.tips, state.directions)
+        pins = pin_lines(state.pin_tips, state.directions)
         self._pins = scene.add_line_segments("/tip/pins", pins, (245, 245, 245), thickness=0.9e-3)
         # The handle is the target of the stimulus, which follows it.
         self._handle = scene.add_transform_controls("/target", scale=0.03, depth_test=False)

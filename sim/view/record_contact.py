@@ -71,7 +71,7 @@ def record_contact(
     T_base_object = np.eye(4)
     T_base_object[:3, 3] = [*_PLACE_M, -vertices[:, 2].min()]
     simulator.watch = steps = _Rows(simulator, configuration, T_base_object, read)
-    contact, failures = simulator.play(contact_sample.pose, contact_sample.shear)
+    contact, failures = simulator.simulate(contact_sample.pose, contact_sample.shear)
     path = SlidingPath(configuration.task, solid, configuration.pose, contact_sample.pose, contact_sample.rng)
     steps.true_label = path.truth.label
     for _ in range(sample % configuration.samples_per_contact // len(configuration.symmetries)):
@@ -122,13 +122,13 @@ class _Rows:
         T = self._T_base_object @ sensor_in_contact(label)
         self._tries.setdefault(simulator, []).append({
             "T_base_tcp": T,
-            "T_told": T,
+            "T_base_tcp_measured": T,
             "angles_rad": np.full(6, np.nan),
-            "tips_m": tips,
+            "pin_tips_m": tips,
             "directions": directions,
             "skin_m": skin,
             "force_n": force,
-            "felt": self._predicted(image),
+            "predicted": self._predicted(image),
             "true": self.true_label(sensor_in_contact(label)) if self.true_label else label,
             "touching": float(np.linalg.norm(force) > _MIN_CONTACT_N),
             "penetration_m": scene.penetration(),

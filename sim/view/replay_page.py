@@ -53,7 +53,7 @@ class ReplayPage:
         if not record["steps"]:
             raise TactipError("the recording has no steps to show")
         self._record, self._arrays, self._geometry = record, arrays, SceneGeometry(scenery)
-        self._predicted, self._true = to_mm_deg(arrays["felt"]), to_mm_deg(arrays["true"])
+        self._predicted, self._true = to_mm_deg(arrays["predicted"]), to_mm_deg(arrays["true"])
         self._lines, self._line_counts = path_lines(arrays)
         if not len(self._lines):
             self._lines = np.zeros((1, 2, 3), np.float32)  # viser needs a line
@@ -96,7 +96,7 @@ class ReplayPage:
             self._slider.value = k
             set_pose(self._tip, a["T_base_tcp"][k])
             self._skin.vertices = a["skin_m"][k].astype(np.float32)
-            self._pins.points = pin_lines(a["tips_m"][k], a["directions"][k])
+            self._pins.points = pin_lines(a["pin_tips_m"][k], a["directions"][k])
             if np.isfinite(a["angles_rad"][k]).all():
                 poses = self._geometry.body_poses(a["angles_rad"][k])
                 for body, frame in self._links.items():
@@ -128,7 +128,7 @@ class ReplayPage:
         skin = self._arrays["skin_m"][0].astype(np.float32)
         triangles = geometry.skin_triangles.astype(np.uint32)
         self._skin = scene.add_mesh_simple("/tip/skin", skin, triangles, color=rgb(SKIN_COLOR), side="double")
-        pins = pin_lines(self._arrays["tips_m"][0], self._arrays["directions"][0])
+        pins = pin_lines(self._arrays["pin_tips_m"][0], self._arrays["directions"][0])
         self._pins = scene.add_line_segments("/tip/pins", pins, (245, 245, 245), thickness=0.9e-3)
         color = rgb(PATH_COLORS[self._record["task"]])
         self._path = scene.add_line_segments("/path", self._lines[:1], color, thickness=0.6e-3)

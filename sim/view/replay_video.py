@@ -86,7 +86,7 @@ def _curves(arrays: Mapping[str, np.ndarray], task: str) -> tuple[np.ndarray, fl
         Image (h, w, 3) uint8, and the columns of its first and last step, px.
     """
     plt = pyplot()
-    predicted, true = to_mm_deg(arrays["felt"]), to_mm_deg(arrays["true"])
+    predicted, true = to_mm_deg(arrays["predicted"]), to_mm_deg(arrays["true"])
     touching = arrays["touching"] > 0
     wide, high = WIDTH - _VIEW, HEIGHT - _IMAGE - 32
     names = _CURVES[task]

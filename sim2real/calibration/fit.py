@@ -86,7 +86,7 @@ def calibrate(
     if not np.isfinite(neutral.pins_px).all():
         raise TactipError("every pin must be visible in the neutral image, but some are hidden")
     rngs = np.random.default_rng(np.random.SeedSequence(settings.seed)).spawn(2)
-    fit_frames = sample_frames(real, matcher, False, settings.frames, rngs[0])
+    fit_frames = sample_frames(real, matcher, False, settings.fit_frames, rngs[0])
     chosen = parameters(design, _camera_prior(real, fit_frames, fitted_design, log))
     twin = _first_guess(real, fitted_design, chosen)
     identity = {"real": str(Path(real_dir).name), "design": asdict(design), "settings": asdict(settings)}
@@ -105,16 +105,16 @@ def calibrate(
             for fidelity in settings.rounds[len(rounds) :]:
                 twin, deviations, figures = calibrator.round(twin, chosen, fidelity)
                 text = _round_text(figures)
-                if fidelity == settings.judging:
+                if fidelity == settings.test_fidelity:
                     twin, deviations, searched = calibrator.search(twin, chosen, deviations, fidelity)
                     figures["search"] = searched
                     text += f"; {searched['cost_after']:.3f} px² after the search for friction"
                 rounds.append(figures)
                 write_state(state_path, identity, twin, deviations, rounds, chosen)
                 log(f"round {len(rounds)} of {len(settings.rounds)} ({fidelity}): {text}")
-            test_frames = sample_frames(real, matcher, True, settings.judged, rngs[1])
-            along = calibrator.pins_along_moves(twin, settings.judging, test_frames)
-            forces = calibrator.forces(twin, settings.judging)
+            test_frames = sample_frames(real, matcher, True, settings.test_frames, rngs[1])
+            along = calibrator.pins_along_moves(twin, settings.test_fidelity, test_frames)
+            forces = calibrator.forces(twin, settings.test_fidelity)
         except KeyboardInterrupt:
             executor.shutdown(wait=False, cancel_futures=True)
             raise Interrupted("finished rounds are kept, and the same command resumes after them") from None
@@ -144,7 +144,7 @@ def _first_guess(real: RealSet, design: Design, chosen: tuple[Parameter, ...]) -
     twin = SensorOnRig(design, Rig(press_axis=(x, y, z)))
     for p in chosen:
         # What the neutral image does not give, and what a perfect sensor has at its bound.
-        if p.prior and (p.part == "optics" or p.name.startswith("kinetic")):
+        if p.prior and (p.part == "optics" or p.name in ("kinetic_fraction", "slip_weakening")):
             twin = p.write(twin, p.prior[0])
     return twin
 

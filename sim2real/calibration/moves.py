@@ -56,7 +56,7 @@ def simulate_at(job: tuple[Design, Rig, str, Commands, np.ndarray, Sequence[floa
     simulator, motion = _simulator(_mechanical(design), fidelity), RigMotion(rig)
     skins = []
     for (pose, move), fraction in zip(commands, fractions, strict=True):
-        simulator.play(*motion.contact(pose, move, tap, fraction))
+        simulator.simulate(*motion.contact(pose, move, tap, fraction))
         skins.append(_skin(simulator))
     return np.array(skins)
 
@@ -82,7 +82,7 @@ def simulate_forces(job: tuple[Design, str]) -> np.ndarray:
         job: Design and fidelity.
     """
     simulator = _simulator(_mechanical(job[0]), job[1])
-    return np.array([simulator.play([0, 0, -depth, 0, 0, 0], np.zeros(6)).normal_force_n for depth in LOAD_CELL_N])
+    return np.array([simulator.simulate([0, 0, -depth, 0, 0, 0], np.zeros(6)).normal_force_n for depth in LOAD_CELL_N])
 
 
 def pin_pixels(design: Design, fidelity: str, skins: np.ndarray) -> np.ndarray:

@@ -169,8 +169,8 @@ def page(figures: dict[str, Any]) -> str:
     lines = [
         f"# {figures['design']} fitted to {figures['real']}",
         "",
-        f"Fitted to {figures['settings']['frames']} frames of one half of the set, judged on {figures['judged_frames']} of "
-        "the other. Distances are those of pins, in px of a 256 px image.",
+        f"Fitted to {figures['settings']['fit_frames']} frames of one half of the set, judged on "
+        f"{figures['judged_frames']} of the other. Distances are those of pins, in px of a 256 px image.",
         "",
         "| judged | rms px | median frame | 90 % of frames |",
         "|---|---|---|---|",

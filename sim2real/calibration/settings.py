@@ -7,9 +7,9 @@ from dataclasses import dataclass
 class FrameSelection:
     """Frames that a calibration uses."""
 
-    frames: int = 60
+    fit_frames: int = 60
     """Number of frames to fit, sampled from one half of the set (rows 0, 2, 4 …); at least 10."""
-    judged: int = 150
+    test_frames: int = 150
     """Number of frames to test the fit on, sampled from the other half (rows 1, 3, 5 …); at least 10."""
     seed: int = 0
     """Seed of the choice of frames."""
@@ -21,5 +21,5 @@ class Settings(FrameSelection):
 
     rounds: tuple[str, ...] = ("draft", "draft", "standard", "standard")
     """Fidelity of each round of the fit."""
-    judging: str = "standard"
+    test_fidelity: str = "standard"
     """Fidelity of the test."""

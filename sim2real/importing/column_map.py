@@ -38,12 +38,12 @@ class ColumnMap:
     image_column: str = ""
     """Column that names the frames; sensor_image, image_name, image, filename, sensor_video, video_name or video if not
     given."""
-    film_frame: int = within(-100000, 100000, default=-1)
+    video_frame: int = within(-100000, 100000, default=-1)
     """Which frame is used where the table names films: 0 is the first, -1 the last."""
     angles: Angles = "vector"
     """What their three angles are: `vector` (axis times angle), or Euler angles in the order of letters: xyz about fixed
     axes, XYZ about turned ones."""
-    camera_turn_deg: float = within(-360, 360, default=0.0)
+    camera_rotation_deg: float = within(-360, 360, default=0.0)
     """Turn of their axes against the image's, about the axis of the tip, degrees: the labels are turned by it."""
     tcp_behind_apex_mm: float = within(-100, 100, default=0.0)
     """Distance of the point that their poses are of behind the apex, mm: the radius for a point in the dome's

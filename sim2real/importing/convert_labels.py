@@ -67,7 +67,7 @@ def _label(column_map: ColumnMap, command: np.ndarray) -> np.ndarray:
     angles = column_map.angles
     turn = Rotation.from_rotvec(command[3:]) if angles == "vector" else Rotation.from_euler(angles, command[3:])
     lever = np.array([0.0, 0.0, 1e-3 * column_map.tcp_behind_apex_mm])
-    camera = matrix(np.zeros(3), Rotation.from_euler("z", column_map.camera_turn_deg, degrees=True))
+    camera = matrix(np.zeros(3), Rotation.from_euler("z", column_map.camera_rotation_deg, degrees=True))
     tool = matrix(command[:3] + lever - turn.apply(lever), turn) @ camera.T
     # A surface looks the same from all sides: its own axes are turned with the camera's.
     return label_of((camera if column_map.task == "surface" else np.eye(4)) @ tool @ sensor_in_contact(np.zeros(6)))

@@ -71,8 +71,10 @@ def import_set(
     """
     out = Path(out)
     record = {"task": layout.column_map.task, "layout": layout.as_dict()}
-    if layout.column_map.film_frame == ColumnMap.film_frame:
-        del record["layout"]["film_frame"]  # written only where it differs from its default, so older sets keep their digest
+    if layout.column_map.video_frame == ColumnMap.video_frame:
+        del record["layout"][
+            "video_frame"
+        ]  # written only where it differs from its default, so older sets keep their digest
     record |= {"source": {"name": source.folder.resolve().name, "targets_sha256": source.digest}}
     record["source"]["neutral_sha256"] = source.neutral and checksum(source.neutral.read_bytes())
     if not (out / _WORK).exists() and check_resumable(out, _KIND, _recorded(out, record), record):

@@ -44,7 +44,7 @@ class Source:
     digest: str
     """Checksum of the table."""
     video_frame: int = -1
-    """Frame that is used of a video (ColumnMap.film_frame)."""
+    """Frame that is used of a video (ColumnMap.video_frame)."""
 
     def load(self, i: int) -> np.ndarray:
         """Return frame i, (h, w, 3) uint8. Raises TactipError where it is missing or cannot be read."""
@@ -92,7 +92,7 @@ def read_source(
         places = ", ".join(str(folder / f) for f in FOLDERS)
         raise TactipError(f"none of the table's frames exists: {names[0]!r} was searched in {places}")
     neutral = Path(neutral) if neutral else next(iter(found), None)
-    return Source(folder, names, paths, poses, shears, neutral, checksum(data), column_map.film_frame)
+    return Source(folder, names, paths, poses, shears, neutral, checksum(data), column_map.video_frame)
 
 
 def _table_in(folder: Path) -> Path:

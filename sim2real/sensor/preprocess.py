@@ -121,9 +121,9 @@ class FrameReader:
 
     def binary(self, frame: np.ndarray) -> np.ndarray:
         """Return a frame (h, w[, 3]) as binary frame (h, w) uint8, pins white, upright; neither cropped nor masked."""
-        frame = frame[:, ::-1] if self._options.mirrored else frame
-        frame = _turned(np.ascontiguousarray(frame), self._options.image_turn_deg)
-        if self._options.dark:
+        frame = frame[:, ::-1] if self._options.mirror else frame
+        frame = _turned(np.ascontiguousarray(frame), self._options.rotate_image_deg)
+        if self._options.dark_pins:
             frame = 255 - frame
         return binary_frame(frame, self._options.threshold)
 

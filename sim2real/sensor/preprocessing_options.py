@@ -14,12 +14,12 @@ Mask = Literal["pins", "none"]
 class ImagePreprocessing:
     """Steps from a real frame to a tactile image. By default, frames are binary already."""
 
-    image_turn_deg: float = within(-360, 360, default=0.0)
+    rotate_image_deg: float = within(-360, 360, default=0.0)
     """Turn of the frames before they are used, degrees, counter-clockwise: for an edge, whose yaw the camera's turn would
     shift."""
-    mirrored: bool = False
+    mirror: bool = False
     """Whether the frames are mirror images, left for right; undone before they are turned."""
-    dark: bool = False
+    dark_pins: bool = False
     """Whether the pins are dark on light."""
     crop: tuple[int, int, int, int] | None = within(0, 65536, default=None)
     """Left, top, right, bottom of the part of the frame that is used, px; all if not given."""

@@ -69,7 +69,7 @@ class RealSplit:
 
 def split_of(samples: Samples, settings: TransferSettings) -> RealSplit:
     """Return the RealSplit of a real set's samples. Raises TactipError where the set is too small."""
-    known = settings.real_frames
+    known = settings.real_train_frames
     if known is None:
         known = min(_TRAIN_FRAMES, round(_MAX_TRAIN_FRACTION * len(samples)))
         if known < _MIN_TRAIN_FRAMES:
@@ -79,7 +79,7 @@ def split_of(samples: Samples, settings: TransferSettings) -> RealSplit:
             )
     if len(samples) < known + 20:
         raise TactipError(
-            f"real_frames must be at most {max(0, len(samples) - 20)}, so 20 of the {len(samples)} frames in "
+            f"real_train_frames must be at most {max(0, len(samples) - 20)}, so 20 of the {len(samples)} frames in "
             f"{samples.folder} are left to test on, got {known}"
         )
     order = np.random.default_rng(settings.seed).permutation(len(samples))
@@ -98,11 +98,11 @@ class Variant:
     """Whether the design is fitted to the sensor; otherwise it is a preset."""
     sheared: bool = True
     """Whether its contacts are sheared."""
-    mechanics: str | None = None
+    randomize_mechanics: str | None = None
     """none or real."""
     noise: bool = True
     """Whether pins are jittered, resized or missing, and there is light where no pin is."""
-    drawn: float | None = None
+    augmented_fraction: float | None = None
     """Fraction of the images under random optics."""
 
 
@@ -110,8 +110,8 @@ ABLATIONS = {
     "all of it": Variant(),
     "without calibration": Variant("uncalibrated", "uncalibrated", calibrated=False),
     "without shear": Variant("unsheared", "unsheared", sheared=False),
-    "without varied optics": Variant("one-camera", drawn=0.0),
-    "without varied mechanics": Variant("one-tip", "one-tip", mechanics="none"),
+    "without varied optics": Variant("one-camera", augmented_fraction=0.0),
+    "without varied mechanics": Variant("one-tip", "one-tip", randomize_mechanics="none"),
     "without image noise": Variant("noiseless", noise=False),
 }
 """Variants by the part that is left out, one at a time."""
@@ -167,23 +167,29 @@ class Experiment:
         self.recipe()
         self._given_design = load_design(settings.design) if settings.design else None
         self._fitted: Design | None = None
-        self._init_from = load_network(settings.start) if settings.start else None
+        self._init_from = load_network(settings.init_from) if settings.init_from else None
 
     def recipe(self, variant: Variant = Variant()) -> Recipe:
         """Return the recipe of a training on simulated samples of a variant."""
         s, recipe = self.settings, self._recipe()
-        drawn = s.drawn if variant.drawn is None else variant.drawn
-        varied = replace(recipe.settings, drawn=drawn, optics=1.0, varied=self.optics(variant), seed=s.seed)
+        drawn = s.augmented_fraction if variant.augmented_fraction is None else variant.augmented_fraction
+        varied = replace(
+            recipe.settings,
+            augmented_fraction=drawn,
+            augmentation_strength=1.0,
+            optics_ranges=self.optics(variant),
+            seed=s.seed,
+        )
         return replace(recipe, settings=varied)
 
     def _recipe(self) -> Recipe:
-        recipe, least = recipe_named(self.settings.recipe, self.task), self.settings.least_steps
-        return recipe if least is None else replace(recipe, settings=replace(recipe.settings, least_steps=least))
+        recipe, least = recipe_named(self.settings.recipe, self.task), self.settings.min_steps
+        return recipe if least is None else replace(recipe, settings=replace(recipe.settings, min_steps=least))
 
     def optics(self, variant: Variant = Variant()) -> str:
         """Return the name of the OpticsRanges of a variant's images; if uncalibrated, of an unknown camera."""
         measured = variant.calibrated and camera_of(self.real)
-        name = self.settings.optics
+        name = self.settings.optics_ranges
         if name == AUTO:
             name = "steady" if measured else "real"
         return name if variant.noise else noiseless(name)
@@ -223,15 +229,15 @@ class Experiment:
         configuration = Configuration(
             task=self.task,
             split=split,
-            samples=s.contacts * (8 if symmetric else 1) if split == "train" else s.held,
+            samples=s.contacts * (8 if symmetric else 1) if split == "train" else s.val_contacts,
             seed=s.seed,
             renderer="raster",
             design=design,
             fidelity=fidelity_named(s.fidelity),
             pose=self._poses(),
             shear=SHEAR_RANGES if variant.sheared else Ranges(),
-            symmetric=symmetric,
-            mechanics=MECHANICS_RANDOMIZATIONS[variant.mechanics or s.mechanics],
+            augment_symmetry=symmetric,
+            mechanics_randomization=MECHANICS_RANDOMIZATIONS[variant.randomize_mechanics or s.randomize_mechanics],
         )
         return Job(configuration, self.out / variant.contacts / split)
 
@@ -259,7 +265,7 @@ class Experiment:
         val = min(VAL_FRAMES, round(_MAX_VAL_FRACTION * count))
         known = self.split.known.take(slice(0, count))
         recipe = self._recipe()
-        plain = replace(recipe.settings, drawn=0.0, seed=self.settings.seed)
+        plain = replace(recipe.settings, augmented_fraction=0.0, seed=self.settings.seed)
         folder = self.out / f"network-real-{count}"
         train(
             known.take(slice(val, None)), known.take(slice(0, val)), recipe.network, plain, folder, self._device, self._log
@@ -270,7 +276,7 @@ class Experiment:
         """Return the network trained on simulation and fine-tuned with `count` real frames."""
         folder = self.out / f"network-sim-and-{count}"
         base, (trained, _) = self.network(), self.simulated()
-        settings = FineTuning(self.settings.seed, self.settings.tuning_steps, optics=self.optics())
+        settings = FineTuning(self.settings.seed, self.settings.fine_tuning_steps, optics_ranges=self.optics())
         fine_tune(base, trained, self.split.known.take(slice(0, count)), settings, folder, self._device, self._log)
         return load_model(folder)
 
@@ -284,7 +290,7 @@ class Experiment:
         path = self.out / RESULTS
         record = json.loads(path.read_text()) if path.exists() else {}
         record["real"] = {"set": self.real.name, "digest": self.samples.dataset.meta["digest"], "test": len(self.split.test)}
-        record["settings"] = json.loads(json.dumps(asdict(self.settings) | {"real_frames": len(self.split.known)}))
+        record["settings"] = json.loads(json.dumps(asdict(self.settings) | {"real_train_frames": len(self.split.known)}))
         record[name] = results
         write_file(path, (json.dumps(record, indent=1) + "\n").encode())
         return record

@@ -34,18 +34,18 @@ class FineTuning:
     """Seed of the batches."""
     steps: int = within(1, 10**6, default=800)
     """Number of steps."""
-    rate: float = within(1e-7, 1, default=5e-4)
+    learning_rate: float = within(1e-7, 1, default=5e-4)
     """Max. learning rate of Adam."""
     batch: int = within(2, 4096, default=32)
     """Images per step, half of them real."""
     shift_px: int = within(0, 8, default=1)
     """Max. shift of a real image, to any side, px."""
-    optics: str = "real"
+    optics_ranges: str = "real"
     """Name of the ranges of optics of the simulated images (learning/optics_ranges.py)."""
 
     def __post_init__(self) -> None:
         check(self)
-        lookup("optics", self.optics, OPTICS)
+        lookup("optics_ranges", self.optics_ranges, OPTICS)
 
 
 def fine_tune(
@@ -75,7 +75,7 @@ def fine_tune(
     folder = Path(folder)
     chosen = hashlib.sha256(real.rows.astype("<i8").tobytes()).hexdigest()
     record = {
-        "begun_from": net_sha256(model.net),
+        "initial_weights": net_sha256(model.net),
         "real": {"digest": real.dataset.meta["digest"], "samples": len(real), "chosen": chosen},
         "simulated": simulated.dataset.meta["digest"],
         "fine_tuning": json.loads(json.dumps(asdict(settings))),
@@ -111,13 +111,13 @@ def _steps(model: Model, simulated: Samples, real: Samples, settings: FineTuning
     net = model.net.to(device)
     before = {name: tensor.clone() for name, tensor in net.state_dict().items()}
     scale = model.labels.scale
-    augmented = OpticsAugmentation(simulated, 1.0, OPTICS[settings.optics], device)
+    augmented = OpticsAugmentation(simulated, 1.0, OPTICS[settings.optics_ranges], device)
     images = torch.from_numpy(real.images).to(device)
     real_targets, simulated_targets = (
         torch.from_numpy((samples.targets / scale).astype(np.float32)).to(device) for samples in (real, simulated)
     )
     half = settings.batch // 2
-    optimizer = torch.optim.Adam(net.parameters(), lr=settings.rate)
+    optimizer = torch.optim.Adam(net.parameters(), lr=settings.learning_rate)
     net.train()
     for step in tqdm(range(settings.steps), unit="step", mininterval=15, leave=False):
         for group in optimizer.param_groups:

@@ -71,7 +71,7 @@ def fit_design_to_neutral_image(folder: Path, size_px: int) -> tuple[Design, dic
         moved = _positions_px(design, pressed) - neutral_px(design)
         design, _ = fit_pins(design, fit.pins_px - moved)
     design = replace(design, image=replace(design.image, size_px=size_px))
-    design = with_pin_sizes(design, tactile > 127, (pressed.tips, pressed.directions) if pressed else None)
+    design = with_pin_sizes(design, tactile > 127, (pressed.pin_tips, pressed.directions) if pressed else None)
     camera = camera_of(folder)
     design = with_camera_drift(design, camera)
     found = {"layout": name, "pins": blobs, "before_px": fit.before_px, "lattice_px": fit.lattice_px}
@@ -93,7 +93,7 @@ def _contact(design: Design, depth_mm: float) -> Contact | None:
     """Return the contact of a design pressed upright on a flat surface; None where it is not pressed."""
     if not depth_mm:
         return None
-    return ContactSimulator(design, "surface", fidelity_named("draft")).play(
+    return ContactSimulator(design, "surface", fidelity_named("draft")).simulate(
         from_mm_deg([0, 0, -depth_mm, 0, 0, 0]), np.zeros(6)
     )
 
@@ -101,7 +101,7 @@ def _contact(design: Design, depth_mm: float) -> Contact | None:
 def _positions_px(design: Design, contact: Contact) -> np.ndarray:
     """Return where a design's pins appear in a contact, (p, 2) px of a 256 px image."""
     lens = Lens(design)
-    return reference_pixels(lens.project(contact.tips), lens.width)
+    return reference_pixels(lens.project(contact.pin_tips), lens.width)
 
 
 def camera_of(folder: Path) -> dict[str, Any] | None:

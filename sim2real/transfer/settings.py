@@ -34,38 +34,38 @@ class TransferSettings:
     """Design of the real sensor: a preset or a design file; fitted to the set's neutral image if empty."""
     contacts: int = within(10, 10**7, default=2000)
     """Simulated contacts to learn from; each is a sample for every symmetry of its task."""
-    held: int = within(10, 10**6, default=500)
+    val_contacts: int = within(10, 10**6, default=500)
     """Simulated contacts by which a training is stopped."""
-    real_frames: int | None = within(20, 10**6, default=None)
+    real_train_frames: int | None = within(20, 10**6, default=None)
     """Real frames that may be learned from, where an experiment has labels; all others are what is tested on. 1500, or three
     fifths of a smaller set, if not given."""
     shots: tuple[int, ...] = (10, 50, 100, 500)
     """Real frames that a network is fine-tuned with."""
-    mechanics: Mechanics = "real"
+    randomize_mechanics: Mechanics = "real"
     """none or real: sim/dataset/mechanics_randomization.py."""
-    optics: OpticsChoice = AUTO
+    optics_ranges: OpticsChoice = AUTO
     """auto, or one of varied.py: lens, real, rim, steady; auto is steady where light at the rim has told how the camera
     changed since the neutral image, and real elsewhere."""
-    drawn: float = within(0, 1, default=0.6)
+    augmented_fraction: float = within(0, 1, default=0.6)
     """Share of the images that are drawn under varied optics."""
     fidelity: FidelityName = "standard"
     """draft, standard or reference."""
     recipe: RecipeName = "laptop"
     """Network and training: networks.py."""
-    least_steps: int | None = None
+    min_steps: int | None = None
     """Steps of a training, at least; as many as the recipe has if none are given."""
-    start: str = ""
+    init_from: str = ""
     """A shipped network, or the folder of a training, that training on simulated contacts begins with; none if empty."""
     gap_frames: int = within(8, 10**5, default=150)
     """Real frames that are held against simulated ones, to see the gap."""
-    tuning_steps: int = within(1, 10**6, default=800)
+    fine_tuning_steps: int = within(1, 10**6, default=800)
     """Steps of a fine-tuning."""
     seed: int = within(0, 2**31, default=0)
     """Seed of sets, trainings and the split of the real frames."""
 
     def __post_init__(self) -> None:
         check(self)
-        lookup("mechanics", self.mechanics, dict.fromkeys(get_args(Mechanics)))
-        lookup("optics", self.optics, dict.fromkeys(get_args(OpticsChoice)))
+        lookup("randomize_mechanics", self.randomize_mechanics, dict.fromkeys(get_args(Mechanics)))
+        lookup("optics_ranges", self.optics_ranges, dict.fromkeys(get_args(OpticsChoice)))
         lookup("fidelity", self.fidelity, dict.fromkeys(get_args(FidelityName)))
         lookup("recipe", self.recipe, dict.fromkeys(get_args(RecipeName)))

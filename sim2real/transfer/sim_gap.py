@@ -106,7 +106,7 @@ def _simulated(samples: Samples, design: Design, fidelity: str) -> tuple[np.ndar
         skins, contacts = [], []
         for contact in simulator.simulate_partial_shears(from_mm_deg(pose), from_mm_deg(shear), MOVE_FRACTIONS):
             skins.append(simulator.scene.vertices()[: simulator.scene.mesh.surface_count])
-            contacts.append((contact.tips, contact.directions))
+            contacts.append((contact.pin_tips, contact.directions))
         pins.append(pin_pixels(design, fidelity, np.array(skins)))
         images.append(tactile_image(raster.render(*contacts[-1]), design.image))
     return np.array(pins), np.array(images)

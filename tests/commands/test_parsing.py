@@ -51,10 +51,10 @@ def test_train_defaults_are_the_recipes(name):
 
 
 def test_train_explicit_option_wins_over_the_recipe_where_it_equals_the_class_default():
-    command = train("--network.filters", "512", "--training.drawn", "0")
+    command = train("--network.filters", "512", "--training.augmented_fraction", "0")
     recipe = RECIPES["laptop"]["surface"]
     assert command.network == type(recipe.network)(**asdict(recipe.network) | {"filters": 512})
-    assert command.training.drawn == 0 and command.training.epochs == recipe.settings.epochs
+    assert command.training.augmented_fraction == 0 and command.training.epochs == recipe.settings.epochs
 
 
 def test_train_defaults_follow_the_task_of_the_set(tmp_path):
@@ -66,7 +66,7 @@ def test_train_defaults_follow_the_task_of_the_set(tmp_path):
     assert command.training == RECIPES["laptop"]["edge"].settings
     (folder / "pins.npz").unlink()
     command = Train.parse(["--data", str(tmp_path), "--out", "none"], "tactip train")
-    assert command.training.drawn == 0  # nothing can be rendered anew without pins
+    assert command.training.augmented_fraction == 0  # nothing can be rendered anew without pins
 
 
 def test_train_defaults_are_those_of_a_file_or_of_the_initial_network(tmp_path):
@@ -75,7 +75,7 @@ def test_train_defaults_are_those_of_a_file_or_of_the_initial_network(tmp_path):
     command = train("--config", str(file), "--training.patience", "7")
     assert (command.network.filters, command.training.epochs, command.training.patience) == (4, 3, 7)
     shipped = read_recipe(tactip_models() / "surface-tactip-127" / "model.json").network
-    assert train("--start", "surface-tactip-127").network == shipped
+    assert train("--init-from", "surface-tactip-127").network == shipped
 
 
 def tactip_models():
@@ -85,9 +85,9 @@ def tactip_models():
 
 
 def test_tune_space_has_one_limit_of_filters_under_two_names():
-    for option in ("--max-filters", "--space.most-filters"):
+    for option in ("--max-filters", "--space.max-filters"):
         command = Tune.parse(["--data", "a", "--out", "b", option, "64", "--trials", "7"], "tactip tune")
-        assert command.settings.space == SearchSpace(most_filters=64)
+        assert command.settings.space == SearchSpace(max_filters=64)
         assert command.settings.trials == 7
 
 
@@ -106,15 +106,19 @@ def test_dataset_make_range_wins_for_each_task(tmp_path):
 
 def test_import_explicit_option_wins_over_the_layout_file(tmp_path):
     file = tmp_path / "layout.json"
-    file.write_text(json.dumps({"size_px": 64, "task": "edge", "dark": True}))
+    file.write_text(json.dumps({"size_px": 64, "task": "edge", "dark_pins": True}))
     options = ["lab", "--out", "set", "--layout", str(file)]
     command = Import.parse(options, "tactip import")
-    assert (command.preprocessing.size_px, command.column_map.task, command.preprocessing.dark) == (64, "edge", True)
-    command = Import.parse([*options, "--size-px", "128", "--task", "surface", "--no-dark"], "tactip import")
-    assert (command.preprocessing.size_px, command.column_map.task, command.preprocessing.dark) == (128, "surface", False)
+    assert (command.preprocessing.size_px, command.column_map.task, command.preprocessing.dark_pins) == (64, "edge", True)
+    command = Import.parse([*options, "--size-px", "128", "--task", "surface", "--no-dark-pins"], "tactip import")
+    assert (command.preprocessing.size_px, command.column_map.task, command.preprocessing.dark_pins) == (
+        128,
+        "surface",
+        False,
+    )
 
 
-@pytest.mark.parametrize("option", ["--task", "--columns", "--image-column", "--film-frame", "--angles"])
+@pytest.mark.parametrize("option", ["--task", "--columns", "--image-column", "--video-frame", "--angles"])
 def test_camera_option_of_a_table_is_refused(capsys, option):
     status, error = refusal(capsys, "camera", "--images", "none", option, "x")
     assert status == 2 and option in error

@@ -108,7 +108,9 @@ def test_what_is_felt_is_what_counts():
             return Estimate(sight.label + from_mm_deg([0, 0, 0.5, 2, 0, 0]), sight.touching, None)
 
     world = World("plate")
-    world.explore(world.start([0, 0, 0]), over(world, 0.003), Wrong(world.truth, world.thing.T_base_object), centre_steps=30)
+    world.explore(
+        world.start([0, 0, 0]), over(world, 0.003), Wrong(world.truth, world.thing.T_base_object), alignment_steps=30
+    )
     assert np.allclose(world.true_labels()[-1], [0, 0, -3.5, -2, 0, 0], atol=0.1)
 
 
@@ -135,7 +137,7 @@ def wild(sight):
 @pytest.mark.parametrize(("fault", "kind"), [(lost, "contact lost"), (wild, "estimate out of range")])
 def test_a_passing_fault_is_noted_and_overcome(fault, kind):
     world = World("plate")
-    explorer = world.explore(world.start([0, 0, 0]), over(world), Scripted(world, {20: fault}), centre_steps=5)
+    explorer = world.explore(world.start([0, 0, 0]), over(world), Scripted(world, {20: fault}), alignment_steps=5)
     assert explorer.stopped_because == "route completed"
     assert [e.kind for e in explorer.events] == [kind]
 
@@ -143,7 +145,7 @@ def test_a_passing_fault_is_noted_and_overcome(fault, kind):
 def test_a_lasting_fault_ends_the_route_with_its_reason():
     world = World("plate")
     said = dict.fromkeys(range(12, 400), wild)
-    explorer = world.explore(world.start([0, 0, 0]), over(world), Scripted(world, said), most_trouble=2)
+    explorer = world.explore(world.start([0, 0, 0]), over(world), Scripted(world, said), max_recoveries=2)
     assert (
         "estimate out of range 3 times in a row: pose_Rx predicted as 40.0 ° (training range: -15 to 15)"
         in explorer.stopped_because
@@ -161,7 +163,7 @@ def test_the_end_of_the_object_ends_the_route():
     """Over the brink of a plate, the surface that is felt stands upright, or nothing is: either way it says so, and
     stops."""
     world = World("plate")
-    explorer = world.explore(world.start([0.076, 0, 0]), over(world, 0.2), search_mm=3.0, centre_steps=3)
+    explorer = world.explore(world.start([0.076, 0, 0]), over(world, 0.2), search_mm=3.0, alignment_steps=3)
     assert explorer.stopped_because.startswith(("no contact detected", "contact lost", "estimate out of range"))
     assert {e.kind for e in explorer.events} <= {"contact lost", "estimate out of range"}
     assert explorer.events
@@ -169,7 +171,7 @@ def test_the_end_of_the_object_ends_the_route():
 
 def test_too_high_a_force_backs_off():
     world = World("plate")
-    explorer = world.explore(world.start([0, 0, 0]), over(world), most_force_n=0.8, most_trouble=1)
+    explorer = world.explore(world.start([0, 0, 0]), over(world), max_force_n=0.8, max_recoveries=1)
     assert explorer.stopped_because.startswith("force 2 times in a row: ")
     assert explorer.events[0].kind == "force"
 
@@ -177,7 +179,7 @@ def test_too_high_a_force_backs_off():
 def test_backing_off_is_not_following():
     """What is scored is what was followed."""
     world = World("plate")
-    explorer = world.explore(world.start([0, 0, 0]), over(world), Scripted(world, {20: wild}), centre_steps=5)
+    explorer = world.explore(world.start([0, 0, 0]), over(world), Scripted(world, {20: wild}), alignment_steps=5)
     assert [e.kind for e in explorer.events] == ["estimate out of range"]
     depths = world.true_labels()[:, 2]
     assert depths.max() < -2.5  # 3 are kept; it backs off by 2
@@ -186,7 +188,7 @@ def test_backing_off_is_not_following():
 def test_a_search_that_feels_nothing_stops_at_the_force():
     world = World("plate")
     numb = Scripted(world, dict.fromkeys(range(400), lost))
-    explorer = world.explore(world.start([0, 0, 0]), over(world), numb, search_mm=8.0, most_force_n=2.0)
+    explorer = world.explore(world.start([0, 0, 0]), over(world), numb, search_mm=8.0, max_force_n=2.0)
     assert explorer.stopped_because.startswith("no contact detected in the image, but force: ")
     assert [e.kind for e in explorer.events] == ["force"]
     forces = [np.linalg.norm(s.touch.force) for s in world.steps]
@@ -200,7 +202,7 @@ def test_the_arm_s_reach_ends_a_route():
     finger = MountedTip(load_design("tactip-127"), world.thing.solid, fidelity_named("draft"), world.carrier, T)
     world.finger, world.thing = finger, replace(world.thing, T_base_object=T)
     world.oracle = Oracle(world.truth, T)
-    explorer = world.explore(world.start([-0.06, 0, 0]), over(world, 0.2), centre_steps=3)
+    explorer = world.explore(world.start([-0.06, 0, 0]), over(world, 0.2), alignment_steps=3)
     assert "the arm" in explorer.stopped_because
     assert explorer.events[-1].kind == "unreachable"
 
@@ -216,7 +218,7 @@ def test_a_simulation_that_loses_the_tip_begins_again(monkeypatch):
         return tip_state()
 
     monkeypatch.setattr(world.finger, "tip_state", torn)
-    explorer = world.explore(world.start([0, 0, 0]), over(world), centre_steps=3)
+    explorer = world.explore(world.start([0, 0, 0]), over(world), alignment_steps=3)
     assert explorer.stopped_because == "route completed"
     assert next(e.kind for e in explorer.events) == "diverged"
 
@@ -231,10 +233,10 @@ def test_the_same_route_twice_is_the_same():
     ends = []
     for _ in range(2):
         world = World("plate", "dynamic")
-        world.explore(world.start([0, 0, 0]), over(world, 0.004), centre_steps=3)
+        world.explore(world.start([0, 0, 0]), over(world, 0.004), alignment_steps=3)
         ends.append(world.steps[-1])
     assert np.array_equal(ends[0].T_base_tcp, ends[1].T_base_tcp)
-    assert np.array_equal(ends[0].touch.tips, ends[1].touch.tips)
+    assert np.array_equal(ends[0].touch.pin_tips, ends[1].touch.pin_tips)
 
 
 def test_it_slows_down_where_it_leans():
@@ -245,7 +247,7 @@ def test_it_slows_down_where_it_leans():
         top = np.array([0.0, 0, 60e-3])
         middle = (world.thing.T_base_object @ [*top, 1])[:3]
         route = PlanarPath(middle + np.array([[0.0, 0, 0], [8e-3, 0, 0]]), [0, 0, 1])
-        explorer = world.explore(world.start(top), route, slow_deg=slow)
+        explorer = world.explore(world.start(top), route, slowdown_angle_deg=slow)
         assert explorer.stopped_because == "route completed"
         following = [s for s in world.steps if s.phase == "follow"]
         leans[slow] = np.mean([np.degrees(np.linalg.norm(s.estimate.label[3:5])) for s in following])
@@ -265,7 +267,7 @@ def test_the_housing_is_kept_off_the_object(monkeypatch):
         assert world.finger.tip_state().clearance_m == pytest.approx(height, abs=1e-7)
     once = iter([1.0] * 10 + [-1e-3])
     monkeypatch.setattr(world.finger, "_clearance", lambda: next(once, 1.0))
-    explorer = world.explore(world.start([0, 0, 0]), over(world), centre_steps=5)
+    explorer = world.explore(world.start([0, 0, 0]), over(world), alignment_steps=5)
     assert [(e.kind, e.what) for e in explorer.events] == [
         ("collision", "the sensor's housing overlaps the object by 1.0 mm")
     ]

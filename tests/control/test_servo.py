@@ -39,7 +39,7 @@ def test_the_error_is_a_product_of_poses():
 
 
 def test_the_law_is_proportional_and_integral_and_its_sum_is_clipped():
-    servo = Servo(Gains(kp=(0.5,) * 6, ki=(0.3,) * 6, most_mm=2.0), 3.0)
+    servo = Servo(Gains(kp=(0.5,) * 6, ki=(0.3,) * 6, integral_limit_mm=2.0), 3.0)
     label = from_mm_deg([0, 0, -4, 0, 0, 0])  # 1 mm too deep: the reference is behind, at z = -1 mm of the sensor
     for told in (-0.5 - 0.3, -0.5 - 0.6, -0.5 - 0.6):
         assert servo.move(label)[2, 3] == pytest.approx(told * 1e-3)
@@ -155,5 +155,5 @@ def test_a_loop_is_closed_and_an_endless_edge_is_not():
 
 
 def test_an_unknown_gain_is_refused():
-    with pytest.raises(TactipError, match="paper, later"):
+    with pytest.raises(TactipError, match="paper, tactile-servo-control"):
         gains_named("high", "edge")

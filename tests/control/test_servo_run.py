@@ -69,8 +69,8 @@ def test_on_a_plate_the_normal_that_is_felt_is_that_of_any_patch(ran):
     out, _, _, arrays = ran
     patch = contact_patch_normal(out, load_object("plate"))
     assert np.allclose(patch["apart_deg"], 0, atol=1e-3)
-    felt = np.abs(arrays["felt"] - arrays["true"])[arrays["phase"] == PHASES.index("follow"), 3:5]
-    assert np.allclose(patch["felt_deg"], np.degrees(np.linalg.norm(felt, axis=1)).mean(), atol=0.05)
+    felt = np.abs(arrays["predicted"] - arrays["true"])[arrays["phase"] == PHASES.index("follow"), 3:5]
+    assert np.allclose(patch["predicted_deg"], np.degrees(np.linalg.norm(felt, axis=1)).mean(), atol=0.05)
 
 
 def test_a_depth_that_the_network_has_not_learned_is_refused(tmp_path, capsys):
@@ -86,7 +86,7 @@ def test_a_recording_tells_all_that_was(ran):
     assert score["depth_mae_mm"] == pytest.approx(np.abs(true[:, 2] + DEPTHS_MM["surface"]).mean())
     assert arrays["images"].shape[1:] == (128, 128)
     assert set(np.unique(arrays["images"])) == {0, 255}
-    assert arrays["tips_m"].shape[1:] == (127, 3)
+    assert arrays["pin_tips_m"].shape[1:] == (127, 3)
     # The truth is that of the recorded poses: on a plate, depth is height.
     height = arrays["T_base_tcp"][:, 2, 3] - 0.02
     assert np.allclose(arrays["true"][:, 2], height, atol=1e-9)
@@ -112,7 +112,7 @@ def test_json_is_one_object(tmp_path, capsys):
 
 def test_an_edge_is_followed_by_sight(tmp_path):
     out = tmp_path / "run"
-    command = [*QUICK, "--task", "edge", "--object", "rim-round", "--route.most-mm", "5", "--out", str(out)]
+    command = [*QUICK, "--task", "edge", "--object", "rim-round", "--route.max-length-mm", "5", "--out", str(out)]
     assert tactip.main(command) == 0
     score = json.loads((out / "score.json").read_text())
     assert score["lateral_mae_mm"] < 1
@@ -153,8 +153,8 @@ def test_ctrl_c_keeps_what_was_recorded(tmp_path, monkeypatch, capsys):
         (["--settings.step-mm", "99"], "step_mm must be a finite number from 0.05 to 10, got 99.0"),
         (["--seed", "-1"], "tactip: seed must be a whole number from 0 to"),
         (
-            ["--place-mm", "nan", "0", "0"],
-            "tactip: place_mm must be a finite number from -10000 to 10000, got (nan, 0.0, ",
+            ["--position-mm", "nan", "0", "0"],
+            "tactip: position_mm must be a finite number from -10000 to 10000, got (nan, 0.0, ",
         ),
     ],
 )
@@ -173,7 +173,7 @@ def test_wrong_input_is_one_sentence(ran, tmp_path, capsys, options, words):
     [
         ("--task", "corner", ("surface", "edge")),
         ("--arm", "left", ("none", "kinematic", "dynamic")),
-        ("--gains", "high", ("paper", "later")),
+        ("--gains", "high", ("paper", "tactile-servo-control")),
         ("--fidelity", "perfect", ("draft", "standard", "reference")),
         ("--route.kind", "spiral", ("serpentine", "straight", "geodesic")),
         ("--renderer", "blender", ("pyrender", "raster")),
@@ -201,7 +201,7 @@ def test_a_folder_in_use_is_not_written_over(ran, capsys):
 
 def test_a_start_out_of_reach_is_said(tmp_path):
     out = tmp_path / "run"
-    far = ["servo", "--fidelity", "draft", "--object", "plate", "--film", "--place-mm", "750", "0", "0", *SHORT]
+    far = ["servo", "--fidelity", "draft", "--object", "plate", "--video", "--position-mm", "750", "0", "0", *SHORT]
     assert tactip.main([*far, "--out", str(out)]) == 1  # what was recorded is there, and nothing was followed
     assert not (out / "film.mp4").exists()
     assert tactip.main(["replay", str(out), "--gif", str(tmp_path / "a.gif")]) == 1
@@ -209,7 +209,7 @@ def test_a_start_out_of_reach_is_said(tmp_path):
 
 
 def test_the_truth_steers_a_tip_that_no_network_is_shipped_for(tmp_path):
-    options = ["--design", "nominal-331", "--model", "oracle", "--settings.most-steps", "60"]
+    options = ["--design", "nominal-331", "--model", "oracle", "--settings.max-steps", "60"]
     assert tactip.main([*QUICK, *SHORT, *options, "--out", str(tmp_path / "run")]) == 0
     assert json.loads((tmp_path / "run" / "score.json").read_text())["depth_mae_mm"] is not None
 
@@ -231,9 +231,9 @@ def test_run_servo_function_of_the_image_takes_the_networks_place(tmp_path, labe
     record, arrays = read_recording(tmp_path / "run")
     assert score["stopped_because"] == "route completed"
     assert (record["estimator"], record["network"]) == ("ImageEstimator", None)
-    assert len(images) == 1 + len(arrays["felt"])  # one is the neutral image
+    assert len(images) == 1 + len(arrays["predicted"])  # one is the neutral image
     assert images[0].shape == (128, 128)
-    assert np.allclose(to_mm_deg(arrays["felt"]), [0, 0, -2, 0, 0, 0])
+    assert np.allclose(to_mm_deg(arrays["predicted"]), [0, 0, -2, 0, 0, 0])
 
 
 def test_run_servo_function_with_a_wrong_label_is_refused(tmp_path):
@@ -275,7 +275,7 @@ def test_a_film_of_a_run(tmp_path):
 
     out = tmp_path / "run"
     command = ["servo", "--fidelity", "draft", "--object", "plate", "--route.kind", "straight", "--route.length-mm", "1"]
-    assert tactip.main([*command, "--film", "--out", str(out)]) == 0
+    assert tactip.main([*command, "--video", "--out", str(out)]) == 0
     _, arrays = read_recording(out)
     with av.open(str(out / "film.mp4")) as film:
         frames = [f.to_ndarray(format="rgb24") for f in film.decode(video=0)]
@@ -286,7 +286,7 @@ def test_a_film_of_a_run(tmp_path):
     assert (out / "figure.png").stat().st_size > 5000
     # The same from the recording alone.
     again, gif = tmp_path / "again.mp4", tmp_path / "again.gif"
-    assert tactip.main(["replay", str(out), "--video", str(again), "--gif", str(gif), "--every", "4"]) == 0
+    assert tactip.main(["replay", str(out), "--video", str(again), "--gif", str(gif), "--stride", "4"]) == 0
     with av.open(str(again)) as film:
         few = [f.to_ndarray(format="rgb24") for f in film.decode(video=0)]
     assert len(few) == len(frames[::4])
@@ -300,7 +300,7 @@ def test_a_film_of_a_run(tmp_path):
     [
         ([], "there is no recording in"),
         (["--video", "a.gif"], "the name a.gif does not end in .mp4"),
-        (["--gif", "a.gif", "--every", "0"], "both must be at least 1"),
+        (["--gif", "a.gif", "--stride", "0"], "both must be at least 1"),
         (["--gif", "a.gif"], "there is no recording in"),
     ],
 )
@@ -310,6 +310,6 @@ def test_what_cannot_be_replayed_is_said(tmp_path, capsys, options, words):
 
 
 def test_a_film_needs_a_renderer(tmp_path, capsys):
-    assert tactip.main([*QUICK, *SHORT, "--film", "--out", str(tmp_path / "run")]) == 1
-    assert "--film does not go with --renderer raster" in capsys.readouterr().err
+    assert tactip.main([*QUICK, *SHORT, "--video", "--out", str(tmp_path / "run")]) == 1
+    assert "--video does not go with --renderer raster" in capsys.readouterr().err
     assert not (tmp_path / "run").exists()

@@ -25,8 +25,8 @@ def samples(tmp_path_factory, on_surface, design):
     """A set of 128 px with the pins and the images of four contacts."""
     folder = write_fake_set(tmp_path_factory.mktemp("drawn") / "set", samples=4, size=128)
     contacts = [on_surface([0, 0, -d, 0, 0, 0]) for d in (1, 2, 3, 4)]
-    tips, directions = (np.array([getattr(c, k) for c in contacts]) for k in ("tips", "directions"))
-    np.savez(folder / "pins.npz", tips=tips, directions=directions)
+    tips, directions = (np.array([getattr(c, k) for c in contacts]) for k in ("pin_tips", "directions"))
+    np.savez(folder / "pins.npz", pin_tips=tips, directions=directions)
     images = [tactile_image(grey, design.image) for grey in Raster(design).render(tips, directions)]
     return replace(read_samples(folder), images=np.stack(images))
 
@@ -45,7 +45,7 @@ def test_render_zero_fraction_equals_plain(samples):
     assert torch.equal(still.render(torch.arange(4)), still.render_plain(torch.arange(4)))
 
 
-NONE = {"zoom": 0.0, "turn_deg": 0.0, "drift": 0.0, "pin_size": 0.0}
+NONE = {"zoom": 0.0, "rotation_deg": 0.0, "drift": 0.0, "pin_size": 0.0}
 
 
 def render_varied(samples, **ranges):
@@ -79,7 +79,7 @@ def test_render_turn_and_zoom_stay_in_range(samples):
             near = np.abs(a[:, None] - b).argmin(1)
             yield (a * b[near].conj()).sum() / (np.abs(b[near]) ** 2).sum()
 
-    turned = np.array(list(transforms(*render_varied(samples, turn_deg=2.0))))
+    turned = np.array(list(transforms(*render_varied(samples, rotation_deg=2.0))))
     assert np.abs(np.abs(turned) - 1).max() < 0.005
     assert 1.8 < np.degrees(np.abs(np.angle(turned))).max() < 2.1
     zoomed = np.array(list(transforms(*render_varied(samples, zoom=0.03))))
@@ -96,7 +96,7 @@ def test_augmentation_without_pins_raises(tmp_path):
     samples = read_samples(write_fake_set(tmp_path / "set", samples=3))
     with pytest.raises(TactipError, match="only simulated sets have pins"):
         OpticsAugmentation(samples)
-    np.savez(tmp_path / "set" / "pins.npz", tips=np.zeros((2, 127, 3)), directions=np.zeros((2, 127, 3)))
+    np.savez(tmp_path / "set" / "pins.npz", pin_tips=np.zeros((2, 127, 3)), directions=np.zeros((2, 127, 3)))
     with pytest.raises(TactipError, match="has pins of 2 samples for 3 images"):
         OpticsAugmentation(samples)
 
@@ -109,8 +109,11 @@ def test_train_augmented_is_resumable_and_differs_from_plain(samples, tmp_path):
             raise KeyboardInterrupt
         return False
 
-    net = PoseNetConfig(conv_layers=2, filters=2, units=4, batch_size=2, reduce=4)
-    drawn, plain = (TrainSettings(epochs=5, rate=1e-2, muon=1e-2, drawn=fraction) for fraction in (0.5, 0.0))
+    net = PoseNetConfig(conv_layers=2, filters=2, dense_units=4, batch_size=2, downsample=4)
+    drawn, plain = (
+        TrainSettings(epochs=5, learning_rate=1e-2, muon_learning_rate=1e-2, augmented_fraction=fraction)
+        for fraction in (0.5, 0.0)
+    )
     before = samples.images.copy()
     train(samples, samples, net, drawn, tmp_path / "whole", log=print, quiet=True)
     assert np.array_equal(samples.images, before)

@@ -42,11 +42,11 @@ def test_choices_match_table_names(choices, table):
     [
         (lambda: TrainSettings(schedule="linear"), "unknown schedule 'linear': choose one of paper, cosine"),
         (
-            lambda: TrainSettings(varied="bright"),
-            "unknown varied 'bright': choose one of lens, real, rim, steady, lens-clean",
+            lambda: TrainSettings(optics_ranges="bright"),
+            "unknown optics_ranges 'bright': choose one of lens, real, rim, steady, lens-clean",
         ),
         (lambda: TrainSettings(precision="half"), "unknown precision 'half': choose one of auto, float32, bfloat16"),
-        (lambda: SearchSpace(most_filters=1), "most_filters must be a whole number from 2 to 1024, got 1"),
+        (lambda: SearchSpace(max_filters=1), "max_filters must be a whole number from 2 to 1024, got 1"),
         (lambda: TuneSettings(trials=0), "trials must be a whole number from 1 to 100000, got 0"),
     ],
 )

@@ -13,7 +13,7 @@ from tactip_twin.learning.search_space import network_of_point
 from tactip_twin.learning.training import cosine_rate, paper_rate
 from tactip_twin.tactip_model.errors import TactipError
 
-SMALL = PoseNetConfig(conv_layers=2, filters=3, dense_layers=2, units=4, dropout=0.3)
+SMALL = PoseNetConfig(conv_layers=2, filters=3, dense_layers=2, dense_units=4, dropout=0.3)
 
 
 def kinds(module):
@@ -41,7 +41,7 @@ def test_posenet_batch_norm_precedes_activation(name):
 
 
 def test_posenet_group_norm_is_independent_of_batch():
-    config = PoseNetConfig(conv_layers=2, filters=6, widening=2, halving="stride", group_norm=4, dropout=0.0)
+    config = PoseNetConfig(conv_layers=2, filters=6, filter_growth=2, downsampling="stride", group_norm=4, dropout=0.0)
     net = PoseNet(config, 40, 2)
     norms = [m for m in net.convolutions if isinstance(m, nn.GroupNorm)]
     assert [(m.num_groups, m.num_channels) for m in norms] == [(1, 6), (3, 12)]
@@ -62,7 +62,7 @@ def test_posenet_without_norm_pooling_commutes_with_activation(name):
 
 
 def test_posenet_stride_and_further_have_expected_layers():
-    config = PoseNetConfig(conv_layers=3, filters=2, halving="stride", further=1, batch_norm=True)
+    config = PoseNetConfig(conv_layers=3, filters=2, downsampling="stride", extra_convs=1, batch_norm=True)
     net = PoseNet(config, 40, 1)
     layer = [nn.Conv2d, nn.BatchNorm2d, nn.ReLU]
     assert kinds(net.convolutions) == layer * 6
@@ -72,15 +72,15 @@ def test_posenet_stride_and_further_have_expected_layers():
 
 
 def test_config_unknown_halving_raises():
-    with pytest.raises(TactipError, match="unknown halving 'mean': choose one of pool, stride"):
-        PoseNetConfig(halving="mean")
+    with pytest.raises(TactipError, match="unknown downsampling 'mean': choose one of pool, stride"):
+        PoseNetConfig(downsampling="mean")
 
 
 def test_recipe_paper_matches_table_2():
     """Table 2: five convolutions of 512 and of 256 filters leave 2×2 of 128×128 pixels."""
     surface, edge = (recipe_named("paper", task).network for task in ("surface", "edge"))
-    assert (surface.conv_layers, surface.filters, surface.dense_layers, surface.units) == (5, 512, 1, 16)
-    assert (edge.conv_layers, edge.filters, edge.dense_layers, edge.units) == (5, 256, 2, 512)
+    assert (surface.conv_layers, surface.filters, surface.dense_layers, surface.dense_units) == (5, 512, 1, 16)
+    assert (edge.conv_layers, edge.filters, edge.dense_layers, edge.dense_units) == (5, 256, 2, 512)
     assert surface.last_size(128) == edge.last_size(128) == 2
     assert recipe_named("paper", "edge").settings == TrainSettings()
 
@@ -92,7 +92,7 @@ def test_posenet_too_many_layers_raises(layers, size, allowed):
 
 
 def test_penalty_covers_dense_and_output_weights_only():
-    net = PoseNet(PoseNetConfig(conv_layers=1, filters=2, units=3, l1=0.5, l2=0.25), 8, 2)
+    net = PoseNet(PoseNetConfig(conv_layers=1, filters=2, dense_units=3, l1=0.5, l2=0.25), 8, 2)
     weights = torch.cat([layer.weight.flatten() for layer in net.dense if isinstance(layer, nn.Linear)])
     assert net.penalty().item() == pytest.approx((0.5 * weights.abs().sum() + 0.25 * (weights**2).sum()).item())
     with torch.no_grad():
@@ -105,7 +105,7 @@ def test_penalty_covers_dense_and_output_weights_only():
 
 
 def test_posenet_blur_and_reduce_keep_brightness():
-    net = PoseNet(PoseNetConfig(conv_layers=1, filters=2, blur_px=1.0, reduce=2), 40, 3)
+    net = PoseNet(PoseNetConfig(conv_layers=1, filters=2, blur_px=1.0, downsample=2), 40, 3)
     image = torch.zeros(1, 1, 40, 40)
     image[0, 0, 20, 20] = 1.0
     out = net.convolutions[0](image)
@@ -122,16 +122,16 @@ def test_posenet_fold_keeps_every_pixel():
     images[0, 0, 20, 20] = images[1, 0, 21, 21] = 1.0
     torch.manual_seed(0)
     for fold in (False, True):
-        net = PoseNet(PoseNetConfig(conv_layers=2, filters=4, reduce=2, fold=fold), 40, 3).eval()
+        net = PoseNet(PoseNetConfig(conv_layers=2, filters=4, downsample=2, pixel_unshuffle=fold), 40, 3).eval()
         with torch.no_grad():
             one, other = net(images)
         assert torch.allclose(one, other) != fold
-    with pytest.raises(TactipError, match=r"reduce must be above 1 with fold, got 1"):
-        PoseNetConfig(fold=True)
+    with pytest.raises(TactipError, match=r"downsample must be above 1 with pixel_unshuffle, got 1"):
+        PoseNetConfig(pixel_unshuffle=True)
 
 
 def test_widths_stop_at_most_filters():
-    assert PoseNetConfig(conv_layers=4, filters=8, widening=2, most_filters=20).widths() == [8, 16, 20, 20]
+    assert PoseNetConfig(conv_layers=4, filters=8, filter_growth=2, max_filters=20).widths() == [8, 16, 20, 20]
 
 
 @pytest.mark.parametrize(
@@ -150,7 +150,7 @@ def test_config_invalid_value_raises(changes, message):
 
 
 def test_learning_rate_schedules():
-    settings = TrainSettings(rate=0.1, decay=0.5)
+    settings = TrainSettings(learning_rate=0.1, learning_rate_decay=0.5)
     assert paper_rate(settings, 0, 10) == 0.1
     assert paper_rate(settings, 2, 10) == pytest.approx(0.05)
     rates = [cosine_rate(settings, step, 100) for step in range(101)]
@@ -169,9 +169,9 @@ def test_search_space_contains_paper_network_and_checks_image_size():
     point = {"conv_layers": 5, "log2_filters": 9, "dense_layers": 1, "log2_units": 4, "activation": "relu"}
     point |= {"batch_norm": False, "dropout": 0.001, "l1": 0.001, "l2": 0.064, "batch_size": 32}
     assert network_of_point(SearchSpace(), point) == PoseNetConfig()
-    small = SearchSpace(most_conv_layers=4, reduce=2, blur_px=1.0)
-    assert network_of_point(small, point) == PoseNetConfig(reduce=2, blur_px=1.0)
+    small = SearchSpace(max_conv_layers=4, downsample=2, blur_px=1.0)
+    assert network_of_point(small, point) == PoseNetConfig(downsample=2, blur_px=1.0)
     with pytest.raises(TactipError, match=r"conv_layers must be at most 5.*, got 7"):
-        SearchSpace(most_conv_layers=7).check_image_size(128)
+        SearchSpace(max_conv_layers=7).check_image_size(128)
     with pytest.raises(TactipError, match="at most 4: an image of 128 px"):
-        SearchSpace(most_conv_layers=5, reduce=2).check_image_size(128)
+        SearchSpace(max_conv_layers=5, downsample=2).check_image_size(128)

@@ -29,8 +29,8 @@ from tactip_twin.sim.dataset.format import encode_image, read_dataset
 from tactip_twin.sim.dataset.sampling import POSE_RANGES
 from tactip_twin.tactip_model.errors import Interrupted, TactipError
 
-NET = PoseNetConfig(conv_layers=2, filters=6, units=24, dropout=0.1, l1=0, l2=1e-5, batch_size=8)
-QUICK = TrainSettings(epochs=4, rate=3e-3)
+NET = PoseNetConfig(conv_layers=2, filters=6, dense_units=24, dropout=0.1, l1=0, l2=1e-5, batch_size=8)
+QUICK = TrainSettings(epochs=4, learning_rate=3e-3)
 TACTIP = str(Path(sys.executable).parent / "tactip")
 
 
@@ -58,18 +58,18 @@ def quiet(*arguments, **options):
 
 def test_epochs_small_set_reaches_min_steps(splits):
     """48 images in batches of 8 are 6 steps per epoch, so 20 steps take 4 epochs."""
-    assert Training(*splits, NET, TrainSettings(epochs=2, least_steps=20)).epochs == 4
-    assert Training(*splits, NET, TrainSettings(epochs=5, least_steps=20)).epochs == 5
+    assert Training(*splits, NET, TrainSettings(epochs=2, min_steps=20)).epochs == 4
+    assert Training(*splits, NET, TrainSettings(epochs=5, min_steps=20)).epochs == 5
 
 
 def test_train_set_without_pins_disables_augmentation(data, tmp_path, capsys):
     """The recipe draws images anew, for which a real set has no pins; asked for by name, that is refused."""
-    command = ["train", "--data", str(data), "--network.conv-layers", "1", "--training.least-steps", "1"]
+    command = ["train", "--data", str(data), "--network.conv-layers", "1", "--training.min-steps", "1"]
     command += ["--training.epochs", "1"]
     assert tactip.main([*command, "--out", str(tmp_path / "run")]) == 0
     assert "has no pins: its images are taken as they are" in capsys.readouterr().err
-    assert load_model(tmp_path / "run").provenance["settings"]["drawn"] == 0
-    assert tactip.main([*command, "--out", str(tmp_path / "other"), "--training.drawn", "1"]) == 1
+    assert load_model(tmp_path / "run").provenance["settings"]["augmented_fraction"] == 0
+    assert tactip.main([*command, "--out", str(tmp_path / "other"), "--training.augmented_fraction", "1"]) == 1
     assert "only simulated sets have pins" in capsys.readouterr().err
     assert not (tmp_path / "other" / "model.json").exists()
 
@@ -92,13 +92,13 @@ def test_muon_step_is_nearly_orthogonal(shape):
 
 
 def test_muon_optimizes_inner_weights_and_beats_adam(splits):
-    settings = TrainSettings(epochs=8, rate=2e-3, muon=0.02)
+    settings = TrainSettings(epochs=8, learning_rate=2e-3, muon_learning_rate=0.02)
     training = Training(*splits, NET, settings)
     inner = inner_weights(training.net)
     assert [tuple(p.shape) for p in inner] == [(6, 6, 3, 3), (24, 6 * 8 * 8)]
     for _ in range(8):
         training.train_epoch()
-    adam = Training(*splits, NET, TrainSettings(epochs=8, rate=2e-3))
+    adam = Training(*splits, NET, TrainSettings(epochs=8, learning_rate=2e-3))
     for _ in range(8):
         adam.train_epoch()
     assert training.history[-1]["loss"] < adam.history[-1]["loss"]
@@ -106,7 +106,7 @@ def test_muon_optimizes_inner_weights_and_beats_adam(splits):
 
 def test_train_fake_set_beats_mean_prediction(splits, tmp_path):
     """The network predicts the labels far better than their mean does."""
-    history = quiet(*splits, NET, TrainSettings(epochs=60, patience=60, rate=3e-3), tmp_path / "run")
+    history = quiet(*splits, NET, TrainSettings(epochs=60, patience=60, learning_rate=3e-3), tmp_path / "run")
     val = splits[1]
     by_mean = (((val.targets - splits[0].targets.mean(0)) / val.labels.scale) ** 2).sum(1).mean()
     assert min(h["val_loss"] for h in history) < 0.1 * by_mean
@@ -119,7 +119,9 @@ def test_train_bfloat16_matches_float32_loss(splits):
     """With bfloat16 in convolutions and Muon, the final loss differs by at most 5 % of the initial loss."""
     ends = []
     for precision in ("float32", "bfloat16"):
-        training = Training(*splits, NET, TrainSettings(epochs=12, rate=2e-3, muon=0.02, precision=precision))
+        training = Training(
+            *splits, NET, TrainSettings(epochs=12, learning_rate=2e-3, muon_learning_rate=0.02, precision=precision)
+        )
         for _ in range(12):
             training.train_epoch()
         ends.append(training.history)
@@ -132,7 +134,7 @@ def test_train_bfloat16_matches_float32_loss(splits):
 def test_train_same_seed_gives_same_weights(splits, tmp_path):
     for name in ("a", "b"):
         quiet(*splits, NET, QUICK, tmp_path / name)
-    quiet(*splits, NET, TrainSettings(epochs=4, rate=3e-3, seed=1), tmp_path / "c")
+    quiet(*splits, NET, TrainSettings(epochs=4, learning_rate=3e-3, seed=1), tmp_path / "c")
     assert same(weights(tmp_path / "a"), weights(tmp_path / "b"))
     assert not same(weights(tmp_path / "a"), weights(tmp_path / "c"))
 
@@ -146,7 +148,7 @@ def test_train_keeps_global_random_state(splits, tmp_path):
 @pytest.mark.parametrize("epochs", [1, 4])
 def test_train_killed_after_last_checkpoint_resumes(splits, tmp_path, monkeypatch, epochs):
     """The checkpoint is written first; the other files are recreated from it."""
-    settings = TrainSettings(epochs=epochs, rate=3e-3)
+    settings = TrainSettings(epochs=epochs, learning_rate=3e-3)
     quiet(*splits, NET, settings, tmp_path / "whole")
     save = train_module.save_checkpoint
 
@@ -173,8 +175,17 @@ def test_train_killed_after_last_checkpoint_resumes(splits, tmp_path, monkeypatc
 
 
 def test_train_command_killed_resumes_to_same_weights(data, splits, tmp_path):
-    settings = ["--training.epochs", "40", "--training.patience", "40", "--training.rate", "0.003"]
-    network = ["--network.conv-layers", "2", "--network.filters", "6", "--network.units", "24", "--network.batch-size", "8"]
+    settings = ["--training.epochs", "40", "--training.patience", "40", "--training.learning-rate", "0.003"]
+    network = [
+        "--network.conv-layers",
+        "2",
+        "--network.filters",
+        "6",
+        "--network.dense_units",
+        "24",
+        "--network.batch-size",
+        "8",
+    ]
     command = [TACTIP, "train", "--data", str(data), "--recipe", "paper", *settings, *network]
     whole, killed = tmp_path / "whole", tmp_path / "killed"
     subprocess.run([*command, "--out", str(whole)], check=True, capture_output=True)
@@ -196,7 +207,7 @@ def test_train_command_killed_resumes_to_same_weights(data, splits, tmp_path):
 
 
 def test_train_patience_exhausted_keeps_best_epoch(splits, tmp_path):
-    history = quiet(*splits, NET, TrainSettings(epochs=300, patience=3, rate=0.02), tmp_path / "run")
+    history = quiet(*splits, NET, TrainSettings(epochs=300, patience=3, learning_rate=0.02), tmp_path / "run")
     losses = [h["val_loss"] for h in history]
     assert len(losses) < 300
     assert int(np.argmin(losses)) == len(losses) - 4
@@ -228,7 +239,10 @@ def test_train_record_without_new_fields_is_recognized(splits, tmp_path):
     history = quiet(*splits, NET, QUICK, tmp_path / "run")
     path = tmp_path / "run" / "model.json"
     description = json.loads(path.read_text())
-    del description["provenance"]["network"]["fold"], description["provenance"]["settings"]["optics"]
+    del (
+        description["provenance"]["network"]["pixel_unshuffle"],
+        description["provenance"]["settings"]["augmentation_strength"],
+    )
     path.write_text(json.dumps(description))
     assert quiet(*splits, NET, QUICK, tmp_path / "run") == history
     description["provenance"]["network"]["filters"] += 1
@@ -258,26 +272,26 @@ def test_train_init_from_starts_with_its_predictions(splits, tmp_path):
     np.testing.assert_allclose(begun, first.predict(wider[1].images), rtol=1e-4, atol=1e-3)
 
     quiet(*splits, NET, QUICK, tmp_path / "second", init_from=first)
-    assert load_model(tmp_path / "second").provenance["begun_from"] == net_sha256(first.net)
+    assert load_model(tmp_path / "second").provenance["initial_weights"] == net_sha256(first.net)
     assert read_metrics(tmp_path / "second")[0]["loss"] < read_metrics(tmp_path / "first")[0]["loss"]
-    begun_from = f'"{net_sha256(first.net)}"'
-    for folder, start, there, here in (("first", first, "null", begun_from), ("second", None, begun_from, "null")):
-        message = f"holds a training with other settings \\(begun_from is {there} there, {here} here\\)"
+    initial_weights = f'"{net_sha256(first.net)}"'
+    for folder, start, there, here in (("first", first, "null", initial_weights), ("second", None, initial_weights, "null")):
+        message = f"holds a training with other settings \\(initial_weights is {there} there, {here} here\\)"
         with pytest.raises(TactipError, match=message):
             quiet(*splits, NET, QUICK, tmp_path / folder, init_from=start)
-    with pytest.raises(TactipError, match=r"does not match the model to be trained: units is 24, expected 8$"):
-        quiet(*splits, replace(NET, units=8), QUICK, tmp_path / "third", init_from=first)
+    with pytest.raises(TactipError, match=r"does not match the model to be trained: dense_units is 24, expected 8$"):
+        quiet(*splits, replace(NET, dense_units=8), QUICK, tmp_path / "third", init_from=first)
     assert not (tmp_path / "third").exists()
 
 
 def test_train_command_start_uses_its_layers(data, splits, tmp_path, capsys):
     """Its layers are used; a network for another image width is rejected."""
     quiet(*splits, NET, QUICK, tmp_path / "first")
-    given = ["train", "--data", str(data), "--training.epochs", "1", "--training.least-steps", "0"]
-    given += ["--training.drawn", "0"]
-    assert tactip.main([*given, "--out", str(tmp_path / "on"), "--start", str(tmp_path / "first")]) == 0
+    given = ["train", "--data", str(data), "--training.epochs", "1", "--training.min-steps", "0"]
+    given += ["--training.augmented_fraction", "0"]
+    assert tactip.main([*given, "--out", str(tmp_path / "on"), "--init-from", str(tmp_path / "first")]) == 0
     assert load_model(tmp_path / "on").config == NET
-    assert tactip.main([*given, "--out", str(tmp_path / "off"), "--start", "surface-tactip-127"]) == 1
+    assert tactip.main([*given, "--out", str(tmp_path / "off"), "--init-from", "surface-tactip-127"]) == 1
     assert "image width is 128, expected 40" in capsys.readouterr().err
     assert not (tmp_path / "off").exists()
 

@@ -23,8 +23,8 @@ from tactip_twin.learning.tune_ray import clear, tune_on_cluster
 from tactip_twin.tactip_model.errors import TactipError
 
 TACTIP = str(Path(sys.executable).parent / "tactip")
-SPACE = SearchSpace(most_conv_layers=2, most_filters=4, most_dense_layers=2, most_units=8)
-SETTINGS = TuneSettings(trials=3, startup=2, space=SPACE, training=TrainSettings(epochs=2))
+SPACE = SearchSpace(max_conv_layers=2, max_filters=4, max_dense_layers=2, max_dense_units=8)
+SETTINGS = TuneSettings(trials=3, random_trials=2, space=SPACE, training=TrainSettings(epochs=2))
 
 
 @pytest.fixture(scope="module")
@@ -38,9 +38,9 @@ def results_of(pairs):
 
 
 def test_suggest_random_covers_paper_space():
-    networks = [network_of_values(SearchSpace(), suggest(TuneSettings(startup=200), i, [])) for i in range(150)]
+    networks = [network_of_values(SearchSpace(), suggest(TuneSettings(random_trials=200), i, [])) for i in range(150)]
     assert {n.conv_layers for n in networks} == {1, 2, 3, 4, 5}
-    assert {n.filters for n in networks} == {2**k for k in range(1, 10)} == {n.units for n in networks}
+    assert {n.filters for n in networks} == {2**k for k in range(1, 10)} == {n.dense_units for n in networks}
     assert {n.dense_layers for n in networks} == {1, 2, 3, 4, 5}
     assert {n.batch_size for n in networks} == {16, 32, 64, 128}
     assert {n.activation for n in networks} == {"relu", "elu"}
@@ -52,7 +52,7 @@ def test_suggest_random_covers_paper_space():
 
 def test_suggest_with_results_improves():
     """Where the loss favours four filters, later suggestions are closer to four."""
-    settings = TuneSettings(startup=30)
+    settings = TuneSettings(random_trials=30)
     past = []
     for i in range(60):
         values = suggest(settings, i, results_of(past))
@@ -84,7 +84,7 @@ def test_tune_writes_best_and_resumes(data, tmp_path):
     # A search recorded before a field was added to the settings is recognized.
     path = tmp_path / "search" / "search.json"
     there = json.loads(path.read_text())
-    del there["settings"]["training"]["varied"], there["settings"]["prune"]
+    del there["settings"]["training"]["optics_ranges"], there["settings"]["prune"]
     path.write_text(json.dumps(there))
     assert len(tune(data, tmp_path / "search", longer, log=lambda line: None)) == 4
     with pytest.raises(TactipError, match=r"holds a search with other settings \(settings.seed is 0 there, 1 here\)"):
@@ -98,8 +98,21 @@ def test_tune_space_too_deep_for_images_raises(data, tmp_path):
 
 
 def search_command(data, out, *options):
-    limits = ["--space.most-conv-layers", "2", "--space.most-units", "8", "--max-filters", "4", "--training.epochs", "2"]
-    return [TACTIP, "tune", "--data", str(data), "--out", str(out), "--trials", "3", "--startup", "2", *limits, *options]
+    limits = ["--space.max-conv-layers", "2", "--space.max-dense-units", "8", "--max-filters", "4", "--training.epochs", "2"]
+    return [
+        TACTIP,
+        "tune",
+        "--data",
+        str(data),
+        "--out",
+        str(out),
+        "--trials",
+        "3",
+        "--random-trials",
+        "2",
+        *limits,
+        *options,
+    ]
 
 
 def without_seconds(results):
@@ -178,7 +191,7 @@ def test_tune_killed_trial_is_result_and_broken_program_raises(data, tmp_path, m
 
 def test_tune_prune_ends_bad_trials(data, tmp_path):
     settings = TuneSettings(
-        trials=6, startup=6, prune=True, least_epochs=2, space=SPACE, training=TrainSettings(epochs=4, patience=4)
+        trials=6, random_trials=6, prune=True, min_epochs=2, space=SPACE, training=TrainSettings(epochs=4, patience=4)
     )
     results = tune(data, tmp_path / "search", settings, log=lambda line: None)
     pruned = [r for r in results if r["status"] == "pruned"]

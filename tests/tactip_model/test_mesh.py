@@ -112,7 +112,7 @@ def reader(request):
 def test_pin_reader_on_undeformed_skin_returns_neutral_pins(reader):
     pins, skin, _ = reader
     tips, directions = pins.read(skin)
-    assert np.allclose(tips, pins.tips, atol=1e-15)
+    assert np.allclose(tips, pins.pin_tips, atol=1e-15)
     assert np.allclose(directions, pins.directions)
 
 
@@ -123,7 +123,7 @@ def test_pin_reader_on_rigidly_moved_skin_moves_pins(reader):
     turn = np.array([[np.cos(a), 0, np.sin(a)], [0, 1, 0], [-np.sin(a), 0, np.cos(a)]])
     shift = np.array([1e-3, -2e-3, 0.5e-3])
     tips, directions = pins.read((skin - mesh.centre) @ turn.T + mesh.centre + shift)
-    expected = (pins.tips - mesh.centre) @ turn.T + mesh.centre + shift
+    expected = (pins.pin_tips - mesh.centre) @ turn.T + mesh.centre + shift
     assert np.abs(tips - expected).max() < 40e-6  # facets lie up to 40 µm inside the sphere
     assert np.degrees(np.arccos(np.clip((directions * (pins.directions @ turn.T)).sum(1), -1, 1))).max() < 0.5
 

@@ -94,7 +94,8 @@ def test_fitted_design_file_keeps_camera_drift_apart(hidden, tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ('"format": "tactip-design 1"', '"format": "other"', "is not a design file"),
+        ('"format": "tactip-design 2"', '"format": "other"', "is not a design file"),
+        ('"format": "tactip-design 2"', '"format": "tactip-design 1"', "fit the design again by `tactip calibrate`"),
         ('"friction": 0', '"fricton": 0', "has no field 'fricton'"),
         ('"name": "nominal-127"', '"name": 3', "must be a string, got 3"),
         ('"friction": 0', '"friction": -1e', "not JSON"),

@@ -126,8 +126,8 @@ def deformed(on_edge):
 def test_renderers_agree_on_deformed_pins(camera, raster, on_edge, design):
     """Mean difference below 0.5 grey levels, 12 rms on the pins, and 1.5 % of the tactile image's pixels."""
     for contact in deformed(on_edge):
-        a = camera.render(contact.tips, contact.directions).astype(float)
-        b = raster.render(contact.tips, contact.directions).astype(float)
+        a = camera.render(contact.pin_tips, contact.directions).astype(float)
+        b = raster.render(contact.pin_tips, contact.directions).astype(float)
         assert np.abs(a - b).mean() < 0.5
         assert rms((a - b)[np.maximum(a, b) > 40]) < 12
         binary = [tactile_image(x.astype(np.uint8), design.image) for x in (a, b)]
@@ -137,13 +137,13 @@ def test_renderers_agree_on_deformed_pins(camera, raster, on_edge, design):
 def test_renderers_show_every_pin(camera, raster, on_edge, design):
     for contact in deformed(on_edge):
         for renderer in (camera, raster):
-            centres, _ = blobs(renderer.render(contact.tips, contact.directions), design.image)
+            centres, _ = blobs(renderer.render(contact.pin_tips, contact.directions), design.image)
             assert len(centres) == 127
 
 
 def test_raster_of_batch_equals_single_images(raster, on_edge):
     contacts = list(deformed(on_edge))
-    tips = np.stack([c.tips for c in contacts])
+    tips = np.stack([c.pin_tips for c in contacts])
     directions = np.stack([c.directions for c in contacts])
     batch = raster.render(tips, directions)
     assert batch.shape == (3, 360, 360)

@@ -14,7 +14,7 @@ from tactip_twin.learning.model import load_network
 from tactip_twin.sim.dataset.sampling import Ranges
 from tactip_twin.tactip_model.errors import TactipError
 
-TINY = Recipe(PoseNetConfig(conv_layers=1, filters=2, units=4, batch_size=8), TrainSettings(epochs=1))
+TINY = Recipe(PoseNetConfig(conv_layers=1, filters=2, dense_units=4, batch_size=8), TrainSettings(epochs=1))
 
 
 KINDS = ("plain", "symmetric", "most", "looks", "taps", "bent")
@@ -23,7 +23,7 @@ KINDS = ("plain", "symmetric", "most", "looks", "taps", "bent")
 @pytest.fixture
 def options(tmp_path, monkeypatch):
     """Sets without physics and networks of no size."""
-    monkeypatch.setattr(learned, "make", lambda jobs, workers, say: None)
+    monkeypatch.setattr(learned, "make", lambda jobs, workers, log: None)
     monkeypatch.setattr(learned, "rows", _tiny)
     folders = {name: tmp_path / name for name in ("data", "runs", "out")}
     options = LearningOptions(**folders, contacts=2, most=3, bent=2, looked=1, judged=8, judged_taps=8)
@@ -37,7 +37,7 @@ ROWS = learned.rows
 
 
 def _tiny(task, paper):
-    return [replace(row, recipe=TINY, start="") for row in ROWS(task, paper)]
+    return [replace(row, recipe=TINY, init_from="") for row in ROWS(task, paper)]
 
 
 def test_the_sets_are_what_the_page_says():
@@ -49,7 +49,12 @@ def test_the_sets_are_what_the_page_says():
     assert jobs["symmetric", "train"].samples == 16000
     assert (jobs["taps", "train"].samples, jobs["taps", "test"].samples, jobs["plain", "test"].samples) == (2000, 500, 2000)
     looks = jobs["looks", "train"]
-    assert (looks.samples, looks.looks, looks.shear, looks.symmetric) == (7000, 20, jobs["plain", "test"].shear, False)
+    assert (looks.samples, looks.snapshots_per_contact, looks.shear, looks.augment_symmetry) == (
+        7000,
+        20,
+        jobs["plain", "test"].shear,
+        False,
+    )
     assert jobs["taps", "train"].shear == Ranges()
     assert jobs["plain", "test"].split == "test"
     assert jobs["plain", "test"].design.name == "tactip-127"
@@ -72,16 +77,16 @@ def test_a_larger_set_that_is_there_is_not_asked_for_in_a_smaller_size(options):
 
 def test_bent_surfaces_are_of_the_surface_task():
     jobs = [j.configuration for j in learned.jobs(LearningOptions(), KINDS) if j.folder.parts[-3] == "bent"]
-    sets = {c.split: (c.samples, c.symmetric) for c in jobs}
+    sets = {c.split: (c.samples, c.augment_symmetry) for c in jobs}
     assert sets == {"train": (16000, True), "val": (500, False), "test": (500, False)}
     assert {c.curvature_per_m for c in jobs} == {learned.BENT_PER_M}
     assert all(any(r.kind == "bent" for r in learned.rows(task, False)) == (task == "surface") for task in learned.PAPER)
 
 
 def test_what_is_taught_further_fits_what_it_begins_with():
-    further = [row for task in learned.PAPER for row in learned.rows(task, False) if row.start]
+    further = [row for task in learned.PAPER for row in learned.rows(task, False) if row.init_from]
     assert [row.name for row in further] == ["laptop-further", "laptop-bent", "laptop-further"]
-    assert all(load_network(row.start).config.shape() == row.recipe.network.shape() for row in further)
+    assert all(load_network(row.init_from).config.shape() == row.recipe.network.shape() for row in further)
 
 
 def test_a_page_is_written_and_what_was_trained_is_kept(options):

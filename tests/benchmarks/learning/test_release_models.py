@@ -1,4 +1,4 @@
-"""Shipped networks are what their cards say, and read contacts that are made here and now."""
+"""Shipped networks are what their cards log, and read contacts that are made here and now."""
 
 import json
 import re
@@ -27,7 +27,7 @@ from tactip_twin.tactip_model.raster_renderer import Raster
 from tactip_twin.tactip_model.tactile_image import tactile_image
 
 CONTACTS = 12
-TINY = Recipe(PoseNetConfig(conv_layers=1, filters=2, units=4, batch_size=8), TrainSettings(epochs=1))
+TINY = Recipe(PoseNetConfig(conv_layers=1, filters=2, dense_units=4, batch_size=8), TrainSettings(epochs=1))
 
 
 def test_what_is_shipped():
@@ -49,9 +49,9 @@ def test_a_card_is_of_its_network(name):
     assert model.provenance["outcome"]["finished"]
     assert model.labels == labels_of(model.provenance["train"]["configuration"])
     told = re.search(r"Begun from the weights of `([\w-]+)`", card)
-    assert bool(told) == ("begun_from" in model.provenance)
+    assert bool(told) == ("initial_weights" in model.provenance)
     if told:
-        same = net_sha256(load_network(told.group(1)).net) == model.provenance["begun_from"]
+        same = net_sha256(load_network(told.group(1)).net) == model.provenance["initial_weights"]
         assert same == ("as an earlier version shipped it" not in card)
 
 
@@ -65,8 +65,8 @@ def test_it_reads_contacts_of_another_seed(name):
     images, labels = [], []
     for number in range(CONTACTS):
         draw = generator(991, task, "test", number)
-        contact, _ = player.play(POSE_RANGES[task].sample(draw), SHEAR_RANGES.sample(draw))
-        images.append(tactile_image(raster.render(contact.tips, contact.directions), design.image))
+        contact, _ = player.simulate(POSE_RANGES[task].sample(draw), SHEAR_RANGES.sample(draw))
+        images.append(tactile_image(raster.render(contact.pin_tips, contact.directions), design.image))
         labels.append(to_mm_deg(contact.pose))
     errors = model.predict(np.stack(images)) - model.labels.of(np.array(labels))
     said = json.loads((MODELS / name / "evaluation.json").read_text())

@@ -13,15 +13,15 @@ from tactip_twin.learning.configuration import SearchSpace, TrainSettings, TuneS
 from tactip_twin.tactip_model.errors import TactipError
 
 TINY = TuneSettings(
-    startup=2,
-    space=SearchSpace(most_conv_layers=2, most_filters=4, most_dense_layers=1, most_units=4, reduce=2),
+    random_trials=2,
+    space=SearchSpace(max_conv_layers=2, max_filters=4, max_dense_layers=1, max_dense_units=4, downsample=2),
     training=TrainSettings(epochs=1),
 )
 
 
 @pytest.fixture
 def options(tmp_path, monkeypatch):
-    monkeypatch.setattr(searched, "make", lambda jobs, workers, say: None)
+    monkeypatch.setattr(searched, "make", lambda jobs, workers, log: None)
     monkeypatch.setattr(searched, "LAPTOP", TINY)
     folders = {name: tmp_path / name for name in ("data", "runs", "out")}
     options = SearchOptions(**folders, trials=2, jobs=1, contacts=12, judged=8)
@@ -34,7 +34,7 @@ def options(tmp_path, monkeypatch):
 def test_the_sets_are_plain_ones(options):
     val, train = (job.configuration for job in searched.jobs(options))
     assert (val.split, val.samples, train.split, train.samples) == ("val", 8, "train", 12)
-    assert not train.symmetric
+    assert not train.augment_symmetry
     assert train.shear == val.shear != train.pose
 
 
@@ -44,7 +44,7 @@ def test_a_page_is_written_and_a_search_made_longer(options):
     assert [t["trial"] for t in record["trials"]] == [0, 1, 2]
     page = (options.out / "search.md").read_text()
     assert "3 trials (3 ok), 12 contacts to train on and 8 to validate" in page
-    assert "trials 3 instead of 300" in page and "space.most_filters 4 instead of 512" in page
+    assert "trials 3 instead of 300" in page and "space.max_filters 4 instead of 512" in page
     assert "training.epochs 1 instead of 500" in page
     assert "l1" not in page.split("Unlike the paper's:")[1].split("![search]")[0]
     best = min(record["trials"], key=lambda t: t["loss"])
@@ -66,5 +66,5 @@ def test_another_task_is_refused():
 
 def test_a_record_from_before_a_field_came_is_not_a_cut():
     settings = dataclasses.asdict(TuneSettings())
-    del settings["training"]["varied"]
+    del settings["training"]["optics_ranges"]
     assert searched.differences(settings) == []

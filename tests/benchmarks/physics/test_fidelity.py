@@ -46,22 +46,22 @@ def test_presets_are_in_order(cache):
 
 def test_standards_steps_cost_little_error(cache):
     slow = Variant(small_steps(STANDARD.fidelity))
-    tips = [[cache(case, v).tips for case in CHEAP] for v in (STANDARD, slow)]
+    tips = [[cache(case, v).pin_tips for case in CHEAP] for v in (STANDARD, slow)]
     mean, _, greatest = spread(*tips)
     assert mean < 0.012
     assert greatest < 0.05
     # The bound can fail: a jerk of few steps is worse.
-    jerk = replace(STANDARD.fidelity, motion=Motion(press_step_m=3.5e-3, shear_step_m=1e-3, least_steps=1, settle_limit=4))
-    assert spread([cache(case, Variant(jerk)).tips for case in CHEAP], tips[1])[0] > 2 * mean
+    jerk = replace(STANDARD.fidelity, motion=Motion(press_step_m=3.5e-3, shear_step_m=1e-3, min_steps=1, settle_limit=4))
+    assert spread([cache(case, Variant(jerk)).pin_tips for case in CHEAP], tips[1])[0] > 2 * mean
 
 
 def test_the_label_worth_of_a_small_move_is_the_move(cache, design):
     pins, case = ImagePins(design), CHEAP[1]
     estimator = PoseSensitivity.about(case, cache, pins)
     assert estimator.is_determined
-    here = pins(cache(case, STANDARD).tips)
+    here = pins(cache(case, STANDARD).pin_tips)
     for component, amount in (("z", 0.15), ("Rx", -1.0), ("Ry", 1.0)):
-        there = pins(cache(moved(case, component, amount), STANDARD).tips)
+        there = pins(cache(moved(case, component, amount), STANDARD).pin_tips)
         found = estimator(there - here)
         assert found.pop(component) == pytest.approx(amount, rel=0.3)
         for other, value in found.items():
@@ -205,6 +205,8 @@ def test_nothing_to_redraw_from_is_an_error(tmp_path):
 def test_standard_is_near_the_reference(cache, task):
     """The mean over as many contacts as the page has: single ones are between 0.02 and 0.08 mm off."""
     cases = training(task, 10)
-    tips = [[cache(case, Variant(FIDELITIES[name])).tips for case in cases] for name in ("standard", "reference", "draft")]
+    tips = [
+        [cache(case, Variant(FIDELITIES[name])).pin_tips for case in cases] for name in ("standard", "reference", "draft")
+    ]
     assert spread(tips[0], tips[1])[0] <= 0.05
     assert spread(tips[2], tips[1])[0] > spread(tips[0], tips[1])[0]

@@ -17,7 +17,7 @@ QUICK = {"fidelity": "draft", "renderer": "raster", "arm": "none", "model": "ora
 def options(tmp_path, monkeypatch):
     """One short run in each group, in this process."""
     plate = replace(followed._LONG["bust"], object="plate", route=RouteOptions("straight", length_mm=1), **QUICK)
-    away = replace(plate, place_mm=(5000.0, 0, 0), arm="kinematic")
+    away = replace(plate, position_mm=(5000.0, 0, 0), arm="kinematic")
     runs = [followed.Case("fidelity", "bust, plate", plate), followed.Case("robust", "away", away)]
     runs += [followed.Case("robust", "bust, 2 mm deep", replace(plate, depth_mm=2.0))]
     runs += [followed.Case("objects", "plate", plate), followed.Case("starts", "bust, 0", away)]
@@ -31,7 +31,7 @@ class _Here:
 
     made = 0
 
-    def __init__(self, begin, arguments, tasks, unit, say, named):
+    def __init__(self, begin, arguments, tasks, unit, log, named):
         self._do, self._tasks = begin(*arguments), tasks
 
     def work(self, workers, done):
@@ -54,7 +54,7 @@ def test_runs_are_made_once_and_stand_on_the_page(options):
     assert (options.out / "servo.png").stat().st_size > 3000
     assert _Here.made == 5
     (patch,) = record["patches"]
-    assert patch["depth_mm"] == 2 and f"| 2 | {patch['felt_deg'][0]:.2f} (0.00)" in page
+    assert patch["depth_mm"] == 2 and f"| 2 | {patch['predicted_deg'][0]:.2f} (0.00)" in page
     again = followed.run(replace(options, groups=("robust",)))
     assert _Here.made == 5
     assert again == record
@@ -119,7 +119,7 @@ def test_there_is_a_run_for_all_that_is_promised():
         "rim, a network of another seed",
     ) not in names
     starts = [c.options for c in every if c.group == "starts" and c.name.startswith("rim-round")]
-    assert len({o.seed for o in starts}) == followed.STARTS and {o.route.backward for o in starts} == {True, False}
+    assert len({o.seed for o in starts}) == followed.STARTS and {o.route.reverse for o in starts} == {True, False}
 
 
 def test_a_group_that_is_none_is_refused():

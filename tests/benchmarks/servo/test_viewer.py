@@ -17,7 +17,7 @@ def runs(tmp_path_factory):
     folder = tmp_path_factory.mktemp("runs")
     recorder = Recorder(folder / "recording", {"task": RECORD["task"], "object": RECORD["object"]}, scenery())
     arrays = arrays_of()
-    missing = {"T_told": np.eye(4), "touching": 1.0, "sim_steps": 1}
+    missing = {"T_base_tcp_measured": np.eye(4), "touching": 1.0, "sim_steps": 1}
     for k in list(range(STEPS)) * REPEATS:
         row = {name: arrays[name][k] if name in arrays else missing[name] for name in ARRAYS}
         recorder.add(row | {"phase": PHASES[arrays["phase"][k]]})

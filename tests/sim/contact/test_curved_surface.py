@@ -18,6 +18,7 @@ from tactip_twin.sim.dataset.configuration import Configuration
 from tactip_twin.sim.dataset.format import read_dataset
 from tactip_twin.sim.dataset.sampling import Ranges
 from tactip_twin.sim.pose import from_mm_deg
+from tactip_twin.tactip_model.design_file import from_dict
 from tactip_twin.tactip_model.presets import load_design
 
 
@@ -47,15 +48,15 @@ def test_force_falls_with_curvature_as_in_hertz():
     forces = []
     for curvature in (-20.0, 0.0, 30.0, 60.0):
         stimulus.solid = curved_surface(curvature, curvature, 0.0)
-        contact = player.play(from_mm_deg([0, 0, -2.0, 0, 0, 0]), np.zeros(6))
-        assert not contact.faults(QualityLimits(penetration_m=0.1e-3))
+        contact = player.simulate(from_mm_deg([0, 0, -2.0, 0, 0, 0]), np.zeros(6))
+        assert not contact.violations(QualityLimits(penetration_m=0.1e-3))
         forces.append(contact.normal_force_n)
     hertz = [(1 / 0.02 + k) ** -0.5 for k in (-20.0, 0.0, 30.0, 60.0)]
     assert np.allclose(np.array(forces) / forces[1], np.array(hertz) / hertz[1], rtol=0.2)
     stimulus.solid = curved_surface(0.0, 0.0, 0.0)
     flat = ContactSimulator(load_design("tactip-127"), "surface", fidelity_named("draft"))
     pose = from_mm_deg([0, 0, -3.0, 5, 0, 0]), from_mm_deg([2.0, 0, 0, 0, 0, 0])
-    assert np.allclose(player.play(*pose).tips, flat.play(*pose).tips, atol=2e-6)
+    assert np.allclose(player.simulate(*pose).pin_tips, flat.simulate(*pose).pin_tips, atol=2e-6)
 
 
 def test_curved_set_does_not_depend_on_worker_count(tmp_path):
@@ -69,19 +70,18 @@ def test_curved_set_does_not_depend_on_worker_count(tmp_path):
     assert tactip.main([*command[:-3], "--samples", "3", "--out", str(tmp_path / "flat")]) == 0
     flat = read_dataset(tmp_path / "flat")
     assert np.allclose(flat.poses, one.poses)
-    assert "curvature_per_m" not in flat.meta["configuration"]
+    assert flat.meta["configuration"]["curvature_per_m"] == [0, 0]
     with np.load(tmp_path / "flat" / "pins.npz") as a, np.load(tmp_path / "a" / "pins.npz") as b:
-        assert np.abs(a["tips"] - b["tips"]).max() > 0.1e-3
+        assert np.abs(a["pin_tips"] - b["pin_tips"]).max() > 0.1e-3
 
 
-def test_flat_configuration_omits_curvature():
+def test_flat_configuration_round_trips_as_json():
     zero = Ranges()
     tip, fidelity = load_design("tactip-127"), fidelity_named("draft")
     made = Configuration(
         task="surface", split="train", samples=1, renderer="raster", design=tip, fidelity=fidelity, pose=zero, shear=zero
     )
-    assert "curvature_per_m" not in made.as_json()
-    assert json.dumps(made.as_json())
+    assert from_dict(Configuration, json.loads(json.dumps(made.as_json())), "configuration") == made
 
 
 @pytest.mark.parametrize(
@@ -157,19 +157,24 @@ def test_fraction_of_varying_curvature_is_as_configured(monkeypatch):
     assert even.mean() == pytest.approx(26.0, abs=4.0) and even.min() < -20 and even.max() > 70
 
 
-def test_constant_curvature_keeps_digest():
+def test_varying_curvature_changes_digest():
     given = {"task": "surface", "split": "test", "samples": 1, "seed": 0, "renderer": "raster"}
     given |= {"design": load_design("nominal-127"), "fidelity": fidelity_named("draft"), "pose": Ranges(), "shear": Ranges()}
     even = Configuration(**given, curvature_per_m=(-10.0, 30.0))
-    assert "uneven" not in even.as_json()
-    assert Configuration(**given, curvature_per_m=(-10.0, 30.0), uneven=0.5).digest() != even.digest()
+    assert Configuration(**given, curvature_per_m=(-10.0, 30.0), varying_curvature_fraction=0.5).digest() != even.digest()
 
 
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--uneven", "0.5"], "uneven needs a range of curvature: give --curvature-per-m too"),
-        (["--uneven", "2", "--curvature-per-m", "0", "10"], "uneven must be between 0 and 1, got 2.0"),
+        (
+            ["--varying-curvature-fraction", "0.5"],
+            "varying_curvature_fraction needs a range of curvature: give --curvature-per-m too",
+        ),
+        (
+            ["--varying-curvature-fraction", "2", "--curvature-per-m", "0", "10"],
+            "varying_curvature_fraction must be between 0 and 1, got 2.0",
+        ),
     ],
 )
 def test_invalid_varying_curvature_gives_one_sentence(tmp_path, capsys, options, words):

@@ -89,7 +89,7 @@ SHEARS_MM = np.array([0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 9.0])
 
 def weakened(design, ratio):
     """Return the design with friction 0.6 that falls to `ratio` times as much over a slide of 1 mm."""
-    return replace(design, materials=replace(design.materials, friction=0.6, kinetic_share=ratio, kinetic_after_m=1e-3))
+    return replace(design, materials=replace(design.materials, friction=0.6, kinetic_fraction=ratio, slip_weakening_m=1e-3))
 
 
 def force_ratios(design, stimulus, fidelity, depth_mm=2.0):
@@ -97,7 +97,7 @@ def force_ratios(design, stimulus, fidelity, depth_mm=2.0):
     player = ContactSimulator(design, stimulus, fidelity)
     pose, shear = from_mm_deg([0, 0, -depth_mm, 0, 0, 0]), from_mm_deg([SHEARS_MM[-1], 0, 0, 0, 0, 0])
     contacts = list(player.simulate_partial_shears(pose, shear, SHEARS_MM / SHEARS_MM[-1]))
-    assert all(c.faults(QualityLimits()) == [] for c in contacts)
+    assert all(c.violations(QualityLimits()) == [] for c in contacts)
     return np.array([c.tangential_force_n / c.normal_force_n for c in contacts]), contacts[-1]
 
 
@@ -117,7 +117,7 @@ def test_kinetic_ratio_of_one_is_coulomb(design, standard):
     # A slide doubles rounding errors at each step, so the results agree only to the error of its steps.
     assert np.allclose(almost[0], plain[0], atol=5e-3)
     assert almost[0][-1] > 0.85 * 0.6
-    assert np.linalg.norm(almost[1].tips - plain[1].tips, axis=1).mean() < 0.03e-3
+    assert np.linalg.norm(almost[1].pin_tips - plain[1].pin_tips, axis=1).mean() < 0.03e-3
 
 
 def test_facets_weaken_like_vertices(design, standard):
@@ -127,7 +127,7 @@ def test_facets_weaken_like_vertices(design, standard):
     # A few fresh facets enter the contact along the path, and the ball's flank pushes, so less is lost than on a plane.
     assert (full - weak)[SHEARS_MM >= 1].mean() > 0.2
     player = ContactSimulator(weakened(design, 0.4), "sphere", standard)
-    player.play(from_mm_deg([0, 0, -2, 0, 0, 0]), from_mm_deg([4, 0, 0, 0, 0, 0]))
+    player.simulate(from_mm_deg([0, 0, -2, 0, 0, 0]), from_mm_deg([4, 0, 0, 0, 0, 0]))
     contacts = player.scene.data.contact
     facets = (contacts.elem >= 0).any(1) & (contacts.dist < 0)
     assert facets.any()
@@ -148,7 +148,7 @@ def test_contacts_stored_as_sliding_are_at_friction_limit(design, standard):
         records.append((scene._slip.sliding(scene.data), fraction, normal > 1e-5))
 
     scene.step = watched
-    player.play(from_mm_deg([0, 0, -3, 5, 0, 0]), from_mm_deg([3, 0, 0, 0, 0, 0]))
+    player.simulate(from_mm_deg([0, 0, -3, 5, 0, 0]), from_mm_deg([3, 0, 0, 0, 0, 0]))
     sliding, fraction, presses = (np.concatenate(each) for each in zip(*records, strict=True))
     assert (fraction[sliding] > 1 - 1e-6).all()
     assert (fraction[~sliding & presses] < 1 - 1e-6).all()
@@ -159,7 +159,7 @@ def test_sliding_distances_are_reset_when_tip_leaves(design, standard):
     """As for single parts: skin that returns sticks like fresh skin."""
     player = ContactSimulator(weakened(design, 0.5), "surface", standard)
     scene = player.scene
-    player.play(from_mm_deg([0, 0, -2, 0, 0, 0]), from_mm_deg([5, 0, 0, 0, 0, 0]))
+    player.simulate(from_mm_deg([0, 0, -2, 0, 0, 0]), from_mm_deg([5, 0, 0, 0, 0, 0]))
     assert scene._slip._distance.max() > 1e-3
     player._place(inverse(sensor_in_contact(from_mm_deg([0, 0, 10, 0, 0, 0]))))
     scene.step()
@@ -171,13 +171,13 @@ def test_sliding_distances_are_reset_when_tip_leaves(design, standard):
 def test_sliding_distances_are_reset_between_contacts(design, standard):
     player = ContactSimulator(weakened(design, 0.5), "surface", standard)
     pose, shear = from_mm_deg([0, 0, -2, 0, 0, 0]), from_mm_deg([1, 0, 0, 0, 0, 0])
-    first = player.play(pose, shear)
-    player.play(pose, 5 * shear)
-    assert np.array_equal(player.play(pose, shear).tips, first.tips)
+    first = player.simulate(pose, shear)
+    player.simulate(pose, 5 * shear)
+    assert np.array_equal(player.simulate(pose, shear).pin_tips, first.pin_tips)
 
 
 def test_weakened_slide_does_not_depend_on_step_size(design, standard):
     """Weakening depends on distances, so half the step gives the same."""
     half = replace(standard, motion=replace(standard.motion, shear_step_m=standard.motion.shear_step_m / 2))
     coarse, fine = (force_ratios(weakened(design, 0.5), "surface", f)[1] for f in (standard, half))
-    assert np.linalg.norm(coarse.tips - fine.tips, axis=1).mean() < 0.05e-3
+    assert np.linalg.norm(coarse.pin_tips - fine.pin_tips, axis=1).mean() < 0.05e-3

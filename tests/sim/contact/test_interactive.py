@@ -30,14 +30,14 @@ def _settled(press, label=None):
 
 
 def _apart_mm(a, b):
-    return 1e3 * float(np.linalg.norm(a.tips - b.tips, axis=1).max())
+    return 1e3 * float(np.linalg.norm(a.pin_tips - b.pin_tips, axis=1).max())
 
 
 def test_press_equals_contact_of_data_set(press):
     press.set_target(DEEP)
     press.lift()
     state = _settled(press)
-    contact = ContactSimulator(design_named("nominal-127"), "surface", fidelity_named("draft")).play(DEEP, np.zeros(6))
+    contact = ContactSimulator(design_named("nominal-127"), "surface", fidelity_named("draft")).simulate(DEEP, np.zeros(6))
     assert np.allclose(press.label, DEEP)
     assert -state.force[2] == pytest.approx(contact.normal_force_n, rel=0.02)
     assert _apart_mm(state, contact) < 0.05
@@ -54,7 +54,7 @@ def test_skin_keeps_shear_until_lifted(press):
     assert _apart_mm(back, straight) > 0.05  # some of it slipped
     press.lift()
     again = _settled(press)
-    assert np.array_equal(again.tips, straight.tips)
+    assert np.array_equal(again.pin_tips, straight.pin_tips)
 
 
 def test_lift_leaves_tip_clear(press):

@@ -12,14 +12,14 @@ from tactip_twin.tactip_model.tactile_image import tactile_image
 def field(contact, press):
     """Return image displacements (p, 2) of the pins and their neutral positions (p, 2), px of 256, x right, y down."""
     lens = Lens(press.simulator.scene.design)
-    neutral = lens.project(press.simulator.reader.tips) - lens.centre + 0.5
-    return (lens.project(contact.tips) - lens.centre + 0.5 - neutral) * 256 / lens.width, neutral * 256 / lens.width
+    neutral = lens.project(press.simulator.reader.pin_tips) - lens.centre + 0.5
+    return (lens.project(contact.pin_tips) - lens.centre + 0.5 - neutral) * 256 / lens.width, neutral * 256 / lens.width
 
 
 def pressed_position(contact, press):
     """Return the mean position (2,) px of the pins, weighted by the square of their motion towards the camera."""
     _, neutral = field(contact, press)
-    inward = np.maximum(press.simulator.reader.tips[:, 2] - contact.tips[:, 2], 0) ** 2
+    inward = np.maximum(press.simulator.reader.pin_tips[:, 2] - contact.pin_tips[:, 2], 0) ** 2
     return (inward[:, None] * neutral).sum(0) / inward.sum()
 
 
@@ -70,7 +70,7 @@ def test_yaw_turns_the_edge_clockwise(on_edge):
 def test_pose_far_off_edge_has_no_contact(on_edge):
     contact = on_edge([25, 0, -3, 0, 0, 0])
     assert contact.normal_force_n == 0
-    assert np.abs(contact.tips - on_edge.simulator.reader.tips).max() < 5e-6
+    assert np.abs(contact.pin_tips - on_edge.simulator.reader.pin_tips).max() < 5e-6
 
 
 @pytest.mark.parametrize("direction_deg", [0, 90, 200])
@@ -114,7 +114,7 @@ def test_two_shears_to_one_pose_give_different_images(on_surface, design):
     b = on_surface(pose, [-4, 2, 0, 0, 0, 5])
     assert (a.pose == b.pose).all()
     raster = Raster(design)
-    images = [tactile_image(raster.render(c.tips, c.directions), design.image) for c in (a, b)]
+    images = [tactile_image(raster.render(c.pin_tips, c.directions), design.image) for c in (a, b)]
     assert (images[0] != images[1]).mean() > 0.01
 
 

@@ -15,7 +15,7 @@ GEL_ALONE = {"skin_young_pa": 1.0}  # a skin of 1 Pa has no effect
 
 
 def pressed(player, depth_mm):
-    return player.play(from_mm_deg([0, 0, -depth_mm, 0, 0, 0]), np.zeros(6))
+    return player.simulate(from_mm_deg([0, 0, -depth_mm, 0, 0, 0]), np.zeros(6))
 
 
 def hertz(young, poisson, radius, depth):
@@ -129,8 +129,8 @@ def matched(tips, neutral, images, neutral_images):
 @pytest.mark.parametrize("depth_mm", [2.0, 4.0])
 def test_centred_press_has_symmetry_of_pins(on_surface, depth_mm):
     """The pin field equals itself rotated by 60 degrees, and mirrored in a line of pins."""
-    tips = on_surface([0, 0, -depth_mm, 0, 0, 0]).tips
-    neutral = on_surface.simulator.reader.tips
+    tips = on_surface([0, 0, -depth_mm, 0, 0, 0]).pin_tips
+    neutral = on_surface.simulator.reader.pin_tips
     axis = np.radians(29.5)
     mirror = np.diag([1.0, -1.0, 1.0])
     for image in (
@@ -162,7 +162,7 @@ def test_contact_does_not_depend_on_earlier_one(on_edge):
     first = on_edge(pose, shear)
     on_edge([-3, 0, -5, -10, 10, -40], [-5, 5, 0, 0, 0, 0])
     second = on_edge(pose, shear)
-    assert first.tips.tobytes() == second.tips.tobytes()
+    assert first.pin_tips.tobytes() == second.pin_tips.tobytes()
     assert first.normal_force_n == second.normal_force_n
 
 

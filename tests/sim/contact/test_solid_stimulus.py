@@ -42,11 +42,11 @@ def flat():
 @pytest.fixture(scope="module")
 def simulate():
     design, fidelity = load_design("tactip-127"), fidelity_named("draft")
-    return lambda stimulus: ContactSimulator(design, stimulus, fidelity).play(POSE, SHEAR)
+    return lambda stimulus: ContactSimulator(design, stimulus, fidelity).simulate(POSE, SHEAR)
 
 
 def distance_mm(one, other):
-    return 1e3 * np.sqrt(((one.tips - other.tips) ** 2).sum(1).mean())
+    return 1e3 * np.sqrt(((one.pin_tips - other.pin_tips) ** 2).sum(1).mean())
 
 
 def test_flat_solid_equals_flat_surface(simulate):
@@ -77,6 +77,6 @@ def test_contact_does_not_depend_on_triangle_size(simulate):
 
 def test_contact_with_solid_does_not_depend_on_earlier_one():
     player = ContactSimulator(load_design("tactip-127"), SolidStimulus(solid(edge())), fidelity_named("draft"))
-    first = player.play(POSE, SHEAR)
-    player.play(from_mm_deg([-2.0, 0, -4, 0, 0, 0]), np.zeros(6))
-    assert np.array_equal(player.play(POSE, SHEAR).tips, first.tips)
+    first = player.simulate(POSE, SHEAR)
+    player.simulate(from_mm_deg([-2.0, 0, -4, 0, 0, 0]), np.zeros(6))
+    assert np.array_equal(player.simulate(POSE, SHEAR).pin_tips, first.pin_tips)

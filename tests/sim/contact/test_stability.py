@@ -32,13 +32,13 @@ DOME_M = 20e-3
 
 
 def press(player, depth_mm, slide_mm=0.0, **options):
-    return player.play(from_mm_deg([0, 0, -depth_mm, 0, 0, 0]), from_mm_deg([slide_mm, 0, 0, 0, 0, 0]), **options)
+    return player.simulate(from_mm_deg([0, 0, -depth_mm, 0, 0, 0]), from_mm_deg([slide_mm, 0, 0, 0, 0, 0]), **options)
 
 
 @pytest.fixture(scope="module")
 def good(on_surface):
     contact = on_surface([0, 0, -3, 0, 0, 0], [1, 0, 0, 0, 0, 0])
-    assert contact.faults(QualityLimits()) == []
+    assert contact.violations(QualityLimits()) == []
     return contact
 
 
@@ -110,9 +110,9 @@ def pressed(design, standard):
 
 
 def test_press_on_every_stimulus_passes_checks(pressed):
-    for name, (contact, faults, tries) in pressed.items():
-        assert len(faults) < tries, name
-        assert contact.faults(QualityLimits()) == [], name
+    for name, (contact, violations, tries) in pressed.items():
+        assert len(violations) < tries, name
+        assert contact.violations(QualityLimits()) == [], name
         assert contact.penetration_m < QualityLimits().penetration_m, name
 
 
@@ -129,7 +129,7 @@ def test_press_on_symmetric_stimulus_has_no_side_force(pressed, design, name, on
     """The pin field does not drift to a side either."""
     contact = pressed[name][0]
     assert contact.tangential_force_n < 0.05 * contact.normal_force_n
-    moved = contact.tips - on_surface.simulator.reader.tips
+    moved = contact.pin_tips - on_surface.simulator.reader.pin_tips
     assert np.linalg.norm(moved.mean(0)[:2]) < 0.03 * np.linalg.norm(moved, axis=1).max()
 
 
@@ -139,7 +139,7 @@ def test_overlap_detects_stimulus_between_vertices(design, standard, monkeypatch
     contact = press(ContactSimulator(design, "needle", standard), 3)
     assert contact.penetration_m == 0.0
     assert contact.normal_force_n == 0.0
-    assert any("overlap" in fault for fault in contact.faults(QualityLimits()))
+    assert any("overlap" in fault for fault in contact.violations(QualityLimits()))
 
 
 # Records: each check can fail, and measures the named quantity.
@@ -155,14 +155,14 @@ def test_overlap_detects_stimulus_between_vertices(design, standard, monkeypatch
         ({"overlap_m": 0.2e-3}, "overlap"),
         ({"speed_m_s": 0.03}, "still moves"),
         ({"imbalance": 0.6}, "not balanced"),
-        ({"creep_m_s": 0.01}, "drifts"),
+        ({"energy_drift_m_s": 0.01}, "drifts"),
         ({"area_ratio": 0.05}, "facet"),
         ({"fold_rad": 3.0}, "folded"),
-        ({"unsolved": 0.5}, "iterations"),
+        ({"unconverged_fraction": 0.5}, "iterations"),
     ],
 )
 def test_faults_of_bad_record_name_the_check(good, change, word):
-    (fault,) = replace(good, **change).faults(QualityLimits())
+    (fault,) = replace(good, **change).violations(QualityLimits())
     assert word in fault
 
 
@@ -198,17 +198,17 @@ def test_record_of_moving_tip_has_energy_drift(design, standard, monkeypatch):
     """In a press recorded in motion, elastic energy is still being stored."""
     jerky = replace(standard, motion=replace(standard.motion, ease_in=0.0, ease_out=0.0))
     player = ContactSimulator(design, "surface", jerky)
-    assert not press(player, 3).faults(QualityLimits())
+    assert not press(player, 3).violations(QualityLimits())
     monkeypatch.setattr(ContactSimulator, "_settle", lambda self, pose: None)
-    assert any("drifts" in fault for fault in press(player, 3).faults(QualityLimits()))
+    assert any("drifts" in fault for fault in press(player, 3).violations(QualityLimits()))
 
 
 def test_record_shows_solver_at_iteration_limit(design, standard):
     player = ContactSimulator(design, "surface", standard)
     player.scene.model.opt.iterations = 10
     contact = press(player, 3, 2)
-    assert contact.unsolved > 0.5
-    assert any("iterations" in fault for fault in contact.faults(QualityLimits()))
+    assert contact.unconverged_fraction > 0.5
+    assert any("iterations" in fault for fault in contact.violations(QualityLimits()))
 
 
 # Materials and steps.
@@ -220,9 +220,9 @@ def test_force_scales_with_all_moduli(design, standard, good, scale):
     m = design.materials
     other = replace(m, skin_young_pa=scale * m.skin_young_pa, gel_young_pa=scale * m.gel_young_pa)
     contact = press(ContactSimulator(replace(design, materials=other), "surface", standard), 3, 1)
-    assert contact.faults(QualityLimits()) == []
+    assert contact.violations(QualityLimits()) == []
     assert contact.normal_force_n == pytest.approx(scale * good.normal_force_n, rel=0.01)
-    assert np.linalg.norm(contact.tips - good.tips, axis=1).max() < 0.05e-3
+    assert np.linalg.norm(contact.pin_tips - good.pin_tips, axis=1).max() < 0.05e-3
 
 
 @pytest.mark.parametrize(
@@ -248,8 +248,8 @@ def test_start_inside_non_flat_stimulus_raises_error(design, standard, name):
 
 def test_start_inside_plane_equals_approach(design, standard):
     player = RetryingSimulator(design, "surface", standard, QualityLimits())
-    contact, faults = press(player, 1, approach=False)
-    assert len(faults) < player.tries
+    contact, violations = press(player, 1, approach=False)
+    assert len(violations) < player.tries
     approached, _ = press(player, 1)
     assert contact.normal_force_n == pytest.approx(approached.normal_force_n, rel=0.05)
 
@@ -257,15 +257,15 @@ def test_start_inside_plane_equals_approach(design, standard):
 def test_snagging_stimulus_needs_agreement_of_two_steps(design, standard):
     """Neither a single good record nor two that differ suffice."""
     player = RetryingSimulator(design, "knife", standard, QualityLimits())
-    contact, faults = press(player, 1, 3)
-    assert faults[-1] == [UNCONFIRMED]
-    assert len(faults) < player.tries
-    again = ContactSimulator(design, "knife", finer(player._simulator(len(faults)).scene.fidelity))
-    apart = np.linalg.norm(press(again, 1, 3).tips - contact.tips, axis=1)
+    contact, violations = press(player, 1, 3)
+    assert violations[-1] == [UNCONFIRMED]
+    assert len(violations) < player.tries
+    again = ContactSimulator(design, "knife", finer(player._simulator(len(violations)).scene.fidelity))
+    apart = np.linalg.norm(press(again, 1, 3).pin_tips - contact.pin_tips, axis=1)
     assert np.sqrt(np.mean(apart**2)) < QualityLimits().disagreement_m
-    _, faults = press(RetryingSimulator(design, "knife", standard, QualityLimits(disagreement_m=1e-9)), 1, 3)
-    assert len(faults) == player.tries
-    assert "halving the step moves the pins by" in faults[-1][0]
+    _, violations = press(RetryingSimulator(design, "knife", standard, QualityLimits(disagreement_m=1e-9)), 1, 3)
+    assert len(violations) == player.tries
+    assert "halving the step moves the pins by" in violations[-1][0]
 
 
 def test_good_records_around_bad_one_do_not_confirm(design, monkeypatch, good):
@@ -273,10 +273,10 @@ def test_good_records_around_bad_one_do_not_confirm(design, monkeypatch, good):
     bad = replace(good, penetration_m=1e-3)
     player = RetryingSimulator(design, "knife", fidelity_named("draft"), QualityLimits())
     script = iter([good, bad, good, good])
-    monkeypatch.setattr(ContactSimulator, "play", lambda *_: next(script))
-    contact, faults = player.play(good.pose, good.shear)
+    monkeypatch.setattr(ContactSimulator, "simulate", lambda *_: next(script))
+    contact, violations = player.simulate(good.pose, good.shear)
     assert contact is good
-    assert [f == [UNCONFIRMED] for f in faults] == [True, False, True]
+    assert [f == [UNCONFIRMED] for f in violations] == [True, False, True]
     assert player._slider is player._simulators[2] and player.last is player._simulators[3]
 
 
@@ -311,11 +311,11 @@ def test_any_configuration_is_rejected_or_good(skin, gel, poisson, friction, den
     except TactipError as error:
         assert "must be" in str(error)
         return
-    contact, faults = press(player, depth, slide)
-    if len(faults) == player.tries:
-        assert all(faults)
+    contact, violations = press(player, depth, slide)
+    if len(violations) == player.tries:
+        assert all(violations)
         return
-    assert np.isfinite(contact.tips).all() and np.isfinite(contact.directions).all()
+    assert np.isfinite(contact.pin_tips).all() and np.isfinite(contact.directions).all()
     assert contact.volume_ratio > 0
     assert contact.penetration_m <= QualityLimits().penetration_m
     assert contact.normal_force_n > -1e-6
@@ -481,10 +481,10 @@ def test_quick_stability_map_has_no_wrong_cell(tmp_path):
 def test_needle_beside_axis_moves_nearest_pins(design, standard):
     """The pins nearest to the needle move most."""
     player = RetryingSimulator(design, "needle", standard, QualityLimits())
-    contact, faults = player.play(from_mm_deg([3, 0, -2, 0, 0, 0]), np.zeros(6))
-    assert len(faults) < player.tries
+    contact, violations = player.simulate(from_mm_deg([3, 0, -2, 0, 0, 0]), np.zeros(6))
+    assert len(violations) < player.tries
     neutral, _ = neutral_pins(design)
-    moved = np.linalg.norm(contact.tips - neutral, axis=1)
+    moved = np.linalg.norm(contact.pin_tips - neutral, axis=1)
     needle = inverse(sensor_in_contact(contact.pose))[:3, 3]
     assert np.linalg.norm(neutral[moved.argmax(), :2] - needle[:2]) < 2.5e-3
 

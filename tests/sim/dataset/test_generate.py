@@ -50,7 +50,8 @@ def test_make_images_can_be_rendered_again_from_the_pins(whole, design):
     dataset, raster = read_dataset(whole), Raster(design)
     with np.load(whole / "pins.npz", allow_pickle=False) as pins:
         again = [
-            tactile_image(raster.render(t, d), design.image) for t, d in zip(pins["tips"], pins["directions"], strict=True)
+            tactile_image(raster.render(t, d), design.image)
+            for t, d in zip(pins["pin_tips"], pins["directions"], strict=True)
         ]
     same = [(a == dataset.image(i)).mean() for i, a in enumerate(again)]
     assert min(same) > 0.9999  # the record is in single precision
@@ -72,7 +73,7 @@ def test_make_two_workers_give_the_same_bytes(whole, tmp_path):
 def test_make_symmetric_samples_are_mirrored_and_resumed(tmp_path):
     """Three contacts and their mirror images make five samples; a killed run is resumed to the same bytes."""
     whole, killed = tmp_path / "whole", tmp_path / "killed"
-    result = run(make(whole, "--symmetric", samples=5, workers=1))
+    result = run(make(whole, "--augment-symmetry", samples=5, workers=1))
     assert result.returncode == 0, result.stderr
     assert "5 of 5 samples, 5 tried now" in result.stdout
     assert verify(whole) == []
@@ -84,30 +85,30 @@ def test_make_symmetric_samples_are_mirrored_and_resumed(tmp_path):
     assert run(make(plain, samples=3)).returncode == 0
     assert np.array_equal(read_dataset(plain).image(2), dataset.image(4))
     process = subprocess.Popen(
-        make(killed, "--symmetric", samples=5, workers=1), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        make(killed, "--augment-symmetry", samples=5, workers=1), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
     )
     wait_for(lambda: len(records(killed)) >= 1)
     process.kill()
     process.wait()
     for samples in (4, 6):
-        refused = run(make(killed, "--symmetric", samples=samples))
+        refused = run(make(killed, "--augment-symmetry", samples=samples))
         assert refused.returncode == 1 and len(refused.stderr.strip().splitlines()) == 1
         assert f"the unfinished set in {killed} has 5 samples: samples must be 5 until the set is finished" in refused.stderr
         assert f"got {samples}" in refused.stderr
-    again = run(make(killed, "--symmetric", samples=5))
+    again = run(make(killed, "--augment-symmetry", samples=5))
     assert again.returncode == 0
     assert contents(killed) == contents(whole)
-    fewer = run(make(killed, "--symmetric", samples=4))
+    fewer = run(make(killed, "--augment-symmetry", samples=4))
     assert fewer.returncode == 1 and "has 5 samples: samples must be at least 5, got 4" in fewer.stderr
     assert contents(killed) == contents(whole)
     grown = tmp_path / "grown"
     for samples in (3, 5):
-        assert run(make(grown, "--symmetric", samples=samples)).returncode == 0
+        assert run(make(grown, "--augment-symmetry", samples=samples)).returncode == 0
     assert contents(grown) == contents(whole)
 
 
 def test_make_symmetric_with_asymmetric_ranges_is_refused(tmp_path):
-    result = run(make(tmp_path / "set", "--symmetric", "--pose.roll-deg", "-5", "10"))
+    result = run(make(tmp_path / "set", "--augment-symmetry", "--pose.roll-deg", "-5", "10"))
     assert result.returncode == 1
     assert "the pose ranges are not symmetric" in result.stderr
 
@@ -122,7 +123,7 @@ def test_make_pyrender_set_is_verified_and_shown(tmp_path, design):
     assert image.shape[0] > 128
     assert 0 < (image == 0).mean() < 1
     with np.load(folder / "pins.npz", allow_pickle=False) as pins:
-        rendered = tactile_image(PinCamera(design).render(pins["tips"][0], pins["directions"][0]), design.image)
+        rendered = tactile_image(PinCamera(design).render(pins["pin_tips"][0], pins["directions"][0]), design.image)
     assert (rendered == read_dataset(folder).image(0)).mean() > 0.9999
 
 
@@ -165,7 +166,7 @@ def test_make_invalid_option_gives_one_sentence(tmp_path, capsys, case):
         ("--split", "dev", ("train", "val", "test", "all")),
         ("--fidelity", "best", ("draft", "standard", "reference")),
         ("--renderer", "blender", ("pyrender", "raster")),
-        ("--mechanics", "wild", ("none", "real")),
+        ("--randomize-mechanics", "wild", ("none", "real")),
     ],
 )
 def test_dataset_make_unknown_choice_exits_with_2_and_lists_the_choices(tmp_path, capsys, option, value, choices):

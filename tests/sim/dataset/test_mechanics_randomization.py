@@ -35,9 +35,9 @@ def test_sample_factors_fill_their_ranges(design):
         factors = np.array([value(d, f.name) for d in samples]) / value(design, f.name)
         assert factors.min() > 0.999 / maximum and factors.max() < 1.001 * maximum
         assert factors.min() < maximum**-0.95
-        assert f.name == "kinetic_share" or factors.max() > maximum**0.95
-        assert f.name == "kinetic_share" or np.median(np.log(factors)) == pytest.approx(0, abs=0.2 * np.log(maximum))
-    assert max(d.materials.kinetic_share for d in samples) == 1.0
+        assert f.name == "kinetic_fraction" or factors.max() > maximum**0.95
+        assert f.name == "kinetic_fraction" or np.median(np.log(factors)) == pytest.approx(0, abs=0.2 * np.log(maximum))
+    assert max(d.materials.kinetic_fraction for d in samples) == 1.0
 
 
 def test_mechanics_randomization_default_is_identity_and_factors_below_1_are_refused(design):
@@ -63,8 +63,7 @@ def configuration(**changes):
 
 
 def test_sample_contact_poses_do_not_depend_on_mechanics():
-    plain, randomized = configuration(), configuration(mechanics=REAL)
-    assert "mechanics" not in plain.as_json()
+    plain, randomized = configuration(), configuration(mechanics_randomization=REAL)
     assert plain.digest() != randomized.digest()
     for number in range(4):
         a, b = sample_contact(plain, number), sample_contact(randomized, number)
@@ -79,7 +78,7 @@ def test_simulator_force_follows_the_moduli(design):
     def force(**changes):
         other: Design = replace(design, materials=replace(design.materials, **changes))
         simulator = ContactSimulator(other, "surface", fidelity_named("draft"))
-        return simulator.play(from_mm_deg([0, 0, -3, 0, 0, 0]), np.zeros(6)).normal_force_n
+        return simulator.simulate(from_mm_deg([0, 0, -3, 0, 0, 0]), np.zeros(6)).normal_force_n
 
     m = design.materials
     plain = force()
@@ -89,14 +88,24 @@ def test_simulator_force_follows_the_moduli(design):
 
 
 def test_make_randomized_mechanics_do_not_depend_on_workers(tmp_path):
-    command = ["dataset", "make", "--fidelity", "draft", "--renderer", "raster", "--mechanics", "real", "--symmetric"]
+    command = [
+        "dataset",
+        "make",
+        "--fidelity",
+        "draft",
+        "--renderer",
+        "raster",
+        "--randomize-mechanics",
+        "real",
+        "--augment-symmetry",
+    ]
     for name, workers in (("a", "1"), ("b", "2")):
         assert tactip.main([*command, "--samples", "16", "--workers", workers, "--out", str(tmp_path / name)]) == 0
     one, other = (read_dataset(tmp_path / name) for name in "ab")
     assert one.meta["files"] == other.meta["files"]
-    assert one.meta["configuration"]["mechanics"]["friction"] == REAL.friction
+    assert one.meta["configuration"]["mechanics_randomization"]["friction"] == REAL.friction
     assert tactip.main(["dataset", "verify", str(tmp_path / "a")]) == 0
     # Simulated again, the contact has the same mechanics.
     _, arrays = record_contact(tmp_path / "a", 8, tmp_path / "run")
     with np.load(tmp_path / "a" / "pins.npz") as pins:
-        assert np.allclose(arrays["tips_m"][-1], pins["tips"][8], atol=1e-7)
+        assert np.allclose(arrays["pin_tips_m"][-1], pins["pin_tips"][8], atol=1e-7)

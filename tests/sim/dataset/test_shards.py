@@ -82,10 +82,10 @@ def test_two_workers_make_the_same_bytes(whole, tmp_path):
 
 
 def test_a_contact_that_makes_eight_samples_stays_in_one_shard(tmp_path, capsys):
-    assert tactip.main(options(tmp_path / "odd", "--symmetric")) == 1
+    assert tactip.main(options(tmp_path / "odd", "--augment-symmetry")) == 1
     assert "shard_samples must be at least 8, the number of samples of one contact, got 4" in capsys.readouterr().err
-    assert tactip.main(options(tmp_path / "set", "--symmetric", samples=20, shard=16)) == 0
-    assert tactip.main(options(tmp_path / "flat", "--symmetric", samples=20, shard=32)) == 0
+    assert tactip.main(options(tmp_path / "set", "--augment-symmetry", samples=20, shard=16)) == 0
+    assert tactip.main(options(tmp_path / "flat", "--augment-symmetry", samples=20, shard=32)) == 0
     one, other = read_dataset(tmp_path / "set"), read_dataset(tmp_path / "flat")
     assert np.array_equal(one.poses, other.poses)
     assert tactip.main(["dataset", "verify", str(tmp_path / "set")]) == 0
@@ -94,7 +94,7 @@ def test_a_contact_that_makes_eight_samples_stays_in_one_shard(tmp_path, capsys)
 def test_a_shard_that_contacts_do_not_fill_evenly_grows_too(tmp_path):
     """Of 20 samples, two contacts' 16 go into a shard: a set of 20 is of shards already, and grows by shards."""
     for samples in (20, 40):
-        assert tactip.main(options(tmp_path / "set", "--symmetric", samples=samples, shard=20)) == 0
+        assert tactip.main(options(tmp_path / "set", "--augment-symmetry", samples=samples, shard=20)) == 0
         assert tactip.main(["dataset", "verify", str(tmp_path / "set")]) == 0
     assert [len(read_dataset(part).images) for part in sorted((tmp_path / "set").glob("shard-*"))] == [16, 16, 8]
 

@@ -86,27 +86,27 @@ def test_sliding_on_is_what_one_long_shear_is(design, standard):
     it."""
     player = ContactSimulator(design, "surface", standard)
     pose, shear = from_mm_deg([0, 0, -3, 5, 0, 0]), from_mm_deg([4, 0, 0, 0, 0, 0])
-    whole = player.play(pose, shear)
+    whole = player.simulate(pose, shear)
     half = pose - shear / 2
-    player.play(half, shear / 2)
-    tips = player.slide(pose, pose).tips
-    still = player.play(pose, 0 * shear).tips
-    apart, moved = (np.sqrt(np.mean(((whole.tips - other) ** 2).sum(1))) for other in (tips, still))
+    player.simulate(half, shear / 2)
+    tips = player.slide(pose, pose).pin_tips
+    still = player.simulate(pose, 0 * shear).pin_tips
+    apart, moved = (np.sqrt(np.mean(((whole.pin_tips - other) ** 2).sum(1))) for other in (tips, still))
     assert apart < 0.06e-3 and moved > 10 * apart
 
 
 def test_the_shear_of_a_look_is_the_way_since_the_first_touch(on_surface):
     player = on_surface.simulator
     pose = from_mm_deg([0, 0, -2, 0, 0, 0])
-    player.play(pose, from_mm_deg([1, 0, 0, 0, 0, 0]))
+    player.simulate(pose, from_mm_deg([1, 0, 0, 0, 0, 0]))
     there = player.slide(from_mm_deg([2, 1, -2, 0, 0, 0]), pose)
     assert np.allclose(to_mm_deg(there.shear), [3, 1, 0, 0, 0, 0])
     assert np.allclose(there.pose, pose)
 
 
 def made(folder, design, workers=1, **changes):
-    given = configuration(design, **{"samples": 12, "looks": 4, **changes})
-    return given, make([Job(given, folder)], workers, say=lambda line: None)[0]
+    given = configuration(design, **{"samples": 12, "snapshots_per_contact": 4, **changes})
+    return given, make([Job(given, folder)], workers, log=lambda line: None)[0]
 
 
 def test_a_set_of_looks_is_the_same_however_it_is_made(design, tmp_path):
@@ -122,18 +122,23 @@ def test_a_set_of_looks_is_the_same_however_it_is_made(design, tmp_path):
     assert len({row["seed"] for row in rows}) == 3
 
 
-def test_the_first_look_is_the_contact_without_a_walk(design, tmp_path):
+def test_first_snapshot_is_the_contact_without_sliding(design, tmp_path):
     made(tmp_path / "walked", design)
-    made(tmp_path / "plain", design, samples=3, looks=1)
+    made(tmp_path / "plain", design, samples=3, snapshots_per_contact=1)
     walked, plain = table(tmp_path / "walked")[::4], table(tmp_path / "plain")
     ours = [{k: v for k, v in row.items() if k not in ("index", "sensor_image")} for row in walked]
     assert ours == [{k: v for k, v in row.items() if k not in ("index", "sensor_image")} for row in plain]
-    assert "looks" not in json.loads((tmp_path / "plain/meta.json").read_text())["configuration"]
 
 
 def test_looks_turn_and_mirror_as_contacts_do(design, tmp_path):
     given, result = made(
-        tmp_path / "set", design, task="edge", symmetric=True, samples=12, looks=3, pose=POSE_RANGES["edge"]
+        tmp_path / "set",
+        design,
+        task="edge",
+        augment_symmetry=True,
+        samples=12,
+        snapshots_per_contact=3,
+        pose=POSE_RANGES["edge"],
     )
     assert given.samples_per_contact == 6 and result["kept"] + result["failed"] == 12 and verify(tmp_path / "set") == []
     rows = table(tmp_path / "set")
@@ -146,29 +151,29 @@ def test_looks_turn_and_mirror_as_contacts_do(design, tmp_path):
 def test_a_look_that_cannot_be_trusted_is_left_out_and_named(design, tmp_path):
     """And the set is whole, can be read, and grows."""
     strict = QualityLimits(volume_ratio=0.8)
-    _, result = made(tmp_path / "set", design, samples=24, looks=12, seed=3, bounds=strict)
+    _, result = made(tmp_path / "set", design, samples=24, snapshots_per_contact=12, seed=3, bounds=strict)
     meta = json.loads((tmp_path / "set/meta.json").read_text())
     missed = [failure["index"] for failure in meta["failures"]]
     assert 0 < result["failed"] == len(missed) < 24 and result["kept"] == 24 - len(missed)
     assert all("of its volume" in failure["tries"][0][0] for failure in meta["failures"])
     assert {int(row["index"]) for row in table(tmp_path / "set")} == set(range(24)) - set(missed)
     assert verify(tmp_path / "set") == []
-    made(tmp_path / "set", design, samples=36, looks=12, seed=3, bounds=strict)
-    made(tmp_path / "other", design, samples=36, looks=12, seed=3, bounds=strict)
+    made(tmp_path / "set", design, samples=36, snapshots_per_contact=12, seed=3, bounds=strict)
+    made(tmp_path / "other", design, samples=36, snapshots_per_contact=12, seed=3, bounds=strict)
     assert contents(tmp_path / "set") == contents(tmp_path / "other")
 
 
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
-        ({"looks": 0}, "looks must be between 1 and 1000, got 0"),
+        ({"snapshots_per_contact": 0}, "snapshots_per_contact must be between 1 and 1000, got 0"),
         (
-            {"looks": 200, "shard_samples": 100},
+            {"snapshots_per_contact": 200, "shard_samples": 100},
             "shard_samples must be at least 200, the number of samples of one contact, got 100",
         ),
         (
             {"pose": Ranges(depth_mm=(-5, -1), yaw_deg=(5, 9))},
-            "pose.yaw_deg must be a range that includes 0 where looks is above 1",
+            "pose.yaw_deg must be a range that includes 0 if snapshots_per_contact is above 1",
         ),
     ],
 )

@@ -15,7 +15,7 @@ SHEAR = from_mm_deg([2, -1, 0, 2, 1, -3])
 
 
 def contacts_of(player, task, pose=POSE, shear=SHEAR):
-    contact = player.play(pose, shear)
+    contact = player.simulate(pose, shear)
     skin = player.scene.vertices()[: player.scene.mesh.surface_count]
     return SymmetricReader(player.scene.design, player.scene.mesh, SYMMETRIES[task]).read(contact, skin)
 
@@ -50,10 +50,10 @@ def test_a_mirrored_contact_is_what_the_mirrored_play_gives(design, standard):
     """On the edge; to what two meshes differ by, for the mesh is not its own mirror image."""
     player = ContactSimulator(design, "edge", standard)
     same, mirrored = contacts_of(player, "edge")
-    assert np.allclose(same.tips, player.play(POSE, SHEAR).tips, atol=1e-12)
-    played = player.play(mirrored.pose, mirrored.shear)
-    apart = np.linalg.norm(played.tips - mirrored.tips, axis=1)
-    moved = np.linalg.norm(mirrored.tips - same.tips, axis=1)
+    assert np.allclose(same.pin_tips, player.simulate(POSE, SHEAR).pin_tips, atol=1e-12)
+    played = player.simulate(mirrored.pose, mirrored.shear)
+    apart = np.linalg.norm(played.pin_tips - mirrored.pin_tips, axis=1)
+    moved = np.linalg.norm(mirrored.pin_tips - same.pin_tips, axis=1)
     assert np.sqrt(np.mean(apart**2)) < 0.12e-3
     assert np.sqrt(np.mean(moved**2)) > 5 * np.sqrt(np.mean(apart**2))
 
@@ -62,8 +62,8 @@ def test_a_mirrored_contact_is_what_the_mirrored_play_gives(design, standard):
 def test_a_turned_contact_is_what_the_turned_play_gives(on_surface, index):
     pose, shear = from_mm_deg([0, 0, -3, 8, -5, 0]), from_mm_deg([1, -0.5, 0, 2, 1, -3])
     contacts = contacts_of(on_surface.simulator, "surface", pose, shear)
-    played = on_surface.simulator.play(contacts[index].pose, contacts[index].shear)
-    apart = np.linalg.norm(played.tips - contacts[index].tips, axis=1)
+    played = on_surface.simulator.simulate(contacts[index].pose, contacts[index].shear)
+    apart = np.linalg.norm(played.pin_tips - contacts[index].pin_tips, axis=1)
     assert np.sqrt(np.mean(apart**2)) < 0.12e-3
 
 
@@ -73,5 +73,5 @@ def test_directions_are_units_and_pins_as_built_stay_where_they_are(standard):
     player = ContactSimulator(design, "surface", standard)
     neutral, _ = neutral_pins(design)
     for contact in contacts_of(player, "surface", from_mm_deg([0, 0, -0.02, 0, 0, 0]), np.zeros(6)):
-        assert np.abs(contact.tips - neutral).max() < 0.1e-3
+        assert np.abs(contact.pin_tips - neutral).max() < 0.1e-3
         assert np.allclose(np.linalg.norm(contact.directions, axis=1), 1)

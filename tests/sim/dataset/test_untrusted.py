@@ -25,7 +25,7 @@ from tactip_twin.tactip_model.errors import TactipError
 def test_a_contact_that_cannot_be_trusted_is_tried_again_then_named(design, tmp_path):
     """No contact keeps a penetration bound of a nanometre: all are tried again, left out, and named with the reason."""
     job = Job(configuration(design, bounds=QualityLimits(penetration_m=1e-9)), tmp_path / "failed")
-    (result,) = generation.make([job], workers=1, say=lambda line: None)
+    (result,) = generation.make([job], workers=1, log=lambda line: None)
     assert result["kept"] == 0
     meta = json.loads((job.folder / "meta.json").read_text())
     assert [f["index"] for f in meta["failures"]] == [0, 1, 2]
@@ -39,11 +39,13 @@ def test_the_second_try_takes_finer_steps(design):
     draft = fidelity_named("draft")
     pose, shear = from_mm_deg([0, 0, -5, 10, 0, 0]), np.zeros(6)
     coarse, fine = (
-        RetryingSimulator(design, "surface", f, QualityLimits()).play(pose, shear)[0] for f in (draft, finer(draft))
+        RetryingSimulator(design, "surface", f, QualityLimits()).simulate(pose, shear)[0] for f in (draft, finer(draft))
     )
     between = (coarse.penetration_m + fine.penetration_m) / 2
-    contact, faults = RetryingSimulator(design, "surface", draft, QualityLimits(penetration_m=between)).play(pose, shear)
-    assert len(faults) == 1
+    contact, violations = RetryingSimulator(design, "surface", draft, QualityLimits(penetration_m=between)).simulate(
+        pose, shear
+    )
+    assert len(violations) == 1
     assert contact.penetration_m == fine.penetration_m
 
 
@@ -111,11 +113,11 @@ def test_a_diverged_state_is_a_fault(on_surface):
     from dataclasses import replace
 
     contact = on_surface([0, 0, -2, 0, 0, 0])
-    assert contact.faults(QualityLimits()) == []
-    broken = replace(contact, tips=np.where(contact.tips == contact.tips.max(), np.nan, contact.tips))
-    assert "not finite" in broken.faults(QualityLimits())[0]
-    assert "shrank" in replace(contact, volume_ratio=-0.2).faults(QualityLimits())[0]
-    assert "mm/s" in replace(contact, speed_m_s=1.0).faults(QualityLimits())[0]
+    assert contact.violations(QualityLimits()) == []
+    broken = replace(contact, pin_tips=np.where(contact.pin_tips == contact.pin_tips.max(), np.nan, contact.pin_tips))
+    assert "not finite" in broken.violations(QualityLimits())[0]
+    assert "shrank" in replace(contact, volume_ratio=-0.2).violations(QualityLimits())[0]
+    assert "mm/s" in replace(contact, speed_m_s=1.0).violations(QualityLimits())[0]
 
 
 def test_a_state_that_blows_up_is_seen(design, monkeypatch):
@@ -131,9 +133,9 @@ def test_a_state_that_blows_up_is_seen(design, monkeypatch):
             scene.data.qpos[100] = np.nan
 
     monkeypatch.setattr(scene, "place", poisoned)
-    contact, faults = player.play(from_mm_deg([0, 0, -3, 0, 0, 0]), np.zeros(6))
-    assert faults == [["the state is not finite"]]
-    assert contact.faults(QualityLimits()) == []  # the second try is another scene, and good
+    contact, violations = player.simulate(from_mm_deg([0, 0, -3, 0, 0, 0]), np.zeros(6))
+    assert violations == [["the state is not finite"]]
+    assert contact.violations(QualityLimits()) == []  # the second try is another scene, and good
 
 
 def test_what_is_too_steep_is_drawn_again(design):
@@ -158,5 +160,5 @@ def test_what_is_too_steep_is_drawn_again(design):
 def test_ranges_that_are_too_steep_throughout_are_refused(design, tmp_path):
     c = configuration(design, pose=Ranges(depth_mm=(-3, -1), roll_deg=(25, 28), pitch_deg=(25, 28)))
     with pytest.raises(TactipError, match="sampled from the ranges tilt by more than 30 degrees"):
-        generation.make([Job(c, tmp_path / "steep")], workers=1, say=lambda line: None)
+        generation.make([Job(c, tmp_path / "steep")], workers=1, log=lambda line: None)
     assert not (tmp_path / "steep").exists()

@@ -27,7 +27,7 @@ def test_make_on_two_machines_of_which_one_is_lost_equals_one_process(design, tm
         "task": "surface", "split": "train", "samples": 24, "seed": 0, "renderer": "raster", "design": design,
         "fidelity": fidelity_named("draft"), "pose": POSE_RANGES["surface"], "shear": SHEAR_RANGES,
     }  # fmt: skip
-    make([Job(Configuration(**job), tmp_path / "one")], 1, say=lambda line: None)
+    make([Job(Configuration(**job), tmp_path / "one")], 1, log=lambda line: None)
     machines = Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
     second = machines.add_node(num_cpus=1)
     lost, messages = threading.Event(), []

@@ -62,5 +62,5 @@ def test_make_names_samples_and_shards_with_their_set(design, tmp_path, monkeypa
     monkeypatch.setattr(generation, "WorkerPool", Named)
     jobs = [Job(configuration(design), tmp_path / name) for name in ("train", "val")]
     with pytest.raises(TactipError, match="enough to be named"):
-        generation.make(jobs, 1, say=lambda line: None)
+        generation.make(jobs, 1, log=lambda line: None)
     assert names == [f"sample 17 of {tmp_path / 'val'}", f"the completion of shard-00001 of {tmp_path / 'train'}"]

@@ -28,7 +28,7 @@ def test_every_format_gives_the_same_solid(tmp_path, ball, ending):
 
 def test_unit_scale_and_place(tmp_path, ball):
     path = written(tmp_path / "ball.stl", ball)
-    thing = load_object(path, unit="cm", scale=0.2, place_mm=(300, -50, 10), turn_deg=(0, 90, 0))
+    thing = load_object(path, unit="cm", scale=0.2, position_mm=(300, -50, 10), rotation_deg=(0, 90, 0))
     assert thing.solid.distance(np.zeros(3)) == pytest.approx(-0.08, abs=5e-4)
     assert np.allclose(thing.T_base_object[:3, 3], [0.3, -0.05, 0.09], atol=1e-4)
     assert np.allclose(thing.T_base_object[:3, :3] @ [0, 0, 1], [1, 0, 0], atol=1e-9)

@@ -28,7 +28,7 @@ SCENE = RecordedScene(np.eye(3), np.array([[0, 1, 2]]), np.eye(4), np.array([[0,
 
 def _row(k):
     """A step that is told from others by its number."""
-    sizes = {"tips_m": (5, 3), "directions": (5, 3), "skin_m": (7, 3)}
+    sizes = {"pin_tips_m": (5, 3), "directions": (5, 3), "skin_m": (7, 3)}
     row = {name: np.full(sizes.get(name, shape), float(k)) for name, shape in ARRAYS.items() if name != "images"}
     image = np.zeros((20, 20), np.uint8)
     image[k % 20, :k] = 255
@@ -129,9 +129,9 @@ def test_two_commands_do_not_record_into_one_folder(tmp_path):
         (
             RECORDING,
             json.dumps({"format": "tactip-twin recording", "version": 9}).encode(),
-            "version 9, but this program reads version 2",
+            "version 9, but this program reads version 3",
         ),
-        (RECORDING, json.dumps({"format": "tactip-twin recording", "version": 2}).encode(), "is damaged"),
+        (RECORDING, json.dumps({"format": "tactip-twin recording", "version": 3}).encode(), "is damaged"),
         (STEPS, b"PK nothing", "cannot be read"),
         (STEPS, b"", "cannot be read"),
     ],

@@ -38,7 +38,7 @@ def test_the_sliders_move_the_stimulus_and_the_tip_feels_it(page):
     state = page._contact.tip_state()
     assert np.allclose(to_mm_deg(page._contact.label), [2, -1, -3, 5, 0, 20])
     assert np.allclose(page._skin.vertices, state.skin, atol=1e-7)
-    assert np.allclose(page._pins.points[:, 1], state.tips, atol=1e-7)
+    assert np.allclose(page._pins.points[:, 1], state.pin_tips, atol=1e-7)
     wanted = _T_WORLD_SENSOR @ inverse(sensor_in_contact(page._contact.label))
     assert np.allclose(page._stimulus.position, wanted[:3, 3])
     assert np.allclose(page._handle.position, wanted[:3, 3])
@@ -71,7 +71,7 @@ def test_lifting_forgets_the_shear(page):
         _until_rest(page)
     page._on_reset()
     _until_rest(page)
-    assert np.array_equal(page._contact.tip_state().tips, first.tips)
+    assert np.array_equal(page._contact.tip_state().pin_tips, first.pin_tips)
 
 
 def test_out_of_reach_is_said(page):

@@ -16,8 +16,11 @@ from tactip_twin.sim.view.record_contact import record_contact
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.presets import design_named
 
-KINDS = {"surface": {}, "edge": {}, "bent": {"curvature_per_m": (-10.0, 40.0)}, "symmetric": {"symmetric": True}}
-KINDS |= {"walk": {"looks": 4}, "walk on bent": {"looks": 3, "symmetric": True, "curvature_per_m": (-10.0, 40.0)}}
+KINDS = {"surface": {}, "edge": {}, "bent": {"curvature_per_m": (-10.0, 40.0)}, "symmetric": {"augment_symmetry": True}}
+KINDS |= {
+    "walk": {"snapshots_per_contact": 4},
+    "walk on bent": {"snapshots_per_contact": 3, "augment_symmetry": True, "curvature_per_m": (-10.0, 40.0)},
+}
 SAMPLES = {"symmetric": 16, "walk": 8, "walk on bent": 48}
 SHOWN = {"symmetric": 8, "walk": 6, "walk on bent": 40}
 """Of the second contact, as it was played; of a walk, its third look."""
@@ -42,11 +45,11 @@ def test_its_last_step_is_what_the_set_has(sets, tmp_path, kind):
     record, arrays = record_contact(sets / kind, sample, tmp_path / "run")
     dataset = read_dataset(sets / kind)
     with np.load(sets / kind / "pins.npz") as pins:
-        assert np.array_equal(arrays["tips_m"][-1], pins["tips"][sample])
+        assert np.array_equal(arrays["pin_tips_m"][-1], pins["pin_tips"][sample])
         assert np.array_equal(arrays["directions"][-1], pins["directions"][sample])
     assert np.array_equal(arrays["images"][-1], dataset.image(sample))
     assert np.allclose(to_mm_deg(arrays["true"][-1]), dataset.poses[sample], atol=1e-6)
-    assert np.isnan(arrays["felt"]).all()
+    assert np.isnan(arrays["predicted"]).all()
     assert record["stopped_because"] == "the tip is at rest"
 
 
@@ -74,14 +77,14 @@ def test_the_stimulus_stands_under_the_tip(sets, tmp_path):
 
 def test_what_is_felt_is_kept(sets, tmp_path):
     _, arrays = record_contact(sets / "surface", 0, tmp_path / "run", lambda image: {"z": -2.0, "Rx": 3.0, "Ry": 0.5})
-    assert np.allclose(to_mm_deg(arrays["felt"][-1]), [0, 0, -2, 3, 0.5, 0])
+    assert np.allclose(to_mm_deg(arrays["predicted"][-1]), [0, 0, -2, 3, 0.5, 0])
 
 
 def test_a_command_records_and_a_film_is_made_of_it(sets, tmp_path, capsys):
     arguments = ["dataset", "record", str(sets / "edge"), "--sample", "1", "--out", str(tmp_path / "run"), "--model", "none"]
     assert tactip.main(arguments) == 0
     assert "steps recorded" in capsys.readouterr().out
-    assert tactip.main(["replay", str(tmp_path / "run"), "--video", str(tmp_path / "film.mp4"), "--every", "8"]) == 0
+    assert tactip.main(["replay", str(tmp_path / "run"), "--video", str(tmp_path / "film.mp4"), "--stride", "8"]) == 0
     assert (tmp_path / "film.mp4").stat().st_size > 1000
     assert tactip.main(arguments) == 1
     assert "not empty" in capsys.readouterr().err

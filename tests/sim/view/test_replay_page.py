@@ -28,7 +28,7 @@ def test_a_step_is_shown_as_it_was_recorded(page):
         page.show()
         assert np.allclose(page._tip.position, arrays["T_base_tcp"][step, :3, 3])
         assert np.allclose(page._skin.vertices, arrays["skin_m"][step])
-        assert np.allclose(page._pins.points[:, 1], arrays["tips_m"][step])
+        assert np.allclose(page._pins.points[:, 1], arrays["pin_tips_m"][step])
         poses = page._geometry.body_poses(arrays["angles_rad"][step])
         assert np.allclose(page._links["link_4"].position, poses["link_4"][:3, 3])
         assert page._slider.value == step

@@ -41,7 +41,7 @@ def hidden_twin():
     return SensorOnRig(
         replace(
             plain,
-            materials=replace(plain.materials, friction=0.65, kinetic_share=0.6, skin_young_pa=0.9e6, gel_young_pa=1.6e4),
+            materials=replace(plain.materials, friction=0.65, kinetic_fraction=0.6, skin_young_pa=0.9e6, gel_young_pa=1.6e4),
             pins=replace(plain.pins, length_m=2.2e-3, rotation_deg=31.0),
             optics=replace(plain.optics, camera_height_m=9e-3, zoom=1.012, drift=(0.002, -0.001), frame_px=512),
         ),
@@ -69,8 +69,8 @@ def write_set(folder, twin, count, seed=0):
         for i, fraction in enumerate(fractions):
             pose = from_mm_deg([0, rng.uniform(-3.5, -0.5), 0, 0, 0, rng.uniform(-15, 15)])
             move = from_mm_deg([rng.uniform(-3, 3), 0, 0, 0, 0, rng.uniform(-4, 4)])
-            contact = player.play(*motion.contact(pose, move, TAP, fraction))
-            cv2.imwrite(str(folder / f"images/f_{i}.png"), picture(twin.design, contact.tips, contact.directions))
+            contact = player.simulate(*motion.contact(pose, move, TAP, fraction))
+            cv2.imwrite(str(folder / f"images/f_{i}.png"), picture(twin.design, contact.pin_tips, contact.directions))
             rows.writerow([f"f_{i}.png", *to_mm_deg(pose), *to_mm_deg(move)])
     (folder / "meta.json").write_text(json.dumps({"tap_move": to_mm_deg(TAP).tolist()}))
     return fractions
@@ -89,7 +89,7 @@ def start():
 
 def test_parameter_reads_what_it_writes_within_bounds():
     twin = SensorOnRig(start(), RIG)
-    twin = next(p for p in parameters(start()) if p.name == "kinetic_share").write(twin, 0.6)
+    twin = next(p for p in parameters(start()) if p.name == "kinetic_fraction").write(twin, 0.6)
     for p in parameters(start()):
         assert p.low <= p.read(twin) <= p.high
         moved = p.moved(twin, 0.5)
@@ -127,7 +127,7 @@ def test_robust_cost_of_outliers_is_linear():
 def test_calibrate_rounds_lower_cost_and_resume(real, tmp_path):
     """Two frames of each kind suffice to see that the slopes point the right way."""
     log = []
-    settings = Settings(frames=10, judged=10, rounds=("draft", "draft"), judging="draft")
+    settings = Settings(fit_frames=10, test_frames=10, rounds=("draft", "draft"), test_fidelity="draft")
     result = calibrate(real, start(), settings, tmp_path / "state.json", log.append)
     assert result.rounds[1]["rms_px"] < 0.7 * result.rounds[0]["rms_px"]
     for figures in result.rounds:
@@ -142,9 +142,9 @@ def test_calibrate_rounds_lower_cost_and_resume(real, tmp_path):
     assert same.twin == result.twin
     assert json.loads((tmp_path / "state.json").read_text()) == state
     with pytest.raises(
-        TactipError, match=r"holds a calibration with other settings \(settings.frames is 10 there, 12 here\)"
+        TactipError, match=r"holds a calibration with other settings \(settings.fit_frames is 10 there, 12 here\)"
     ):
-        calibrate(real, start(), replace(settings, frames=12), tmp_path / "state.json")
+        calibrate(real, start(), replace(settings, fit_frames=12), tmp_path / "state.json")
     (tmp_path / "state.json").write_text("{")
     with pytest.raises(TactipError, match="remove it"):
         calibrate(real, start(), settings, tmp_path / "state.json")
@@ -153,7 +153,7 @@ def test_calibrate_rounds_lower_cost_and_resume(real, tmp_path):
 @pytest.mark.slow
 def test_calibrate_recovers_hidden_sensor(real, tmp_path):
     """What mechanics can be seen, from frames half of which were taken before they say."""
-    settings = Settings(frames=24, judged=24, rounds=("draft",) * 4, judging="draft")
+    settings = Settings(fit_frames=24, test_frames=24, rounds=("draft",) * 4, test_fidelity="draft")
     result = calibrate(real, start(), settings, tmp_path / "state.json", print)
     found, hidden = result.twin, hidden_twin()
     figures = figures_of(result)

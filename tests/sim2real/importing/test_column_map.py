@@ -1,4 +1,4 @@
-"""Other laboratories' conventions: what their columns say, held against a rig that knows nothing of them."""
+"""Other laboratories' conventions: what their columns log, held against a rig that knows nothing of them."""
 
 import json
 
@@ -26,7 +26,7 @@ def test_convert_labels_press_along_y_equals_rig():
     depth, tilt, shear, turn = (rng.uniform(low, high, 20) for low, high in ((-4, 0), (-20, 20), (-5, 5), (-5, 5)))
     column_map = ColumnMap(
         columns=("pose_z=-pose_2-5", "pose_Ry=pose_6", "shear_x=move_1", "shear_Ry=move_6"),
-        camera_turn_deg=-75.0,
+        camera_rotation_deg=-75.0,
         tcp_behind_apex_mm=12.0,
     )
     poses, shears = convert_labels(column_map, table_of(pose_2=depth, pose_6=tilt, move_1=shear, move_6=turn))
@@ -50,7 +50,7 @@ def test_convert_labels_own_names_need_no_map():
 
 def test_convert_labels_edge_keeps_its_axes():
     """The camera is turned against the labels: the edge lies as it did, and the tip's yaw differs by the turn."""
-    column_map = ColumnMap(task="edge", columns=("pose_x=x", "pose_z=-d", "pose_Rz=yaw"), camera_turn_deg=20.0)
+    column_map = ColumnMap(task="edge", columns=("pose_x=x", "pose_z=-d", "pose_Rz=yaw"), camera_rotation_deg=20.0)
     poses, _ = convert_labels(column_map, table_of(x=3.0, d=2.0, yaw=-10.0))
     assert np.allclose(poses, [[3, 0, -2, 0, 0, -30]])
     poses, _ = convert_labels(ColumnMap(task="edge"), table_of(pose_x=3.0, pose_y=4.0, pose_z=-1.0))
@@ -113,7 +113,7 @@ def test_a_layout_file(tmp_path):
     assert Layout.from_dict(layout.as_dict()) == layout
     path.write_text(json.dumps({"colour": 1}))
     with pytest.raises(
-        TactipError, match=r"unknown field colour in the layout file .*: its fields are angles, camera_turn_deg"
+        TactipError, match=r"unknown field colour in the layout file .*: its fields are angles, camera_rotation_deg"
     ):
         read_layout(path)
     path.write_text("{")

@@ -176,14 +176,14 @@ def test_frame_reader_undoes_mirror_rotation_and_dark():
     assert len(find_blobs(upright).centres) == 127
     for turn in (90, 180, -90):
         given = np.ascontiguousarray(np.rot90(upright, -turn // 90)[:, ::-1])
-        reader = FrameReader(ImagePreprocessing(mirrored=True, dark=True, mask="none"))
+        reader = FrameReader(ImagePreprocessing(mirror=True, dark_pins=True, mask="none"))
         assert not np.array_equal(reader.binary(255 - given), upright)
         # What was turned and then mirrored is mirrored back, and then turned back.
-        reader = FrameReader(ImagePreprocessing(image_turn_deg=turn, mirrored=True, dark=True, mask="none"))
+        reader = FrameReader(ImagePreprocessing(rotate_image_deg=turn, mirror=True, dark_pins=True, mask="none"))
         assert np.array_equal(reader.binary(255 - given), upright)
     # An angle between: there and back is where it was, to a pixel's rounding.
-    turned = FrameReader(ImagePreprocessing(image_turn_deg=30.0, mask="none")).binary(upright)
-    back = FrameReader(ImagePreprocessing(image_turn_deg=-30.0, mask="none")).binary(turned)
+    turned = FrameReader(ImagePreprocessing(rotate_image_deg=30.0, mask="none")).binary(upright)
+    back = FrameReader(ImagePreprocessing(rotate_image_deg=-30.0, mask="none")).binary(turned)
     assert (np.abs(back.astype(int) - upright) > 127).mean() < 0.01
 
 
@@ -381,8 +381,8 @@ def test_fit_design_removes_press_of_pseudo_neutral_frames(tmp_path):
     player = ContactSimulator(stiffer, "surface", fidelity_named("draft"))
     rows = []
     for k, depth in enumerate(np.linspace(1, 2, 6)):
-        contact = player.play(from_mm_deg([0, 0, -depth, 0, 0, 0]), np.zeros(6))
-        drawn = Raster(DESIGN).render(contact.tips, contact.directions)
+        contact = player.simulate(from_mm_deg([0, 0, -depth, 0, 0, 0]), np.zeros(6))
+        drawn = Raster(DESIGN).render(contact.pin_tips, contact.directions)
         image = tactile_image(drawn, replace(DESIGN.image, size_px=SIZE))
         cv2.imwrite(str(tmp_path / "lab" / "images" / f"frame_{k}.png"), image)
         rows.append({"image_name": f"frame_{k}.png", "pose_2": depth - 5})
@@ -416,7 +416,7 @@ def test_import_videos_instead_of_frames(tmp_path, capsys):
         write_video(tmp_path / "lab" / "videos" / f"video_{k}.mp4", [rest, still, rest], 10)
         row["sensor_video"] = f"video_{k}.mp4"
     write_table(tmp_path / "lab", rows)
-    assert bring(tmp_path / "lab", tmp_path / "videos", "--film-frame", "1") == 0
+    assert bring(tmp_path / "lab", tmp_path / "videos", "--video-frame", "1") == 0
     videos, frames = (read_dataset(tmp_path / name) for name in ("videos", "frames"))
     assert np.array_equal(videos.poses, frames.poses)
     for i in range(len(rows)):
@@ -427,7 +427,7 @@ def test_import_videos_instead_of_frames(tmp_path, capsys):
     apart = [(each.image(0) != each.image(1)).mean() for each in (last, videos)]
     assert apart[0] < 0.001 and apart[1] > 0.01
     capsys.readouterr()
-    assert bring(tmp_path / "lab", tmp_path / "none", "--film-frame", "3") == 1
+    assert bring(tmp_path / "lab", tmp_path / "none", "--video-frame", "3") == 1
     assert "the video has no frame 3 (0 is the first, -1 the last)" in capsys.readouterr().err
 
 

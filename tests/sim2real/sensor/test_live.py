@@ -35,9 +35,9 @@ def presses():
     """Frames of a camera, the tip untouched and then pressed, and the depths: grey, 640 by 480 px."""
     design, depths = load_design("tactip-127"), [2.0, 3.0, 4.0]
     player = ContactSimulator(design, "surface", fidelity_named("standard"))
-    contacts = [player.play(from_mm_deg([0, 0, -d, 0, 0, 0]), np.zeros(6)) for d in depths]
+    contacts = [player.simulate(from_mm_deg([0, 0, -d, 0, 0, 0]), np.zeros(6)) for d in depths]
     raster, shots = Raster(design), []
-    for tips, directions in [neutral_pins(design), *((c.tips, c.directions) for c in contacts)]:
+    for tips, directions in [neutral_pins(design), *((c.pin_tips, c.directions) for c in contacts)]:
         shot = np.full((HEIGHT, WIDTH), 20, np.uint8)
         shot[TOP : TOP + 360, LEFT : LEFT + 360] = raster.render(tips, directions)
         shots.append(cv2.cvtColor(shot, cv2.COLOR_GRAY2BGR))
@@ -151,7 +151,7 @@ def test_camera_page_stays_after_last_frame_until_interrupt(video):
         str(video),
         "--model",
         "none",
-        "--page",
+        "--browser",
         "--port",
         "18931",
     ]

@@ -35,8 +35,8 @@ from tactip_twin.tactip_model.tactile_image import tactile_image
 
 SIZE = 256
 TINY = Recipe(
-    PoseNetConfig(conv_layers=2, filters=8, units=32, batch_size=16, reduce=2),
-    TrainSettings(epochs=3, rate=3e-3, drawn=0.5),
+    PoseNetConfig(conv_layers=2, filters=8, dense_units=32, batch_size=16, downsample=2),
+    TrainSettings(epochs=3, learning_rate=3e-3, augmented_fraction=0.5),
 )
 
 
@@ -67,8 +67,8 @@ def lab(tmp_path_factory):
     player, draw, rows = ContactSimulator(design, "surface", fidelity_named("draft")), np.random.default_rng(0), []
     for k in range(60):
         depth, tilt, slid = draw.uniform(-4, 0), draw.uniform(-15, 15), draw.uniform(-3, 3)
-        contact = player.play(from_mm_deg([0, 0, -depth - 5, 0, tilt, 0]), from_mm_deg([slid, 0, 0, 0, 0, 0]))
-        cv2.imwrite(str(folder / "images" / f"frame_{k}.png"), photo(design, contact.tips, contact.directions))
+        contact = player.simulate(from_mm_deg([0, 0, -depth - 5, 0, tilt, 0]), from_mm_deg([slid, 0, 0, 0, 0, 0]))
+        cv2.imwrite(str(folder / "images" / f"frame_{k}.png"), photo(design, contact.pin_tips, contact.directions))
         rows.append({"image_name": f"frame_{k}.png", "pose_2": depth, "pose_6": tilt, "move_1": slid})
     with (folder / "targets.csv").open("w", newline="") as file:
         writer = csv.DictWriter(file, list(rows[0]))
@@ -98,8 +98,8 @@ def test_fit_design_recovers_hidden_pins(lab):
     assert design.pins.diameter_m == pytest.approx(1.0e-3, rel=0.2)
 
 
-FEW = ["--contacts", "10", "--held", "10", "--real-frames", "30", "--recipe", "laptop", "--fidelity", "draft"]
-FEW += ["--tuning-steps", "4", "--workers", "1"]
+FEW = ["--contacts", "10", "--val-contacts", "10", "--real-train-frames", "30", "--recipe", "laptop", "--fidelity", "draft"]
+FEW += ["--fine-tuning-steps", "4", "--workers", "1"]
 
 
 def test_zero_and_few_shot_from_the_command_line(lab, tiny, tmp_path, capsys):
@@ -131,7 +131,7 @@ def test_experiment_optics_follow_camera_measurement(lab, tmp_path):
     shutil.copytree(lab, known)
     report["camera"] = {"zoom": 1.01, "drift": [0.001, 0.0], "of_one_frame": {"zoom": 1e-3, "drift": [1e-3, 1e-3]}}
     (known / "import.json").write_text(json.dumps(report))
-    settings = TransferSettings(real_frames=30)
+    settings = TransferSettings(real_train_frames=30)
     variants = [ABLATIONS[what] for what in ("all of it", "without calibration", "without image noise")]
 
     def names(folder, **changed):
@@ -140,7 +140,7 @@ def test_experiment_optics_follow_camera_measurement(lab, tmp_path):
 
     assert names(lab) == ["real", "real", "real-clean"]
     assert names(known) == ["steady", "real", "steady-clean"]
-    assert names(known, optics="rim") == ["rim", "rim", "rim-clean"]
+    assert names(known, optics_ranges="rim") == ["rim", "rim", "rim-clean"]
     (known / "import.json").unlink()  # as of a simulated set, in the place of a real one
     assert names(known, design="tactip-127") == ["real", "real", "real-clean"]
     (known / "import.json").write_text(json.dumps(report))
@@ -163,7 +163,7 @@ def test_ablate_leaves_out_one_part_each(lab, tiny, tmp_path):
 
 
 def test_split_train_and_test_are_disjoint(lab):
-    settings = TransferSettings(real_frames=30)
+    settings = TransferSettings(real_train_frames=30)
     experiment = Experiment(lab, "unused", settings, workers=1)
     known, test = set(experiment.split.known.rows), set(experiment.split.test.rows)
     assert not known & test and len(known | test) == 60
@@ -196,13 +196,13 @@ def test_score_removes_offset_of_depth_only(lab):
 
 
 def test_fine_tune_learns_real_frames_and_keeps_base(lab, tiny, tmp_path):
-    few = TransferSettings(real_frames=30, contacts=12, held=10, fidelity="draft")
+    few = TransferSettings(real_train_frames=30, contacts=12, val_contacts=10, fidelity="draft")
     experiment = Experiment(lab, tmp_path, few, workers=1)
     trained, val = experiment.simulated()
     train(trained, val, TINY.network, TINY.settings, tmp_path / "base", "cpu", print, quiet=True)
     base, known = load_model(tmp_path / "base"), experiment.split.known
     before = {k: v.clone() for k, v in base.net.state_dict().items()}
-    settings = FineTuning(steps=150, rate=5e-3)
+    settings = FineTuning(steps=150, learning_rate=5e-3)
     fine_tune(base, trained, known, settings, tmp_path / "tuned", "cpu")
     assert all(torch.equal(v, before[k]) for k, v in base.net.state_dict().items())
     tuned = load_model(tmp_path / "tuned")
@@ -220,7 +220,7 @@ def test_fine_tune_learns_real_frames_and_keeps_base(lab, tiny, tmp_path):
 
 def test_gap_is_small_with_right_design(lab, tmp_path, capsys):
     """The hidden sensor's own design explains its frames; what is fitted to the neutral image alone, nearly."""
-    command = ["transfer", "gap", "--real", str(lab), "--out", str(tmp_path / "out"), "--real-frames", "20"]
+    command = ["transfer", "gap", "--real", str(lab), "--out", str(tmp_path / "out"), "--real-train-frames", "20"]
     assert tactip.main([*command, "--gap-frames", "20", "--fidelity", "draft", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     left_out = [told[f"frames_whose_pins_were_{how}"] for how in ("not_told_apart", "taken_for_others")]
@@ -242,13 +242,13 @@ def test_gap_is_small_with_right_design(lab, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--real-frames", "50"], "real_frames must be at most 40, so 20 of the 60 frames"),
+        (["--real-train-frames", "50"], "real_train_frames must be at most 40, so 20 of the 60 frames"),
         (["--design", "cube"], "unknown design 'cube'"),
-        (["--start", "nobody"], "neither a folder nor a shipped model"),
+        (["--init-from", "nobody"], "neither a folder nor a shipped model"),
     ],
 )
 def test_transfer_wrong_option_reports_error(lab, tmp_path, capsys, options, words):
-    command = ["transfer", "zero-shot", "--real", str(lab), "--out", str(tmp_path / "out"), "--real-frames", "30"]
+    command = ["transfer", "zero-shot", "--real", str(lab), "--out", str(tmp_path / "out"), "--real-train-frames", "30"]
     assert tactip.main([*command, *options]) == 1
     assert words in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
@@ -257,8 +257,8 @@ def test_transfer_wrong_option_reports_error(lab, tmp_path, capsys, options, wor
 @pytest.mark.parametrize(
     ("option", "value", "choices"),
     [
-        ("optics", "rainbow", "('auto', 'lens', 'real', 'rim', 'steady', "),
-        ("mechanics", "stone", "('none', 'real')"),
+        ("optics_ranges", "rainbow", "('auto', 'lens', 'real', 'rim', 'steady', "),
+        ("randomize_mechanics", "stone", "('none', 'real')"),
         ("recipe", "cake", "('laptop', 'paper')"),
         ("fidelity", "exact", "('draft', 'standard', 'reference')"),
     ],
@@ -269,14 +269,14 @@ def test_transfer_unknown_choice_lists_choices(tmp_path, capsys, option, value, 
         tactip.main([*command, f"--{option}", value])
     assert ended.value.code == 2
     told = " ".join(capsys.readouterr().err.replace("│", " ").split())
-    assert f"invalid choice '{value}' for argument '--{option}'. Expected one of {choices}" in told
+    assert f"invalid choice '{value}' for argument '--{option.replace('_', '-')}'. Expected one of {choices}" in told
 
 
 def test_settings_unknown_name_is_refused():
-    with pytest.raises(TactipError, match="unknown optics 'rainbow': choose one of auto, lens, real, rim, steady"):
-        TransferSettings(optics="rainbow")
-    with pytest.raises(TactipError, match="unknown mechanics 'stone': choose one of none, real"):
-        TransferSettings(mechanics="stone")
+    with pytest.raises(TactipError, match="unknown optics_ranges 'rainbow': choose one of auto, lens, real, rim, steady"):
+        TransferSettings(optics_ranges="rainbow")
+    with pytest.raises(TactipError, match="unknown randomize_mechanics 'stone': choose one of none, real"):
+        TransferSettings(randomize_mechanics="stone")
     with pytest.raises(TactipError, match="unknown recipe 'cake': choose one of laptop, paper"):
         TransferSettings(recipe="cake")
 
@@ -338,7 +338,7 @@ def test_transfer_page_shows_targets(lab, tmp_path, monkeypatch):
     zero = {"simulation": figures(0.3, 1.5), "real": figures(0.1, 1.0)}
     few = {"0": {"fine_tuned": figures(0.3, 1.5)}, "50": {"fine_tuned": figures(0.11, 1.2)}}
     monkeypatch.setattr(transferred, "EXPERIMENTS", {"zero-shot": lambda e: zero, "few-shot": lambda e: few})
-    folders = {"runs": tmp_path / "runs", "out": tmp_path / "out", "settings": TransferSettings(real_frames=30)}
+    folders = {"runs": tmp_path / "runs", "out": tmp_path / "out", "settings": TransferSettings(real_train_frames=30)}
     options = TransferOptions((lab,), ("zero-shot",), **folders)
     transferred.run(options, log=lambda line: None)
     assert "| set | pose_z | 0.300 mm | 0.3 mm | 3.00 | 2 |  | 1.3 |" in (tmp_path / "out" / "transfer.md").read_text()
