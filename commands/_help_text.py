@@ -8,6 +8,7 @@ import ast
 import dataclasses
 import inspect
 import textwrap
+from collections.abc import Collection, Iterable
 from functools import cache
 from itertools import pairwise
 from typing import Annotated, Any, get_type_hints
@@ -18,23 +19,50 @@ from tyro.constructors import ConstructorRegistry, StructConstructorSpec, Struct
 _ALIASES = {("SearchSpace", "max_filters"): "--max-filters"}
 """Second names of options, by class and field."""
 
-REGISTRY = ConstructorRegistry()
-"""Rules for tyro.cli."""
+
+def registry(shown: Collection[tuple[type, str]] | None = None) -> ConstructorRegistry:
+    """Return the rules for tyro.cli.
+
+    Args:
+        shown: Class and field of each option that the help text lists; None for all.
+    """
+    rules = ConstructorRegistry()
+
+    @rules.struct_rule
+    def _dataclass_rule(info: StructTypeInfo) -> StructConstructorSpec | None:
+        """Return how a dataclass is made from options; None for other types."""
+        if not dataclasses.is_dataclass(info.type):
+            return None
+        hints, texts = get_type_hints(info.type, include_extras=True), _field_help(info.type)
+        specs = []
+        for f in dataclasses.fields(info.type):
+            hint: Any = hints[f.name]
+            if alias := _ALIASES.get((info.type.__name__, f.name)):
+                hint = Annotated[hint, tyro.conf.arg(aliases=[alias])]
+            if (
+                shown is not None
+                and (info.type, f.name) not in shown
+                and not dataclasses.is_dataclass(getattr(hint, "__origin__", hint))
+            ):
+                hint = tyro.conf.Suppress[hint]
+            specs.append(StructFieldSpec(f.name, hint, _default(f, info), helptext=texts.get(f.name)))
+        return StructConstructorSpec(instantiate=info.type, fields=tuple(specs))
+
+    return rules
 
 
-@REGISTRY.struct_rule
-def _dataclass_rule(info: StructTypeInfo) -> StructConstructorSpec | None:
-    """Return how a dataclass is made from options; None for other types."""
-    if not dataclasses.is_dataclass(info.type):
-        return None
-    hints, texts = get_type_hints(info.type, include_extras=True), _field_help(info.type)
-    specs = []
-    for f in dataclasses.fields(info.type):
-        hint: Any = hints[f.name]
-        if alias := _ALIASES.get((info.type.__name__, f.name)):
-            hint = Annotated[hint, tyro.conf.arg(aliases=[alias])]
-        specs.append(StructFieldSpec(f.name, hint, _default(f, info), helptext=texts.get(f.name)))
-    return StructConstructorSpec(instantiate=info.type, fields=tuple(specs))
+def fields_named(options: type, names: Iterable[str]) -> set[tuple[type, str]]:
+    """Return class and field of options by their dotted names, e.g. `route.kind`. Raises KeyError for an unknown name."""
+    found: set[tuple[type, str]] = set()
+    for name in names:
+        *groups, last = name.split(".")
+        owner: Any = options
+        for group in groups:
+            owner = get_type_hints(owner)[group]
+        if last not in {f.name for f in dataclasses.fields(owner)}:
+            raise KeyError(name)
+        found.add((owner, last))
+    return found
 
 
 def _default(f: dataclasses.Field, info: StructTypeInfo) -> Any:

@@ -1,18 +1,25 @@
 """Commands, made from the command line: a command's options are the fields of a dataclass."""
 
+import inspect
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, make_dataclass
-from typing import Any, Self, TypeVar
+from typing import Any, ClassVar, Self, TypeVar
 
 import tyro
 
-from tactip_twin.commands._help_text import REGISTRY
+from tactip_twin.commands._help_text import fields_named, registry
 
 T = TypeVar("T")
 
 
-class Command:
+class Command(ABC):
     """A command; subclasses are dataclasses of its options."""
+
+    common: ClassVar[tuple[str, ...]] = ()
+    """Dotted names of the options that --help shows, where --help-all shows the others too; empty: --help shows all."""
+    example: ClassVar[str] = ""
+    """Command line that --help shows, where it does not show all options."""
 
     @classmethod
     def parse(cls, arguments: Sequence[str], prog: str) -> "Command":
@@ -33,9 +40,9 @@ class Command:
         """Return the options' defaults as an instance, where a first look at the command line decides them."""
         return None
 
+    @abstractmethod
     def run(self) -> int:
         """Run the command. Return the exit status."""
-        raise NotImplementedError
 
 
 @dataclass(frozen=True)
@@ -51,7 +58,16 @@ class Entry:
 def parse_options(options: type[T], arguments: Sequence[str], prog: str, default: T | None = None) -> T:
     """Return a dataclass from a command line; `default` has its defaults, tyro.MISSING for what must be given."""
     given: dict[str, Any] = {} if default is None else {"default": default}
-    return tyro.cli(options, args=arguments, prog=prog, registry=REGISTRY, **given)
+    shown = None
+    if "--help-all" in arguments:
+        arguments = ["--help"]
+    elif {"-h", "--help"} & set(arguments) and issubclass(options, Command) and options.common:
+        shown = fields_named(options, options.common)
+        given["description"] = (
+            f"{inspect.getdoc(options)}\n\nExample: {options.example}\n\nThese are the common options; "
+            f"{prog} --help-all lists all."
+        )
+    return tyro.cli(options, args=arguments, prog=prog, registry=registry(shown), **given)
 
 
 def parse_subcommand(table: Mapping[str, Entry], arguments: Sequence[str], prog: str, description: str) -> Command:
@@ -59,6 +75,7 @@ def parse_subcommand(table: Mapping[str, Entry], arguments: Sequence[str], prog:
     if arguments and arguments[0] in table:
         return table[arguments[0]].parse(arguments[1:], f"{prog} {arguments[0]}")
     # Commands without options: enough for the list, and nothing of the commands' own is loaded for it.
+    arguments = ["--help" if word == "--help-all" else word for word in arguments]
     listed = {name: make_dataclass("Listed", (), namespace={"__doc__": entry.summary}) for name, entry in table.items()}
     tyro.extras.subcommand_cli_from_dict(listed, args=arguments, prog=prog, description=description)
     raise SystemExit(2)

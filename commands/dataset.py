@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 class Make(Command):
     """Make labelled, sheared tactile images with the simulated sensor. Rerun to resume."""
 
+    common = ("out", "task", "split", "options.samples", "workers", "fidelity", "design", "options.seed")
+    example = "tactip dataset make --task edge --split all --samples 2000 --out data"
+
     out: Path
     """Folder of the set; of the sets (OUT/TASK/SPLIT) if task or split is all."""
     task: Task | Literal["all"] = "surface"

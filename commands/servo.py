@@ -16,6 +16,10 @@ if TYPE_CHECKING:
 class Servo(ServoOptions, Command):
     """Follow a surface or an edge by touch, with the soft tip on an arm: recording, score and picture into OUT."""
 
+    common = ("task", "object", "out", "model", "depth_mm", "fidelity", "arm", "video", "route.kind", "route.length_mm",
+              "settings.step_mm", "seed")  # fmt: skip
+    example = "tactip servo --task edge --object rim-round --out runs/rim"
+
     json: bool = False
     """Print the score as one JSON object and nothing else."""
 

@@ -18,6 +18,9 @@ from tactip_twin.learning.recipes import read_recipe
 class Train(Command):
     """Train a network on a data set. Rerun to resume."""
 
+    common = ("data", "out", "recipe", "config", "init_from", "device", "training.epochs", "training.seed")
+    example = "tactip train --data data/surface --out runs/surface"
+
     data: Path
     """Folder of a task's sets: DATA/train and DATA/val."""
     out: Path

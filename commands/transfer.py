@@ -19,6 +19,9 @@ class Transfer(Command):
     """From simulation to a real sensor: train on simulated contacts of its twin, test on its frames. Run again, it goes on
     where it stopped."""
 
+    common = ("experiment", "real", "out", "settings.contacts", "settings.design", "workers", "device")
+    example = "tactip transfer zero-shot --real data/real --out runs/transfer"
+
     experiment: tyro.conf.Positional[Literal["zero-shot", "ablate", "few-shot", "gap", "pseudo-real"]]
     """Experiment: zero-shot (no real label is used), ablate (what each part of the simulation is worth), few-shot, gap
     (pins and images side by side), or pseudo-real: all but the second on a hidden simulated sensor in the place of a

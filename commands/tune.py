@@ -16,6 +16,9 @@ from tactip_twin.tactip_model.errors import TactipError
 class Tune(Command):
     """Search for a network by TPE, each trial a training. Rerun to resume."""
 
+    common = ("data", "out", "settings.trials", "settings.space.max_filters", "jobs", "device")
+    example = "tactip tune --data data/surface --out runs/tune-surface --trials 50 --max-filters 64"
+
     data: Path
     """Folder of a task's sets: DATA/train and DATA/val."""
     out: Path

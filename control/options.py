@@ -22,33 +22,35 @@ UnitName = Literal["mm", "cm", "m"]
 
 @dataclass(frozen=True)
 class Settings:
-    """How an object is explored."""
+    """Settings of the follower."""
 
     step_mm: float = within(0.05, 10, default=1.0)
     """Tangential step, mm [P]."""
     slowdown_angle_deg: float | None = within(0, 90, default=None)
-    """Felt angle to the normal at which the step would be nothing, degrees: it shrinks evenly with the angle, to a fifth at
-    0.8 of it, and no further. 0: never, as the paper. If not given 2 over surfaces (docs/servo.md has what it buys on the
-    bust, and at what price), and 0 along edges, whose pitch is felt to 2 degrees only."""
+    """Predicted tilt at which the tangential step would reach zero, degrees. The step shrinks linearly with the tilt,
+    down to 20 %. 0 disables this, as in the paper. Default: 2 on surfaces (docs/servo.md has gain and cost), 0 along
+    edges."""
     contact_threshold: float = within(0.01, 0.99, default=0.12)
-    """How far an image must be from that of a tip in the air to count as touched, -: on a ball and a rim, presses of half a
-    millimetre gave 0.1, of one 0.2. An estimate: what a camera's noise gives is not measured."""
+    """Difference of an image from that of the undeformed tip above which it counts as contact, 0 to 1 [?]. Presses of
+    0.5 mm on a ball and a rim gave 0.1, presses of 1 mm 0.2."""
     search_mm: float = within(0, 50, default=12.0)
-    """How far contact is looked for along the sensor's axis, mm."""
+    """Distance along the sensor's axis over which contact is searched for, mm."""
     search_step_mm: float = within(0.05, 2, default=0.5)
-    """Steps of that, mm."""
+    """Step of the search for contact, mm."""
     alignment_steps: int = within(1, 100, default=12)
-    """Steps without going on, in which the servo finds the reference after contact is made."""
+    """Steps on the spot after contact, in which the controller aligns the sensor."""
     range_margin: float = within(0, 10, default=0.5)
-    """How far an estimate may be out of the range that was learned, in its half width: farther, it is none."""
+    """Distance beyond the trained label range at which an estimate is rejected, as a fraction of the range's half
+    width."""
     max_force_n: float = within(0.1, 100, default=8.0)
-    """Force at which the arm stops and backs off, N; an estimate, above what a press as deep as was learned takes."""
+    """Contact force at which the arm retracts, N [?]. It is above the force of the deepest press in the training
+    sets."""
     retract_mm: float = within(0.1, 20, default=2.0)
-    """How far it backs off along the sensor's axis, mm."""
+    """Distance of a retraction along the sensor's axis, mm."""
     max_recoveries: int = within(0, 1000, default=5)
-    """Reactions in a row, without three good steps between, after which it gives up."""
+    """Maximum number of successive recoveries with fewer than three good steps between them."""
     max_steps: int = within(1, 1000000, default=20000)
-    """Steps after which it stops."""
+    """Maximum number of steps of a run."""
 
     def __post_init__(self) -> None:
         check(self)
@@ -56,26 +58,27 @@ class Settings:
 
 @dataclass(frozen=True)
 class RouteOptions:
-    """Where to go."""
+    """Route over a surface or along an edge."""
 
     kind: RouteKind = "serpentine"
-    """Over a surface: serpentine, straight, or geodesic, which keeps its heading as the sensor feels it."""
+    """Route over a surface: serpentine, straight, or geodesic, which keeps its heading relative to the surface as
+    estimated by touch."""
     middle_mm: tuple[float, float] | None = None
-    """Middle of the region in the base frame, x and y, mm; that of the object (of the bust, its face) if not given."""
+    """Centre of the region in the base frame, x and y, mm. Default: the centre of the object, of the bust its face."""
     length_mm: float = within(1, 1000, default=60.0)
-    """Length of a pass, mm."""
+    """Length of a pass over a surface, mm."""
     width_mm: float = within(0, 1000, default=40.0)
-    """Width of the region, mm."""
+    """Width of the region of a serpentine, mm."""
     spacing_mm: float = within(1, 100, default=10.0)
-    """Distance between passes, mm."""
+    """Distance between the passes of a serpentine, mm."""
     heading_deg: float = within(-360, 360, default=90.0)
-    """Direction of the passes in the base frame, from x towards y, degrees."""
+    """Direction of the passes in the base frame, degrees from x towards y."""
     reverse: bool = False
-    """Along an edge: clockwise as seen from above."""
+    """Follow an edge clockwise, as seen from above."""
     start_fraction: float = within(0, 1, default=0.0)
-    """Along an edge: where to begin, as a share of it."""
+    """Start of an edge route, as a fraction of the edge's length."""
     max_length_mm: float = within(1, 10000, default=1000.0)
-    """Along an edge: longest way, mm."""
+    """Maximum length of an edge route, mm."""
 
     def __post_init__(self) -> None:
         check(self)
@@ -84,56 +87,55 @@ class RouteOptions:
 
 @dataclass(frozen=True)
 class ServoOptions:
-    """A servo run."""
+    """Options of a servo run."""
 
     out: Path
     """Folder of the run."""
     task: Task = "surface"
-    """Task."""
+    """Task: follow a surface or an edge."""
     object: str = "bust"
-    """One of the project's objects, or a mesh file (.stl, .obj, .ply, .glb)."""
+    """Object to follow: one of the project's, or a mesh file (.stl, .obj, .ply, .glb)."""
     unit: UnitName | None = None
-    """What a file's numbers are in: mm, which it is if not given, cm or m."""
+    """Unit of the mesh file. Default: mm."""
     scale: float = within(1e-6, 1e6, default=1.0)
-    """Size of the object over that."""
+    """Scale factor applied to the mesh."""
     position_mm: tuple[float, float, float] | None = within(-1e4, 1e4, default=None)
-    """Where the middle of its underside is in the base frame, mm; in front of the arm if not given."""
+    """Position of the middle of the object's underside in the base frame, mm. Default: in front of the arm."""
     rotation_deg: tuple[float, float, float] | None = None
-    """How it is turned, rotation vector, degrees."""
+    """Rotation of the object, as a rotation vector in degrees. Default: none."""
     model: str = ""
-    """A shipped network or the folder of a training; `oracle` is the truth. If empty the shipped one: for surfaces, that
-    which has felt bent ones."""
+    """Network: a shipped one or the folder of a training. `oracle` uses the true pose instead. Default: the shipped
+    network of the task; for surfaces, the one trained on curved surfaces."""
     design: str = "tactip-127"
-    """Sensor."""
+    """Sensor: tactip-127, tactip-331, or a design file (.json) as `tactip calibrate` writes it."""
     fidelity: FidelityName = "standard"
-    """Fidelity of the simulation."""
+    """Fidelity of the contact simulation, from fast to accurate."""
     arm: ArmName = "dynamic"
-    """Arm model."""
+    """Arm model: none (the sensor moves exactly), kinematic (inverse kinematics), dynamic (with masses and motors)."""
     renderer: RendererName = "pyrender"
     """Renderer of the pins; raster works without OpenGL."""
     gains: GainsName = "paper"
-    """Gains of the controller: the paper's, or those of the authors' later work."""
+    """Controller gains: of the paper, or of the authors' later Tactile Servo Control."""
     depth_mm: float | None = within(0.2, 8, default=None)
-    """Depth that is kept, mm; if not given 2 over surfaces, where a shallow touch feels finer things, and 3 along edges."""
+    """Commanded contact depth, mm. Default: 2 on surfaces and 3 along edges."""
     noise_grey: float = within(0, 255, default=0.0)
-    """Standard deviation of the camera's noise, of 255."""
+    """Standard deviation of the camera noise, grey levels (0 to 255)."""
     friction: float | None = within(0, 2, default=None)
-    """Friction between tip and object, -; the design's if not given."""
+    """Coefficient of friction between skin and object. Default: the design's."""
     stiffness: float = within(0.05, 20, default=1.0)
-    """Moduli of skin and gel, over the design's."""
+    """Factor on the Young's moduli of skin and gel."""
     seed: int | None = within(0, 2**63 - 1, default=None)
-    """Seed of a start that is off the mark: by up to 3 mm and 8 degrees. Without, it is on it."""
+    """Seed for a random initial pose error, up to 3 mm and 8°. Default: no error."""
     video: bool = False
-    """Make a film of the run, too."""
+    """Write a video of the run."""
     settle_steps: int | None = within(1, 1000, default=None)
-    """Time steps at rest before an image is taken; half of the fidelity's over surfaces and a quarter along edges if not
-    given."""
+    """Time steps at rest before each image. Default: half of the fidelity's on surfaces, a quarter along edges."""
     speed_scale: float = within(0.1, 4, default=1.0)
-    """Way of the tip in a time step, over the fidelity's."""
+    """Factor on the distance that the tip moves per time step."""
     route: RouteOptions = field(default_factory=RouteOptions)
-    """Where to go."""
+    """Route."""
     settings: Settings = field(default_factory=Settings)
-    """How to explore."""
+    """Settings of the follower."""
 
     def __post_init__(self) -> None:
         check(self)

@@ -47,48 +47,48 @@ def check_choice(kind: str, value: object, choices: Any) -> None:
 
 @dataclass(frozen=True)
 class PoseNetConfig:
-    """Hyperparameters of a network and its training that the paper's search chooses. Defaults: its best for the surface."""
+    """Hyperparameters of a network and its training that the paper's search chooses. Defaults: its best for the
+    surface."""
 
     conv_layers: int = within(1, 8, default=5)
-    """N_conv, convolutions; 1 to 5 [P]."""
+    """Number of convolution layers; 1 to 5 [P]."""
     filters: int = within(1, 1024, default=512)
-    """N_filters, of the first convolution; 2, 4, … 512 [P]."""
+    """Number of filters of the first convolution; 2, 4, … 512 [P]."""
     filter_growth: float = within(0.5, 4, default=1.0)
-    """Filters of each convolution over those of the one before; 1 [P]."""
+    """Ratio of the numbers of filters of successive convolutions; 1 [P]."""
     max_filters: int = within(1, 1024, default=1024)
-    """... up to so many."""
+    """Maximum number of filters per convolution."""
     blur_px: float = within(0, 4, default=0.0)
-    """Standard deviation of a blur of the image before all else, px; none [P]. Pooling keeps the place of a grey slope to
-    a part of a pixel, and that of a step only to a pixel."""
+    """Standard deviation of a Gaussian blur of the input, px; 0 [P]. On blurred images pooling keeps positions to a
+    fraction of a pixel."""
     downsample: int = within(1, 8, default=1)
-    """The image is then averaged over squares of so many px; 1 [P]. At 2, a blurred image keeps what it tells, and costs a
-    quarter."""
+    """Downsample the input by averaging N×N pixels; 1 [P]. With 2, convolutions cost a quarter."""
     pixel_unshuffle: bool = False
-    """The pixels of those squares become channels instead: none is lost, and only the first convolution costs more."""
+    """Move each N×N block of the downsampling into channels instead of averaging it."""
     dense_layers: int = within(1, 5, default=1)
-    """N_dense, dense layers; 1 to 5 [P]."""
+    """Number of dense layers; 1 to 5 [P]."""
     dense_units: int = within(1, 4096, default=16)
-    """N_units, of each dense layer; 2, 4, … 512 [P]."""
+    """Number of units per dense layer; 2, 4, … 512 [P]."""
     activation: Activation = "relu"
-    """relu or elu [P]."""
+    """Activation function: relu or elu [P]."""
     batch_norm: bool = False
-    """Batch normalisation after each convolution [P]."""
+    """Batch normalization after each convolution [P]."""
     group_norm: int = within(0, 1024, default=0)
-    """Group normalisation in its place, over so many filters each; none [P]. A batch's mean is another at every step, which
-    features that are to tell a hundredth of a millimetre notice."""
+    """Number of filters per group of a group normalization after each convolution, instead of batch normalization; 0 for
+    none [P]."""
     downsampling: Downsampling = "pool"
-    """How a convolution layer halves its image: pool, 2×2 max-pooling [P], or stride, a convolution of stride 2. The largest
-    of four does not tell where a pin is to a part of a pixel; a stride does, and costs less."""
+    """Downsampling in each convolution layer: pool (2×2 max-pooling [P]) or stride (a convolution of stride 2, which is
+    cheaper and keeps positions to a fraction of a pixel)."""
     extra_convs: int = within(0, 4, default=0)
-    """Convolutions that follow in each layer, of the same width; none [P]."""
+    """Number of further convolutions in each layer; 0 [P]."""
     dropout: float = within(0, 0.9, default=0.001)
-    """Share of the inputs of each dense layer that is left out in training; 0 to 0.5 [P]."""
+    """Dropout rate of the inputs of each dense layer; 0 to 0.5 [P]."""
     l1: float = within(0, 1, default=0.001)
-    """Weight of the sum of absolute weights of dense and output layers in the loss; 1e-4 to 1e-1 [P]."""
+    """Weight of the L1 penalty on dense and output layers; 1e-4 to 1e-1 [P]."""
     l2: float = within(0, 1, default=0.064)
-    """Weight of the sum of their squares; 1e-4 to 1e-1 [P]."""
+    """Weight of the L2 penalty on dense and output layers; 1e-4 to 1e-1 [P]."""
     batch_size: int = within(1, 4096, default=32)
-    """Images a step of training; 16, 32, 64 or 128 [P]."""
+    """Images per training step; 16, 32, 64 or 128 [P]."""
 
     def __post_init__(self) -> None:
         check(self)
@@ -131,35 +131,34 @@ class PoseNetConfig:
 
 @dataclass(frozen=True)
 class TrainSettings:
-    """Settings of a training. Defaults are the paper's."""
+    """Settings of a training. The defaults are the paper's."""
 
     seed: int = within(0, 2**31, default=0)
     """Seed of weights, order and dropout."""
     epochs: int = within(1, 100000, default=500)
-    """Most epochs; the paper names no limit."""
+    """Maximum number of epochs; the paper names no limit."""
     min_steps: int = within(0, 10**8, default=0)
-    """Steps for which a small set is gone through more often than `epochs`; none [P]."""
+    """Minimum number of training steps: small sets are repeated for more than `epochs` epochs to reach it; 0 [P]."""
     patience: int = within(1, 100000, default=10)
     """Epochs without a lower validation error after which training ends [P]."""
     learning_rate: float = within(1e-7, 1, default=1e-4)
     """Learning rate of Adam [P]."""
     muon_learning_rate: float = within(0, 1, default=0.0)
-    """Learning rate of Muon (muon.py), which then takes the weights between layers; 0 for Adam alone [P]."""
+    """Learning rate of Muon (learning/muon.py) for the inner weights; 0 trains all weights by Adam [P]."""
     learning_rate_decay: float = within(0, 1, default=1e-6)
-    """Its decay a step [P], of the schedule `paper`."""
+    """Decay of the learning rate per step with the schedule `paper` [P]."""
     schedule: ScheduleName = "paper"
-    """paper, or cosine: to zero over all epochs."""
+    """Learning-rate schedule: paper, or cosine to zero over all epochs."""
     precision: Precision = "auto"
-    """Of the convolutions: float32, bfloat16, or auto: bfloat16 on a GPU, and on a CPU that multiplies matrices of it (AMX),
-    where that is twice as fast."""
+    """Precision of the convolutions. auto: bfloat16 where it is faster (on a GPU, and on a CPU with AMX), else
+    float32."""
     augmented_fraction: float = within(0, 1, default=0.0)
-    """Share of the images that are drawn anew at every step, from their pins under varied optics (augmentation.py); the rest
-    are the plain images of the set [P]."""
+    """Fraction of the images that are rendered anew at every step, with randomized optics (learning/augmentation.py); 0
+    uses the images of the set alone [P]."""
     augmentation_strength: float = within(0, 4, default=1.0)
-    """How far the optics are varied for that, of the ranges `varied`; 0.2 of `lens` is little more than which pixels a pin
-    falls on."""
+    """Factor on the ranges of `optics_ranges`."""
     optics_ranges: OpticsName = "lens"
-    """What is varied: lens, real, rim or steady (optics_ranges.py), each also without noise: lens-clean and so on."""
+    """Ranges of the randomized optics (learning/optics_ranges.py); `-clean` leaves image noise out."""
 
     def __post_init__(self) -> None:
         check(self)
@@ -170,20 +169,22 @@ class TrainSettings:
 
 @dataclass(frozen=True)
 class SearchSpace:
-    """Limits of the networks that a search tries; the paper's by default. Filters and units are powers of two from 2 on."""
+    """Limits of the networks that a search tries; the defaults are the paper's. Filters and units are powers of two from
+    2 on."""
 
     max_conv_layers: int = within(1, 8, default=5)
-    """Most convolutions [P]."""
+    """Maximum number of convolution layers [P]."""
     max_filters: int = within(2, 1024, default=512)
-    """Most filters [P]; a CPU hardly trains more than 64."""
+    """Maximum number of filters per convolution [P]; 64 is a practical limit on a CPU."""
     max_dense_layers: int = within(1, 5, default=5)
-    """Most dense layers [P]."""
+    """Maximum number of dense layers [P]."""
     max_dense_units: int = within(2, 4096, default=512)
-    """Most units [P]."""
+    """Maximum number of units per dense layer [P]."""
     blur_px: float = within(0, 4, default=0.0)
-    """Of every network (PoseNetConfig.blur_px); none [P]."""
+    """Blur of every network's input (as --network.blur-px of `tactip train`), px; 0 [P]."""
     downsample: int = within(1, 8, default=1)
-    """Of every network (PoseNetConfig.reduce); 1 [P]. At 2 convolutions multiply a quarter, and 4 of them are the most."""
+    """Downsampling of every network's input (as --network.downsample of `tactip train`); 1 [P]. With 2, at most 4
+    convolution layers fit an image of 128 px."""
 
     def __post_init__(self) -> None:
         check(self)
@@ -199,22 +200,22 @@ class SearchSpace:
 
 @dataclass(frozen=True)
 class TuneSettings:
-    """Settings of a search. Defaults are the paper's."""
+    """Settings of a search. The defaults are the paper's."""
 
     trials: int = within(1, 100000, default=300)
-    """Trainings in all [P]."""
+    """Number of trials, one training each [P]."""
     random_trials: int = within(1, 100000, default=50)
-    """The first so many at random [P]."""
+    """Number of random trials before the search follows its results [P]."""
     seed: int = within(0, 2**31, default=0)
-    """Seed of the suggestions; every training has the seed of `training`."""
+    """Seed of the search; every training uses the seed of `training`."""
     prune: bool = False
-    """End a trial that, after as many epochs, is worse than half of those before it; the paper did not."""
+    """End a trial early if it is worse than half of the earlier trials after as many epochs; the paper does not."""
     min_epochs: int = within(1, 1000, default=5)
-    """... but not before so many epochs."""
+    """Minimum number of epochs before a trial is pruned."""
     space: SearchSpace = field(default_factory=SearchSpace)
     """Networks that may be tried."""
     training: TrainSettings = field(default_factory=TrainSettings)
-    """How each is trained."""
+    """Settings of each training."""
 
     def __post_init__(self) -> None:
         check(self)

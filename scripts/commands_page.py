@@ -21,7 +21,7 @@ def help_text(words: list[str]) -> str:
     stream = io.BytesIO()
     output = io.TextIOWrapper(stream, encoding="utf-8")  # with utf-8, boxes have lines as on a terminal
     with contextlib.redirect_stdout(output), contextlib.suppress(SystemExit):
-        tactip.main([*words, "--help"])
+        tactip.main([*words, "--help-all"])
     output.flush()
     return re.sub(r"\x1b\[[0-9;]*m", "", stream.getvalue().decode())
 
@@ -91,11 +91,11 @@ def markdown_page() -> str:
     lines = [
         "# Commands",
         "",
-        "Written by `make reference` from what each command says of itself; do not edit. `--help` after any of them tells",
-        "the same. Results go to the standard output, what is told on the way to the standard error. The exit status is 0",
-        "if the work was done, 1 if it was refused or failed (a sentence says why), 2 for options that there are not, and",
-        "130 after Ctrl-C and 143 after SIGTERM: then the same command goes on from there, but for a servo run, which keeps",
-        "what it recorded and wants another folder. Pages and cameras are ended by Ctrl-C, with 0.",
+        "Written by `make reference` from the commands' help texts; do not edit. `--help` shows the common options of a",
+        "command, `--help-all` all of them. Results are written to stdout, progress to stderr. Exit status: 0 after",
+        "success, 1 after a refusal or a failure (one sentence says why), 2 for unknown options, 130 after Ctrl-C and",
+        "143 after SIGTERM. The same command then resumes the work, except for a servo run, which keeps its recording",
+        "and needs another folder. Ctrl-C ends pages and cameras with status 0.",
         *command_lines([]),
     ]
     return "\n".join(lines) + "\n"

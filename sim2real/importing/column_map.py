@@ -29,25 +29,27 @@ _TERM = re.compile(rf"(?P<sign>[+-]?)(?:(?P<factor>{_NUMBER})\*)?(?P<column>[A-Z
 
 @dataclass(frozen=True)
 class ColumnMap:
-    """Conventions of a laboratory's table. The defaults are those of the project."""
+    """Conventions of a laboratory's table. The defaults are those of this project."""
 
     task: Task = "surface"
-    """surface or edge."""
+    """Stimulus of the set."""
     columns: tuple[str, ...] = ()
-    """OURS=THEIRS, for pose_x to pose_Rz and shear_x to shear_Rz, mm and degrees: pose_z=-pose_2-5."""
+    """Columns as OURS=THEIRS, for pose_x to pose_Rz and shear_x to shear_Rz, mm and degrees. THEIRS may be negated,
+    scaled and shifted: pose_z=-pose_2-5."""
     image_column: str = ""
-    """Column that names the frames; sensor_image, image_name, image, filename, sensor_video, video_name or video if not
-    given."""
+    """Column with the frames' file names. Default: the first that exists of sensor_image, image_name, image, filename,
+    sensor_video, video_name and video."""
     video_frame: int = within(-100000, 100000, default=-1)
-    """Which frame is used where the table names films: 0 is the first, -1 the last."""
+    """Frame to use if the table names videos: 0 is the first, -1 the last."""
     angles: Angles = "vector"
-    """What their three angles are: `vector` (axis times angle), or Euler angles in the order of letters: xyz about fixed
-    axes, XYZ about turned ones."""
+    """Convention of the three angles: `vector` (axis times angle), or Euler angles in the order of the letters, about
+    fixed axes (xyz) or rotated axes (XYZ)."""
     camera_rotation_deg: float = within(-360, 360, default=0.0)
-    """Turn of their axes against the image's, about the axis of the tip, degrees: the labels are turned by it."""
+    """Rotation of the table's axes relative to the image's about the axis of the tip, degrees; the labels are rotated by
+    it."""
     tcp_behind_apex_mm: float = within(-100, 100, default=0.0)
-    """Distance of the point that their poses are of behind the apex, mm: the radius for a point in the dome's
-    middle."""
+    """Distance from the apex back to the point whose poses the table holds, mm: the dome's radius for a point in its
+    centre."""
 
     def __post_init__(self) -> None:
         check(self)

@@ -15,20 +15,20 @@ class ImagePreprocessing:
     """Steps from a real frame to a tactile image. By default, frames are binary already."""
 
     rotate_image_deg: float = within(-360, 360, default=0.0)
-    """Turn of the frames before they are used, degrees, counter-clockwise: for an edge, whose yaw the camera's turn would
-    shift."""
+    """Counter-clockwise rotation of the frames before use, degrees. On an edge it corrects the yaw of a rotated
+    camera."""
     mirror: bool = False
-    """Whether the frames are mirror images, left for right; undone before they are turned."""
+    """Mirror the frames left to right before they are rotated."""
     dark_pins: bool = False
-    """Whether the pins are dark on light."""
+    """Frames show dark pins on a light background."""
     crop: tuple[int, int, int, int] | None = within(0, 65536, default=None)
-    """Left, top, right, bottom of the part of the frame that is used, px; all if not given."""
+    """Crop of the frame: left, top, right, bottom, px. Default: the whole frame."""
     threshold: tuple[int, float] | None = within((3, -255), (65535, 255), default=None)
-    """Block and constant of the adaptive threshold of grey frames; None for frames that are binary."""
+    """Block size and constant of the adaptive threshold of grey frames. Default: none, for frames that are binary."""
     size_px: int = within(8, 4096, default=128)
-    """Width of the images that are made, px."""
+    """Width of the tactile images, px."""
     mask: Mask = "pins"
-    """pins: what is outside of the pins is made black (light at the rim); none: it stays."""
+    """pins: black out what lies outside the pins, such as light at the rim; none: keep it."""
 
     def __post_init__(self) -> None:
         check(self)

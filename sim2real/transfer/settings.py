@@ -28,38 +28,39 @@ PseudoKind = Literal["nominal-127", "nominal-331"]
 
 @dataclass(frozen=True)
 class TransferSettings:
-    """How the experiments are made."""
+    """Settings of the experiments."""
 
     design: str = ""
-    """Design of the real sensor: a preset or a design file; fitted to the set's neutral image if empty."""
+    """Design of the real sensor: a preset or a design file. Default: fitted to the set's neutral image."""
     contacts: int = within(10, 10**7, default=2000)
-    """Simulated contacts to learn from; each is a sample for every symmetry of its task."""
+    """Number of simulated contacts to train on; each gives a sample for every symmetry of its task."""
     val_contacts: int = within(10, 10**6, default=500)
-    """Simulated contacts by which a training is stopped."""
+    """Number of simulated contacts to validate on."""
     real_train_frames: int | None = within(20, 10**6, default=None)
-    """Real frames that may be learned from, where an experiment has labels; all others are what is tested on. 1500, or three
-    fifths of a smaller set, if not given."""
+    """Number of real frames to train on, in experiments that use real labels; all others are for testing. Default: 1500,
+    or three fifths of a smaller set."""
     shots: tuple[int, ...] = (10, 50, 100, 500)
-    """Real frames that a network is fine-tuned with."""
+    """Numbers of real frames to fine-tune on."""
     randomize_mechanics: Mechanics = "real"
-    """none or real: sim/dataset/mechanics_randomization.py."""
+    """Randomization of the mechanics: none or real (sim/dataset/mechanics_randomization.py)."""
     optics_ranges: OpticsChoice = AUTO
-    """auto, or one of varied.py: lens, real, rim, steady; auto is steady where light at the rim has told how the camera
-    changed since the neutral image, and real elsewhere."""
+    """Ranges of the randomized optics (learning/optics_ranges.py). auto: steady if light at the rim shows how the camera
+    moved since the neutral image, else real."""
     augmented_fraction: float = within(0, 1, default=0.6)
-    """Share of the images that are drawn under varied optics."""
+    """Fraction of the training images that are rendered with randomized optics."""
     fidelity: FidelityName = "standard"
-    """draft, standard or reference."""
+    """Fidelity of the contact simulation."""
     recipe: RecipeName = "laptop"
-    """Network and training: networks.py."""
+    """Network and training: laptop or paper (learning/configuration.py)."""
     min_steps: int | None = None
-    """Steps of a training, at least; as many as the recipe has if none are given."""
+    """Minimum number of training steps. Default: the recipe's."""
     init_from: str = ""
-    """A shipped network, or the folder of a training, that training on simulated contacts begins with; none if empty."""
+    """Initial weights of the training on simulated contacts: a shipped network, or the folder of a training. Default:
+    random weights."""
     gap_frames: int = within(8, 10**5, default=150)
-    """Real frames that are held against simulated ones, to see the gap."""
+    """Number of real frames to compare with simulated ones."""
     fine_tuning_steps: int = within(1, 10**6, default=800)
-    """Steps of a fine-tuning."""
+    """Number of steps of a fine-tuning."""
     seed: int = within(0, 2**31, default=0)
     """Seed of sets, trainings and the split of the real frames."""
 

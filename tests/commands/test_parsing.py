@@ -1,6 +1,7 @@
 """How command lines become commands."""
 
 import json
+import re
 import subprocess
 import sys
 from dataclasses import asdict
@@ -8,10 +9,13 @@ from dataclasses import asdict
 import pytest
 
 from tactip_twin.commands import main as tactip
+from tactip_twin.commands._help_text import fields_named
 from tactip_twin.commands._parsing import last_value
 from tactip_twin.commands.dataset import Make
 from tactip_twin.commands.import_set import Import
+from tactip_twin.commands.servo import Servo
 from tactip_twin.commands.train import Train
+from tactip_twin.commands.transfer import Transfer
 from tactip_twin.commands.tune import Tune
 from tactip_twin.commands.view import View
 from tactip_twin.learning.configuration import RECIPES, SearchSpace
@@ -161,3 +165,30 @@ def test_help_loads_nothing_heavy(command):
         "print([m for m in ('torch', 'mujoco', 'scipy', 'cv2', 'matplotlib') if m in sys.modules])"
     )
     assert subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout == "[]\n"
+
+
+SHORT = {"servo": Servo, "train": Train, "tune": Tune, "transfer": Transfer, "dataset make": Make}
+
+
+@pytest.mark.parametrize("name", SHORT)
+def test_help_of_a_long_command_fits_a_screen_and_lists_the_common_options(monkeypatch, capsys, name):
+    monkeypatch.setenv("COLUMNS", "100")
+    with pytest.raises(SystemExit):
+        tactip.main([*name.split(), "--help"])
+    short = capsys.readouterr().out
+    with pytest.raises(SystemExit):
+        tactip.main([*name.split(), "--help-all"])
+    full = capsys.readouterr().out
+    assert len(short.splitlines()) <= 50 < len(full.splitlines())
+    listed = set(re.findall(r"^\W (?:-h, )?--([a-z][\w.-]*)", short, re.MULTILINE)) - {"help"}
+    common = {option.removeprefix("options.").removeprefix("settings.space.") for option in SHORT[name].common}
+    if name != "servo":
+        common = {option.removeprefix("settings.") for option in common}
+    assert {option.rpartition("space.")[2] for option in listed} == {c.replace("_", "-") for c in common} - {"experiment"}
+    assert f"tactip {name} --help-all lists all" in short
+    assert SHORT[name].example.split(" --")[0] in short
+
+
+def test_help_with_an_unknown_common_option_raises():
+    with pytest.raises(KeyError, match=r"route\.colour"):
+        fields_named(Servo, ["out", "route.colour"])

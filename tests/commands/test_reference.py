@@ -49,7 +49,9 @@ def test_help_flows():
     words = [sys.executable, "-m", "tactip_twin.commands.main", "servo", "--help"]
     told = subprocess.run(words, check=True, capture_output=True, text=True, env={**os.environ, "COLUMNS": "400"}).stdout
     lines = [line.strip("│ ") for line in told.splitlines() if line.startswith("│")]
-    assert any("the shipped one: for surfaces, that which has felt bent ones." in line for line in lines)
+    assert any(
+        "the shipped network of the task; for surfaces, the one trained on curved surfaces." in line for line in lines
+    )
     assert not [line for line in lines if line[:1].islower() and "show this help" not in line]
 
 
