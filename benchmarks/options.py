@@ -18,9 +18,7 @@ ExperimentName = Literal["zero-shot", "ablate", "few-shot", "gap"]
 ServoGroup = Literal["objects", "oracle", "arm", "fidelity", "robust", "starts"]
 """Groups of servo runs (benchmarks/servo/servo.py)."""
 
-PerformanceGroup = Literal[
-    "samples", "growth", "images", "learning", "servo", "faces", "threads", "gpu-engine", "start-up", "first-words"
-]
+PerformanceGroup = Literal["samples", "growth", "images", "learning", "servo", "faces", "gpu-engine"]
 """Groups of rates (benchmarks/scale/performance.py)."""
 
 
@@ -243,28 +241,15 @@ class ServoBenchOptions:
 
 
 @dataclass(frozen=True)
-class ViewerOptions:
-    """Measure what a replay costs: host and browser."""
-
-    seconds: float = 10.0
-    """How long it plays, s."""
-    runs: Path = Path("runs/viewer-bench")
-    """Folder of the recording."""
-    out: Path = Path("docs")
-    """Folder for viewer.json and viewer.md."""
-
-
-@dataclass(frozen=True)
 class PerformanceOptions:
-    """Measure what everything costs, and how it grows: sets, images, training, estimates, servo, objects, start-up."""
+    """Measure rates and memory of data sets, rendering, training, prediction and servo, and how they scale."""
 
     groups: tuple[PerformanceGroup, ...] = ()
-    """samples, growth, images, learning, servo, faces, threads, gpu-engine, start-up, first-words; all if none is. The page
-    keeps the others."""
+    """Groups to measure. Default: all. The page keeps the last measurement of the others."""
     contacts: int = 40
-    """Contacts that a set is larger by."""
+    """Difference in contacts between the two sets of a rate."""
     steps: int = 60
-    """Steps of a servo run."""
+    """Number of steps of each servo run."""
     out: Path = Path("docs")
     """Folder for performance.json and performance.md."""
 
@@ -316,7 +301,6 @@ MEASUREMENTS = {
         "tactip_twin.benchmarks.learning.real_comparison", RealComparisonOptions, "real_and_simulated.png"
     ),
     "servo": Measurement("tactip_twin.benchmarks.servo.servo", ServoBenchOptions, "servo.md"),
-    "viewer": Measurement("tactip_twin.benchmarks.servo.viewer", ViewerOptions, "viewer.md"),
     "performance": Measurement("tactip_twin.benchmarks.scale.performance", PerformanceOptions, "performance.md"),
     "scale": Measurement("tactip_twin.benchmarks.scale.scale", ScaleOptions, "scale.md"),
 }

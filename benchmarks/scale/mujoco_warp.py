@@ -6,7 +6,6 @@ fast it is. Neither includes what our own step adds to MuJoCo's (sim/contact/sce
 """
 
 import time
-from collections.abc import Sequence
 from importlib.util import find_spec
 from typing import Any
 
@@ -62,27 +61,13 @@ def rows() -> list[dict[str, Any]]:
     return out
 
 
-def note(rows: Sequence[dict[str, Any]]) -> str:
-    """Return the remark under the rows."""
-    on_gpu = any("Warp" in row["what"] and not row["what"].endswith(f", {_ON_PROCESSOR}") for row in rows)
-    if on_gpu:
-        unsaid = "our own. What those would cost on a GPU is not in the table: it has MuJoCo's step alone."
-    else:
-        unsaid = (
-            "our own, and what it gains on a GPU has not been measured, for want of one. On a processor the table tells "
-            "that it is right, not how fast it is."
-        )
-    return (
-        "MuJoCo Warp takes the tip as it is: neo-Hookean flex, discrete integrator, elliptic cones, conjugate gradients. "
-        "Sets are not made on it: the margin, the correction of sliding friction and the memory of slides come between "
-        f"the halves of a step (sim/contact/scene.py) and would have to become kernels of {unsaid}"
-    )
-
-
 def _off(places: np.ndarray, reference: np.ndarray) -> dict[str, float]:
     """Return the distances between vertices (3 n,) m, rms and maximum, µm."""
     difference = np.linalg.norm((places - reference).reshape(-1, 3), axis=1)
-    return {"off, µm rms": 1e6 * float(np.sqrt((difference**2).mean())), "off, µm most": 1e6 * float(difference.max())}
+    return {
+        "deviation, µm rms": 1e6 * float(np.sqrt((difference**2).mean())),
+        "deviation, µm max": 1e6 * float(difference.max()),
+    }
 
 
 def _model(tolerance: float) -> mujoco.MjModel:

@@ -6,29 +6,23 @@ difference in time between a larger and a smaller set, over the difference in co
 
 import contextlib
 import json
-import multiprocessing
 import os
 import statistics
-import subprocess
-import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
-import mujoco
 import numpy as np
-from mujoco import batch
 
 from tactip_twin.benchmarks.hardware import machine, machine_text
 from tactip_twin.benchmarks.options import PerformanceOptions
+from tactip_twin.benchmarks.report import write_page
 from tactip_twin.benchmarks.scale import mujoco_warp as gpu_engine
 from tactip_twin.sim.contact.fidelity import fidelity_named
-from tactip_twin.sim.contact.simulator import ContactSimulator
 from tactip_twin.sim.dataset.configuration import Configuration
 from tactip_twin.sim.dataset.generate import Job, make
 from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES
@@ -40,7 +34,7 @@ from tactip_twin.tactip_model.files import write_file
 from tactip_twin.tactip_model.presets import load_design
 from tactip_twin.tactip_model.renderer import RendererName
 
-_LOOKS = 20
+_SNAPSHOTS = 20
 """Sequence images of a contact, where there is more than one."""
 
 _FEW = 4
@@ -57,12 +51,6 @@ _TRIES = 3
 
 _BATCH = 64
 """Images of a batch, in rendering, training and evaluation."""
-
-COMMANDS = (
-    (), ("dataset", "make"), ("dataset", "verify"), ("import",), ("calibrate",), ("train",), ("tune",), ("evaluate",),
-    ("transfer",), ("camera",), ("servo",), ("replay",), ("view",), ("bench",),
-)  # fmt: skip
-"""Commands whose help is timed."""
 
 
 def run(options: PerformanceOptions, log: Callable[[str], None] = print) -> dict[str, Any]:
@@ -87,7 +75,7 @@ def run(options: PerformanceOptions, log: Callable[[str], None] = print) -> dict
         groups[name] = {"machine": machine(), "rows": GROUPS[name][1](options)}
         record = {"groups": {g: groups[g] for g in GROUPS if g in groups}}
         write_file(path, (json.dumps(record, indent=1) + "\n").encode())
-        write_file(options.out / "performance.md", markdown(record).encode())
+        write_page("performance", tables(record), options.out)
     return record
 
 
@@ -174,14 +162,14 @@ def _samples(options: PerformanceOptions) -> list[dict[str, Any]]:
     )
     cases += [(plain | change, cores) for change in (*changes, {"design": "nominal-331"}, {"task": "edge"})]
     cases += [(plain | {"task": "edge", "augment_symmetry": True}, cores)]
-    cases += [(plain | {"task": task, "snapshots_per_contact": _LOOKS}, cores) for task in ("surface", "edge")]
+    cases += [(plain | {"task": task, "snapshots_per_contact": _SNAPSHOTS}, cores) for task in ("surface", "edge")]
     rows = []
     for case, workers in cases:
         more = max(cores, options.contacts // case.get("snapshots_per_contact", 1))
         rate, once, peak = _rate(_FEW * workers, more, workers, **case)
         rows.append({
             "what": _name(case, plain), "workers": workers, "contacts/s": rate,
-            "samples/s": rate * _samples_per_contact(case), "once, s": once, "a worker's memory, MiB": peak,
+            "samples/s": rate * _samples_per_contact(case), "fixed cost, s": once, "memory per worker, MiB": peak,
         })  # fmt: skip
     return rows
 
@@ -226,7 +214,7 @@ def _growth(options: PerformanceOptions) -> list[dict[str, Any]]:
         more = (seconds - rows[-1]["s"]) / (contacts - rows[-1]["contacts"]) if rows else None
         rows.append({
             "contacts": contacts, "samples": contacts * _samples_per_contact(case), "s": seconds,
-            "s more a contact more": more, "a worker's memory, MiB": peak,
+            "s per further contact": more, "memory per worker, MiB": peak,
         })  # fmt: skip
     return rows
 
@@ -234,12 +222,14 @@ def _growth(options: PerformanceOptions) -> list[dict[str, Any]]:
 def _name(case: dict[str, Any], plain: dict[str, Any]) -> str:
     """Return the description of a set in the table."""
     words = [case["task"], case["fidelity"], case["renderer"], case["design"]]
-    words += ["symmetric"] * (case["augment_symmetry"] != plain["augment_symmetry"])
-    return ", ".join(words + [f"{looks} looks a contact" for looks in [case.get("snapshots_per_contact", 1)] if looks > 1])
+    words += ["with symmetries"] * (case["augment_symmetry"] != plain["augment_symmetry"])
+    return ", ".join(
+        words + [f"{count} snapshots per contact" for count in [case.get("snapshots_per_contact", 1)] if count > 1]
+    )
 
 
 def _images(options: PerformanceOptions) -> list[dict[str, Any]]:
-    """Return images per second of each renderer, one at a time, and of augmentation in training, in batches."""
+    """Return images per second of each renderer, single images, and of augmentation in training, in batches."""
     import torch
 
     from tactip_twin.learning.augmentation import OpticsAugmentation
@@ -258,9 +248,9 @@ def _images(options: PerformanceOptions) -> list[dict[str, Any]]:
             render = renderer_named(renderer, design)
             frame = render(*pins)
             rows.append({
-                "design": name, "what": f"{renderer}, one at a time",
+                "design": name, "what": f"{renderer}, single images",
                 "frames/s": 1 / _median(lambda render=render, pins=pins: render(*pins), 20),
-                "tactile image of a frame/s": 1 / _median(lambda f=frame, d=design: tactile_image(f, d.image), 20),
+                "tactile images/s": 1 / _median(lambda f=frame, d=design: tactile_image(f, d.image), 20),
             })  # fmt: skip
         with tempfile.TemporaryDirectory() as folder:
             case = {"task": "surface", "fidelity": "draft", "renderer": "raster", "augment_symmetry": True, "design": name}
@@ -270,7 +260,7 @@ def _images(options: PerformanceOptions) -> list[dict[str, Any]]:
                 drawn = OpticsAugmentation(samples, 1.0, OPTICS[varied])
                 with one_thread():
                     seconds = _median(lambda d=drawn, c=chosen: d.render(c))
-                what = f"drawn in training, `{varied}`, {_BATCH} at a time"
+                what = f"augmentation in training, `{varied}`, batches of {_BATCH}"
                 rows.append({"design": name, "what": what, "frames/s": len(samples) / seconds})
     return rows
 
@@ -302,7 +292,7 @@ def _learning(options: PerformanceOptions) -> list[dict[str, Any]]:
                 training = Training(samples, samples, its.network, replace(settings, augmented_fraction=drawn))
                 seconds = _median(lambda t=training: t.train_epoch(), 3 if recipe == "laptop" else 1)
                 rows.append({
-                    "what": f"an epoch of `{recipe}`, {drawn:.0%} of the images drawn anew",
+                    "what": f"epoch of `{recipe}`, {drawn:.0%} of the images augmented",
                     "images/s": len(samples) / seconds,
                     "threads": torch.get_num_threads(),
                 })  # fmt: skip
@@ -312,7 +302,9 @@ def _learning(options: PerformanceOptions) -> list[dict[str, Any]]:
             one = _median(lambda m=model, i=image: m.predict(i), 50)
             with one_thread():
                 many = _median(lambda m=model: m.predict(samples.images)) / len(samples)
-            rows.append({"what": f"an estimate of `{name}`", "ms, alone": 1e3 * one, "ms, of 64": 1e3 * many})
+            rows.append(
+                {"what": f"prediction by `{name}`", "ms, single image": 1e3 * one, "ms per image, batch of 64": 1e3 * many}
+            )
     return rows
 
 
@@ -374,161 +366,36 @@ def _faces(options: PerformanceOptions) -> list[dict[str, Any]]:
             finger.go(round_it @ pose)
             seconds.append(time.perf_counter() - start)
         rows.append({
-            "triangles": len(ball.faces), "ms a millimetre of way": 1e3 * statistics.median(seconds), "built in, s": built,
+            "triangles": len(ball.faces), "ms per mm of path": 1e3 * statistics.median(seconds), "build time, s": built,
         })  # fmt: skip
     return rows
-
-
-_PRESSED_M = (0.0, 0.0, -3e-3, 0.1, 0.0, 0.0)
-"""Pose of the contact that threads and processes simulate, m and rad."""
-
-_SHEARED_M = (2e-3, 0.0, 0.0, 0.0, 0.0, 0.0)
-"""Its shear."""
-
-
-def _contacts_s(count: int) -> float:
-    """Return the time of a number of contacts by a simulator of their own, after a first one, s."""
-    simulator = ContactSimulator(load_design("tactip-127"), "surface", fidelity_named("standard"))
-    simulator.simulate(_PRESSED_M, _SHEARED_M)
-    start = time.perf_counter()
-    for _ in range(count):
-        simulator.simulate(_PRESSED_M, _SHEARED_M)
-    return time.perf_counter() - start
-
-
-def _threads(options: PerformanceOptions) -> list[dict[str, Any]]:
-    """Return rates of contacts in processes and in threads, and of steps by MuJoCo's batches and by ours."""
-    cores, count = int(machine()["cores"]), max(1, options.contacts // 4)
-    rows = []
-    spawned = multiprocessing.get_context("spawn")
-    for workers in sorted({1, cores}):
-        with ProcessPoolExecutor(workers, spawned) as pool:
-            seconds = max(pool.map(_contacts_s, [count] * workers))
-        rows.append({"what": "contacts, processes", "workers": workers, "contacts/s": workers * count / seconds})
-    with ThreadPoolExecutor(cores) as pool:
-        seconds = max(pool.map(_contacts_s, [count] * cores))
-    rows.append({"what": "contacts, threads of one process", "workers": cores, "contacts/s": cores * count / seconds})
-    simulator = ContactSimulator(load_design("tactip-127"), "surface", fidelity_named("standard"))
-    simulator.simulate(_PRESSED_M, _SHEARED_M)
-    model, data, steps = simulator.scene.model, simulator.scene.data, 25 * count
-    size = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_INTEGRATION)
-    state = np.empty(size)
-    mujoco.mj_getState(model, data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
-
-    def rate(step: Callable[[], object]) -> float:
-        mujoco.mj_setState(model, data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
-        step()
-        start = time.perf_counter()
-        for _ in range(steps):
-            step()
-        return steps / (time.perf_counter() - start)
-
-    rows.append({"what": "steps, ours", "workers": 1, "steps/s": rate(simulator.scene.step)})
-    rows.append({"what": "steps, mj_step", "workers": 1, "steps/s": rate(lambda: mujoco.mj_step(model, data))})
-    for threads in sorted({1, cores}):
-        many = batch.Batch(model, nsim=4 * cores, nthread=threads, persistent=True)
-        many.state[:] = state
-        many.step(nstep=1)
-        start = time.perf_counter()
-        many.step(nstep=steps // 4)
-        rows.append({
-            "what": f"steps, mujoco.batch of {4 * cores}", "workers": threads,
-            "steps/s": 4 * cores * (steps // 4) / (time.perf_counter() - start),
-        })  # fmt: skip
-    return rows
-
-
-def _start_up(options: PerformanceOptions) -> list[dict[str, Any]]:
-    """Return the time of every command's help, which is that of its imports."""
-    rows = []
-    for command in COMMANDS:
-        words = [_program(), *command, "--help"]
-        seconds = _median(lambda w=words: subprocess.run(w, check=True, capture_output=True))  # noqa: S603
-        rows.append({"command": " ".join(["tactip", *command]), "s": seconds})
-    return rows
-
-
-def _first_words(options: PerformanceOptions) -> list[dict[str, Any]]:
-    """Return the time until each command at work prints its first message; it is ended then."""
-    case: dict[str, Any] = {
-        "task": "surface",
-        "fidelity": "draft",
-        "renderer": "raster",
-        "augment_symmetry": False,
-        "design": "tactip-127",
-    }
-    rows = []
-    with tempfile.TemporaryDirectory() as place:
-        folder = Path(place)
-        for split in ("train", "val"):
-            made_set(folder, 8, 1, **case).rename(folder / split)
-        data = str(folder / "train")
-        for command in (
-            ("dataset", "make"), ("dataset", "verify", data), ("dataset", "show", data), ("dataset", "record", data),
-            ("train", "--data", place), ("tune", "--data", place), ("transfer", "pseudo-real"),
-            ("evaluate", "--model", "surface-tactip-127", "--data", data),
-            ("servo", "--task", "surface"), ("servo", "--task", "edge", "--object", "rim-round"),
-        ):  # fmt: skip
-            seconds = []
-            for k in range(3):
-                out = folder / f"out-{len(rows)}-{k}"
-                out = out.with_suffix(".png") if "show" in command else out
-                out_option = [] if {"verify", "evaluate"} & set(command) else ["--out", str(out)]
-                seconds.append(_first_word([_program(), *command, *out_option]))
-            words = (word for word in command if not word.startswith(place))
-            rows.append({"command": " ".join(["tactip", *words]), "s": statistics.median(seconds)})
-    return rows
-
-
-def _first_word(words: Sequence[str]) -> float:
-    """Return the time from a command's start to its first byte on either stream, s."""
-    start = time.perf_counter()
-    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT) as process:  # noqa: S603
-        first = process.stdout.read(1) if process.stdout else b""
-        seconds = time.perf_counter() - start
-        process.kill()
-    if not first:
-        raise TactipError(f"the command {' '.join(words)} said nothing")
-    return seconds
-
-
-def _program() -> str:
-    """Return the path of the command line program."""
-    return str(Path(sys.executable).parent / "tactip")
 
 
 GROUPS: dict[str, tuple[str, Callable[[PerformanceOptions], list[dict[str, Any]]]]] = {
-    "samples": ("Sets: contacts and samples a second, from end to end", _samples),
-    "growth": ("Sets of more and more contacts, draft", _growth),
-    "images": ("Images a second, one core", _images),
-    "learning": ("Training and estimates", _learning),
-    "servo": ("Servo steps a second", _servo),
-    "faces": ("Steps on objects of more triangles", _faces),
-    "threads": ("Threads against processes", _threads),
-    "gpu-engine": ("MuJoCo's GPU engine", lambda options: gpu_engine.rows()),
-    "start-up": ("Every command's help", _start_up),
-    "first-words": ("Time until a command at work says its first word", _first_words),
+    "samples": ("rates of data sets", _samples),
+    "growth": ("data sets of increasing size", _growth),
+    "images": ("rates of rendering", _images),
+    "learning": ("training and prediction", _learning),
+    "servo": ("rates of servo steps", _servo),
+    "faces": ("objects with increasing numbers of triangles", _faces),
+    "gpu-engine": ("MuJoCo Warp", lambda options: gpu_engine.rows()),
 }
-"""Title and function of each group."""
+"""Description and function of each group."""
 
 
-def markdown(record: dict[str, Any]) -> str:
-    """Return the Markdown of performance.json."""
-    lines = [
-        "# What it costs",
-        "",
-        "Written by `tactip bench performance`; do not edit. Times on shared machines differ from day to day by a tenth and "
-        "more: ratios of rows of one table hold. Errors stand beside costs in [fidelity.md](fidelity.md), "
-        "[learning.md](learning.md) and [servo.md](servo.md).",
-    ]
-    for name, group in record["groups"].items():
-        rows = group["rows"]
-        columns = list(dict.fromkeys(key for row in rows for key in row))
-        state = machine_text(group["machine"])
-        lines += ["", f"## {GROUPS[name][0]}", "", "| " + " | ".join(columns) + " |", "|" + "---|" * len(columns)]
-        lines += ["| " + " | ".join(_cell(row.get(key)) for key in columns) + " |" for row in rows]
-        lines += ["", f"On: {state}.", *(["", gpu_engine.note(rows)] if name == "gpu-engine" else [])]
-    return "\n".join(lines) + "\n"
+def tables(record: dict[str, Any]) -> dict[str, str]:
+    """Return the tables of docs/performance.md from performance.json: one of each group."""
+    out = {}
+    for name in GROUPS:
+        if name not in record["groups"]:
+            out[name] = "Not measured."
+            continue
+        group = record["groups"][name]
+        columns = list(dict.fromkeys(key for row in group["rows"] for key in row))
+        lines = ["| " + " | ".join(columns) + " |", "|" + "---|" * len(columns)]
+        lines += ["| " + " | ".join(_cell(row.get(key)) for key in columns) + " |" for row in group["rows"]]
+        out[name] = "\n".join([*lines, "", f"Machine: {machine_text(group['machine'])}."])
+    return out
 
 
 def _cell(value: object) -> str:

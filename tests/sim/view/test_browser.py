@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from helpers.headless_browser import PROGRAM, Chromium
 from helpers.recordings import RECORD, STEPS, arrays_of, scenery
-from tactip_twin.benchmarks.servo.headless_browser import PROGRAM, Chromium
 from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.view.live_page import LivePage
 from tactip_twin.sim.view.replay_page import ReplayPage

@@ -45,7 +45,7 @@ class Chromium:
         options += ["--enable-unsafe-swiftshader", "--ignore-gpu-blocklist", f"--window-size={size[0]},{size[1]}"]
         options += ["--remote-debugging-port=0", "--remote-allow-origins=*", f"--user-data-dir={self._folder}"]
         command = [str(PROGRAM), *options, address if wait else "about:blank"]
-        self._process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)  # noqa: S603
+        self._process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         self._socket, self._count = connect(self._find(), max_size=None), 0
         self._address = address
 

@@ -1,0 +1,18 @@
+"""Pages in docs/ show what their JSON holds."""
+
+import json
+from importlib import import_module
+
+import pytest
+
+from tactip_twin.benchmarks.report import DOCS, fill
+
+PAGES = {"performance": "scale.performance"}
+"""Page, and the module with its tables, which are written anew from the page's JSON."""
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_page_holds_the_tables_of_its_json(name):
+    tables = import_module(f"tactip_twin.benchmarks.{PAGES[name]}").tables
+    page = (DOCS / f"{name}.md").read_text()
+    assert fill(page, tables(json.loads((DOCS / f"{name}.json").read_text()))) == page
