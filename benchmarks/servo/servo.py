@@ -20,6 +20,7 @@ import numpy as np
 
 from tactip_twin.benchmarks.hardware import machine, machine_text
 from tactip_twin.benchmarks.options import ServoBenchOptions
+from tactip_twin.benchmarks.report import write_page
 from tactip_twin.benchmarks.servo.contact_patch import RADII_MM, contact_patch_normal
 from tactip_twin.control.options import RouteOptions, ServoOptions, Settings
 from tactip_twin.control.servo_run import SCORE, run_servo
@@ -42,15 +43,8 @@ _START_STEPS = 45
 _MAX_START_MM = 35.0
 """Maximum distance of a random start on a surface from the middle of its region, mm."""
 
-GROUPS = {
-    "objects": "Every object, with the dynamic arm",
-    "oracle": "The same from the truth in the place of the network: what is left is the servo's own error",
-    "arm": "What carries the tip",
-    "fidelity": "Error against run time: meshes, time steps and renderers",
-    "robust": "What is withstood",
-    "starts": f"{STARTS} random starts on each object",
-}
-"""Titles of the groups of runs, by name."""
+GROUPS = ("objects", "oracle", "arm", "fidelity", "robust", "starts")
+"""Groups of runs; each is a table of docs/servo.md."""
 
 
 @dataclass(frozen=True)
@@ -103,18 +97,18 @@ def cases(options: ServoBenchOptions) -> list[Case]:
         for settle, pace in ((4, 1.0), (2, 1.0), (1, 1.0), (2, 2.0), (1, 2.0)):
             changed = replace(run, settle_steps=settle, speed_scale=pace)
             out.append(Case("fidelity", f"{name}, standard, {settle} at rest, pace {pace:g}", changed))
-        changes: dict[str, dict[str, Any]] = {"as it is": {}}
+        changes: dict[str, dict[str, Any]] = {"baseline": {}}
         changes |= {f"friction {mu:g}": {"friction": mu} for mu in (0.2, 0.4, 1.2)}
         changes |= {f"stiffness times {k:g}": {"stiffness": k} for k in (0.5, 1.5)}
         changes |= {f"noise of {grey:g} grey levels": {"noise_grey": grey} for grey in (5.0, 15.0, 30.0)}
         changes |= {f"steps of {mm:g} mm": {"settings": Settings(step_mm=mm)} for mm in (3.0, 5.0)}
         changes |= {_DEEP.format(mm): {"depth_mm": mm} for mm in DEPTHS_MM}
-        changes |= {"gains of the later work": {"gains": "tactile-servo-control"}}
+        changes |= {"gains tactile-servo-control": {"gains": "tactile-servo-control"}}
         changes |= {
-            f"slow at {deg:g} degrees": {"settings": Settings(slowdown_angle_deg=deg)} for deg in (0.0, 3.0, 6.0, 12.0)
+            f"slowdown at {deg:g} degrees": {"settings": Settings(slowdown_angle_deg=deg)} for deg in (0.0, 3.0, 6.0, 12.0)
         }
         if others[name]:
-            changes |= {"a network of another seed": {"model": others[name]}}
+            changes |= {"other network": {"model": others[name]}}
         out += [Case("robust", f"{name}, {what}", replace(run, **change)) for what, change in changes.items()]
     for name, run in _LONG.items():
         middle = load_object(name).middle_m
@@ -176,7 +170,7 @@ def run(options: ServoBenchOptions, log: Callable[[str], None] = print) -> dict[
 
     Progress goes to `log`. Raises TactipError, and Interrupted at Ctrl-C.
     """
-    groups = [lookup("group", name, dict(zip(GROUPS, GROUPS, strict=True))) for name in options.groups or GROUPS]
+    groups = [lookup("group", name, dict.fromkeys(GROUPS, name)) for name in options.groups or GROUPS]
     chosen = [case for case in cases(options) if case.group in groups]
     todo = [(c.group, c.name) for c in chosen if not _is_done(options.runs, c)]
     workers = worker_count(options.workers)
@@ -203,7 +197,7 @@ def run(options: ServoBenchOptions, log: Callable[[str], None] = print) -> dict[
     record |= {"others": others} if others else {}
     options.out.mkdir(parents=True, exist_ok=True)
     write_file(path, (json.dumps(record, indent=1) + "\n").encode())
-    write_file(options.out / "servo.md", markdown(record).encode())
+    write_page("servo", tables(record), options.out)
     if "fidelity" in record["groups"]:
         plot(record["groups"]["fidelity"], options.out / "servo.png")
     return record
@@ -211,14 +205,7 @@ def run(options: ServoBenchOptions, log: Callable[[str], None] = print) -> dict[
 
 def _before(path: Path) -> dict[str, Any]:
     """Return the earlier results of servo.json, without groups if there are none."""
-    return _by_groups(json.loads(path.read_text()) if path.exists() else {"groups": {}, "made": {}})
-
-
-def _by_groups(record: dict[str, Any]) -> dict[str, Any]:
-    """Return results that say of each group how it was made; older ones say it once, for two runs at a time."""
-    if "made" in record:
-        return record
-    return record | {"made": dict.fromkeys(record["groups"], _made(record["machine"], 2))}
+    return json.loads(path.read_text()) if path.exists() else {"groups": {}, "made": {}}
 
 
 def _made(machine: dict[str, str], workers: int) -> dict[str, Any]:
@@ -230,9 +217,9 @@ def _training_of(name: str) -> str:
     """Return what a network (name or folder) was trained on, in words."""
     provenance = load_network(name).provenance
     made, count = provenance["train"]["configuration"], provenance["train"]["samples"]
-    looks = made.get("snapshots_per_contact", 1)
-    frames = f", {looks} looks a contact" if looks > 1 else ""
-    begun = ", begun with another network's weights" if "initial_weights" in provenance else ""
+    snapshots = made.get("snapshots_per_contact", 1)
+    frames = f", {snapshots} snapshots per contact" if snapshots > 1 else ""
+    begun = ", with initial weights of another network" if "initial_weights" in provenance else ""
     seed = provenance["settings"]["seed"]
     return f"{count} images of a set of seed {made['seed']}{frames}; training of seed {seed}{begun}"
 
@@ -266,76 +253,69 @@ def _row(runs: Path, case: Case) -> dict[str, Any]:
 
 COLUMNS = (
     ("depth, mm", "depth_mae_mm", "{:.2f}"),
-    ("beside, mm", "lateral_mae_mm", "{:.2f}"),
+    ("lateral, mm", "lateral_mae_mm", "{:.2f}"),
     ("angle, °", "angle_mean_deg", "{:.2f}"),
-    ("95 % below, °", "angle_p95_deg", "{:.1f}"),
-    ("losses", "contact_losses", "{}"),
+    ("angle, 95th percentile, °", "angle_p95_deg", "{:.1f}"),
     ("events", "events", "{}"),
-    ("covered", "coverage", "{:.0%}"),
-    ("most N", "force_max_n", "{:.1f}"),
+    ("coverage", "coverage", "{:.0%}"),
+    ("max force, N", "force_max_n", "{:.1f}"),
     ("steps", "steps", "{}"),
     ("steps/s", "steps_per_s", "{:.1f}"),
-    ("ended", "stopped_because", "{}"),
 )
 """Title, name in the score, and format of each column."""
 
+_COMPLETED = ("route completed", "loop closed", "stopped at the path limit")
+"""Beginnings of the reasons for which a run ends that did what was asked; tables show other reasons only."""
 
-def markdown(record: dict[str, Any]) -> str:
-    """Return the Markdown of servo.json."""
-    record = _by_groups(record)
-    lines = [
-        "# What the servo reaches",
-        "",
-        "Written by `tactip bench servo`; do not edit. Mean errors over the steps of a route, against the true geometry: "
-        "depth and place beside the edge against the reference, angle between the sensor's axis and the true normal. The "
-        "networks are the shipped ones.",
-    ]
-    for group, rows in record["groups"].items():
-        versions = sorted({row.get("version", "0.1.0") for row in rows})
+
+def tables(record: dict[str, Any]) -> dict[str, str]:
+    """Return the tables of docs/servo.md from servo.json."""
+    groups = record["groups"]
+    out = {group: "Not measured." for group in (*GROUPS, "passes", "patches")}
+    for group, rows in groups.items():
         made = record["made"][group]
-        runs = "one run at a time" if made["workers"] == 1 else f"{made['workers']} runs at a time"
-        state = f"version {' and '.join(versions)}, {runs}, one core each, on: {machine_text(made['machine'])}"
-        lines += ["", f"## {GROUPS[group]}", "", f"Measured with {state}.", ""]
-        if group == "fidelity":
-            lines += ["![error against run time](servo.png)", ""]
-        if group == "starts":
-            lines += _starts(rows)
+        runs = "one run" if made["workers"] == 1 else f"{made['workers']} runs"
+        versions = " and ".join(sorted({row["version"] for row in rows}))
+        state = f"Version {versions}; {runs} at a time, one core each; {machine_text(made['machine'])}."
+        out[group] = "\n".join([*(_starts(rows) if group == "starts" else _runs(rows)), "", state])
+    if "objects" in groups:
+        out["passes"] = "\n".join(_passes(groups["objects"]))
+    if "patches" in record:
+        out["patches"] = "\n".join(_patches(record["patches"]))
+    for task, training in record.get("others", {}).items():
+        out["robust"] += f"\n\nTraining of the other network of the {task}: {training}."
+    return out
+
+
+def _runs(rows: Sequence[dict[str, Any]]) -> list[str]:
+    """Return the table of some runs."""
+    lines = ["| run | " + " | ".join(title for title, _, _ in COLUMNS) + " |", "|" + "---|" * (1 + len(COLUMNS))]
+    for row in rows:
+        if "error" in row:
+            lines.append(f"| {row['name']} | not run: {row['error']} |")
             continue
-        lines += ["| run | " + " | ".join(title for title, _, _ in COLUMNS) + " |", "|" + "---|" * (1 + len(COLUMNS))]
-        for row in rows:
-            cells = [f"could not be made: {row['error']}"] if "error" in row else [_cell(row, *c[1:]) for c in COLUMNS]
-            lines.append(f"| {row['name']} | " + " | ".join(cells) + " |")
-        passes = [(row["name"], p) for row in rows for p in row.get("passes", []) if group == "objects"]
-        if passes:
-            lines += [
-                "",
-                "Passes:",
-                "",
-                "| object | pass | steps | depth, mm | angle, ° | 95 % below, ° |",
-                "|" + "---|" * 6,
-            ]
-            lines += [
-                f"| {name} | {p['pass']} | {p['steps']} | {p['depth_mae_mm']:.2f} | {p['angle_mean_deg']:.2f} | "
-                f"{p['angle_p95_deg']:.1f} |"
-                for name, p in passes
-            ]
-        if group == "robust":
-            others = record.get("others", {}).items()
-            lines += [line for task, training in others for line in ("", f"The other network of the {task}: {training}.")]
-        if group == "robust" and "patches" in record:
-            lines += _patches(record["patches"])
-    return "\n".join(lines) + "\n"
+        ended = "" if row["stopped_because"].startswith(_COMPLETED) else f" ({row['stopped_because']})"
+        lines.append(f"| {row['name']}{ended} | " + " | ".join(_cell(row, *c[1:]) for c in COLUMNS) + " |")
+    return lines
+
+
+def _passes(rows: Sequence[dict[str, Any]]) -> list[str]:
+    """Return the table of the passes over the bust."""
+    lines = ["| pass | steps | depth, mm | angle, ° | angle, 95th percentile, ° |", "|" + "---|" * 5]
+    return lines + [
+        "| {} | {} | {:.2f} | {:.2f} | {:.1f} |".format(
+            one["pass"] + 1, one["steps"], one["depth_mae_mm"], one["angle_mean_deg"], one["angle_p95_deg"]
+        )
+        for row in rows
+        for one in row.get("passes", [])
+        if row["name"] == "bust"
+    ]
 
 
 def _patches(rows: Sequence[dict[str, Any]]) -> list[str]:
-    """Return the lines that compare predicted normals with those of discs; a row is a result of `_patch`."""
+    """Return the table of predicted normals and those of discs; a row is a result of `_patch`."""
     lines = [
-        "",
-        "Which normal is felt, on the bust: mean angle, °, from the felt normal to the surface's, averaged over discs about "
-        "where it is nearest; in brackets how far those are from the normal where it is nearest itself, which the angles of "
-        "all tables are held against.",
-        "",
-        "| pressed, mm | " + " | ".join(f"{r:g} mm about" if r else "the place itself" for r in RADII_MM) + " |",
+        "| depth, mm | " + " | ".join(f"radius {r:g} mm" if r else "nearest point" for r in RADII_MM) + " |",
         "|" + "---|" * (1 + len(RADII_MM)),
     ]
     for row in rows:
@@ -355,7 +335,7 @@ def followed(row: dict[str, Any]) -> bool:
 
 def _starts(rows: Sequence[dict[str, Any]]) -> list[str]:
     """Return the table of the random starts: how many followed, and why the others ended."""
-    lines = ["| object | followed | depth, mm | angle, ° | the others |", "|---|---|---|---|---|"]
+    lines = ["| object | successful | depth, mm | angle, ° | reasons of the others |", "|---|---|---|---|---|"]
     for name in _LONG:
         mine = [row for row in rows if row["name"].startswith(f"{name}, ")]
         good = [row for row in mine if followed(row)]
