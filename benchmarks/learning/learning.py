@@ -30,7 +30,7 @@ from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES, Ranges
 from tactip_twin.sim.dataset.symmetry import SYMMETRIES
 from tactip_twin.sim.labels import Task
 from tactip_twin.sim.parallel.worker_pool import worker_count
-from tactip_twin.sim.view.plot import pyplot
+from tactip_twin.sim.view.plot import COLORS, figure_of, log_axis, save_figure
 from tactip_twin.tactip_model.errors import TactipError, lookup
 from tactip_twin.tactip_model.files import write_file
 from tactip_twin.tactip_model.presets import load_design
@@ -373,15 +373,17 @@ def relative_error(row: Mapping[str, Any], task: str) -> float:
 
 def plot(whole: Mapping[str, Any], path: Path) -> None:
     """Plot error against latency of the networks, one panel per task, into a PNG file."""
-    plt = pyplot()
-    figure, axes = plt.subplots(1, len(whole), figsize=(6 * len(whole), 4.2), squeeze=False)
-    for axis, (task, record) in zip(axes[0], whole.items(), strict=True):
+    figure, axes = figure_of(1, len(whole), (6 * len(whole), 4.2))
+    colors = dict(zip(("symmetric", "most", "bent"), COLORS, strict=False))
+    box = {"fc": "white", "ec": "none", "pad": 0.5}
+    for axis, (task, record) in zip(axes, whole.items(), strict=True):
         for row in record["rows"]:
             x, y = row["latency_ms"], relative_error(row, task)
-            axis.plot(x, y, "o", color={"symmetric": "C0", "most": "C3", "bent": "C2"}.get(row["set"], "0.6"))
-            axis.annotate(row["name"], (x, y), xytext=(4, 4), textcoords="offset points", fontsize=8)
-        axis.axhline(1, color="C3", lw=0.8)
-        axis.set(xscale="log", yscale="log", xlabel="ms an image, one core", ylabel="error over what is asked", title=task)
-    figure.tight_layout()
-    figure.savefig(path, dpi=90, metadata={"Software": None})
-    plt.close(figure)
+            axis.plot(x, y, "o", color=colors.get(row["set"], "0.6"))
+            axis.annotate(row["name"], (x, y), xytext=(0, 5), textcoords="offset points", ha="center", fontsize=8, bbox=box)
+        axis.axhline(1, color="0.4", lw=0.8)
+        for name in "xy":
+            log_axis(axis, name)
+        axis.margins(0.15)
+        axis.set(xlabel="time per image on one core, ms", ylabel="mean error / target", title=task)
+    save_figure(figure, path)

@@ -27,7 +27,7 @@ from tactip_twin.control.servo_run import SCORE, run_servo
 from tactip_twin.learning.model import load_network, weights_sha256
 from tactip_twin.sim.parallel.worker_pool import WorkerPool, worker_count
 from tactip_twin.sim.robot.objects import load_object
-from tactip_twin.sim.view.plot import pyplot
+from tactip_twin.sim.view.plot import COLORS, figure_of, log_axis, save_figure
 from tactip_twin.tactip_model.errors import TactipError, lookup
 from tactip_twin.tactip_model.files import write_file
 
@@ -346,37 +346,36 @@ def _starts(rows: Sequence[dict[str, Any]]) -> list[str]:
     return lines
 
 
-_MARKERS = {
-    "draft": "^",
-    "standard": "o",
-    "reference": "s",
-    "4 at rest, pace 1": "+",
-    "2 at rest, pace 1": "D",
-    "1 at rest, pace 1": "x",
-}
-_MARKERS |= {"2 at rest, pace 2": "1", "1 at rest, pace 2": "2"}
+_MARKERS = {"draft": "^", "standard": "o", "reference": "s"}
+_MARKERS |= {"4 at rest, pace 1": "P", "2 at rest, pace 1": "D", "1 at rest, pace 1": "X", "2 at rest, pace 2": "<"}
+_MARKERS |= {"1 at rest, pace 2": ">"}
 """Markers in the figure, by what differs."""
 
 
 def plot(rows: Sequence[dict[str, Any]], path: Path) -> None:
     """Plot error against time per step, for rows of the group `fidelity`, into a PNG file."""
-    plt = pyplot()
-    figure, axes = plt.subplots(1, 2, figsize=(10, 3.8))
-    for axis, (name, label) in zip(axes, (("depth_mae_mm", "depth, mm"), ("angle_mean_deg", "angle, °")), strict=True):
+    from matplotlib.lines import Line2D
+
+    figure, axes = figure_of(1, 2, (10, 3.8))
+    colors = dict(zip(("bust", "rim"), COLORS, strict=False))
+    for axis, (name, label) in zip(
+        axes, (("depth_mae_mm", "depth error, mm"), ("angle_mean_deg", "angle error, °")), strict=True
+    ):
         for row in rows:
             if "error" in row or row[name] is None or not row["steps_per_s"]:
                 continue
-            thing, what = row["name"].split(", ", 1)
+            scene, what = row["name"].split(", ", 1)
             kind = what.split(", ")[0] if "at rest" not in what else what.removeprefix("standard, ")
+            color = colors[scene]
             axis.plot(
-                1e3 / row["steps_per_s"], row[name], _MARKERS.get(kind, "o"), label=kind if thing == "bust" else None,
-                color={"bust": "C3", "rim": "C0"}[thing], mfc="none" if "raster" in what else None,
+                1e3 / row["steps_per_s"], row[name], _MARKERS.get(kind, "o"), color=color,
+                mfc="none" if "raster" in what else color,
             )  # fmt: skip
-        axis.set(xscale="log", xlabel="ms a step", ylabel=f"mean error: {label}")
+        log_axis(axis, "x")
+        axis.set(xlabel="time per step, ms", ylabel=f"mean {label}")
         axis.set_ylim(bottom=0)
-    axes[0].set_title("red: a pass over the bust; blue: a rim; hollow: raster", fontsize=9)
-    entries = dict(zip(*axes[1].get_legend_handles_labels()[::-1], strict=True))
-    axes[1].legend(entries.values(), entries.keys(), fontsize=8)
-    figure.tight_layout()
-    figure.savefig(path, dpi=90, metadata={"Software": None})
-    plt.close(figure)
+    entries = [Line2D([], [], ls="", marker="o", color=color, label=scene) for scene, color in colors.items()]
+    entries += [Line2D([], [], ls="", marker="o", color="0.4", mfc="none", label="raster (hollow)")]
+    entries += [Line2D([], [], ls="", marker=marker, color="0.4", label=kind) for kind, marker in _MARKERS.items()]
+    figure.legend(handles=entries, loc="outside right center")
+    save_figure(figure, path)
