@@ -256,7 +256,7 @@ class PerformanceOptions:
 
 @dataclass(frozen=True)
 class ScaleOptions:
-    """Estimate the cost of a million contacts on many machines, from rates measured on this one."""
+    """Measure the rates that decide what a large data set costs."""
 
     contacts: int = 60
     """Contacts of a set that is measured."""
