@@ -14,6 +14,7 @@ from typing import Any
 from tactip_twin.benchmarks.hardware import machine, machine_text
 from tactip_twin.benchmarks.learning import learning
 from tactip_twin.benchmarks.options import LearningOptions, SearchOptions
+from tactip_twin.benchmarks.report import write_page
 from tactip_twin.learning.checkpoint import with_new_defaults
 from tactip_twin.learning.configuration import SearchSpace, TrainSettings, TuneSettings
 from tactip_twin.learning.tune import tune
@@ -68,44 +69,31 @@ def run(options: SearchOptions, log: Callable[[str], None] = print) -> dict[str,
     whole[options.task] = record
     whole = {task: whole[task] for task in learning.PAPER if task in whole}
     write_file(path, (json.dumps(whole, indent=1) + "\n").encode())
-    write_file(options.out / "search.md", markdown(whole).encode())
+    write_page("search", tables(whole), options.out)
     plot_search(results, options.out / f"search_{options.task}.png", settings.random_trials)
     return record
 
 
-def markdown(whole: Mapping[str, Any]) -> str:
-    """Return the Markdown of search.json."""
-    lines = [
-        "# The search for a network",
-        "",
-        "Written by `tactip bench search`; do not edit. Hyperopt's TPE over the paper's ten parameters; loss is the "
-        "validation error, each component over its scale, squared and summed. In the figures, left above: loss by trial, "
-        "the best so far, and where random trials end; the others: each parameter against the rank of its loss; red is "
-        "the best.",
-    ]
+def tables(whole: Mapping[str, Any]) -> dict[str, str]:
+    """Return the tables of docs/search.md from search.json: the best trials of each task, and how the search was made."""
+    out = dict.fromkeys(learning.PAPER, "Not measured.")
+    names = [name for name, _ in PARAMETERS]
     for task, record in whole.items():
-        state = machine_text(record["machine"])
         ended = Counter(t["status"] for t in record["trials"])
         good = sorted((t for t in record["trials"] if t["status"] == "ok"), key=lambda t: t["loss"])
-        names = [name for name, _ in PARAMETERS]
-        lines += [
-            "",
-            f"## {task}",
-            "",
-            f"{len(record['trials'])} trials ({', '.join(f'{n} {status}' for status, n in sorted(ended.items()))}), "
-            f"{record['contacts']} contacts to train on and {record['judged']} to validate. On: {state}.",
-            "",
-            f"Unlike the paper's: {', '.join(differences(record['settings'])) or 'nothing'}.",
-            "",
-            f"![search](search_{task}.png)",
-            "",
-            "| trial | loss | " + " | ".join(names) + " |",
-            "|" + "---|" * (2 + len(names)),
-        ]
+        lines = ["| trial | loss | " + " | ".join(names) + " |", "|" + "---|" * (2 + len(names))]
         for trial in good[:BEST]:
             cells = (f"{v:.2g}" if isinstance(v, float) else str(v) for v in (trial["network"][name] for name in names))
             lines.append(f"| {trial['trial']} | {trial['loss']:.4g} | " + " | ".join(cells) + " |")
-    return "\n".join(lines) + "\n"
+        lines += [
+            "",
+            f"{len(record['trials'])} trials ({', '.join(f'{n} {status}' for status, n in sorted(ended.items()))}); "
+            f"{record['contacts']} contacts for training, {record['judged']} for validation. Machine: "
+            f"{machine_text(record['machine'])}. Differences from the paper: "
+            f"{', '.join(differences(record['settings'])) or 'none'}.",
+        ]
+        out[task] = "\n".join(lines)
+    return out
 
 
 def differences(settings: dict[str, Any]) -> list[str]:

@@ -7,7 +7,7 @@ import pytest
 
 from tactip_twin.benchmarks.report import DOCS, fill
 
-PAGES = {"performance": "scale.performance", "scale": "scale.scale", "servo": "servo.servo"}
+PAGES = {"search": "learning.search", "performance": "scale.performance", "scale": "scale.scale", "servo": "servo.servo"}
 """Page, and the module with its tables, which are written anew from the page's JSON."""
 
 

@@ -43,10 +43,10 @@ def test_a_page_is_written_and_a_search_made_longer(options):
     record = searched.run(replace(options, trials=3), log=lambda line: None)
     assert [t["trial"] for t in record["trials"]] == [0, 1, 2]
     page = (options.out / "search.md").read_text()
-    assert "3 trials (3 ok), 12 contacts to train on and 8 to validate" in page
+    assert "3 trials (3 ok); 12 contacts for training, 8 for validation." in page
     assert "trials 3 instead of 300" in page and "space.max_filters 4 instead of 512" in page
     assert "training.epochs 1 instead of 500" in page
-    assert "l1" not in page.split("Unlike the paper's:")[1].split("![search]")[0]
+    assert "l1" not in page.split("Differences from the paper:")[1].split("<!--")[0]
     best = min(record["trials"], key=lambda t: t["loss"])
     assert page.index(f"| {best['trial']} | {best['loss']:.4g} |") > 0
     assert (options.out / "search_surface.png").stat().st_size > 5000
