@@ -29,7 +29,7 @@ LabelFunction = Callable[[np.ndarray], ArrayLike]
 that the task's networks predict (labels.LEARNED), in their order."""
 
 _MIN_CONTACT_FORCE_N = 0.02
-"""Force from which the ground truth counts as contact, N."""
+"""Force above which the ground truth counts as contact, N."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Estimate:
     label: np.ndarray
     """(6,), m and rad (sim/pose.py); components that the task does not have are 0."""
     touching: float
-    """Difference of the image from that of a tip in the air, 0 to 1; at 0.5 they differ a lot."""
+    """Difference of the image from that of an undeformed tip, 0 to 1."""
     image: np.ndarray | None = None
     """(size, size) uint8; None where no image was used."""
     image_s: float = 0.0
@@ -93,7 +93,7 @@ class ImageEstimator:
         self._rows = [COMPONENTS.index(c) for c in components]
         neutral = self._image(*neutral_pins(design))
         self._neutral = neutral > 127
-        self._label(neutral)  # a function that returns something else fails before anything is written
+        self._label(neutral)  # an unsuitable function fails before anything is written
 
     def _image(self, pin_tips: np.ndarray, directions: np.ndarray) -> np.ndarray:
         frame = self._render(pin_tips, directions)
@@ -105,7 +105,8 @@ class ImageEstimator:
         """Return the label (6,), mm and degrees, of an image."""
         predicted, label = np.asarray(self._predict(image), float), np.zeros(6)
         sizes = (len(self._rows), 6)
-        require(predicted.ndim == 1 and len(predicted) in sizes, "the label", predicted.tolist(), "%d or %d numbers" % sizes)
+        allowed = f"{sizes[0]} or {sizes[1]} numbers"
+        require(predicted.ndim == 1 and len(predicted) in sizes, "the label", predicted.tolist(), allowed)
         label[self._rows if len(predicted) == len(self._rows) else slice(None)] = predicted
         return label
 
@@ -131,15 +132,17 @@ class NetworkEstimator(ImageEstimator):
         """Prepare the network. The parameters are those of ImageEstimator.
 
         Raises:
-            TactipError: The design's images do not have the size that the network takes.
+            TactipError: The design's images do not have the size of the network's.
         """
         if design.image.size_px != model.size:
-            raise TactipError(f"the network takes images of {model.size} px and the design makes {design.image.size_px}")
+            raise TactipError(
+                f"the images of the design must be {model.size} px wide, as the network's, got {design.image.size_px} px"
+            )
         super().__init__(model.predict, model.labels.components, design, renderer, noise_grey, seed)
 
 
 class Oracle:
-    """The ground truth: for tests, and to separate errors of control from those of perception."""
+    """The ground truth, for tests and to separate errors of control from those of perception."""
 
     def __init__(self, truth: SurfaceGroundTruth | EdgeGroundTruth, T_base_object: np.ndarray) -> None:
         """Use the ground truth of an object at the pose T_base_object (4, 4)."""

@@ -1,6 +1,6 @@
-"""Following a surface or an edge by touch: make contact, keep the reference, move along a route, and react to trouble.
+"""Following a surface or an edge by touch: make contact, keep the reference, move along a route, and recover from failures.
 
-The follower knows the arm's measured pose and what its estimator returns. The force at which it stops is the arm's: a
+The follower knows the arm's measured pose and what its estimator returns. The force limit belongs to the arm: it is a
 protective stop, as robots have.
 """
 
@@ -28,11 +28,11 @@ class Event:
     """An unplanned event."""
 
     step: int
-    """Number of steps recorded before it."""
+    """Number of steps recorded before the event."""
     kind: str
     """contact lost, estimate out of range, force, collision, diverged, unreachable."""
     what: str
-    """A sentence."""
+    """Description, with values."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Step:
     phase: str
     """search, centre or follow."""
     part: int
-    """Of the route."""
+    """Part of the route (routes.Route.part)."""
     T_base_tcp: np.ndarray
     """(4, 4), the sensor's true pose."""
     T_base_tcp_measured: np.ndarray
@@ -64,7 +64,7 @@ _MIN_STEP_FRACTION = 0.2
 """Smallest fraction of the tangential step, - [?]."""
 
 _RECOVERED_STEPS = 3
-"""Good steps after which the count of reactions starts anew."""
+"""Good steps after which the count of recoveries restarts at zero."""
 
 
 class ContourFollower:
@@ -72,7 +72,7 @@ class ContourFollower:
 
     def __init__(
         self,
-        finger: MountedTip,
+        mounted_tip: MountedTip,
         estimator: Estimator,
         controller: Controller,
         labels: Labels,
@@ -84,7 +84,7 @@ class ContourFollower:
         """Prepare to follow.
 
         Args:
-            finger: Tip, arm and object.
+            mounted_tip: Tip, arm and object.
             estimator: Estimator of the label.
             controller: Controller of the sensor's pose.
             labels: Components of the label, with the ranges in which estimates are trusted.
@@ -93,27 +93,27 @@ class ContourFollower:
             clock: Returns the time, s.
             note: Called with each event.
         """
-        self._finger, self._estimator, self._controller = finger, estimator, controller
+        self._mounted_tip, self._estimator, self._controller = mounted_tip, estimator, controller
         self._labels, self._settings = labels, settings
         self._record, self._clock, self._on_event = record, clock, note
         self._phase, self._part, self._steps = "search", 0, 0
         self.events: list[Event] = []
         """Events so far."""
         self.stopped_because = ""
-        """Why the route ended."""
+        """Reason why the run ended; empty until then."""
 
     def run(self, T_start: np.ndarray, route: Route) -> None:
-        """Make contact and follow a route to its end; `stopped_because` then says why it ended.
+        """Make contact and follow a route to its end; `stopped_because` then has the reason.
 
         Args:
-            T_start: (4, 4), a pose off the object.
+            T_start: (4, 4), a pose at which the tip does not touch the object.
             route: The route.
 
         Raises:
             TactipError: The start is inside the object.
         """
         try:
-            self._finger.reset_to(T_start, route.wrist_rad)
+            self._mounted_tip.reset_to(T_start, route.wrist_rad)
         except Unreachable as error:
             self.stopped_because = f"the start is out of reach: {error}"
             return
@@ -123,19 +123,19 @@ class ContourFollower:
             self.stopped_because = str(reason)
 
     def _follow(self, route: Route) -> None:
-        estimate, centred, good, trouble = self._search(self._settings.search_mm), 0, 0, 0
+        estimate, centred, good, failures = self._search(self._settings.search_mm), 0, 0, 0
         while self._steps < self._settings.max_steps:
-            measured = self._finger.arm_model.measured_pose()
-            fault = self._fault(estimate)
-            if fault:
-                trouble, good = trouble + 1, 0
-                self._note(*fault)
-                if trouble > self._settings.max_recoveries:
-                    raise FollowingFailed(f"{fault[0]} {trouble} times in a row: {fault[1]}")
-                estimate, centred = self._react(fault[0]), 0
+            measured = self._mounted_tip.arm_model.measured_pose()
+            failure = self._failure(estimate)
+            if failure:
+                failures, good = failures + 1, 0
+                self._note(*failure)
+                if failures > self._settings.max_recoveries:
+                    raise FollowingFailed(f"{failure[0]} {failures} times in a row: {failure[1]}")
+                estimate, centred = self._recover_from(failure[0]), 0
                 continue
             good += 1
-            trouble = 0 if good >= _RECOVERED_STEPS else trouble
+            failures = 0 if good >= _RECOVERED_STEPS else failures
             start = self._clock()
             along = np.zeros(3)
             if centred < self._settings.alignment_steps:
@@ -154,20 +154,21 @@ class ContourFollower:
 
     def _step_fraction(self, estimate: Estimate) -> float:
         """Return the fraction of the tangential step to take: smaller where the sensor tilts, because it lags behind the
-        surface's turns."""
+        surface."""
         slow = (
             _SLOW_DEG[self._labels.task] if self._settings.slowdown_angle_deg is None else self._settings.slowdown_angle_deg
         )
         tilt = np.degrees(np.linalg.norm(pose_error(estimate.label, np.zeros(6))[3:5]))
         return max(_MIN_STEP_FRACTION, 1 - tilt / slow) if slow else 1.0
 
-    def _fault(self, estimate: Estimate) -> tuple[str, str] | None:
-        """Return kind and description of what is wrong, or None."""
+    def _failure(self, estimate: Estimate) -> tuple[str, str] | None:
+        """Return kind and description of a failure, or None."""
         danger, s = self._danger(), self._settings
         if danger:
             return danger
         if estimate.touching < s.contact_threshold:
-            return "contact lost", f"the image is that of a tip in the air, to {estimate.touching:.2f}"
+            difference = f"differs from that of an undeformed tip by {estimate.touching:.2f}"
+            return "contact lost", f"the image {difference} (in contact: at least {s.contact_threshold:g})"
         low, high = np.array(self._labels.low), np.array(self._labels.high)
         predicted = to_mm_deg(estimate.label)[[COMPONENTS.index(c) for c in self._labels.components]]
         out = np.maximum(low - predicted, predicted - high) / ((high - low) / 2)
@@ -182,7 +183,7 @@ class ContourFollower:
         return None
 
     def _danger(self) -> tuple[str, str] | None:
-        """Return kind and description of what could do damage, whatever the estimate, or None."""
+        """Return kind and description of a failure that could cause damage, whatever the estimate, or None."""
         force, limit = float(np.linalg.norm(self._touch.force)), self._settings.max_force_n
         if force > limit:
             return "force", f"{force:.1f} N on the tip (at most {limit:g} N)"
@@ -190,19 +191,19 @@ class ContourFollower:
             return "collision", f"the sensor's housing overlaps the object by {-1e3 * self._touch.clearance_m:.1f} mm"
         return None
 
-    def _react(self, kind: str) -> Estimate:
-        """Search for contact where it is lost, or else back off and search again. Return the new estimate."""
+    def _recover_from(self, kind: str) -> Estimate:
+        """Search for contact; unless contact was lost, retract first. Return the new estimate."""
         self._phase = "search"
         self._controller.reset()
         if kind != "contact lost":
-            self._go(self._finger.arm_model.measured_pose() @ _shift(-self._settings.retract_mm))
+            self._go(self._mounted_tip.arm_model.measured_pose() @ _shift(-self._settings.retract_mm))
         return self._search(self._settings.search_mm / 2)
 
     def _search(self, max_mm: float) -> Estimate:
         """Move along the sensor's axis until contact is detected. Return the estimate there.
 
         Raises:
-            FollowingFailed: There is no contact within `max_mm`, or the force or the housing says that it was missed.
+            FollowingFailed: There is no contact within `max_mm`, or a high force or a collision shows that it was missed.
         """
         s, self._phase = self._settings, "search"
         estimate = self._estimate(0.0)
@@ -214,41 +215,41 @@ class ContourFollower:
                 raise FollowingFailed(f"no contact detected in the image, but {danger[0]}: {danger[1]}")
             if travelled_mm >= max_mm:
                 raise FollowingFailed(f"no contact detected within {max_mm:g} mm")
-            estimate = self._go(self._finger.arm_model.measured_pose() @ _shift(s.search_step_mm))
+            estimate = self._go(self._mounted_tip.arm_model.measured_pose() @ _shift(s.search_step_mm))
             travelled_mm += s.search_step_mm
         return estimate
 
     def _go(self, T: np.ndarray, control_s: float = 0.0) -> Estimate:
-        """Move to a pose (4, 4) and estimate there. Raises FollowingFailed if it is out of reach or the tip stays lost."""
+        """Move to a pose (4, 4) and estimate there. Raises FollowingFailed if that is impossible."""
         start = self._clock()
         try:
-            self._touch = self._finger.go(T)
+            self._touch = self._mounted_tip.go(T)
         except Unreachable as error:
             self._note("unreachable", str(error))
             raise FollowingFailed(str(error)) from error
         except Diverged as error:
             self._note("diverged", str(error))
-            self._recover()
+            self._restart()
         return self._estimate(self._clock() - start, control_s)
 
-    def _recover(self) -> None:
-        """Restart with an undeformed tip, clear of the object and behind the place where the simulation lost it."""
+    def _restart(self) -> None:
+        """Restart with an undeformed tip, retracted from the pose at which the simulation diverged."""
         self._phase = "search"
-        lost = self._note_count("diverged")
-        if lost > self._settings.max_recoveries:
-            raise FollowingFailed(f"the simulation lost the tip {lost} times")
-        T = self._finger.arm_model.measured_pose() @ _shift(-3 * self._settings.retract_mm)
+        diverged = self._note_count("diverged")
+        if diverged > self._settings.max_recoveries:
+            raise FollowingFailed(f"the simulation diverged {diverged} times")
+        T = self._mounted_tip.arm_model.measured_pose() @ _shift(-3 * self._settings.retract_mm)
         try:
-            self._finger.reset_to(T, float(np.nan_to_num(self._finger.arm_model.angles[5])))
+            self._mounted_tip.reset_to(T, float(np.nan_to_num(self._mounted_tip.arm_model.angles[5])))
         except TactipError as error:
-            raise FollowingFailed(f"the simulation lost the tip, and there is no room to restart: {error}") from error
-        self._touch = self._finger.tip_state()
+            raise FollowingFailed(f"the simulation diverged and cannot restart from the retracted pose: {error}") from error
+        self._touch = self._mounted_tip.tip_state()
 
     def _estimate(self, simulation_s: float, control_s: float = 0.0) -> Estimate:
         """Estimate the label now, and record the step."""
         if not self._steps:
-            self._touch = self._finger.tip_state()
-        arm = self._finger.arm_model
+            self._touch = self._mounted_tip.tip_state()
+        arm = self._mounted_tip.arm_model
         estimate = self._estimator.estimate(self._touch, arm.pose)
         seconds = {
             "simulation": simulation_s,

@@ -1,4 +1,4 @@
-"""Routes over a surface and along an edge, in the arm's base frame, from what the arm can measure."""
+"""Routes over a surface and along an edge, in the arm's base frame, from measured poses and estimates only."""
 
 from abc import ABC, abstractmethod
 
@@ -60,7 +60,7 @@ class PlanarPath(Route):
         """Return the next direction; see Route."""
         place, axis = T_base_tcp[:3, 3], T_base_tcp[:3, 2]
         place = place - (place @ self._up) * self._up
-        # Forward only, and within some steps, because the line may pass by itself.
+        # Forward only, and within a few steps, because the line may pass close to itself.
         candidates = np.linspace(self._at, min(self._at + 2 * _LOOKAHEAD_M, self.length_m), 25)
         self._at = float(candidates[np.linalg.norm(self._point(candidates) - place, axis=1).argmin()])
         self.part = int(np.clip(np.searchsorted(self._before, self._at + 1e-9, "right") - 1, 0, len(self._before) - 2))
@@ -68,7 +68,8 @@ class PlanarPath(Route):
             self.ended = "route completed"
             return None
         if axis @ -self._up < MIN_TILT_COSINE:
-            self.ended = f"the surface is too steep: {np.degrees(np.arccos(axis @ -self._up)):.0f} degrees from the plan"
+            slope = np.degrees(np.arccos(axis @ -self._up))
+            self.ended = f"the surface is too steep: {slope:.0f} degrees from the plane of the route"
             return None
         heading = self._point(np.array([min(self._at + _LOOKAHEAD_M, self.length_m)]))[0] - place
         heading = heading - (heading @ axis) / (self._up @ axis) * self._up
@@ -106,12 +107,12 @@ class EdgePath(Route):
         """Start a route.
 
         Args:
-            backward: Whether it runs against the y axis of the contact frame.
+            backward: Whether it runs in the negative y direction of the contact frame.
             max_length_m: Limit of its length, m.
             step_m: Tangential step of the servo, m.
         """
         self._sense, self._limit, self._close = (-1.0 if backward else 1.0), max_length_m, 1.5 * step_m
-        # A full loop turns the sensor once, and joint 6, which points down, the other way.
+        # A full loop turns the sensor once, and joint 6, which points down, in the opposite direction.
         self.wrist_rad = self._sense * np.pi
         self._start: np.ndarray | None = None
         self._last = np.zeros(3)

@@ -12,8 +12,8 @@ from tactip_twin.sim.robot.objects import SceneObject
 from tactip_twin.sim.robot.recording import PHASES
 
 COVERED_M = 7e-3
-"""Distance from the tip's path within which a point of a surface counts as touched, m: the contact patch of a 2 mm press on
-a flat surface reaches 7 mm, that of 3 mm 9 mm [M]."""
+"""Distance from the tip's path within which a point of a surface counts as touched, m: the radius of the contact patch of a
+2 mm press on a flat surface [M]."""
 
 EDGE_COVERED_M = 3e-3
 """The same for an edge, m: a step or two, and the distance by which corners of a rim are cut."""
@@ -34,13 +34,13 @@ def score(
         arrays: Arrays of the recording (recording.read_recording).
         record: Its record.
         reference_mm_deg: (6,), the label to keep, mm and degrees.
-        targets: (m, 3), points to touch, base frame, m.
+        targets: (m, 3), target points, base frame, m.
 
     Mean errors are over the steps of the phase `follow`: depth and, along an edge, x, of the true label against the
     reference; angle between the sensor's axis and the true normal.
     """
     following = arrays["phase"] == PHASES.index("follow")
-    true, felt = to_mm_deg(arrays["true"][following]), to_mm_deg(arrays["predicted"][following])
+    true, predicted = to_mm_deg(arrays["true"][following]), to_mm_deg(arrays["predicted"][following])
     edge = record["task"] == "edge"
     poses, seconds = arrays["T_base_tcp"][following], arrays["seconds"]
     # Points of contact: the apex is below them by the depth.
@@ -56,7 +56,7 @@ def score(
         "angle_mean_deg": _mean(angles),
         "angle_p95_deg": float(np.percentile(angles, 95)) if len(angles) else None,
         "lateral_mae_mm": _mean(np.abs(true[:, 0] - reference_mm_deg[0])) if edge else None,
-        "prediction_mae": {name: _mean(np.abs(felt - true)[:, k]) for k, name in enumerate(COMPONENTS)},
+        "prediction_mae": {name: _mean(np.abs(predicted - true)[:, k]) for k, name in enumerate(COMPONENTS)},
         "contact_losses": sum(e["kind"] == "contact lost" for e in record["events"]),
         "events": len(record["events"]),
         "coverage": coverage(places, targets, EDGE_COVERED_M if edge else COVERED_M),
@@ -84,11 +84,11 @@ def coverage(places: np.ndarray, targets: np.ndarray, reach_m: float) -> float:
     return float((cKDTree(places).query(targets)[0] < reach_m).mean())
 
 
-def surface_targets(thing: SceneObject, corners: np.ndarray, up: ArrayLike) -> np.ndarray:
+def surface_targets(scene_object: SceneObject, corners: np.ndarray, up: ArrayLike) -> np.ndarray:
     """Return points (m, 3), m, base frame, on an object below the bounding rectangle of a route.
 
     Args:
-        thing: The object.
+        scene_object: The object.
         corners: (n, 3), corners of the route, m.
         up: (3,), unit, direction from which the route is projected.
     """
@@ -99,12 +99,12 @@ def surface_targets(thing: SceneObject, corners: np.ndarray, up: ArrayLike) -> n
     flat = np.stack([corners @ along, corners @ across], 1)
     low, high = flat.min(0), flat.max(0)
     grids = [np.arange(a, b + _SPACING_M / 2, _SPACING_M) for a, b in zip(low, high, strict=True)]
-    T = np.linalg.inv(thing.T_base_object)
+    T = np.linalg.inv(scene_object.T_base_object)
     out = []
     for u in grids[0]:
         for v in grids[1]:
             place = u * along + v * across + _FAR_M * up
-            hit = thing.solid.first_hit((T @ [*place, 1])[:3], -(T[:3, :3] @ up))
+            hit = scene_object.solid.first_hit((T @ [*place, 1])[:3], -(T[:3, :3] @ up))
             if np.isfinite(hit):
                 out.append(place - hit * up)
     return np.array(out).reshape(-1, 3)

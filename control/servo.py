@@ -4,7 +4,7 @@
     s(t) = Kp e(t) + Ki Σ e(t')
 
 An error is a product of poses and not a difference of numbers. [P] is Lepora & Lloyd, "Optimal Deep Learning for Robot
-TipState" (2020); [L] the authors' later tactile_servo_control.
+Touch" (2020); [L] the authors' later tactile_servo_control.
 """
 
 from dataclasses import dataclass
@@ -23,16 +23,16 @@ from tactip_twin.tactip_model.errors import lookup
 
 @dataclass(frozen=True)
 class Gains:
-    """Gains of the servo for each component in the sensor's frame: x, y, z, and rotations about them."""
+    """Gains of the servo for each component in the sensor's frame: x, y, z, and rotations about these axes."""
 
     kp: tuple[float, float, float, float, float, float] = within(0, 2, default=(0.5, 0.5, 0.5, 0.5, 0.5, 0.5))
     """Proportional, - [P]."""
     ki: tuple[float, float, float, float, float, float] = within(0, 2, default=(0.3, 0.3, 0.3, 0.1, 0.1, 0.1))
-    """Integral, a step [P]."""
+    """Integral, per step [P]."""
     integral_limit_mm: float = within(0, 100, default=5.0)
-    """The summed error is kept within so much, mm [L] ..."""
+    """Limit of the summed error, translations, mm [L]."""
     integral_limit_deg: float = within(0, 180, default=45.0)
-    """... and so many degrees [L]."""
+    """Limit of the summed error, rotations, degrees [L]."""
 
     def __post_init__(self) -> None:
         check(self)
@@ -45,16 +45,16 @@ GAINS: dict[GainsName, dict[Task, Gains]] = {
         "edge": Gains(kp=(0.5, 1, 0.5, 0.5, 0.5, 0.5), ki=(0.3, 0, 0.3, 0.1, 0.1, 0.1)),
     },
 }
-"""By name and task: the paper's, and those of the authors' later work [L]."""
+"""Gains by name and task: those of the paper [P], and those of the authors' later work [L]."""
 
 DEPTHS_MM: dict[Task, float] = {"surface": 2.0, "edge": 3.0}
-"""Default depth by task, mm. The networks predict the mean normal of the contact patch: over the nose of the bust, the patch
-of a 3 mm press (about 4 mm wide) tilts 1.8 degrees from the normal at its middle; a shallower patch is smaller [M]
-(docs/servo.md). Along an edge it is the middle of the trained depths."""
+"""Default depth by task, mm. The networks predict the mean normal of the contact patch, which on a curved surface differs
+from the normal at its middle; a shallower press has a smaller patch (docs/servo.md). Along an edge it is the middle of the
+trained depths."""
 
 
 class Controller(Protocol):
-    """Anything that turns estimated labels into motions. Subclasses without a state need only `move`."""
+    """Anything that turns estimated labels into motions. Subclasses without state need only `move`."""
 
     def move(self, label: np.ndarray, along: ArrayLike = (0.0, 0.0, 0.0)) -> np.ndarray:
         """Return the next motion (4, 4) of the sensor, in its own frame.
@@ -66,7 +66,7 @@ class Controller(Protocol):
         ...
 
     def reset(self) -> None:
-        """Forget the errors so far: contact was lost, and the next label belongs to another place."""
+        """Forget the errors so far, because contact was lost and the next label belongs to another place."""
 
 
 def reference_mm_deg(depth_mm: float) -> np.ndarray:
@@ -94,7 +94,7 @@ class Servo:
     """The paper's controller: proportional and integral, with a limited integral."""
 
     def __init__(self, gains: Gains, depth_mm: float) -> None:
-        """Keep a depth, mm, by gains."""
+        """Set the gains and the depth to keep, mm."""
         self._kp, self._ki = np.array(gains.kp), np.array(gains.ki)
         self._limit = from_mm_deg([gains.integral_limit_mm] * 3 + [gains.integral_limit_deg] * 3)
         self._reference = from_mm_deg(reference_mm_deg(depth_mm))

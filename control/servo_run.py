@@ -33,12 +33,12 @@ def run_servo(
     estimator: Estimator | LabelFunction | None = None,
     controller: Controller | None = None,
 ) -> dict[str, Any]:
-    """Follow an object, and write recording, score and figure into the options' folder.
+    """Follow an object, and write recording, score and figure to `options.out`.
 
     Args:
         options: Options of the run.
         progress: Called with each step.
-        log: Called with lines for the user.
+        log: Called with each line of text for the user.
         estimator: An object with the method `estimate`, or a function from the tactile image to the label in mm and degrees,
             in place of the network. Estimates outside the label ranges of the task's network still count as failures.
         controller: An object with the methods `move` and `reset`, in place of the paper's controller.
@@ -47,13 +47,13 @@ def run_servo(
         The score, as JSON values.
 
     Raises:
-        TactipError: The options cannot be met.
+        TactipError: The options are invalid or contradict each other.
         Interrupted: At Ctrl-C; the steps so far are recorded and scored.
     """
     setup = prepare(options, log, estimator, controller)
     scenery = _scenery(options, setup)
     recorder = Recorder(options.out, _description(options, setup), scenery)
-    to_object = inverse(setup.thing.T_base_object)
+    to_object = inverse(setup.scene_object.T_base_object)
 
     def record(step: Step) -> None:
         recorder.add(_row(step, setup.truth.label(to_object @ step.T_base_tcp)))
@@ -63,7 +63,7 @@ def run_servo(
         recorder.note(dataclasses.asdict(event))
 
     follower = ContourFollower(
-        setup.finger,
+        setup.mounted_tip,
         setup.estimator,
         setup.controller,
         setup.labels,
@@ -76,11 +76,11 @@ def run_servo(
     try:
         follower.run(setup.T_start, setup.route)
     except KeyboardInterrupt:
-        interrupted, follower.stopped_because = True, "Ctrl-C"
+        interrupted, follower.stopped_because = True, "interrupted by Ctrl-C"
     outcome = {
         "closed": setup.route.closed,
         "stopped_because": follower.stopped_because,
-        "warnings": setup.finger.warnings,
+        "warnings": setup.mounted_tip.warnings,
     }
     finished, arrays = recorder.finish(outcome)
     figures = score(arrays, finished, reference_mm_deg(setup.depth_mm), setup.targets)
@@ -90,7 +90,7 @@ def run_servo(
     if options.video and not interrupted and finished["steps"]:
         write_video(options.out / FILM, render_frames(scenery, finished, arrays))
     if interrupted:
-        raise Interrupted(f"what was recorded is in {options.out}")
+        raise Interrupted(f"the steps so far are in {options.out}")
     return figures
 
 
@@ -98,7 +98,7 @@ def _description(options: ServoOptions, setup: ServoSetup) -> dict[str, Any]:
     """Return the settings of a run for its recording, as JSON values."""
     return {
         "task": options.task,
-        "object": setup.thing.name,
+        "object": setup.scene_object.name,
         "options": json.loads(json.dumps(dataclasses.asdict(options), default=str)),
         "estimator": type(setup.estimator).__name__,
         "controller": type(setup.controller).__name__,
@@ -110,10 +110,10 @@ def _description(options: ServoOptions, setup: ServoSetup) -> dict[str, Any]:
 def _scenery(options: ServoOptions, setup: ServoSetup) -> RecordedScene:
     """Return the scene of a run for its recording."""
     return RecordedScene(
-        setup.thing.solid.vertices,
-        setup.thing.solid.triangles,
-        setup.thing.T_base_object,
-        setup.finger.scene.mesh.triangles,
+        setup.scene_object.solid.vertices,
+        setup.scene_object.solid.triangles,
+        setup.scene_object.T_base_object,
+        setup.mounted_tip.scene.mesh.triangles,
         setup.design.shape.radius_m,
         options.arm != "none",
     )

@@ -32,7 +32,7 @@ _START_GAP_MM = 2.5
 """Distance from the object at which a run starts, mm."""
 
 _SHIPPED_DESIGN = "tactip-127"
-"""Design that networks are shipped for."""
+"""Design that the shipped networks were trained for."""
 
 
 @dataclass(frozen=True)
@@ -41,11 +41,11 @@ class ServoSetup:
 
     design: Design
     """Sensor, with the options' friction and stiffness."""
-    thing: SceneObject
+    scene_object: SceneObject
     """Object to follow."""
     truth: SurfaceGroundTruth | EdgeGroundTruth
     """Ground truth on the object."""
-    finger: MountedTip
+    mounted_tip: MountedTip
     """Tip on its arm model."""
     labels: Labels
     """Components of the label and the ranges in which estimates are trusted."""
@@ -62,7 +62,7 @@ class ServoSetup:
     route: Route
     """Route to follow."""
     targets: np.ndarray
-    """(m, 3), points to touch in the base frame, m."""
+    """(m, 3), target points in the base frame, m."""
 
 
 def prepare(
@@ -71,41 +71,55 @@ def prepare(
     estimator: Estimator | LabelFunction | None = None,
     controller: Controller | None = None,
 ) -> ServoSetup:
-    """Return the parts of a servo run.
+    """Build the parts of a servo run.
 
     Args:
         options: Options of the run.
-        log: Called with lines for the user.
+        log: Called with each line of text for the user.
         estimator: Replacement for the options' network.
         controller: Replacement for the paper's controller.
 
     Raises:
-        TactipError: The options cannot be met.
+        TactipError: The options are invalid or contradict each other.
     """
     lookup("task", options.task, dict.fromkeys(DEPTHS_MM))
     if options.video and options.renderer != "pyrender":
-        raise TactipError(f"a film is drawn by pyrender: --video does not go with --renderer {options.renderer}")
-    thing = load_object(options.object, options.unit, options.scale, options.position_mm, options.rotation_deg)
-    for repair in thing.notes:
+        raise TactipError(f"--video needs --renderer pyrender, got {options.renderer}")
+    scene_object = load_object(options.object, options.unit, options.scale, options.position_mm, options.rotation_deg)
+    for repair in scene_object.notes:
         log(f"{options.object}: {repair}")
     design = _with_overrides(load_design(options.design), options)
     fidelity, arm_model = fidelity_named(options.fidelity), arm_model_named(options.arm)
     gains = gains_named(options.gains, options.task)
-    truth = _ground_truth(options, thing)
+    truth = _ground_truth(options, scene_object)
     model = load_network(_network_name(options, needed=estimator is None))
     if model.labels.task != options.task:
         raise TactipError(
-            f"the network {options.network} was trained for the {model.labels.task}, not for the {options.task}"
+            f"the network {options.network} was trained for the task {model.labels.task}, and --task is {options.task}: "
+            "give another --model"
         )
-    chosen = _estimator(estimator, options, model, design, truth, thing)
+    chosen = _estimator(estimator, options, model, design, truth, scene_object)
     settle_steps = _settle_steps(options, fidelity.motion)
-    finger = MountedTip(design, thing.solid, fidelity, arm_model, thing.T_base_object, settle_steps, options.speed_scale)
+    mounted_tip = MountedTip(
+        design, scene_object.solid, fidelity, arm_model, scene_object.T_base_object, settle_steps, options.speed_scale
+    )
     depth_mm = _depth_mm(options, model.labels)
-    T_start, route, targets = _plan(options, thing, truth)
+    T_start, route, targets = _plan(options, scene_object, truth)
     network = model if isinstance(chosen, NetworkEstimator) else None
     controller = Servo(gains, depth_mm) if controller is None else controller
     return ServoSetup(
-        design, thing, truth, finger, model.labels, chosen, network, controller, depth_mm, T_start, route, targets
+        design,
+        scene_object,
+        truth,
+        mounted_tip,
+        model.labels,
+        chosen,
+        network,
+        controller,
+        depth_mm,
+        T_start,
+        route,
+        targets,
     )
 
 
@@ -115,7 +129,7 @@ def _estimator(
     model: Model,
     design: Design,
     truth: SurfaceGroundTruth | EdgeGroundTruth,
-    thing: SceneObject,
+    scene_object: SceneObject,
 ) -> Estimator:
     """Return the user's estimator, the ground truth or the network."""
     if isinstance(given, Estimator):
@@ -123,17 +137,17 @@ def _estimator(
     if given is not None:
         return ImageEstimator(given, model.labels.components, design, options.renderer, options.noise_grey)
     if options.model == "oracle":
-        return Oracle(truth, thing.T_base_object)
+        return Oracle(truth, scene_object.T_base_object)
     return NetworkEstimator(model, design, options.renderer, options.noise_grey)
 
 
 def _network_name(options: ServoOptions, needed: bool) -> str:
-    """Return name or folder of the network; where it is not needed, of one that has the task's label ranges."""
+    """Return name or folder of the network; if none is needed, of a shipped one that has the task's label ranges."""
     if options.model not in ("", "oracle") or (MODELS / options.network).is_dir():
         return options.network
     if options.model == "oracle" or not needed:
         return dataclasses.replace(options, design=_SHIPPED_DESIGN).network
-    raise TactipError(f"no network of the {options.task} is shipped for the tip {options.design!r}: give --model")
+    raise TactipError(f"no {options.task} network is shipped for the design {options.design!r}: give --model")
 
 
 def _with_overrides(design: Design, options: ServoOptions) -> Design:
@@ -150,8 +164,10 @@ def _with_overrides(design: Design, options: ServoOptions) -> Design:
 
 
 def _settle_steps(options: ServoOptions, motion: Motion) -> int:
-    """Return the time steps at rest before an image. Along an edge half as many as over a surface: a fifth more steps per
-    second, for 0.02 mm of depth and 0.1 degrees [M] (docs/servo.md)."""
+    """Return the number of time steps at rest before an image.
+
+    Along an edge it is half of that over a surface: faster, at a small cost in accuracy [M] (docs/servo.md).
+    """
     if options.settle_steps is not None:
         return options.settle_steps
     return motion.pause_steps if options.task == "surface" else -(-motion.pause_steps // 2)
@@ -163,66 +179,69 @@ def _depth_mm(options: ServoOptions, labels: Labels) -> float:
     k = labels.names.index("pose_z")
     low, high = -labels.high[k], -labels.low[k]
     if not low <= depth_mm <= high:
-        raise TactipError(f"--depth-mm is {depth_mm:g}: the network {options.network} has learned {low:g} to {high:g} mm")
+        raise TactipError(
+            f"--depth-mm must be between {low:g} and {high:g}, got {depth_mm:g}: the network {options.network} was trained "
+            "on these depths only"
+        )
     return depth_mm
 
 
-def _ground_truth(options: ServoOptions, thing: SceneObject) -> SurfaceGroundTruth | EdgeGroundTruth:
+def _ground_truth(options: ServoOptions, scene_object: SceneObject) -> SurfaceGroundTruth | EdgeGroundTruth:
     """Return the ground truth of the task on the object."""
     if options.task == "surface":
-        return SurfaceGroundTruth(thing.solid)
-    if thing.edge is None:
+        return SurfaceGroundTruth(scene_object.solid)
+    if scene_object.edge is None:
         names = [path.name.removesuffix(".edge.csv") for path in sorted(MESHES.glob("*.edge.csv"))]
-        raise TactipError(f"{thing.name} has no edge that is known: the edge task takes one of {', '.join(names)}")
-    return EdgeGroundTruth(thing.edge)
+        raise TactipError(f"the edge of {scene_object.name} is unknown: the edge task needs one of {', '.join(names)}")
+    return EdgeGroundTruth(scene_object.edge)
 
 
 def _plan(
-    options: ServoOptions, thing: SceneObject, truth: SurfaceGroundTruth | EdgeGroundTruth
+    options: ServoOptions, scene_object: SceneObject, truth: SurfaceGroundTruth | EdgeGroundTruth
 ) -> tuple[np.ndarray, Route, np.ndarray]:
-    """Return the first pose (4, 4), the route, and the points to touch (m, 3), base frame, m."""
-    r, T, edge = options.route, thing.T_base_object, thing.edge
+    """Return the first pose (4, 4), the route, and the target points (m, 3), base frame, m."""
+    r, T, edge = options.route, scene_object.T_base_object, scene_object.edge
     if options.task == "edge" and edge is not None:
         first = edge.points[round(r.start_fraction * (len(edge.points) - 1))]
         route = EdgePath(r.reverse, r.max_length_mm / 1e3, options.settings.step_mm / 1e3)
-        return _start(options, thing, truth, first), route, edge.points @ T[:3, :3].T + T[:3, 3]
-    corners = _corners(options, thing)
-    targets = surface_targets(thing, corners, UP)
-    T_start = _start(options, thing, truth, _above(thing, corners[0]))
+        return _start(options, scene_object, truth, first), route, edge.points @ T[:3, :3].T + T[:3, 3]
+    corners = _corners(options, scene_object)
+    targets = surface_targets(scene_object, corners, UP)
+    T_start = _start(options, scene_object, truth, _above(scene_object, corners[0]))
     if r.kind != "geodesic":
         return T_start, PlanarPath(corners, UP), targets
     heading = T_start[:3, :3].T @ (corners[1] - corners[0])
     return T_start, Geodesic(float(np.arctan2(heading[1], heading[0])), r.length_mm / 1e3), targets
 
 
-def _corners(options: ServoOptions, thing: SceneObject) -> np.ndarray:
+def _corners(options: ServoOptions, scene_object: SceneObject) -> np.ndarray:
     """Return the corners (n, 3), m, of the line over a surface."""
     r = options.route
-    middle = np.array([*(thing.middle_m[:2] if r.middle_mm is None else np.array(r.middle_mm) / 1e3), 0.0])
+    middle = np.array([*(scene_object.middle_m[:2] if r.middle_mm is None else np.array(r.middle_mm) / 1e3), 0.0])
     heading = np.radians(r.heading_deg)
     along, across = np.array([np.cos(heading), np.sin(heading), 0]), np.array([-np.sin(heading), np.cos(heading), 0])
     width = r.width_mm / 1e3 if r.kind == "serpentine" else 0.0
     return serpentine(middle, along, across, r.length_mm / 1e3, width, r.spacing_mm / 1e3)
 
 
-def _above(thing: SceneObject, corner: np.ndarray) -> np.ndarray:
+def _above(scene_object: SceneObject, corner: np.ndarray) -> np.ndarray:
     """Return the point (3,) of the object, in its own frame, below a corner (3,) of the line."""
-    T = thing.T_base_object
-    hit = thing.solid.first_hit((inverse(T) @ [*corner[:2], 2.0, 1])[:3], inverse(T)[:3, :3] @ -UP)
+    T = scene_object.T_base_object
+    hit = scene_object.solid.first_hit((inverse(T) @ [*corner[:2], 2.0, 1])[:3], inverse(T)[:3, :3] @ -UP)
     place = f"{1e3 * corner[0]:.1f}, {1e3 * corner[1]:.1f} mm"
     require(bool(np.isfinite(hit)), "the start of the route", place, "above the object")
     return (inverse(T) @ [*corner[:2], 2.0 - hit, 1])[:3]
 
 
 def _start(
-    options: ServoOptions, thing: SceneObject, truth: SurfaceGroundTruth | EdgeGroundTruth, place: np.ndarray
+    options: ServoOptions, scene_object: SceneObject, truth: SurfaceGroundTruth | EdgeGroundTruth, place: np.ndarray
 ) -> np.ndarray:
-    """Return the first pose (4, 4), off a place (3,) of the object, with a random error where a seed is given."""
+    """Return the first pose (4, 4), above a place (3,) on the object, with a random error if a seed is given."""
     T_object_sensor = np.eye(4)
-    T_object_sensor[:3, :3] = np.linalg.inv(thing.T_base_object)[:3, :3] @ np.diag([-1.0, 1, -1])
+    T_object_sensor[:3, :3] = np.linalg.inv(scene_object.T_base_object)[:3, :3] @ np.diag([-1.0, 1, -1])
     T_object_sensor[:3, 3] = place
     off = np.array([0, 0, _START_GAP_MM, 0, 0, 0])
     if options.seed is not None:
         rng = np.random.default_rng(options.seed)
         off = off + rng.uniform([-3, -3, 0, -8, -8, -8], [3, 3, 3, 8, 8, 8])
-    return thing.T_base_object @ truth.frame(T_object_sensor) @ sensor_in_contact(from_mm_deg(off))
+    return scene_object.T_base_object @ truth.frame(T_object_sensor) @ sensor_in_contact(from_mm_deg(off))

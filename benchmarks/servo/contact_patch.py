@@ -17,12 +17,12 @@ _ACROSS = 15
 """Points across a disc."""
 
 
-def contact_patch_normal(folder: str | PathLike[str], thing: SceneObject) -> dict[str, list[float]]:
+def contact_patch_normal(folder: str | PathLike[str], scene_object: SceneObject) -> dict[str, list[float]]:
     """Return angles between predicted normals and the surface's normals, averaged over discs about the nearest points.
 
     Args:
         folder: Folder of a recording.
-        thing: The object that was followed.
+        scene_object: The object that was followed.
 
     Returns:
         `predicted_deg` and `apart_deg`, lists by RADII_MM: mean angle in degrees from predicted to disc's normal, and
@@ -30,12 +30,12 @@ def contact_patch_normal(folder: str | PathLike[str], thing: SceneObject) -> dic
     """
     arrays = read_recording(folder)[1]
     frames, steps = predicted_frames(arrays)
-    T_object_base = inverse(thing.T_base_object)
+    T_object_base = inverse(scene_object.T_base_object)
     predicted = frames[:, :3, 2] @ T_object_base[:3, :3].T
     apexes = arrays["T_base_tcp"][steps][:, :3, 3] @ T_object_base[:3, :3].T + T_object_base[:3, 3]
-    points = thing.solid.nearest(apexes).place
-    nearest = thing.solid.smooth_normal(points)
-    means = [_mean_normals(thing.solid, points, nearest, 1e-3 * radius) for radius in RADII_MM]
+    points = scene_object.solid.nearest(apexes).place
+    nearest = scene_object.solid.smooth_normal(points)
+    means = [_mean_normals(scene_object.solid, points, nearest, 1e-3 * radius) for radius in RADII_MM]
     return {
         "predicted_deg": [float(_angles(predicted, mean).mean()) for mean in means],
         "apart_deg": [float(_angles(nearest, mean).mean()) for mean in means],

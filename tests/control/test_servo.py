@@ -1,4 +1,4 @@
-"""The servo's law, the truth it is held against, and its ways."""
+"""The control law, the ground truth and the routes."""
 
 import numpy as np
 import pytest
@@ -16,21 +16,21 @@ DOWN, STILL = Rotation.from_rotvec([0, np.pi, 0]), Rotation.identity()
 
 @pytest.mark.parametrize("task", ["surface", "edge"])
 @pytest.mark.parametrize("gains", GAINS)
-def test_the_law_brings_any_pose_to_the_reference(gains, task):
-    """On a flat thing that is felt without error: it converges, and what is not felt is left as it is."""
-    felt = [2, 3, 4] if task == "surface" else [0, 2, 3, 4, 5]
-    draw = np.random.default_rng(0)
+def test_servo_from_any_pose_converges_to_the_reference(gains, task):
+    """With exact estimates on a flat object; components without an estimate are not controlled."""
+    components = [2, 3, 4] if task == "surface" else [0, 2, 3, 4, 5]
+    rng = np.random.default_rng(0)
     for _ in range(10):
-        T = sensor_in_contact(from_mm_deg(draw.uniform([-5, -5, -5, -15, -15, -45], [5, 5, -1, 15, 15, 45])))
+        T = sensor_in_contact(from_mm_deg(rng.uniform([-5, -5, -5, -15, -15, -45], [5, 5, -1, 15, 15, 45])))
         servo = Servo(gains_named(gains, task), DEPTHS_MM[task])
         for _ in range(60):
             label = np.zeros(6)
-            label[felt] = label_of(T)[felt]
+            label[components] = label_of(T)[components]
             T = T @ servo.move(label)
-        assert np.allclose(label_of(T)[felt], from_mm_deg(reference_mm_deg(DEPTHS_MM[task]))[felt], atol=2e-5)
+        assert np.allclose(label_of(T)[components], from_mm_deg(reference_mm_deg(DEPTHS_MM[task]))[components], atol=2e-5)
 
 
-def test_the_error_is_a_product_of_poses():
+def test_servo_error_is_a_product_of_poses():
     servo = Servo(Gains(), 2.5)
     label = from_mm_deg([1, 2, -4, 5, -6, 30])
     error = servo.error(label)
@@ -38,17 +38,17 @@ def test_the_error_is_a_product_of_poses():
     assert np.allclose(label_of(T), from_mm_deg(reference_mm_deg(2.5)), atol=1e-12)
 
 
-def test_the_law_is_proportional_and_integral_and_its_sum_is_clipped():
+def test_servo_move_is_proportional_and_integral_with_a_clipped_sum():
     servo = Servo(Gains(kp=(0.5,) * 6, ki=(0.3,) * 6, integral_limit_mm=2.0), 3.0)
     label = from_mm_deg([0, 0, -4, 0, 0, 0])  # 1 mm too deep: the reference is behind, at z = -1 mm of the sensor
-    for told in (-0.5 - 0.3, -0.5 - 0.6, -0.5 - 0.6):
-        assert servo.move(label)[2, 3] == pytest.approx(told * 1e-3)
+    for expected in (-0.5 - 0.3, -0.5 - 0.6, -0.5 - 0.6):
+        assert servo.move(label)[2, 3] == pytest.approx(expected * 1e-3)
     servo.reset()
     assert servo.move(label, along=(1e-3, 0, 0))[:3, 3] == pytest.approx([1e-3, 0, -0.8e-3])
 
 
-def test_a_steady_turn_is_followed_without_a_lasting_error():
-    """On a ball the surface turns by as much at each step: the integral takes that up."""
+def test_servo_on_a_ball_has_no_steady_error():
+    """On a ball the normal turns by the same angle at each step, which the integral compensates."""
     servo, radius, step = Servo(Gains(), 3.0), 0.06, 1e-3
     T = matrix([0, 0, radius - 3e-3], DOWN)
     for _ in range(150):
@@ -77,83 +77,83 @@ class _Ball:
         return Nearest(self.distance(points), self.radius * normal, normal)
 
 
-def test_the_truth_of_a_plate_is_the_label():
-    """At any pose over a flat top, and at any place and turn of the object."""
-    thing = load_object("plate")
-    truth, draw = SurfaceGroundTruth(thing.solid), np.random.default_rng(1)
+def test_surface_ground_truth_of_a_plate_is_the_label():
+    """Over a flat top, wherever the object is and however it is turned."""
+    scene_object = load_object("plate")
+    truth, rng = SurfaceGroundTruth(scene_object.solid), np.random.default_rng(1)
     for _ in range(20):
-        label = from_mm_deg(draw.uniform([0, 0, -5, -15, -15, 0], [0, 0, -1, 15, 15, 0]))
-        spin = matrix(draw.uniform(-0.01, 0.01, 3) * [1, 1, 0], Rotation.from_euler("z", draw.uniform(0, 6)))
+        label = from_mm_deg(rng.uniform([0, 0, -5, -15, -15, 0], [0, 0, -1, 15, 15, 0]))
+        spin = matrix(rng.uniform(-0.01, 0.01, 3) * [1, 1, 0], Rotation.from_euler("z", rng.uniform(0, 6)))
         assert np.allclose(truth.label(spin @ sensor_in_contact(label)), label, atol=1e-5)
 
 
 @pytest.mark.parametrize("name", ["edge", "rim-round"])
-def test_the_truth_of_an_edge_is_the_label(name):
-    thing = load_object(name)
-    truth, draw = EdgeGroundTruth(thing.edge), np.random.default_rng(2)
+def test_edge_ground_truth_is_the_label(name):
+    scene_object = load_object(name)
+    truth, rng = EdgeGroundTruth(scene_object.edge), np.random.default_rng(2)
     for k in range(5, 160, 31):
-        at = thing.edge.points[k]
+        at = scene_object.edge.points[k]
         frame = truth.frame(matrix(at, DOWN))
         assert np.allclose(frame[:3, 3], at, atol=1e-9)
         assert frame[:3, 0] @ (at - [0, 0, at[2]]) > 0  # x is off the object
-        label = from_mm_deg(draw.uniform([-3, 0, -5, -15, -15, -45], [3, 0, -1, 15, 15, 45]))
+        label = from_mm_deg(rng.uniform([-3, 0, -5, -15, -15, -45], [3, 0, -1, 15, 15, 45]))
         assert np.allclose(truth.label(frame @ sensor_in_contact(label)), label, atol=1e-5 if name == "edge" else 2e-4)
     assert truth.closed == (name != "edge")
 
 
-def walk(route, T, steps, turn=STILL):
-    """Go along a route with 1 mm a step, the contact frame as the sensor has it."""
+def followed(route, T, steps, turn=STILL):
+    """Return the places (n, 3) of a sensor that follows a route by 1 mm per step, aligned with the contact frame."""
     places = [T[:3, 3]]
     for _ in range(steps):
-        way = route.direction(T, T @ inverse(sensor_in_contact(np.zeros(6))))
-        if way is None:
+        direction = route.direction(T, T @ inverse(sensor_in_contact(np.zeros(6))))
+        if direction is None:
             break
-        assert np.linalg.norm(way) == pytest.approx(1)
-        assert abs(way @ T[:3, 2]) < 1e-9
-        T = matrix(T[:3, 3] + 1e-3 * way, turn * Rotation.from_matrix(T[:3, :3]))
+        assert np.linalg.norm(direction) == pytest.approx(1)
+        assert abs(direction @ T[:3, 2]) < 1e-9
+        T = matrix(T[:3, 3] + 1e-3 * direction, turn * Rotation.from_matrix(T[:3, :3]))
         places.append(T[:3, 3])
     return np.array(places)
 
 
-def test_a_plan_is_walked_to_its_end_and_told_by_its_parts():
+def test_planar_path_serpentine_is_completed_part_by_part():
     corners = serpentine([0.4, 0, 0.1], [1, 0, 0], [0, 1, 0], 0.03, 0.02, 0.01)
     assert len(corners) == 6
     route = PlanarPath(corners, [0, 0, 1])
-    places = walk(route, matrix(corners[0] + [0, 0, 0.05], DOWN), 500)
+    places = followed(route, matrix(corners[0] + [0, 0, 0.05], DOWN), 500)
     assert route.ended == "route completed"
     assert route.part == 4
     assert np.linalg.norm(places[-1] - corners[-1] - [0, 0, 0.05]) < 1e-3
-    # Corners are cut by as much as the route looks ahead, and no more.
+    # Every pass is reached, although corners are cut by the look-ahead.
     away = [np.abs(places[:, 1] - y).min() for y in corners[:, 1]]
     assert max(away) < 1e-4
     assert route.length_m == pytest.approx(0.11)
 
 
-def test_a_plan_ends_where_the_surface_is_too_steep():
+def test_planar_path_ends_where_the_surface_is_too_steep():
     route = PlanarPath([[0, 0, 0], [0.1, 0, 0]], [0, 0, 1])
     assert route.direction(matrix([0, 0, 0], DOWN * Rotation.from_rotvec([1.4, 0, 0])), np.eye(4)) is None
     assert "too steep" in route.ended
 
 
-def test_a_geodesic_keeps_its_heading_in_the_sensor_and_ends():
+def test_geodesic_keeps_its_heading_and_ends_at_its_length():
     route = Geodesic(np.pi / 2, 0.01)
-    places = walk(route, matrix([0, 0, 0], DOWN), 100)
+    places = followed(route, matrix([0, 0, 0], DOWN), 100)
     assert len(places) == 11
     assert np.allclose(np.diff(places, axis=0), [0, 1e-3, 0], atol=1e-9)
 
 
-def test_a_loop_is_closed_and_an_endless_edge_is_not():
+def test_edge_path_closes_a_loop_and_stops_at_its_limit_on_a_straight_edge():
     route = EdgePath(step_m=1e-3)
-    places = walk(route, matrix([0.06, 0, 0], DOWN), 1000, Rotation.from_euler("z", 1e-3 / 0.06))
+    places = followed(route, matrix([0.06, 0, 0], DOWN), 1000, Rotation.from_euler("z", 1e-3 / 0.06))
     assert route.closed
     assert len(places) == pytest.approx(2 * np.pi * 60, abs=3)
     straight = EdgePath(max_length_m=0.05, backward=True)
-    places = walk(straight, matrix([0, 0, 0], DOWN), 1000)
+    places = followed(straight, matrix([0, 0, 0], DOWN), 1000)
     assert not straight.closed
     assert straight.ended == "stopped at the path limit of 50 mm"
-    assert np.allclose(places[-1], [0, 0.0505, 0], atol=0.6e-3)  # the contact frame's y is against the base's here
+    assert np.allclose(places[-1], [0, 0.0505, 0], atol=0.6e-3)  # the contact frame's y is opposite to the base frame's here
 
 
-def test_an_unknown_gain_is_refused():
+def test_gains_named_unknown_name_is_refused():
     with pytest.raises(TactipError, match="paper, tactile-servo-control"):
         gains_named("high", "edge")

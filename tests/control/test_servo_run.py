@@ -1,4 +1,4 @@
-"""`tactip servo`: what it leaves behind, and what it says when it cannot."""
+"""`tactip servo`: its outputs and its error messages."""
 
 import json
 from dataclasses import replace
@@ -26,14 +26,14 @@ SHORT = ["--route.kind", "straight", "--route.length-mm", "4"]
 
 @pytest.fixture(scope="module")
 def ran(tmp_path_factory):
-    """A short run with the shipped network, and what it wrote."""
+    """A short run with the shipped network, and its outputs."""
     out = tmp_path_factory.mktemp("servo") / "run"
     assert tactip.main([*QUICK, *SHORT, "--out", str(out)]) == 0
     return out, json.loads((out / "score.json").read_text()), *read_recording(out)
 
 
 @pytest.mark.parametrize(
-    ("asked", "words"),
+    ("options", "words"),
     [
         ({"noise_grey": -1.0}, "noise_grey must be a finite number from 0 to 255, got -1.0"),
         ({"friction": 2.5}, "friction must be a finite number from 0 to 2, got 2.5"),
@@ -41,12 +41,12 @@ def ran(tmp_path_factory):
         ({"scale": 0.0}, "scale must be a finite number from 1e-06 to 1e\\+06, got 0.0"),
     ],
 )
-def test_options_out_of_bounds_are_refused_before_anything_is_made(tmp_path, asked, words):
+def test_servo_options_out_of_bounds_are_refused(tmp_path, options, words):
     with pytest.raises(TactipError, match=words):
-        ServoOptions(tmp_path / "run", **asked)
+        ServoOptions(tmp_path / "run", **options)
 
 
-def test_a_run_leaves_a_score_with_all_its_figures(ran):
+def test_servo_run_writes_a_complete_score(ran):
     _, score, record, _ = ran
     assert score["stopped_because"] == "route completed"
     assert score["contact_losses"] == score["events"] == 0
@@ -65,20 +65,20 @@ def test_a_run_leaves_a_score_with_all_its_figures(ran):
     assert set(score["ms_a_step"]) == {"simulation", "image", "network", "control"}
 
 
-def test_on_a_plate_the_normal_that_is_felt_is_that_of_any_patch(ran):
+def test_contact_patch_normal_on_a_plate_equals_the_normal_at_the_apex(ran):
     out, _, _, arrays = ran
     patch = contact_patch_normal(out, load_object("plate"))
     assert np.allclose(patch["apart_deg"], 0, atol=1e-3)
-    felt = np.abs(arrays["predicted"] - arrays["true"])[arrays["phase"] == PHASES.index("follow"), 3:5]
-    assert np.allclose(patch["predicted_deg"], np.degrees(np.linalg.norm(felt, axis=1)).mean(), atol=0.05)
+    errors = np.abs(arrays["predicted"] - arrays["true"])[arrays["phase"] == PHASES.index("follow"), 3:5]
+    assert np.allclose(patch["predicted_deg"], np.degrees(np.linalg.norm(errors, axis=1)).mean(), atol=0.05)
 
 
-def test_a_depth_that_the_network_has_not_learned_is_refused(tmp_path, capsys):
+def test_servo_depth_outside_the_training_range_is_refused(tmp_path, capsys):
     assert tactip.main([*QUICK, *SHORT, "--depth-mm", "6", "--out", str(tmp_path / "run")]) == 1
-    assert "--depth-mm is 6: the network surface-bent-tactip-127 has learned 1 to 5 mm" in capsys.readouterr().err
+    assert "--depth-mm must be between 1 and 5, got 6: the network surface-bent-tactip-127" in capsys.readouterr().err
 
 
-def test_a_recording_tells_all_that_was(ran):
+def test_servo_recording_is_complete_and_consistent(ran):
     out, score, record, arrays = ran
     assert record["complete"] and not (out / "steps.log").exists()
     following = arrays["phase"] == PHASES.index("follow")
@@ -87,7 +87,7 @@ def test_a_recording_tells_all_that_was(ran):
     assert arrays["images"].shape[1:] == (128, 128)
     assert set(np.unique(arrays["images"])) == {0, 255}
     assert arrays["pin_tips_m"].shape[1:] == (127, 3)
-    # The truth is that of the recorded poses: on a plate, depth is height.
+    # True labels belong to the recorded poses: on a plate, depth equals height.
     height = arrays["T_base_tcp"][:, 2, 3] - 0.02
     assert np.allclose(arrays["true"][:, 2], height, atol=1e-9)
     assert np.isfinite(arrays["angles_rad"]).all()
@@ -95,22 +95,22 @@ def test_a_recording_tells_all_that_was(ran):
     assert record["network"]["train"]["digest"]
 
 
-def test_the_same_run_is_the_same(ran, tmp_path):
-    """But for the times that it took."""
+def test_servo_same_run_twice_gives_equal_arrays(ran, tmp_path):
+    """All arrays but the measured times."""
     assert tactip.main([*QUICK, *SHORT, "--out", str(tmp_path / "again")]) == 0
     _, arrays = read_recording(tmp_path / "again")
     for name, values in ran[3].items():
         assert name == "seconds" or np.array_equal(values, arrays[name], equal_nan=name == "angles_rad"), name
 
 
-def test_json_is_one_object(tmp_path, capsys):
+def test_servo_json_prints_one_object(tmp_path, capsys):
     assert tactip.main([*QUICK, "--route.kind", "straight", "--route.length-mm", "1", "--model", "oracle", "--arm", "none",
                         "--json", "--out", str(tmp_path / "run")]) == 0  # fmt: skip
     score = json.loads(capsys.readouterr().out)
     assert score["depth_mae_mm"] < 0.2
 
 
-def test_an_edge_is_followed_by_sight(tmp_path):
+def test_servo_with_the_shipped_network_follows_an_edge(tmp_path):
     out = tmp_path / "run"
     command = [*QUICK, "--task", "edge", "--object", "rim-round", "--route.max-length-mm", "5", "--out", str(out)]
     assert tactip.main(command) == 0
@@ -120,23 +120,23 @@ def test_an_edge_is_followed_by_sight(tmp_path):
     assert 0.005 < score["coverage"] < 0.1
 
 
-def test_ctrl_c_keeps_what_was_recorded(tmp_path, monkeypatch, capsys):
+def test_servo_ctrl_c_keeps_the_recorded_steps(tmp_path, monkeypatch, capsys):
     from tactip_twin.control.follow import ContourFollower
 
     calls, go = [], ContourFollower._go
 
-    def stopped(self, *rest):
+    def interrupted(self, *rest):
         calls.append(1)
         if len(calls) == 6:
             raise KeyboardInterrupt
         return go(self, *rest)
 
-    monkeypatch.setattr(ContourFollower, "_go", stopped)
+    monkeypatch.setattr(ContourFollower, "_go", interrupted)
     out = tmp_path / "run"
     assert tactip.main([*QUICK, *SHORT, "--out", str(out)]) == 130
-    assert "what was recorded is in" in capsys.readouterr().err
+    assert "the steps so far are in" in capsys.readouterr().err
     record, arrays = read_recording(out)
-    assert record["stopped_because"] == "Ctrl-C"
+    assert record["stopped_because"] == "interrupted by Ctrl-C"
     assert len(arrays["phase"]) == 6
     assert json.loads((out / "score.json").read_text())["steps"] == 6
 
@@ -145,10 +145,13 @@ def test_ctrl_c_keeps_what_was_recorded(tmp_path, monkeypatch, capsys):
     ("options", "words"),
     [
         (["--object", "cup"], "unknown object 'cup': choose one of bust"),
-        (["--design", "tactip-331"], "no network of the surface is shipped for the tip 'tactip-331': give --model"),
+        (["--design", "tactip-331"], "no surface network is shipped for the design 'tactip-331': give --model"),
         (["--model", "none"], "neither a folder nor a shipped model"),
-        (["--task", "edge"], "plate has no edge that is known: the edge task takes one of edge, rim-round"),
-        (["--task", "surface", "--model", "edge-tactip-127"], "was trained for the edge, not for the surface"),
+        (["--task", "edge"], "the edge of plate is unknown: the edge task needs one of edge, rim-round"),
+        (
+            ["--task", "surface", "--model", "edge-tactip-127"],
+            "was trained for the task edge, and --task is surface: give another --model",
+        ),
         (["--route.middle-mm", "900", "0"], "must be above the object"),
         (["--settings.step-mm", "99"], "step_mm must be a finite number from 0.05 to 10, got 99.0"),
         (["--seed", "-1"], "tactip: seed must be a whole number from 0 to"),
@@ -158,8 +161,8 @@ def test_ctrl_c_keeps_what_was_recorded(tmp_path, monkeypatch, capsys):
         ),
     ],
 )
-def test_wrong_input_is_one_sentence(ran, tmp_path, capsys, options, words):
-    """Once libraries are loaded, as they are after a run: before, a second line says what is waited for."""
+def test_servo_invalid_input_prints_one_line(ran, tmp_path, capsys, options, words):
+    """The libraries are loaded by an earlier run; otherwise a status line about loading would come first."""
     capsys.readouterr()
     assert tactip.main([*QUICK, *SHORT, *options, "--out", str(tmp_path / "run")]) == 1
     error = capsys.readouterr().err
@@ -194,21 +197,21 @@ def test_run_servo_unknown_choice_is_refused(tmp_path, wrong):
         run_servo(ServoOptions(tmp_path / "run", object="plate", **wrong))
 
 
-def test_a_folder_in_use_is_not_written_over(ran, capsys):
+def test_servo_into_a_finished_run_is_refused(ran, capsys):
     assert tactip.main([*QUICK, *SHORT, "--out", str(ran[0])]) == 1
     assert "is not empty" in capsys.readouterr().err
 
 
-def test_a_start_out_of_reach_is_said(tmp_path):
+def test_servo_start_out_of_reach_is_reported(tmp_path):
     out = tmp_path / "run"
     far = ["servo", "--fidelity", "draft", "--object", "plate", "--video", "--position-mm", "750", "0", "0", *SHORT]
-    assert tactip.main([*far, "--out", str(out)]) == 1  # what was recorded is there, and nothing was followed
+    assert tactip.main([*far, "--out", str(out)]) == 1  # there is a recording, but no step followed the object
     assert not (out / "film.mp4").exists()
     assert tactip.main(["replay", str(out), "--gif", str(tmp_path / "a.gif")]) == 1
     assert "the start is out of reach" in json.loads((out / "score.json").read_text())["stopped_because"]
 
 
-def test_the_truth_steers_a_tip_that_no_network_is_shipped_for(tmp_path):
+def test_servo_oracle_runs_a_design_without_a_shipped_network(tmp_path):
     options = ["--design", "nominal-331", "--model", "oracle", "--settings.max-steps", "60"]
     assert tactip.main([*QUICK, *SHORT, *options, "--out", str(tmp_path / "run")]) == 0
     assert json.loads((tmp_path / "run" / "score.json").read_text())["depth_mae_mm"] is not None
@@ -263,14 +266,14 @@ def test_run_servo_own_parts_take_the_place_of_network_and_controller(tmp_path):
     assert np.ptp(following[:, 2]) < 1e-9  # nothing corrects the depth
 
 
-def test_coverage_counts_what_is_near():
+def test_coverage_counts_targets_within_reach():
     targets = np.stack([np.arange(10), np.zeros(10), np.zeros(10)], -1).astype(float)
     assert coverage(targets[:1], targets, 2.5) == pytest.approx(0.3)
     assert coverage(targets[:0], targets, 2.5) == 0
 
 
-def test_a_film_of_a_run(tmp_path):
-    """Of every step a picture, with the arm, the object and the image that was felt in it."""
+def test_servo_video_shows_every_step(tmp_path):
+    """Each frame shows the arm, the object and the tactile image of its step."""
     import av
 
     out = tmp_path / "run"
@@ -281,10 +284,10 @@ def test_a_film_of_a_run(tmp_path):
         frames = [f.to_ndarray(format="rgb24") for f in film.decode(video=0)]
     assert len(frames) == len(arrays["phase"])
     assert frames[0].shape == (630, 1120, 3)
-    felt = frames[-1][16 : 16 + 256 : 2, 782:1038:2].mean(-1) > 127  # twice as large as it is
-    assert (felt == (arrays["images"][-1] > 127)).mean() > 0.99
+    shown = frames[-1][16 : 16 + 256 : 2, 782:1038:2].mean(-1) > 127  # shown at twice its size
+    assert (shown == (arrays["images"][-1] > 127)).mean() > 0.99
     assert (out / "figure.png").stat().st_size > 5000
-    # The same from the recording alone.
+    # A replay of the recording gives the same frames.
     again, gif = tmp_path / "again.mp4", tmp_path / "again.gif"
     assert tactip.main(["replay", str(out), "--video", str(again), "--gif", str(gif), "--stride", "4"]) == 0
     with av.open(str(again)) as film:
@@ -304,12 +307,12 @@ def test_a_film_of_a_run(tmp_path):
         (["--gif", "a.gif"], "there is no recording in"),
     ],
 )
-def test_what_cannot_be_replayed_is_said(tmp_path, capsys, options, words):
+def test_replay_invalid_input_is_refused(tmp_path, capsys, options, words):
     assert tactip.main(["replay", str(tmp_path), *options]) == 1
     assert words in capsys.readouterr().err
 
 
-def test_a_film_needs_a_renderer(tmp_path, capsys):
+def test_servo_video_without_pyrender_is_refused(tmp_path, capsys):
     assert tactip.main([*QUICK, *SHORT, "--video", "--out", str(tmp_path / "run")]) == 1
-    assert "--video does not go with --renderer raster" in capsys.readouterr().err
+    assert "--video needs --renderer pyrender, got raster" in capsys.readouterr().err
     assert not (tmp_path / "run").exists()

@@ -16,9 +16,11 @@ def tip_mesh():
 
 
 def scenery(with_arm=True):
-    thing = load_object("sphere")
+    scene_object = load_object("sphere")
     triangles = tip_mesh().triangles
-    return RecordedScene(thing.solid.vertices, thing.solid.triangles, thing.T_base_object, triangles, 20e-3, with_arm)
+    return RecordedScene(
+        scene_object.solid.vertices, scene_object.solid.triangles, scene_object.T_base_object, triangles, 20e-3, with_arm
+    )
 
 
 STEPS = 12

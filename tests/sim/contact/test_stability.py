@@ -67,24 +67,24 @@ class Probe:
 @pytest.mark.parametrize("name", STIMULI)
 def test_stimulus_distance_agrees_with_mujoco(name):
     """Outside it agrees to a few µm, the error of the rounding's facets; the highest point is at zero."""
-    probe, thing, rng = Probe(name, 0.2e-3), stimulus_named(name), np.random.default_rng(0)
+    probe, stimulus, rng = Probe(name, 0.2e-3), stimulus_named(name), np.random.default_rng(0)
     points = rng.uniform([-8e-3, -8e-3, -8e-3], [8e-3, 8e-3, 4e-3], (60, 3))
-    distance = thing.distance(points)
+    distance = stimulus.distance(points)
     outside = distance > 0.3e-3
     assert outside.sum() > 10
     measured = np.array([probe(p) + 0.2e-3 for p in points[outside]])
     assert np.abs(measured - distance[outside]).max() < 15e-6
     grid = np.stack(np.meshgrid(*[np.linspace(-9e-3, 9e-3, 181)] * 2), -1).reshape(-1, 2)
-    top = thing.distance(np.column_stack([grid, np.zeros(len(grid))]))
+    top = stimulus.distance(np.column_stack([grid, np.zeros(len(grid))]))
     assert abs(top.min()) < 1e-9
 
 
 @pytest.mark.parametrize("name", STIMULI)
 def test_height_to_clear_agrees_with_brute_force(name):
-    probe, thing, rng = Probe(name, DOME_M), stimulus_named(name), np.random.default_rng(1)
+    probe, stimulus, rng = Probe(name, DOME_M), stimulus_named(name), np.random.default_rng(1)
     more_than_needed = stimuli.EDGE_RADIUS_M if name == "edge" else 20e-6
     for centre in rng.uniform([-25e-3, -10e-3, 5e-3], [25e-3, 10e-3, 30e-3], (8, 3)):
-        lift = thing.height_to_clear(centre, DOME_M)
+        lift = stimulus.height_to_clear(centre, DOME_M)
         if np.isinf(lift):
             heights = np.linspace(-30e-3, 0, 7) - centre[2]
             assert all(probe(centre + [0, 0, h]) > -20e-6 for h in heights)

@@ -20,18 +20,18 @@ def ball():
 
 @pytest.mark.parametrize("ending", ["stl", "ply", "obj", "glb"])
 def test_every_format_gives_the_same_solid(tmp_path, ball, ending):
-    thing = load_object(written(tmp_path / f"ball.{ending}", ball))
-    assert thing.notes == ()
-    assert thing.solid.distance(np.array([0.05, 0, 0])) == pytest.approx(0.01, abs=1e-4)
-    assert np.allclose(thing.T_base_object[:3, 3], [0.38, 0, 0.04], atol=1e-5)
+    scene_object = load_object(written(tmp_path / f"ball.{ending}", ball))
+    assert scene_object.notes == ()
+    assert scene_object.solid.distance(np.array([0.05, 0, 0])) == pytest.approx(0.01, abs=1e-4)
+    assert np.allclose(scene_object.T_base_object[:3, 3], [0.38, 0, 0.04], atol=1e-5)
 
 
 def test_unit_scale_and_place(tmp_path, ball):
     path = written(tmp_path / "ball.stl", ball)
-    thing = load_object(path, unit="cm", scale=0.2, position_mm=(300, -50, 10), rotation_deg=(0, 90, 0))
-    assert thing.solid.distance(np.zeros(3)) == pytest.approx(-0.08, abs=5e-4)
-    assert np.allclose(thing.T_base_object[:3, 3], [0.3, -0.05, 0.09], atol=1e-4)
-    assert np.allclose(thing.T_base_object[:3, :3] @ [0, 0, 1], [1, 0, 0], atol=1e-9)
+    scene_object = load_object(path, unit="cm", scale=0.2, position_mm=(300, -50, 10), rotation_deg=(0, 90, 0))
+    assert scene_object.solid.distance(np.zeros(3)) == pytest.approx(-0.08, abs=5e-4)
+    assert np.allclose(scene_object.T_base_object[:3, 3], [0.3, -0.05, 0.09], atol=1e-4)
+    assert np.allclose(scene_object.T_base_object[:3, :3] @ [0, 0, 1], [1, 0, 0], atol=1e-9)
 
 
 def test_what_is_safe_is_repaired_and_said(tmp_path, ball):
@@ -48,10 +48,10 @@ def test_what_is_safe_is_repaired_and_said(tmp_path, ball):
         ("cut", cut, "filled"),
         ("doubled", doubled, "removed"),
     ):
-        thing = load_object(written(tmp_path / f"{name}.ply", mesh))
-        assert any(words in note for note in thing.notes), name
-        assert thing.solid.distance(np.array([0, 0, 0.045])) == pytest.approx(0.005, abs=1e-4), name
-        assert thing.solid.distance(np.array([0, 0, 0.035])) == pytest.approx(-0.005, abs=1e-3), name
+        scene_object = load_object(written(tmp_path / f"{name}.ply", mesh))
+        assert any(words in note for note in scene_object.notes), name
+        assert scene_object.solid.distance(np.array([0, 0, 0.045])) == pytest.approx(0.005, abs=1e-4), name
+        assert scene_object.solid.distance(np.array([0, 0, 0.035])) == pytest.approx(-0.005, abs=1e-3), name
 
 
 def test_what_is_not_safe_is_refused_with_the_reason(tmp_path, ball):
@@ -107,8 +107,8 @@ def test_too_fine_a_mesh_is_refused_before_anything_is_built(monkeypatch, ball, 
 def test_a_mesh_in_memory_is_taken_in_metres_and_left_as_it_is(ball):
     mesh = ball.copy().apply_scale(1e-3)
     before = mesh.vertices.copy()
-    thing = load_object(mesh, scale=2.0)
-    assert thing.name == "mesh"
-    assert thing.solid.distance(np.zeros(3)) == pytest.approx(-0.08, abs=5e-4)
+    scene_object = load_object(mesh, scale=2.0)
+    assert scene_object.name == "mesh"
+    assert scene_object.solid.distance(np.zeros(3)) == pytest.approx(-0.08, abs=5e-4)
     assert np.array_equal(mesh.vertices, before)
     assert load_object(ball, unit="mm").solid.distance(np.zeros(3)) == pytest.approx(-0.04, abs=5e-4)

@@ -95,8 +95,8 @@ def test_light_comes_from_above():
 
 
 def test_an_object_is_shown_where_it_is():
-    thing, mesh = load_object("sphere"), object_mesh(scenery())
-    solid, T = thing.solid, thing.T_base_object
+    scene_object, mesh = load_object("sphere"), object_mesh(scenery())
+    solid, T = scene_object.solid, scene_object.T_base_object
     assert np.allclose(mesh.vertices[mesh.triangles], solid.vertices[solid.triangles] @ T[:3, :3].T + T[:3, 3])
 
 
