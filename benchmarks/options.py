@@ -24,18 +24,18 @@ PerformanceGroup = Literal["samples", "growth", "images", "learning", "servo", "
 
 @dataclass(frozen=True)
 class FidelityOptions:
-    """Measure errors and costs of contacts over presets and numbers. Rerun to resume."""
+    """Measure errors and costs of simulated contacts by preset and by setting. Rerun to resume."""
 
     out: Path = Path("docs")
     """Folder for fidelity.json, fidelity.md and fidelity.png."""
     contacts: int = 10
-    """Contacts of each training set for the presets."""
-    swept: int = 5
-    """Contacts of each training set for numbers changed one at a time."""
-    kept: Path = Path("build/fidelity")
-    """Folder for the contacts played so far; removed when all is done."""
+    """Number of contacts per task for the presets."""
+    sweep_contacts: int = 5
+    """Number of contacts per task for settings changed one at a time."""
+    cache: Path = Path("build/fidelity")
+    """Folder for the contacts simulated so far; removed at the end."""
     redraw: bool = False
-    """Only write page and figure anew from fidelity.json."""
+    """Rewrite page and figure from an existing fidelity.json without measuring."""
 
 
 @dataclass(frozen=True)
@@ -102,78 +102,78 @@ class SceneCostOptions:
 
 @dataclass(frozen=True)
 class LearningOptions:
-    """Measure what each step of learning buys, what shear is worth, and error against run time over networks."""
+    """Measure the benefit of each step of training, of shear, and error against run time of networks. Rerun to resume."""
 
     task: Task = "surface"
     """surface or edge."""
     contacts: int = 2000
-    """Contacts to train on in all rows but `laptop-most`: as many as the paper had."""
-    most: int = 8000
-    """Contacts of that row, whose network is shipped."""
-    bent: int = 2000
-    """Contacts on bent surfaces, of the row `laptop-bent`."""
-    looked: int = 350
-    """Contacts with 20 looks each, of the row `laptop-looks`: as long in the making as 2000 contacts of one."""
-    judged: int = 2000
-    """Sheared contacts each to validate and to test."""
-    judged_taps: int = 500
-    """Contacts each to validate and to test, of those without shear and of those on bent surfaces."""
+    """Number of training contacts of most rows, as in the paper."""
+    large_contacts: int = 8000
+    """Number of training contacts of the row `laptop-large`, whose network is shipped."""
+    curved_contacts: int = 2000
+    """Number of training contacts of the row `laptop-curved`, on curved surfaces."""
+    snapshot_contacts: int = 350
+    """Number of training contacts of the row `laptop-snapshots`, with 20 images each."""
+    test_contacts: int = 2000
+    """Number of sheared contacts for validation, and as many for testing."""
+    other_test_contacts: int = 500
+    """The same for contacts without shear, and for contacts on curved surfaces."""
     data: Path = Path("data/learning")
-    """Folder of the sets: DATA/KIND/TASK/SPLIT."""
+    """Folder of the data sets: DATA/KIND/TASK/SPLIT."""
     runs: Path = Path("runs/learning")
-    """Folder of the trainings: RUNS/TASK/NAME."""
+    """Folder of the trainings: RUNS/TASK/ROW."""
     out: Path = Path("docs")
     """Folder for learning.json, learning.md and learning.png."""
     workers: str = "auto"
-    """Worker processes that make sets; auto is one a core."""
+    """Number of worker processes that simulate contacts; auto: one per core."""
     only: tuple[str, ...] = ()
-    """Names of the rows to measure; all if there are none. The page keeps the others."""
+    """Names of the rows to measure; default: all. Other rows of this version remain on the page."""
     paper: bool = False
-    """Train the paper's own network, too: for a GPU."""
+    """Train the paper's own network, too. It needs a GPU."""
 
 
 @dataclass(frozen=True)
 class SearchOptions:
-    """Run the paper's search with as many trials as there is time for, and write the page that says what was cut."""
+    """Run the paper's hyperparameter search with fewer trials, and write its page. Rerun to resume."""
 
     task: Task = "surface"
     """surface or edge."""
     trials: int = 60
-    """Trainings in all."""
+    """Number of trainings."""
     jobs: int = 2
-    """Trainings at a time."""
+    """Number of simultaneous trainings."""
     paper: bool = False
-    """The paper's whole search: 300 trials, 512 filters; for a GPU."""
+    """The paper's whole search: 300 trials, up to 512 filters. It needs a GPU."""
     contacts: int = 2000
-    """Contacts to train on."""
-    judged: int = 2000
-    """Contacts to validate on."""
+    """Number of training contacts."""
+    val_contacts: int = 2000
+    """Number of validation contacts."""
     data: Path = Path("data/learning")
-    """Folder of the sets: DATA/plain/TASK/SPLIT."""
+    """Folder of the data sets: DATA/plain/TASK/SPLIT."""
     runs: Path = Path("runs/search")
     """Folder of the searches: RUNS/TASK."""
     out: Path = Path("docs")
     """Folder for search.json, search.md and the figures."""
     workers: str = "auto"
-    """Worker processes that make sets; auto is one a core."""
+    """Number of worker processes that simulate contacts; auto: one per core."""
 
 
 @dataclass(frozen=True)
 class TransferOptions:
-    """Measure what is learned in simulation against real sensors: the experiments of `tactip transfer`, on one page."""
+    """Measure networks trained in simulation on real sensors: the experiments of `tactip transfer` on one page."""
 
     real: tuple[Path, ...] = ()
-    """Folders of imported sets (tactip import)."""
+    """Folders of imported data sets (tactip import)."""
     experiments: tuple[ExperimentName, ...] = ("gap", "zero-shot", "few-shot", "ablate")
-    """Which; the page keeps the others."""
+    """Experiments to run; results of others remain on the page."""
     runs: Path = Path("runs/transfer")
-    """Folder of sets and networks: RUNS/SET."""
+    """Folder of the simulated sets and networks: RUNS/SET."""
     out: Path = Path("docs")
     """Folder for transfer.json, transfer.md and the figures."""
     workers: str = "auto"
-    """Worker processes that make contacts; auto is one a core."""
+    """Number of worker processes that simulate contacts; auto: one per core."""
     settings: Annotated[TransferSettings, tyro.conf.arg(name="")] = field(default_factory=TransferSettings)
-    """How the experiments are made."""
+    """Settings of the experiments."""
 
 
 @dataclass(frozen=True)
@@ -182,20 +182,20 @@ class ReleaseModelsOptions:
 
     task: Task = "surface"
     """surface or edge."""
-    name: str = "laptop-most"
+    row: str = "laptop-large"
     """Row of `tactip bench learning`."""
     data: Path = Path("data/learning")
-    """Its folder of sets."""
+    """Folder of the data sets of `tactip bench learning`."""
     runs: Path = Path("runs/learning")
-    """Its folder of trainings."""
+    """Folder of the trainings of `tactip bench learning`."""
     out: Path = Path("assets/models")
     """Folder of the shipped networks."""
-    again: bool = False
-    """Judge the network that is shipped, and leave its weights as they are."""
-    judged: int = 2000
-    """Test contacts that it is judged on, then."""
+    evaluate_only: bool = False
+    """Evaluate the shipped network again, and keep its weights."""
+    test_contacts: int = 2000
+    """Number of test contacts of --evaluate-only."""
     workers: str = "auto"
-    """Worker processes that make them, then; auto is one a core."""
+    """Number of worker processes that simulate these contacts; auto: one per core."""
 
 
 @dataclass(frozen=True)

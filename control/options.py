@@ -146,5 +146,5 @@ class ServoOptions:
         return f"{_SHIPPED[self.task]}-{self.design}" if self.model in ("", "oracle") else self.model
 
 
-_SHIPPED: dict[Task, str] = {"surface": "surface-bent", "edge": "edge"}
+_SHIPPED: dict[Task, str] = {"surface": "surface-curved", "edge": "edge"}
 """First part of the shipped networks' names by task."""

@@ -27,7 +27,7 @@ FIDELITIES = ("draft", "standard", "reference")
 SURFACES, EDGES = ("bust", "saddle", "sphere", "plate"), ("edge", "rim-round", "rim-square", "rim-uneven")
 NETWORKS = {
     "surface-tactip-127": "surface-standard",
-    "surface-bent-tactip-127": "surface-variants",
+    "surface-curved-tactip-127": "surface-variants",
     "edge-tactip-127": "edge-standard",
 }
 """Each shipped network and the set of this record that it is evaluated on."""

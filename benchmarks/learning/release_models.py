@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from tactip_twin.benchmarks.hardware import machine, machine_text
-from tactip_twin.benchmarks.learning.learning import BARS, DESIGN, PAPER, jobs, rows
+from tactip_twin.benchmarks.learning.learning import DESIGN, PAPER, TARGETS, jobs, rows
 from tactip_twin.benchmarks.options import LearningOptions, ReleaseModelsOptions
 from tactip_twin.learning.data import read_samples
 from tactip_twin.learning.evaluate import evaluate, tables
@@ -26,7 +26,11 @@ from tactip_twin.tactip_model.files import write_file
 MAX_BYTES = 5_000_000
 """Size that the weights of a released network must stay below, bytes."""
 
-_COUNT_OPTIONS = {"laptop-most": "most", "laptop-further": "most", "laptop-bent": "bent"}
+_COUNT_OPTIONS = {
+    "laptop-large": "large_contacts",
+    "laptop-fine-tuned": "large_contacts",
+    "laptop-curved": "curved_contacts",
+}
 """Option of `tactip bench learning` for the number of contacts of a row, where it is not `contacts`."""
 
 EVALUATION, CARD = "evaluation.json", "card.md"
@@ -45,18 +49,18 @@ def release_model(options: ReleaseModelsOptions, log: Callable[[str], None] = pr
     Raises:
         TactipError: There is no such network, it is too large, or its training is unfinished.
     """
-    source = options.runs / options.task / options.name
-    if options.again:
-        source = options.out / f"{options.task}-{'bent-' if options.name == 'laptop-bent' else ''}{DESIGN}"
+    source = options.runs / options.task / options.row
+    if options.evaluate_only:
+        source = options.out / f"{options.task}-{'curved-' if options.row == 'laptop-curved' else ''}{DESIGN}"
     size = (source / WEIGHTS).stat().st_size if (source / WEIGHTS).exists() else 0
     model = load_model(source)
     if size >= MAX_BYTES:
         raise TactipError(f"the weights in {source} have {size} bytes: a network is shipped with fewer than {MAX_BYTES}")
     if not model.provenance["outcome"]["finished"]:
         raise TactipError(f"the training in {source} is unfinished: let it come to its end before it is shipped")
-    where = options.data / ("bent" if _is_curved(model) else "plain") / options.task / "test"
-    if options.again:
-        sets = jobs(LearningOptions(task=options.task, data=options.data, judged=options.judged), ())
+    where = options.data / ("curved" if _is_curved(model) else "plain") / options.task / "test"
+    if options.evaluate_only:
+        sets = jobs(LearningOptions(task=options.task, data=options.data, test_contacts=options.test_contacts), ())
         make([job for job in sets if job.folder == where], worker_count(options.workers), log)
     test = read_samples(where)
     evaluation = evaluate(model, test)
@@ -69,7 +73,7 @@ def release_model(options: ReleaseModelsOptions, log: Callable[[str], None] = pr
     }
     folder = options.out / _name(model)
     folder.mkdir(parents=True, exist_ok=True)
-    if not options.again:
+    if not options.evaluate_only:
         for name in (WEIGHTS, DESCRIPTION):
             shutil.copyfile(source / name, folder / name)
     write_file(folder / EVALUATION, (json.dumps(record, indent=1) + "\n").encode())
@@ -84,79 +88,67 @@ def _is_curved(model: Model) -> bool:
 
 def _name(model: Model) -> str:
     """Return the name of a released model."""
-    return f"{model.labels.task}-{'bent-' if _is_curved(model) else ''}{DESIGN}"
+    return f"{model.labels.task}-{'curved-' if _is_curved(model) else ''}{DESIGN}"
 
 
 def _initial_weights(model: Model, options: ReleaseModelsOptions) -> list[str]:
     """Return a line on the initial weights of a training; none if they were random."""
     if "initial_weights" not in model.provenance:
         return []
-    (start,) = (row.init_from for row in rows(options.task, False) if row.name == options.name)
+    (start,) = (row.init_from for row in rows(options.task, False) if row.name == options.row)
     same = net_sha256(load_network(start).net) == model.provenance["initial_weights"]
-    its = "" if same else " as an earlier version shipped it"
-    return [f"- Begun from the weights of `{start}`{its} (checksum {model.provenance['initial_weights'][:16]})."]
+    its = "" if same else " of an earlier version"
+    return [f"- Initial weights: `{start}`{its} (checksum {model.provenance['initial_weights'][:16]})."]
 
 
 def card(model: Model, record: Mapping[str, Any], options: ReleaseModelsOptions) -> str:
     """Return the Markdown of a network's card, from its evaluation."""
-    task, p = model.labels.task, model.provenance
-    data, network, settings = p["train"], p["network"], p["settings"]
+    task, p, labels = model.labels.task, model.provenance, model.labels
+    data, settings, outcome = p["train"], p["settings"], p["outcome"]
     made = data["configuration"]
-    # Of all of a set, what was asked for: a contact that could not be trusted may be missing among the samples.
+    # The number asked for: a few contacts of a set may have failed its checks.
     samples = made["samples"] if data.get("chosen") is None else data["samples"]
     contacts = samples // (len(SYMMETRIES[task]) if made["augment_symmetry"] else 1)
-    missing = data["samples"] < samples
-    ran, asked = p["outcome"]["epochs"], settings["epochs"]
-    longer = f", since {asked} would be fewer than {settings['min_steps']} steps" if ran > asked else ""
+    failed = f" ({samples - data['samples']} failed checks)" if data["samples"] < samples else ""
     what = {"surface": "a flat surface", "edge": "a straight edge"}[task]
     if _is_curved(model):
-        what = "a surface bent by {:g} to {:g} /m, two ways{},".format(
-            *made["curvature_per_m"], " and half of the time unevenly" if made.get("varying_curvature_fraction") else ""
-        )
-    # What the paper reached and what is asked is of flat surfaces.
-    beside = () if _is_curved(model) else (("the paper, real sensor", PAPER), ("what we ask", BARS))
-    count = _COUNT_OPTIONS.get(options.name, "contacts")
+        varying = " (varying on half of them)" if made.get("varying_curvature_fraction") else ""
+        what = "surfaces with curvatures of {:g} to {:g} /m{}".format(*made["curvature_per_m"], varying)
+    # The paper's results and the targets are for flat surfaces and straight edges.
+    beside = {} if _is_curved(model) else {"the paper, real sensor": PAPER, "target": TARGETS}
     lines = [
         f"# {_name(model)}",
         "",
-        f"Reads the pose of {what} from one binary tactile image, {model.size} px wide, of the 127-pin TacTip "
-        f"(`{DESIGN}`), however the skin was sheared within the ranges below. Trained in simulation alone; on a real "
-        "sensor expect more than these errors. Frames and signs: sim/pose.py.",
+        f"This network predicts the pose of {what} from one binary tactile image, {model.size} px wide, of the 127-pin "
+        f"TacTip (`{DESIGN}`), and is insensitive to shear. It was trained in simulation only; expect larger errors on a "
+        "real sensor. `sim/pose.py` defines frames and signs.",
         "",
-        "| " + " | ".join(["component", "mean error", "rms", "bias", "95 % below", *(title for title, _ in beside)]) + " |",
-        "|" + "---|" * (5 + len(beside)),
+        "| component | trained range | mean error | rms | bias | 95 % below |" + "".join(f" {title} |" for title in beside),
+        "|" + "---|" * (6 + len(beside)),
     ]
-    for name, unit in zip(model.labels.names, model.labels.units, strict=True):
-        cells = [f"{record[k][name]:.3f} {unit}" for k in ("mae", "rmse", "bias", "p95")]
-        cells += [f"{table[task][name]:g} {unit}" for _, table in beside]
+    for name, unit, low, high in zip(labels.names, labels.units, labels.low, labels.high, strict=True):
+        cells = [f"{low:g} to {high:g} {unit}", *(f"{record[k][name]:.3f} {unit}" for k in ("mae", "rmse", "bias", "p95"))]
+        cells += [f"{values[task][name]:g} {unit}" for values in beside.values()]
         lines.append(f"| {name} | " + " | ".join(cells) + " |")
-    ranges = ", ".join(
-        f"{name} {low:g} to {high:g} {unit}"
-        for name, low, high, unit in zip(
-            model.labels.names, model.labels.low, model.labels.high, model.labels.units, strict=True
-        )
-    )
-    state = machine_text(record["machine"])
+    count = _COUNT_OPTIONS.get(options.row, "contacts").replace("_", "-")
+    network = ", ".join(f"{key} {value}" for key, value in p["network"].items())
+    training = ", ".join(f"{key} {value}" for key, value in settings.items())
     lines += [
         "",
-        f"On {record['samples']} test contacts of which it has seen none; {record['parameters']} parameters; "
-        f"{record['latency_ms']:.2f} ms an image, one core ({state}).",
+        f"Evaluated on {record['samples']} test contacts that were not used for training. {record['parameters']} "
+        f"parameters; {record['latency_ms']:.2f} ms per image on one core ({machine_text(record['machine'])}).",
         "",
-        f"- Labels: {ranges}. Shear: as `shear` in model.json, provenance.",
-        f"- Trained on {data['samples']} images of {contacts} contacts{', but for those that failed' * missing} (fidelity "
-        f"`{made['fidelity']['name']}`, seed {made['seed']}, `{made['renderer']}`), configuration {data['digest'][:16]}; "
-        f"tested on configuration {record['test']['digest'][:16]}. In full, and with checksums of the tables, in model.json "
-        "and evaluation.json.",
+        f"- Training data: {data['samples']} images of {contacts} contacts{failed}; fidelity `{made['fidelity']['name']}`, "
+        f"renderer `{made['renderer']}`, seed {made['seed']}. `model.json` has the full configuration and the checksums.",
         *_initial_weights(model, options),
-        f"- Network: {json.dumps(network)}",
-        f"- Training: {json.dumps(settings)}; best epoch {p['outcome']['best_epoch']} of {p['outcome']['epochs']}"
-        f"{longer}; torch {p['torch']}",
+        f"- Network: {network}.",
+        f"- Training: {training}. Best epoch: {outcome['best_epoch']} of {outcome['epochs']}. torch {p['torch']}.",
         "",
-        "To make it again:",
+        "Commands that make it again:",
         "",
         "```",
-        f"tactip bench learning --task {task} --{count} {contacts} --only {options.name}",
-        f"tactip bench release-models --task {task} --name {options.name}",
+        f"tactip bench learning --task {task} --{count} {contacts} --only {options.row}",
+        f"tactip bench release-models --task {task} --row {options.row}",
         "```",
     ]
     return "\n".join(lines) + "\n"

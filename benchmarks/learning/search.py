@@ -38,10 +38,8 @@ BEST = 5
 
 def jobs(options: SearchOptions) -> list[Job]:
     """Return the sets that are needed, whether they exist or not."""
-    judged = LearningOptions(task=options.task, judged=options.judged, data=options.data)
-    (val,) = (
-        job for job in learning.jobs(judged, ("plain",)) if job.folder == options.data / "plain" / options.task / "val"
-    )
+    sizes = LearningOptions(task=options.task, test_contacts=options.val_contacts, data=options.data)
+    (val,) = (job for job in learning.jobs(sizes, ("plain",)) if job.folder == options.data / "plain" / options.task / "val")
     train = replace(val.configuration, split="train", samples=options.contacts)
     return [val, Job(train, val.folder.with_name("train"))]
 
@@ -58,7 +56,7 @@ def run(options: SearchOptions, log: Callable[[str], None] = print) -> dict[str,
     results = sorted(results, key=lambda r: r["trial"])
     record = {
         "contacts": options.contacts,
-        "judged": options.judged,
+        "val_contacts": options.val_contacts,
         "settings": dataclasses.asdict(settings),
         "machine": machine(),
         "trials": [{k: r.get(k) for k in ("trial", "status", "loss", "network", "why")} for r in results],
@@ -88,7 +86,7 @@ def tables(whole: Mapping[str, Any]) -> dict[str, str]:
         lines += [
             "",
             f"{len(record['trials'])} trials ({', '.join(f'{n} {status}' for status, n in sorted(ended.items()))}); "
-            f"{record['contacts']} contacts for training, {record['judged']} for validation. Machine: "
+            f"{record['contacts']} contacts for training, {record['val_contacts']} for validation. Machine: "
             f"{machine_text(record['machine'])}. Differences from the paper: "
             f"{', '.join(differences(record['settings'])) or 'none'}.",
         ]

@@ -12,7 +12,6 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,9 +22,10 @@ from tactip_twin.benchmarks.hardware import machine
 from tactip_twin.benchmarks.options import FidelityOptions
 from tactip_twin.benchmarks.physics.contact_cache import DESIGN, STANDARD, CachedContact, ContactCache, Variant
 from tactip_twin.benchmarks.physics.contact_cases import CASES, CONVERGING, Case, training
-from tactip_twin.benchmarks.physics.fidelity_page import markdown, plot
+from tactip_twin.benchmarks.physics.fidelity_page import plot, tables
 from tactip_twin.benchmarks.physics.parameter_sweeps import refined_meshes, refined_steps, small_steps, sweeps
 from tactip_twin.benchmarks.physics.pose_sensitivity import ImagePins, PoseSensitivity, moved_about
+from tactip_twin.benchmarks.report import write_page
 from tactip_twin.sim.contact.fidelity import FIDELITIES, finer
 from tactip_twin.sim.labels import TASKS, FidelityName
 from tactip_twin.tactip_model.design import TactileImage
@@ -50,7 +50,7 @@ NEAR_PX = 1.5
 def jobs(options: FidelityOptions) -> list[tuple[Case, Variant]]:
     """Return all contacts that a measurement needs; those of one variant and stimulus are in a row."""
     trained = {task: training(task, options.contacts) for task in TASKS}
-    swept = {task: training(task, options.swept) for task in TASKS}
+    swept = {task: training(task, options.sweep_contacts) for task in TASKS}
     all_cases = [*CASES, *(case for cases in trained.values() for case in cases)]
     wanted = []
     for variant in PRESETS.values():
@@ -90,14 +90,14 @@ class Measurement:
         trained = {task: training(task, o.contacts) for task in TASKS}
         return {
             "design": DESIGN,
-            "contacts_a_task": o.contacts,
-            "swept_contacts_a_task": o.swept,
+            "contacts_per_task": o.contacts,
+            "sweep_contacts_per_task": o.sweep_contacts,
             "machine": machine(),
             "presets": [self._preset(task, name, cases) for task, cases in trained.items() for name in PRESETS],
             "cases": [self._case(case, name) for case in CASES for name in PRESETS],
             "reference": self._reference(),
             "sweeps": [row for task in TASKS for row in self._swept(task)],
-            "drawing": [compare_renderers(self._standard(task), self._pins) for task in TASKS],
+            "renderers": [compare_renderers(self._standard(task), self._pins) for task in TASKS],
         }
 
     def row(self, cases: Sequence[Case], variant: Variant) -> dict[str, Any]:
@@ -151,7 +151,7 @@ class Measurement:
 
     def _swept(self, task: str) -> Iterator[dict[str, Any]]:
         """Yield the rows of all sweeps on one task."""
-        cases = training(task, self._options.swept)
+        cases = training(task, self._options.sweep_contacts)
         slow = [self._cache(case, Variant(small_steps(STANDARD.fidelity))).pin_tips for case in cases]
         for name, variant in PRESETS.items():
             yield {"task": task, "what": "preset", "value": name, "of_mesh": True} | self.row(cases, variant)
@@ -177,7 +177,7 @@ class Measurement:
                 "force_percent": _percent(half.force_n, whole.force_n),
             }
             rows.append({"case": case.name, "mesh": over_mesh, "steps": over_steps, "half_the_steps": halved})
-        return {"spacings_mm": list(meshes), "shares_of_steps": list(steps), "rows": rows}
+        return {"spacings_mm": list(meshes), "rows": rows}
 
     def _standard(self, task: str) -> list[tuple[Case, CachedContact, PoseSensitivity]]:
         """Return the contacts of a task at `standard`."""
@@ -279,27 +279,23 @@ def run(options: FidelityOptions) -> dict[str, Any]:
     known, cache = options.out / "fidelity.json", None
     if options.redraw:
         if not known.exists():
-            raise TactipError(f"there is no {known} to draw from: measure first")
+            raise TactipError(f"{known} does not exist: measure without --redraw first")
         result = json.loads(known.read_text())
     else:
-        if not 1 <= options.swept <= options.contacts:
-            raise TactipError(f"{options.swept} contacts to sweep on: at least 1, at most the {options.contacts} of presets")
+        if not 1 <= options.sweep_contacts <= options.contacts:
+            allowed = f"between 1 and --contacts, {options.contacts}"
+            raise TactipError(f"--sweep-contacts must be {allowed}, got {options.sweep_contacts}")
         wanted = jobs(options)
         with tqdm(total=len(wanted), unit="contact", file=sys.stderr, smoothing=0.05) as bar:
-            cache = ContactCache(options.kept, bar.set_postfix_str)
+            cache = ContactCache(options.cache, bar.set_postfix_str)
             for case, variant in wanted:
                 cache(case, variant)
                 bar.update()
         result = Measurement(options, cache).result()
         options.out.mkdir(parents=True, exist_ok=True)
         write_file(known, (json.dumps(result, indent=1) + "\n").encode())
-    write_page(result, options.out)
+    plot(result, options.out / "fidelity.png")
+    write_page("fidelity", tables(result), options.out)
     if cache:
         cache.forget()
     return result
-
-
-def write_page(result: dict[str, Any], out: Path) -> None:
-    """Write fidelity.md and fidelity.png of a result into a folder."""
-    plot(result, out / "fidelity.png")
-    write_file(out / "fidelity.md", markdown(result).encode())

@@ -1,245 +1,170 @@
-"""Page and figure of error against run time, from the results of benchmarks/physics/fidelity.py."""
+"""Tables and figure of error against run time, from the results of benchmarks/physics/fidelity.py."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import matplotlib.figure
-
 from tactip_twin.benchmarks.hardware import machine_text
 from tactip_twin.benchmarks.physics.pose_sensitivity import STEP
+from tactip_twin.sim.view.plot import COLORS, figure_of, log_axis, save_figure
 
-PIN_BOUND_MM = 0.05
-"""Allowed mean pin error of `standard` against the reference, mm."""
+_HIGHLIGHTED = (
+    "mesh spacing at the surface, mm",
+    "shear per step, mm",
+    "approach per step, mm",
+    "solver tolerance in motion",
+    "contact stiffness in motion",
+)
+"""Settings that the figure shows in colour; the others are grey."""
 
-_NAMED = {
-    "spacing on the surface, mm": "C0",
-    "travel of the skin a step of the shear, mm": "C1",
-    "approach a step, mm": "C2",
-    "solver's tolerance in motion": "C4",
-    "contact in motion, stiffness": "C5",
-}
-"""Colours of the sweeps that the figure names; the others are grey."""
+_SMALL_CHANGE = 0.25
+"""Relative change of error and cost below which the table only names a setting."""
 
-_UNITS = {c: "mm" if c in "xyz" else "°" for c in STEP}
-_WORDS = {"z": "depth", "Rx": "roll", "Ry": "pitch", "Rz": "yaw"}
+_NAMES = {"x": "x, mm", "y": "y, mm", "z": "depth, mm", "Rx": "roll, °", "Ry": "pitch, °", "Rz": "yaw, °"}
 
 
-def triple(errors: Sequence[float]) -> str:
-    """Return a mean, a 95th percentile and a maximum as text."""
+def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return a Markdown table."""
+    return "\n".join("| " + " | ".join(row) + " |" for row in (head, ["---"] * len(head), *rows))
+
+
+def _triple(errors: Sequence[float]) -> str:
     return " / ".join(f"{e:.3f}" for e in errors)
 
 
-def label(worth: Mapping[str, float]) -> str:
-    """Return what an error is worth in the label (mm or degrees by component, and `contacts`) as text."""
-    parts = [
-        f"{_WORDS.get(c, c)} {worth[c]:.{3 if unit == 'mm' else 2}f} {unit}" for c, unit in _UNITS.items() if c in worth
+def _label(label: Mapping[str, float], components: Iterable[str]) -> list[str]:
+    """Return cells of label errors."""
+    return [f"{label[c]:.{3 if c in 'xyz' else 2}f}" if c in label else "–" for c in components]
+
+
+def tables(result: dict[str, Any]) -> dict[str, str]:
+    """Return the tables of docs/fidelity.md from fidelity.json."""
+    return {
+        "presets": _presets(result),
+        "labels": _labels(result),
+        "cases": _cases(result),
+        "reference": _reference(result["reference"]),
+        "sweeps": _sweeps(result),
+        "renderers": _renderers(result),
+    }
+
+
+def _presets(result: dict[str, Any]) -> str:
+    head = ["task", "preset", "degrees of freedom", "steps", "pin error, mm", "of it steps and solver, mm", "force error"]
+    rows = [
+        [
+            *(r["task"], r["preset"], str(r["degrees_of_freedom"]), f"{r['steps']:g}", _triple(r["pins_mm"])),
+            *(f"{r['steps_mm'][0]:.3f}", f"{r['force_percent']:.1f} %", f"{r['megabytes']:.1f}"),
+            *(f"{r['cost']:.2f}", f"{r['seconds']:.3f}"),
+        ]
+        for r in result["presets"]
     ]
-    return ", ".join(parts) or "–"
-
-
-def markdown(result: dict[str, Any]) -> str:
-    """Return the page of a result."""
-    lines = [
-        "# Error against run time",
-        "",
-        "Written by `tactip bench fidelity`; do not edit. 127-pin tip, one core of: "
-        + machine_text(result["machine"])
-        + ".",
-        "",
-        "Pins: distance of their tips in mm, mean / 95th percentile / greatest. Force: its error over the force, summed "
-        "over contacts. Label: the change of pose that moves the pins in the tactile image as the error does (least squares "
-        "about each contact, median over contacts); contacts that hardly touch, and so do not tell their pose, are left "
-        "out. Cost: CPU time of a contact over that of the same contact at `standard` just before, median. Memory: MuJoCo's "
-        "model and data.",
-        "",
-        "![error against cost](fidelity.png)",
-        "",
-        *_presets(result),
-        *_cases(result),
-        *_reference(result),
-        *_sweeps(result),
-        *_renderers(result),
-    ]
-    return "\n".join(lines) + "\n"
-
-
-def _presets(result: dict[str, Any]) -> Iterator[str]:
-    yield "## Presets"
-    yield ""
-    yield (
-        f"The first {result['contacts_a_task']} contacts of each training set of seed 0. *Steps and solver*: against the "
-        "same mesh played as the reference is, at half its steps. *In all*: against the preset `reference`."
+    machine = (
+        f"Machine: {machine_text(result['machine'])}. Settings: first {result['contacts_per_task']} contacts of a task."
     )
-    yield ""
-    yield (
-        "| contacts | preset | degrees of freedom | steps | memory, MB | steps and solver, mm | in all, mm | force | "
-        "label | cost | CPU, s |"
-    )
-    yield "|---|---|---|---|---|---|---|---|---|---|---|"
-    for r in result["presets"]:
-        yield (
-            f"| {r['task']} | {r['preset']} | {r['degrees_of_freedom']} | {r['steps']:g} | {r['megabytes']:.1f} | "
-            f"{triple(r['steps_mm'])} | {triple(r['pins_mm'])} | {r['force_percent']:.1f} % | {label(r['label'])} | "
-            f"{r['cost']:.2f} | {r['seconds']:.3f} |"
-        )
-    means = {r["task"]: r["pins_mm"][0] for r in result["presets"] if r["preset"] == "standard"}
-    verdict = "kept" if max(means.values()) <= PIN_BOUND_MM else "NOT kept"
-    yield ""
-    yield (
-        f"`standard` is held to a mean pin error of {PIN_BOUND_MM} mm: {verdict} ("
-        + ", ".join(f"{task} {mean:.3f} mm" for task, mean in means.items())
-        + ")."
-    )
-    yield ""
+    return table([*head, "memory, MB", "cost", "CPU time, s"], rows) + "\n\n" + machine
 
 
-def _cases(result: dict[str, Any]) -> Iterator[str]:
-    yield "## Cases"
-    yield ""
-    yield (
-        "Against the reference. Pose and shear in mm and degrees, axes of `sim/pose.py`; the sphere has a radius of 5 mm, "
-        "the peg a round end of 1 mm."
-    )
-    yield ""
-    yield "| case | pose; shear | preset | pins, mm | force | of, N | label | cost |"
-    yield "|---|---|---|---|---|---|---|---|"
-    for r in result["cases"]:
-        if r["preset"] == "reference":
-            continue
-        motion = "; ".join(" ".join(f"{v:g}" for v in r[k]) for k in ("pose_mm_deg", "shear_mm_deg") if any(r[k]))
-        yield (
-            f"| {r['case']} | {motion} | {r['preset']} | {triple(r['pins_mm'])} | {r['force_percent']:.1f} % | "
-            f"{r['force_n']:.2f} | {label(r['label'])} | {r['cost']:.2f} |"
-        )
-    yield ""
+def _labels(result: dict[str, Any]) -> str:
+    rows = [r for r in result["presets"] if r["preset"] != "reference"]
+    components = [c for c in STEP if any(c in r["label"] for r in rows)]
+    cells = ([r["task"], r["preset"], *_label(r["label"], components)] for r in rows)
+    return table(["task", "preset", *(_NAMES[c] for c in components)], cells)
 
 
-def _reference(result: dict[str, Any]) -> Iterator[str]:
-    reference = result["reference"]
-    spacings = " → ".join(f"{s:.2f}" for s in reference["spacings_mm"])
-    fractions = " → ".join(f"{s:g}" for s in reference["shares_of_steps"])
-    yield "## The reference itself"
-    yield ""
-    yield (
-        f"Its mesh refined in proportion (surface {spacings} mm; 1.20 is the reference) and, on the mesh of `standard`, "
-        f"its steps ({fractions} of their length in time and way, tolerance and settling with them; 1 is the reference). "
-        "Differences of pins between neighbours in the sequence, mean mm. The observed order is that of the last two; from "
-        "it Richardson's estimate of the error that remains at the reference. Below an order of one half differences do not "
-        "fall as they should, and no estimate is given. Meshes are not nested: where the skin's vertices lie is chance, and "
-        "so is a part of the difference."
-    )
-    yield ""
-    yield "| case | mesh: differences, mm | order | remains | steps: differences, mm | order | remains | half the steps |"
-    yield "|---|---|---|---|---|---|---|---|"
+def _cases(result: dict[str, Any]) -> str:
+    found = {(r["case"], r["preset"]): r for r in result["cases"]}
+    rows = []
+    for case in dict.fromkeys(r["case"] for r in result["cases"]):
+        pair = [found[case, preset] for preset in ("draft", "standard")]
+        motions = (pair[0][key] for key in ("pose_mm_deg", "shear_mm_deg"))
+        cells = [case, "; ".join(" ".join(f"{v:g}" for v in motion) for motion in motions if any(motion))]
+        cells += [f"{found[case, 'reference']['force_n']:.2f}", *(_triple(r["pins_mm"]) for r in pair)]
+        rows.append([*cells, *(f"{r['force_percent']:.1f} %" for r in pair)])
+    head = ["case", "pose; shear", "force, N", "pins at draft, mm", "pins at standard, mm"]
+    return table([*head, "force at draft", "force at standard"], rows)
+
+
+def _reference(reference: dict[str, Any]) -> str:
+    rows = []
     for row in reference["rows"]:
-        cells = [row["case"]]
-        # Of the meshes the reference is the last but one; of the steps the last but two: one difference more remains.
-        for kind, more in (("mesh", 0), ("steps", 1)):
-            s = row[kind]
-            remains = None if s["remains_mm"] is None else s["remains_mm"][0] + (s["differences_mm"][1] if more else 0.0)
-            cells += [
-                ", ".join(f"{d:.4f}" for d in s["differences_mm"]),
-                f"{s['order']:.1f}",
-                "does not behave" if remains is None else f"{remains:.3f} mm",
-            ]
-        half = row["half_the_steps"]
-        cells.append(f"{triple(half['pins_mm'])} mm, force {half['force_percent']:.2f} %")
-        yield "| " + " | ".join(cells) + " |"
-    yield ""
-    rows = reference["rows"]
-    last = [row["mesh"]["differences_mm"][-1] for row in rows]
-    remains = [row["mesh"]["remains_mm"][0] for row in rows if row["mesh"]["remains_mm"]]
-    half = max(row["half_the_steps"]["pins_mm"][0] for row in rows)
-    forces = "; ".join(f"{row['case']}: {', '.join(f'{f:.3f}' for f in row['mesh']['forces_n'])} N" for row in rows)
-    yield (
-        f"In steps and solver the reference has converged: half of them (*half the steps*, on its own mesh) move pins by "
-        f"{half:.3f} mm at most in the mean. In its mesh, the next refinement moves them by {min(last):.3f} to "
-        f"{max(last):.3f} mm"
-        + (f", and Richardson's estimate is that {max(remains):.3f} mm remain at most" if remains else "")
-        + ". A preset's error *in all* says how near it is to the reference, and not nearer to the truth than that. Forces "
-        f"over the meshes: {forces}."
-    )
-    yield ""
+        mesh, half = row["mesh"], row["half_the_steps"]
+        remains = "–" if mesh["remains_mm"] is None else f"{mesh['remains_mm'][0]:.3f}"
+        cells = [row["case"], " → ".join(f"{d:.3f}" for d in mesh["differences_mm"]), f"{mesh['order']:.1f}", remains]
+        cells += [" → ".join(f"{f:.2f}" for f in mesh["forces_n"])]
+        rows.append([*cells, f"{half['pins_mm'][0]:.3f}", f"{half['force_percent']:.2f} %"])
+    head = ["case", "refined mesh: change of pins, mm", "order", "estimated remaining error, mm", "force, N"]
+    spacings = " → ".join(f"{s:.2f}" for s in reference["spacings_mm"])
+    note = f"Mesh spacings at the surface: {spacings} mm; the preset has 1.20 mm."
+    return table([*head, "half the steps: change of pins, mm", "of force"], rows) + "\n\n" + note
 
 
-def _sweeps(result: dict[str, Any]) -> Iterator[str]:
-    yield "## One number at a time"
-    yield ""
-    yield (
-        f"`standard` with one number changed, on the first {result['swept_contacts_a_task']} contacts of each training set. "
-        "*Steps and solver* as above, where the mesh is not what is changed. *Not trusted*: contacts whose record does not "
-        "keep the bounds of `sim/contact/simulator.py`."
-    )
-    for task in dict.fromkeys(r["task"] for r in result["sweeps"]):
-        rows = [r for r in result["sweeps"] if r["task"] == task]
-        yield ""
-        yield f"### {task}"
-        yield ""
-        yield (
-            "| what | value | steps and solver, mm | in all, mm | force | label | penetration, mm | speed, mm/s | "
-            "not trusted | steps | cost |"
-        )
-        yield "|---|---|---|---|---|---|---|---|---|---|---|"
-        for r in rows:
-            steps = triple(r["steps_mm"]) if "steps_mm" in r else "–"
-            yield (
-                f"| {r['what']} | {r['value']} | {steps} | {triple(r['pins_mm'])} | {r['force_percent']:.1f} % | "
-                f"{label(r['label'])} | {r['penetration_mm']:.3f} | {r['speed_mm_s']:.2f} | {r['untrusted']} | "
-                f"{r['steps']:g} | {r['cost']:.2f} |"
-            )
-    yield ""
+def _sweeps(result: dict[str, Any]) -> str:
+    tasks = list(dict.fromkeys(r["task"] for r in result["sweeps"]))
+    found = {(r["task"], r["what"], r["value"]): r for r in result["sweeps"]}
+    standard = {task: found[task, "preset", "standard"] for task in tasks}
+    rows, small = [["standard", "", *(f"{standard[t]['pins_mm'][0]:.3f}" for t in tasks), *(["1.00"] * len(tasks)), "0"]], []
+    for what in dict.fromkeys(r["what"] for r in result["sweeps"] if r["what"] != "preset"):
+        values = list(dict.fromkeys(r["value"] for r in result["sweeps"] if r["what"] == what))
+        columns = {task: [found[task, what, value] for value in values] for task in tasks}
+        changes = [abs(r["cost"] - 1) for task in tasks for r in columns[task]]
+        changes += [abs(r["pins_mm"][0] / standard[t]["pins_mm"][0] - 1) for t in tasks for r in columns[t]]
+        failed = [sum(columns[task][k]["untrusted"] for task in tasks) for k in range(len(values))]
+        if max(changes) < _SMALL_CHANGE and not any(failed):
+            small.append(what)
+            continue
+        errors = (" / ".join(f"{r['pins_mm'][0]:.3f}" for r in columns[task]) for task in tasks)
+        costs = (" / ".join(f"{r['cost']:.2f}" for r in columns[task]) for task in tasks)
+        rows.append([what, " / ".join(values), *errors, *costs, " / ".join(map(str, failed))])
+    head = ["setting", "values", *(f"{t}: pin error, mm" for t in tasks), *(f"{t}: cost" for t in tasks), "contacts refused"]
+    note = f"First {result['sweep_contacts_per_task']} contacts of each task."
+    if small:
+        note += f" Settings that change error and cost by less than {_SMALL_CHANGE:.0%}: {'; '.join(small)}."
+    return table(head, rows) + "\n\n" + note
 
 
-def _renderers(result: dict[str, Any]) -> Iterator[str]:
-    yield "## Raster against pyrender"
-    yield ""
-    yield (
-        "The same pins drawn by both. Grey levels: difference of frames, mean / 99.9th percentile / greatest. Binary: "
-        "pixels of the tactile image that differ, mean (most). Blobs: how far a pin's blob is apart in the two images, mean "
-        "(greatest), px of the tactile image. Label: what that is worth. ms: CPU time of a frame."
-    )
-    yield ""
-    yield "| contacts | images | grey levels | binary | blobs, px | found | label | raster, ms | pyrender, ms | ratio |"
-    yield "|---|---|---|---|---|---|---|---|---|---|"
-    for r in result["drawing"]:
-        grey, binary, blobs, ms = r["grey_levels"], r["binary_percent"], r["blobs_px"], r["milliseconds"]
-        yield (
-            f"| {r['task']} | {r['images']} | {grey[0]:.2f} / {grey[1]:.0f} / {grey[2]:.0f} | {binary[0]:.2f} % "
-            f"({binary[1]:.2f} %) | {blobs[0]:.3f} ({blobs[1]:.2f}) | {100 * r['blobs_seen']:.1f} % | {label(r['label'])} | "
-            f"{ms['raster']:.1f} | {ms['pyrender']:.1f} | {ms['raster'] / ms['pyrender']:.2f} |"
-        )
+def _renderers(result: dict[str, Any]) -> str:
+    rows = []
+    for r in result["renderers"]:
+        binary, blobs, ms = r["binary_percent"], r["blobs_px"], r["milliseconds"]
+        grey = " / ".join(f"{g:.{n}f}" for g, n in zip(r["grey_levels"], (2, 0, 0), strict=True))
+        cells = [r["task"], str(r["images"]), grey, f"{binary[0]:.2f} % ({binary[1]:.2f} %)"]
+        cells += [f"{blobs[0]:.3f} ({blobs[1]:.2f})", f"{r['label']['z']:.3f}", f"{ms['raster']:.1f}"]
+        rows.append([*cells, f"{ms['pyrender']:.1f}"])
+    head = ["task", "images", "grey levels: mean / 99.9 % / max", "binary pixels that differ: mean (max)"]
+    return table([*head, "pin distance, px: mean (max)", "depth error, mm", "raster, ms", "pyrender, ms"], rows)
 
 
 def plot(result: dict[str, Any], path: Path) -> None:
     """Plot mean pin error against cost, one panel per task, into a PNG file."""
     tasks = list(dict.fromkeys(r["task"] for r in result["sweeps"]))
-    figure = matplotlib.figure.Figure(figsize=(5.5 * len(tasks), 5.2), layout="constrained")
-    panels = figure.subplots(1, len(tasks), sharey=True, squeeze=False)[0]
+    figure, panels = figure_of(1, len(tasks), (4.6 * len(tasks), 5.0))
     for axis, task in zip(panels, tasks, strict=True):
         rows = [r for r in result["sweeps"] if r["task"] == task]
         presets = {r["value"]: r for r in rows if r["what"] == "preset"}
-        standard = presets["standard"]
         for what in dict.fromkeys(r["what"] for r in rows if r["what"] != "preset"):
-            points = sorted((r["cost"], r["pins_mm"][0]) for r in [*(r for r in rows if r["what"] == what), standard])
-            named = what in _NAMED
-            style = {"color": _NAMED.get(what, "0.6"), "alpha": 0.8 if named else 0.35, "zorder": 2 if named else 1}
-            axis.plot(*zip(*points, strict=True), ".-", lw=1, ms=4, label=what if named else None, **style)
-        for name in ("draft", "standard"):
+            chosen = [*(r for r in rows if r["what"] == what), presets["standard"]]
+            points = sorted((r["cost"], r["pins_mm"][0]) for r in chosen)
+            color = COLORS[_HIGHLIGHTED.index(what)] if what in _HIGHLIGHTED else "0.8"
+            label = what if what in _HIGHLIGHTED and axis is panels[0] else None
+            axis.plot(*zip(*points, strict=True), ".-", lw=1, ms=4, label=label, color=color, zorder=1 + (color != "0.8"))
+        for name, offset in (("draft", (8, 6)), ("standard", (8, -16))):
             cost, error = presets[name]["cost"], presets[name]["pins_mm"][0]
-            axis.plot(cost, error, "o", ms=9, color="k", zorder=3)
-            axis.annotate(name, (cost, error), (8, 7), textcoords="offset points", fontsize=10, weight="bold", zorder=3)
+            axis.plot(cost, error, "o", ms=8, color="k", zorder=3)
+            axis.annotate(name, (cost, error), offset, textcoords="offset points", weight="bold", zorder=3)
         own = [r for r in result["reference"]["rows"] if r["case"].startswith("edge" if task == "edge" else "flat")]
         cost, next_mesh = presets["reference"]["cost"], max(r["mesh"]["differences_mm"][-1] for r in own)
-        axis.plot(cost, next_mesh, "o", ms=9, mfc="w", mec="k", zorder=3)
-        words = f"reference\n(against {result['reference']['spacings_mm'][-1]:.2f} mm)"
-        where = {"xy": (cost, next_mesh), "xytext": (-8, 9), "textcoords": "offset points", "ha": "right"}
-        axis.annotate(words, fontsize=10, weight="bold", **where)
-        axis.axhline(PIN_BOUND_MM, color="C3", lw=0.8, ls="--")
-        axis.set(xscale="log", yscale="log", xlabel="CPU time of a contact, over that of standard", title=task)
-        axis.grid(True, which="both", alpha=0.2)
-    panels[0].set_ylabel("mean pin error against the reference, mm")
-    title = f"one number of standard changed\n(grey: others); dashed: {PIN_BOUND_MM} mm"
-    panels[-1].legend(fontsize=8, loc="upper right", title=title, title_fontsize=8)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110, metadata={"Software": None})
+        axis.plot(cost, next_mesh, "o", ms=8, mfc="w", mec="k", zorder=3)
+        place = {"xytext": (-8, 8), "textcoords": "offset points", "ha": "right"}
+        axis.annotate("reference*", (cost, next_mesh), weight="bold", **place)
+        log_axis(axis, "x")
+        log_axis(axis, "y")
+        axis.set(xlabel="CPU time per contact relative to standard", title=f"{task} contacts")
+    panels[0].set_ylabel("mean pin error, mm")
+    low, high = min(a.get_ylim()[0] for a in panels), max(a.get_ylim()[1] for a in panels)
+    for axis in panels:
+        axis.set_ylim(low, high)
+    panels[0].plot([], [], color="0.8", label="other settings")
+    finest = f"* change of pins on a finer mesh ({result['reference']['spacings_mm'][-1]:.2f} mm)"
+    figure.legend(loc="outside lower center", ncols=3, title=f"one setting of standard changed; {finest}")
+    save_figure(figure, path)

@@ -67,52 +67,52 @@ def sweeps() -> dict[str, tuple[bool, dict[str, Variant]]]:
     contact, motion = STANDARD.fidelity.contact, STANDARD.fidelity.motion
     (k_moving, d_moving), (k_resting, d_resting) = contact.moving, contact.resting
     easing = {
-        (0.0, 0.0): "steady",
+        (0.0, 0.0): "constant speed",
         (0.0, 1.5): "0, 1.5",
         (1.5, 0.5): "1.5, 0.5",
         (1.5, 1.5): "1.5, 1.5",
         (0.5, 3.0): "0.5, 3",
     }
     mesh = {
-        "spacing on the surface, mm": _row("mesh", "surface_m", (1.2, 1.5, 1.7, 2.2, 2.6, 3.2), 1e-3),
-        "spacing at the rim, mm": _row("mesh", "rim_m", (2.5, 3.5, 4.5, 6.0), 1e-3),
-        "fine up to a polar angle of, degrees": _row("mesh", "fine_angle_deg", (15.0, 40.0, 55.0)),
-        "layers: growth of spacing inward": _row("mesh", "growth", (1.1, 1.2, 1.35, 1.6, 2.0)),
-        "layers: largest spacing, mm": _row("mesh", "coarsest_m", (5.0, 10.0), 1e-3),
+        "mesh spacing at the surface, mm": _row("mesh", "surface_m", (1.2, 1.5, 1.7, 2.2, 2.6, 3.2), 1e-3),
+        "mesh spacing at the rim, mm": _row("mesh", "rim_m", (2.5, 3.5, 4.5, 6.0), 1e-3),
+        "polar angle of the fine mesh, degrees": _row("mesh", "fine_angle_deg", (15.0, 40.0, 55.0)),
+        "growth of layers inward": _row("mesh", "growth", (1.1, 1.2, 1.35, 1.6, 2.0)),
+        "largest layer spacing, mm": _row("mesh", "coarsest_m", (5.0, 10.0), 1e-3),
     }
     rest = {
         "time step, ms": _row("motion", "step_s", (3.0, 4.0, 10.0, 14.0), 1e-3),
-        "approach a step, mm": _row("motion", "press_step_m", (0.3, 0.6, 2.4), 1e-3),
-        "travel of the skin a step of the shear, mm": _row("motion", "shear_step_m", (0.1, 0.2, 0.6, 1.0), 1e-3),
-        "fewest steps of a motion": _row("motion", "min_steps", (2, 8, 16)),
-        "steps at rest, at least": _row("motion", "settle_steps", (1, 2, 8, 16)),
-        "settled below, mm/s": _row("motion", "settle_speed_m_s", (0.2, 0.7, 6.0, 20.0), 1e-3),
-        "steps at rest, at most": _row("motion", "settle_limit", (4, 10, 40, 100)),
-        "easing (in, out)": {t: changed("motion", ease_in=i, ease_out=o) for (i, o), t in easing.items()},
-        "solver's tolerance in motion": _row("solver", "tolerance", (1e-9, 1e-8, 1e-6, 1e-5)),
-        "solver's tolerance at rest": _row("solver", "settle_tolerance", (1e-11, 1e-10, 1e-7, 1e-6)),
-        "solver's iterations": _row("solver", "iterations", (100, 300, 3000)),
-        "frictional to normal impedance": _row("solver", "impratio", (1.0, 3.0, 30.0, 100.0)),
-        "contact in motion, stiffness": {
-            f"times {s:g}": changed("contact", moving=(s * k_moving, d_moving)) for s in (0.1, 0.3, 3, 10)
+        "approach per step, mm": _row("motion", "press_step_m", (0.3, 0.6, 2.4), 1e-3),
+        "shear per step, mm": _row("motion", "shear_step_m", (0.1, 0.2, 0.6, 1.0), 1e-3),
+        "minimum steps per motion": _row("motion", "min_steps", (2, 8, 16)),
+        "minimum settling steps": _row("motion", "settle_steps", (1, 2, 8, 16)),
+        "settled speed, mm/s": _row("motion", "settle_speed_m_s", (0.2, 0.7, 6.0, 20.0), 1e-3),
+        "maximum settling steps": _row("motion", "settle_limit", (4, 10, 40, 100)),
+        "easing exponents (in, out)": {t: changed("motion", ease_in=i, ease_out=o) for (i, o), t in easing.items()},
+        "solver tolerance in motion": _row("solver", "tolerance", (1e-9, 1e-8, 1e-6, 1e-5)),
+        "solver tolerance at rest": _row("solver", "settle_tolerance", (1e-11, 1e-10, 1e-7, 1e-6)),
+        "solver iterations": _row("solver", "iterations", (100, 300, 3000)),
+        "ratio of frictional to normal impedance": _row("solver", "impratio", (1.0, 3.0, 30.0, 100.0)),
+        "contact stiffness in motion": {
+            f"× {s:g}": changed("contact", moving=(s * k_moving, d_moving)) for s in (0.1, 0.3, 3, 10)
         },
-        "contact in motion, damping": {
-            f"times {s:g}": changed("contact", moving=(k_moving, s * d_moving)) for s in (0.1, 0.3, 3, 10)
+        "contact damping in motion": {
+            f"× {s:g}": changed("contact", moving=(k_moving, s * d_moving)) for s in (0.1, 0.3, 3, 10)
         },
-        "contact at rest, stiffness": {
-            f"times {s:g}": changed("contact", resting=(s * k_resting, d_resting)) for s in (0.1, 0.3, 3, 10)
+        "contact stiffness at rest": {
+            f"× {s:g}": changed("contact", resting=(s * k_resting, d_resting)) for s in (0.1, 0.3, 3, 10)
         },
-        "one contact for both": {
+        "same contact in motion and at rest": {
             "stiff": changed("contact", moving=contact.resting),
             "soft": changed("contact", resting=contact.moving),
         },
-        "margin of contact, mm": _row("contact", "margin_m", (0.0, 0.1, 0.2, 0.8), 1e-3),
-        "contact's impedance": _row("contact", "impedance", (0.8, 0.9, 0.99)),
-        "mass of a skin vertex, mg": _row("contact", "vertex_mass_kg", (3.0, 10.0, 100.0, 300.0), 1e-6),
-        "sliding skin (De Saxcé)": {"lifted": replace(STANDARD, lowered=False)},
+        "contact margin, mm": _row("contact", "margin_m", (0.0, 0.1, 0.2, 0.8), 1e-3),
+        "contact impedance": _row("contact", "impedance", (0.8, 0.9, 0.99)),
+        "skin vertex mass, mg": _row("contact", "vertex_mass_kg", (3.0, 10.0, 100.0, 300.0), 1e-6),
+        "De Saxcé correction": {"off": replace(STANDARD, lowered=False)},
     }
     min_steps = min(motion.settle_steps, 4)
-    rest["steps at rest, at most"]["4"] = changed("motion", settle_limit=min_steps, settle_steps=min_steps)
+    rest["maximum settling steps"]["4"] = changed("motion", settle_limit=min_steps, settle_steps=min_steps)
     found = {name: (True, v) for name, v in mesh.items()} | {name: (False, v) for name, v in rest.items()}
     # Values above that are those of `standard` are left out, because `standard` is measured itself.
     return {name: (m, {t: v for t, v in variants.items() if v != STANDARD}) for name, (m, variants) in found.items()}

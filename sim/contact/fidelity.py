@@ -40,8 +40,7 @@ class Motion:
     """Exponent of the speed at the start of a motion, -: speed ~ t^ease_in (1 - t)^ease_out, t from 0 to 1. At 0 the motion
     starts with a jerk, which throws the tip off the surface."""
     ease_out: float = within(0, 5, default=1.5)
-    """Exponent of the speed at the end of a motion, -. After a jerk the skin oscillates and friction lets go. Constant speed
-    has up to twice the error of the defaults at the same cost (docs/fidelity.md)."""
+    """Exponent of the speed at the end of a motion, -. After a jerk the skin oscillates and friction lets go."""
     settle_steps: int = within(1, 100000, default=4)
     """Minimum number of steps at rest before recording."""
     settle_speed_m_s: float = within(1e-6, 20e-3, default=2e-3)

@@ -7,7 +7,14 @@ import pytest
 
 from tactip_twin.benchmarks.report import DOCS, fill
 
-PAGES = {"search": "learning.search", "performance": "scale.performance", "scale": "scale.scale", "servo": "servo.servo"}
+PAGES = {
+    "fidelity": "physics.fidelity_page",
+    "learning": "learning.learning",
+    "search": "learning.search",
+    "performance": "scale.performance",
+    "scale": "scale.scale",
+    "servo": "servo.servo",
+}
 """Page, and the module with its tables, which are written anew from the page's JSON."""
 
 

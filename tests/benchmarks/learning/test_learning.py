@@ -1,8 +1,7 @@
-"""The page of learning: every row is trained, kept and written; a stopped one goes on."""
+"""Benchmark of learning: sets, rows, and the page."""
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
@@ -17,16 +16,24 @@ from tactip_twin.tactip_model.errors import TactipError
 TINY = Recipe(PoseNetConfig(conv_layers=1, filters=2, dense_units=4, batch_size=8), TrainSettings(epochs=1))
 
 
-KINDS = ("plain", "symmetric", "most", "looks", "taps", "bent")
+KINDS = ("plain", "symmetric", "large", "snapshots", "taps", "curved")
 
 
 @pytest.fixture
 def options(tmp_path, monkeypatch):
-    """Sets without physics and networks of no size."""
+    """Small options, with made-up sets and tiny networks."""
     monkeypatch.setattr(learned, "make", lambda jobs, workers, log: None)
     monkeypatch.setattr(learned, "rows", _tiny)
     folders = {name: tmp_path / name for name in ("data", "runs", "out")}
-    options = LearningOptions(**folders, contacts=2, most=3, bent=2, looked=1, judged=8, judged_taps=8)
+    options = LearningOptions(
+        **folders,
+        contacts=2,
+        large_contacts=3,
+        curved_contacts=2,
+        snapshot_contacts=1,
+        test_contacts=8,
+        other_test_contacts=8,
+    )
     for job in learned.jobs(options, KINDS):
         c = job.configuration
         write_fake_set(job.folder, c.task, c.split, c.samples, shear=c.shear)
@@ -40,65 +47,62 @@ def _tiny(task, paper):
     return [replace(row, recipe=TINY, init_from="") for row in ROWS(task, paper)]
 
 
-def test_the_sets_are_what_the_page_says():
+def test_sets_have_the_sizes_and_ranges_of_the_options():
     jobs = {
         (j.folder.parts[-3], j.folder.parts[-1]): j.configuration for j in learned.jobs(LearningOptions(task="edge"), KINDS)
     }
-    judged = {(kind, split) for kind in ("plain", "taps") for split in ("val", "test")}
-    assert set(jobs) == judged | {("taps", "train"), ("symmetric", "train"), ("looks", "train")}
+    tests = {(kind, split) for kind in ("plain", "taps") for split in ("val", "test")}
+    assert set(jobs) == tests | {("taps", "train"), ("symmetric", "train"), ("snapshots", "train")}
     assert jobs["symmetric", "train"].samples == 16000
     assert (jobs["taps", "train"].samples, jobs["taps", "test"].samples, jobs["plain", "test"].samples) == (2000, 500, 2000)
-    looks = jobs["looks", "train"]
-    assert (looks.samples, looks.snapshots_per_contact, looks.shear, looks.augment_symmetry) == (
-        7000,
-        20,
-        jobs["plain", "test"].shear,
-        False,
-    )
+    snapshots = jobs["snapshots", "train"]
+    assert (snapshots.samples, snapshots.snapshots_per_contact, snapshots.augment_symmetry) == (7000, 20, False)
+    assert snapshots.shear == jobs["plain", "test"].shear
     assert jobs["taps", "train"].shear == Ranges()
     assert jobs["plain", "test"].split == "test"
     assert jobs["plain", "test"].design.name == "tactip-127"
 
 
-def test_only_what_is_needed_is_made():
+def test_only_the_sets_of_the_chosen_rows_are_made():
     sets = [(j.folder.parts[-3], j.folder.parts[-1]) for j in learned.jobs(LearningOptions(), ("taps",))]
-    tests = [("plain", "test"), ("taps", "test"), ("bent", "test")]
+    tests = [("plain", "test"), ("taps", "test"), ("curved", "test")]
     assert sorted(sets) == sorted([*tests, ("taps", "train"), ("taps", "val")])
 
 
-def test_a_larger_set_that_is_there_is_not_asked_for_in_a_smaller_size(options):
-    """Of the fixture's, made for the row `most`, the others take a part."""
-    for kinds in (("plain",), ("plain", "most")):
+def test_existing_larger_set_is_used_in_part(options):
+    """The fixture's set is that of the row `laptop-large`; other rows use its first contacts."""
+    for kinds in (("plain",), ("plain", "large")):
         (train,) = (j for j in learned.jobs(options, kinds) if j.folder.parts[-3] == "symmetric")
-        assert train.configuration.samples == options.most * 8
-    (fewer,) = (j for j in learned.jobs(replace(options, most=4), ("plain",)) if j.folder.parts[-3] == "symmetric")
+        assert train.configuration.samples == options.large_contacts * 8
+    larger = replace(options, large_contacts=4)
+    (fewer,) = (j for j in learned.jobs(larger, ("plain",)) if j.folder.parts[-3] == "symmetric")
     assert fewer.configuration.samples == options.contacts * 8
 
 
-def test_bent_surfaces_are_of_the_surface_task():
-    jobs = [j.configuration for j in learned.jobs(LearningOptions(), KINDS) if j.folder.parts[-3] == "bent"]
+def test_curved_surfaces_belong_to_the_surface_task():
+    jobs = [j.configuration for j in learned.jobs(LearningOptions(), KINDS) if j.folder.parts[-3] == "curved"]
     sets = {c.split: (c.samples, c.augment_symmetry) for c in jobs}
     assert sets == {"train": (16000, True), "val": (500, False), "test": (500, False)}
-    assert {c.curvature_per_m for c in jobs} == {learned.BENT_PER_M}
-    assert all(any(r.kind == "bent" for r in learned.rows(task, False)) == (task == "surface") for task in learned.PAPER)
+    assert {c.curvature_per_m for c in jobs} == {learned.CURVATURES_PER_M}
+    assert all(any(r.kind == "curved" for r in learned.rows(task, False)) == (task == "surface") for task in learned.PAPER)
 
 
-def test_what_is_taught_further_fits_what_it_begins_with():
-    further = [row for task in learned.PAPER for row in learned.rows(task, False) if row.init_from]
-    assert [row.name for row in further] == ["laptop-further", "laptop-bent", "laptop-further"]
-    assert all(load_network(row.init_from).config.shape() == row.recipe.network.shape() for row in further)
+def test_fine_tuned_networks_have_the_shape_of_their_initial_weights():
+    tuned = [row for task in learned.PAPER for row in learned.rows(task, False) if row.init_from]
+    assert [row.name for row in tuned] == ["laptop-fine-tuned", "laptop-curved", "laptop-fine-tuned"]
+    assert all(load_network(row.init_from).config.shape() == row.recipe.network.shape() for row in tuned)
 
 
-def test_a_page_is_written_and_what_was_trained_is_kept(options):
+def test_page_is_written_and_finished_trainings_are_kept(options):
     first = learned.run(options, log=lambda line: None)
     assert [r["name"] for r in first["rows"]] == [r.name for r in learned.rows("surface", False)]
     page = (options.out / "learning.md").read_text()
-    assert "| taps | sheared contacts |" in page and "| bent surfaces | flat surfaces |" in page
+    assert "not sheared (`laptop-taps`) | flat, sheared |" in page and "curved, sheared (`laptop-curved`) | flat" in page
     assert f"{first['rows'][0]['mae']['sheared']['pose_z']:.3f}" in page
     assert (options.out / "learning.png").stat().st_size > 5000
-    said = []
-    again = learned.run(options, log=said.append)
-    assert sum("already finished" in line for line in said) == len(first["rows"])
+    lines = []
+    again = learned.run(options, log=lines.append)
+    assert sum("already finished" in line for line in lines) == len(first["rows"])
     assert [r["mae"] for r in again["rows"]] == [r["mae"] for r in first["rows"]]
     assert list(json.loads((options.out / "learning.json").read_text())) == ["surface"]
     one = learned.run(replace(options, only=("laptop",)), log=lambda line: None)
@@ -107,54 +111,18 @@ def test_a_page_is_written_and_what_was_trained_is_kept(options):
         learned.run(replace(options, only=("lap",)))
 
 
-def test_rows_of_fewer_contacts_are_not_kept(options):
-    learned.run(replace(options, only=("laptop",)), log=lambda line: None)
-    other = learned.run(replace(options, contacts=1, only=("laptop-most",)), log=lambda line: None)
-    assert [r["name"] for r in other["rows"]] == ["laptop-most"]
+def test_rows_of_other_versions_and_other_test_sets_are_dropped(options, monkeypatch):
+    def names(**changes):
+        return [row["name"] for row in learned.run(replace(options, **changes), log=lambda line: None)["rows"]]
+
+    assert names(only=("laptop",)) == ["laptop"]
+    assert names(only=("laptop-4",)) == ["laptop", "laptop-4"]
+    monkeypatch.setattr(learned, "version", lambda package: "9.9")
+    assert names(only=("laptop",)) == ["laptop"]
+    assert names(only=("laptop-4",)) == ["laptop", "laptop-4"]
+    assert learned._other_rows(replace(options, test_contacts=4)) == []
 
 
-def test_rows_of_other_sets_are_kept_and_those_of_another_count_are_not(options):
-    """Contacts on bent surfaces, and contacts with looks, are of some rows alone."""
-    only = ("laptop-plain", "laptop-looks", "laptop-bent")
-    first = learned.run(replace(options, only=only), log=lambda line: None)
-    assert [row.get("contacts") for row in first["rows"]] == [None, 1, 2]
-    quiet = {"log": lambda line: None}
-    assert _names(learned.run(replace(options, only=("laptop",)), **quiet)) == [*only[:2], "laptop", "laptop-bent"]
-    assert _names(learned.run(replace(options, bent=1, only=("laptop",)), **quiet)) == [*only[:2], "laptop"]
-    assert _names(learned.run(replace(options, looked=2, only=("laptop",)), **quiet)) == ["laptop-plain", "laptop"]
-
-
-def _names(record):
-    return [row["name"] for row in record["rows"]]
-
-
-def test_rows_keep_the_machine_that_they_were_measured_on(options, monkeypatch):
-    monkeypatch.setattr(learned, "machine", lambda: {"processor": "old"})
-    record = learned.run(replace(options, only=("laptop", "laptop-4")), log=lambda line: None)
-    page = (options.out / "learning.md").read_text()
-    assert page.count("processor old") == 1 and "without shear 8. On: processor old." in page
-    # As rows were kept before: the record says it for all.
-    before = {**record, "machine": {"processor": "older"}}
-    before["rows"] = [{k: v for k, v in row.items() if k != "machine"} for row in record["rows"]]
-    assert "On: processor older." in learned.markdown({"surface": before})
-    (options.out / "learning.json").write_text(json.dumps({"surface": before}))
-    monkeypatch.setattr(learned, "machine", lambda: {"processor": "new"})
-    again = learned.run(replace(options, only=("laptop-4",)), log=lambda line: None)
-    assert [row["machine"]["processor"] for row in again["rows"]] == ["older", "new"]
-    page = (options.out / "learning.md").read_text()
-    assert "`laptop` on: processor older." in page and "`laptop-4` on: processor new." in page
-
-
-def test_the_record_that_is_there_is_kept(tmp_path):
-    """Every row of it, by the counts that it was measured with, though rows of before do not say theirs."""
-    (tmp_path / "learning.json").write_bytes((Path(__file__).parents[3] / "docs" / "learning.json").read_bytes())
-    for task, record in json.loads((tmp_path / "learning.json").read_text()).items():
-        counts = {name: record[name] for name in ("contacts", "most", "judged", "judged_taps")}
-        kept = learned._kept(LearningOptions(task=task, out=tmp_path, **counts), counts)
-        assert [row["name"] for row in kept] == [row["name"] for row in record["rows"]]
-        assert all(row["machine"]["cores"] == "2" for row in kept)
-
-
-def test_another_task_is_refused():
+def test_unknown_task_is_refused():
     with pytest.raises(TactipError, match="unknown task 'sphere': choose one of surface, edge"):
         learned.run(LearningOptions(task="sphere"))

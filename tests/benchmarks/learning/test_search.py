@@ -24,7 +24,7 @@ def options(tmp_path, monkeypatch):
     monkeypatch.setattr(searched, "make", lambda jobs, workers, log: None)
     monkeypatch.setattr(searched, "LAPTOP", TINY)
     folders = {name: tmp_path / name for name in ("data", "runs", "out")}
-    options = SearchOptions(**folders, trials=2, jobs=1, contacts=12, judged=8)
+    options = SearchOptions(**folders, trials=2, jobs=1, contacts=12, val_contacts=8)
     for job in searched.jobs(options):
         c = job.configuration
         write_fake_set(job.folder, c.task, c.split, c.samples)

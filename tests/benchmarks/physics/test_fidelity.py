@@ -14,10 +14,11 @@ from tactip_twin.benchmarks.physics import contact_cache, fidelity, pose_sensiti
 from tactip_twin.benchmarks.physics.contact_cache import STANDARD, CachedContact, ContactCache, Variant, without_timings
 from tactip_twin.benchmarks.physics.contact_cases import CASES, LABELS, Case, moved, training
 from tactip_twin.benchmarks.physics.fidelity import blobs_at, jobs, sequence, spread
-from tactip_twin.benchmarks.physics.fidelity_page import markdown
+from tactip_twin.benchmarks.physics.fidelity_page import tables
 from tactip_twin.benchmarks.physics.parameter_sweeps import REFINED_MM, small_steps, sweeps
 from tactip_twin.benchmarks.physics.pose_sensitivity import ImagePins, PoseSensitivity
 from tactip_twin.benchmarks.physics.scene_cost import inventory
+from tactip_twin.benchmarks.report import fill
 from tactip_twin.sim.contact.fidelity import FIDELITIES, Motion, fidelity_named
 from tactip_twin.sim.contact.stimuli import add_stimulus
 from tactip_twin.sim.labels import TASKS
@@ -142,7 +143,7 @@ def test_cases_are_named_once_and_within_the_papers_ranges():
     assert first == again
 
 
-# The command, at a small scale: two numbers swept, cheap presets.
+# The command at a small scale: one setting swept, cheap presets.
 
 
 @pytest.fixture
@@ -165,11 +166,11 @@ def small(monkeypatch, tmp_path):
         "finer": lambda f: replace(f, motion=replace(f.motion, step_s=6.9e-3)),
         "refined_steps": lambda: paced,
         "refined_meshes": lambda: paced,
-        "sweeps": lambda: {"approach a step, mm": (False, {"1": paced[1.0]})},
+        "sweeps": lambda: {"approach per step, mm": (False, {"1": paced[1.0]})},
     }
     for name, value in small.items():
         monkeypatch.setattr(fidelity, name, value)
-    return FidelityOptions(contacts=1, swept=1, out=tmp_path / "docs", kept=tmp_path / "kept")
+    return FidelityOptions(contacts=1, sweep_contacts=1, out=tmp_path / "docs", cache=tmp_path / "kept")
 
 
 def test_a_stopped_measurement_goes_on_and_gives_the_same(small, monkeypatch):
@@ -177,11 +178,11 @@ def test_a_stopped_measurement_goes_on_and_gives_the_same(small, monkeypatch):
     assert len(set(wanted)) == len(wanted)
     first = fidelity.run(small)
     known = {name: (small.out / name).read_bytes() for name in ("fidelity.md", "fidelity.png", "fidelity.json")}
-    assert not list(small.kept.glob("*.npz"))
-    cache = ContactCache(small.kept)
+    assert not list(small.cache.glob("*.npz"))
+    cache = ContactCache(small.cache)
     for case, variant in wanted[: len(wanted) // 2]:
         cache(case, variant)
-    assert len(list(small.kept.glob("*.npz"))) == len(wanted) // 2
+    assert len(list(small.cache.glob("*.npz"))) == len(wanted) // 2
     simulated, simulate = [], ContactCache._simulate
     monkeypatch.setattr(ContactCache, "_simulate", lambda self, *job: simulated.append(job) or simulate(self, *job))
     second = fidelity.run(small)
@@ -190,14 +191,14 @@ def test_a_stopped_measurement_goes_on_and_gives_the_same(small, monkeypatch):
     fidelity.run(replace(small, redraw=True))
     assert json.loads((small.out / "fidelity.json").read_text())["sweeps"]
     assert known["fidelity.png"][:4] == b"\x89PNG"
-    assert markdown(json.loads(known["fidelity.json"])).encode() == known["fidelity.md"]
+    assert fill(known["fidelity.md"].decode(), tables(first)) == known["fidelity.md"].decode()
 
 
 def test_nothing_to_redraw_from_is_an_error(tmp_path):
-    with pytest.raises(TactipError, match="measure first"):
+    with pytest.raises(TactipError, match="without --redraw"):
         fidelity.run(FidelityOptions(out=tmp_path, redraw=True))
-    with pytest.raises(TactipError, match="at least 1"):
-        fidelity.run(FidelityOptions(out=tmp_path, swept=0))
+    with pytest.raises(TactipError, match="between 1 and"):
+        fidelity.run(FidelityOptions(out=tmp_path, sweep_contacts=0))
 
 
 @pytest.mark.slow

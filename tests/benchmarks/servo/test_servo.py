@@ -123,7 +123,7 @@ def test_a_group_that_is_none_is_refused():
 
 def test_what_another_network_learned_from_stands_beside_it(options):
     """Also on a page that is written again without it."""
-    record = followed.run(replace(options, groups=("robust",), other_surface="surface-bent-tactip-127"))
+    record = followed.run(replace(options, groups=("robust",), other_surface="surface-curved-tactip-127"))
     told = record["others"]["surface"]
     assert "images of a set of seed 0; training of seed 0, with initial weights of another network" in told
     again = followed.run(replace(options, groups=("objects",)))
