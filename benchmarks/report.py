@@ -1,7 +1,7 @@
 """Pages in docs/: prose written by hand, with measured tables between markers."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from tactip_twin.tactip_model.errors import TactipError
@@ -9,6 +9,11 @@ from tactip_twin.tactip_model.errors import TactipError
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 
 _BLOCK = re.compile(r"(<!-- begin (?P<name>[\w-]+) -->\n).*?(<!-- end (?P=name) -->)", re.DOTALL)
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return a Markdown table of cells."""
+    return "\n".join("| " + " | ".join(row) + " |" for row in (head, ["---"] * len(head), *rows))
 
 
 def fill(page: str, tables: Mapping[str, str]) -> str:

@@ -6,6 +6,7 @@ from typing import Any
 
 from tactip_twin.benchmarks.hardware import machine_text
 from tactip_twin.benchmarks.physics.pose_sensitivity import STEP
+from tactip_twin.benchmarks.report import table
 from tactip_twin.sim.view.plot import COLORS, figure_of, log_axis, save_figure
 
 _HIGHLIGHTED = (
@@ -21,11 +22,6 @@ _SMALL_CHANGE = 0.25
 """Relative change of error and cost below which the table only names a setting."""
 
 _NAMES = {"x": "x, mm", "y": "y, mm", "z": "depth, mm", "Rx": "roll, °", "Ry": "pitch, °", "Rz": "yaw, °"}
-
-
-def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Return a Markdown table."""
-    return "\n".join("| " + " | ".join(row) + " |" for row in (head, ["---"] * len(head), *rows))
 
 
 def _triple(errors: Sequence[float]) -> str:

@@ -11,14 +11,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import matplotlib.figure
 import numpy as np
 
 from tactip_twin.benchmarks.options import FrictionOptions
+from tactip_twin.benchmarks.report import table, write_page
 from tactip_twin.sim.contact.fidelity import FIDELITIES, Fidelity
 from tactip_twin.sim.contact.record import Contact
 from tactip_twin.sim.contact.simulator import ContactSimulator, motion_fractions
 from tactip_twin.sim.pose import from_mm_deg, path
+from tactip_twin.sim.view.plot import COLORS, figure_of, save_figure
 from tactip_twin.tactip_model.files import write_file
 from tactip_twin.tactip_model.presets import design_named
 
@@ -251,80 +252,50 @@ def run(options: FrictionOptions) -> dict[str, Any]:
     for row in result["slides"]:
         del row["trace"]
     write_file(options.out / "friction.json", (json.dumps(result, indent=1) + "\n").encode())
-    write_file(options.out / "friction.md", markdown(result).encode())
+    write_page("friction", tables(result), options.out)
     return result
 
 
 def plot(result: dict[str, Any], path: Path) -> None:
     """Plot the normal force along the slides, and the shear loop, into a PNG file."""
-    figure = matplotlib.figure.Figure(figsize=(10, 3.6), layout="constrained")
-    left, right = figure.subplots(1, 2)
-    for k, row in enumerate(r for r in result["slides"] if r["friction"] == FRICTIONS[0]):
+    figure, (left, right) = figure_of(1, 2, (10, 4))
+    for color, row in zip(COLORS, (r for r in result["slides"] if r["friction"] == FRICTIONS[0]), strict=False):
         travel, normal, _ = row["trace"]["moving"]
-        left.plot(travel, normal, "-", lw=0.8, color=f"C{k}", label=f"{row['depth_mm']:g} mm deep")
+        left.plot(travel, normal, "-", lw=0.8, color=color, label=f"{row['depth_mm']:g} mm deep")
         travel, normal, _ = row["trace"]["at_rest"]
-        left.plot(travel, normal, "o", ms=3, color=f"C{k}")
+        left.plot(travel, normal, "o", ms=3, color=color)
     left.set(xlabel="slide, mm", ylabel="normal force, N", title=f"Friction {FRICTIONS[0]}: moving (line), at rest (dots)")
-    left.legend()
-    for name, cycle in result["shear_cycle"].items():
-        right.plot(cycle["loop"]["x_mm"], cycle["loop"]["force_n"], ".-", label=name)
-    right.set(xlabel="shear, mm", ylabel="tangential force, N", title="Second cycle of shear, 3 mm deep")
-    right.legend()
-    figure.savefig(path, dpi=100)
+    for color, (name, cycle) in zip(COLORS, result["shear_cycle"].items(), strict=False):
+        right.plot(cycle["loop"]["x_mm"], cycle["loop"]["force_n"], ".-", color=color, label=name)
+    right.set(xlabel="shear, mm", ylabel="tangential force, N", title="Second shear cycle, 3 mm deep")
+    for axis in (left, right):
+        axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.18), ncols=3)
+    save_figure(figure, path)
 
 
-def markdown(result: dict[str, Any]) -> str:
-    """Return the page of a result."""
-    lines = [
-        "# Friction along a path",
-        "",
-        "Written by `tactip bench friction`; do not edit. The 127-pin tip on the flat at `standard`.",
-        "",
-        f"*Slides* of {SLIDE_MM:g} mm, their second half: standard deviation of the normal force over its mean, and "
-        "tangential over normal force, mean (greatest). *Moving*: at every step of one motion. *At rest*: every 0.5 mm, as "
-        "contacts are recorded.",
-        "",
-        f"| friction | depth, mm | force, N | deviation, moving | moving by {SMALL_STEP_MM} mm a step | at rest | T/N, "
-        "moving | at rest |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
+def tables(result: dict[str, Any]) -> dict[str, str]:
+    """Return the tables of docs/friction.md from friction.json."""
+    slides = []
     for r in result["slides"]:
-        texts = [f"{r[k]['tangential_over_normal']:.3f} ({r[k]['greatest']:.3f})" for k in ("moving", "at_rest")]
-        lines.append(
-            f"| {r['friction']} | {r['depth_mm']:g} | {r['force_n']:.2f} | {100 * r['moving']['deviation']:.1f} % | "
-            f"{100 * r['small_steps']['deviation']:.1f} % | {100 * r['at_rest']['deviation']:.2f} % | {texts[0]} | "
-            f"{texts[1]} |"
-        )
-    lines += [
-        "",
-        "Chatter while moving came of friction and of the travel in a step together: a vertex that slides in MuJoCo's "
-        "convex friction cone is lifted, and one that is lifted off is missed at the next step; it was 10 to 40 % here. The "
-        "step (`sim/contact/scene.py`) takes the lift back. Records are taken at rest.",
-        "",
-        "*Orders*: the same pose, 3 mm deep, against *shear in the air, then press*: distance of pins, mean / greatest mm, "
-        "and force ratio. *Unloading*: 4 mm and back to 2 mm against 2 mm; the part of the work put in from 0 to 4 mm that "
-        "is not given back. *Shear and back*: pins after 3 mm of shear and back against the press alone; work of the "
-        "stimulus over a closed cycle of ±3 mm, first and second; greatest tangential over normal force.",
-        "",
-        "| | " + " | ".join(result["orders"]) + " |",
-        "|---|" + "---|" * len(result["orders"]),
+        deviations = [100 * r[k]["deviation"] for k in ("moving", "small_steps", "at_rest")]
+        ratios = (f"{r[k]['tangential_over_normal']:.3f} ({r[k]['greatest']:.3f})" for k in ("moving", "at_rest"))
+        cells = [f"{r['friction']}", f"{r['depth_mm']:g}", f"{r['force_n']:.2f}"]
+        slides.append([*cells, *(f"{d:.{n}f} %" for d, n in zip(deviations, (1, 1, 2), strict=True)), *ratios])
+    head = ["friction", "depth, mm", "force, N", "moving", f"moving {SMALL_STEP_MM} mm per step", "at rest"]
+    head += ["tangential / normal force, moving", "at rest"]
+    orders, unloads, cycles = (list(result[name].values()) for name in ("orders", "unloading", "shear_cycle"))
+    rows = [[name, *(_change(o[name]["pins_mm"], o[name]["force_ratio"]) for o in orders)] for name in orders[0]]
+    rows += [
+        ["press to 4 mm, back to 2 mm", *(_change(r["pins_mm"], r["force_ratio"]) for r in unloads)],
+        ["work lost in press and return", *(f"{100 * r['lost']:.2f} % of {r['work_mj']:.2f} mJ" for r in unloads)],
+        ["shear by 3 mm and back", *(_change(r["residual_mm"]) for r in cycles)],
+        ["work of a shear cycle, first / second", *(" / ".join(f"{w:.3f}" for w in r["work_mj"]) + " mJ" for r in cycles)],
+        ["tangential over normal force, maximum", *(f"{r['greatest']:.4f}" for r in cycles)],
     ]
+    return {"slides": table(head, slides), "paths": table(["", *result["orders"]], rows)}
 
-    def line(what: str, cells: Iterable[str]) -> None:
-        lines.append(f"| {what} | " + " | ".join(cells) + " |")
 
-    def pins(pair: Sequence[float]) -> str:
-        return f"{pair[0]:.4f} / {pair[1]:.4f} mm"
-
-    for order in next(iter(result["orders"].values())):
-        rows = [o[order] for o in result["orders"].values()]
-        line(order, [f"{pins(r['pins_mm'])}, force {r['force_ratio']:.4f}" for r in rows])
-    rows = list(result["unloading"].values())
-    line("unloaded to 2 mm", [f"{pins(r['pins_mm'])}, force {r['force_ratio']:.4f}" for r in rows])
-    line("work lost, press and back", [f"{100 * r['lost']:.2f} % of {r['work_mj']:.2f} mJ" for r in rows])
-    rows = list(result["shear_cycle"].values())
-    line("sheared and back", [pins(r["residual_mm"]) for r in rows])
-    line("work of a shear cycle", [" / ".join(f"{w:.3f}" for w in r["work_mj"]) + " mJ" for r in rows])
-    line("greatest T/N", [f"{r['greatest']:.4f}" for r in rows])
-    lines += ["", "![forces along slides, and a shear loop](friction.png)"]
-    return "\n".join(lines) + "\n"
+def _change(pins_mm: Sequence[float], force_ratio: float | None = None) -> str:
+    """Return mean and maximum distance of pins, and a ratio of forces, as text."""
+    text = f"{pins_mm[0]:.4f} / {pins_mm[1]:.4f} mm"
+    return text if force_ratio is None else f"{text}, force × {force_ratio:.4f}"

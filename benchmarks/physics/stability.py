@@ -8,7 +8,7 @@ the same. An interrupted measurement resumes. Writes docs/stability.md, .json an
 
 import json
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -18,12 +18,13 @@ import numpy as np
 from tactip_twin.benchmarks.hardware import machine, machine_text
 from tactip_twin.benchmarks.options import StabilityOptions
 from tactip_twin.benchmarks.physics.stability_map import Cell, cells
+from tactip_twin.benchmarks.report import table, write_page
 from tactip_twin.sim.contact.fidelity import Fidelity, fidelity_named, finer
 from tactip_twin.sim.contact.record import Contact, QualityLimits
 from tactip_twin.sim.contact.simulator import UNCONFIRMED, ContactSimulator, RetryingSimulator
 from tactip_twin.sim.parallel.worker_pool import WorkerPool, worker_count
 from tactip_twin.sim.pose import from_mm_deg
-from tactip_twin.sim.view.plot import pyplot
+from tactip_twin.sim.view.plot import figure_of, save_figure
 from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.files import write_file
@@ -199,8 +200,8 @@ def run(options: StabilityOptions, log: Callable[[str], None] = print) -> dict[s
         WorkerPool(_Judge, (str(folder), fidelity, quick), todo, "cell", log).work(min(workers, len(todo)), report)
     records = [r for i, cell in enumerate(chosen) if (r := _done(folder, i, cell))]
     result = _write_json(out, records, len(chosen), fidelity)
-    write_file(out / "stability.md", markdown(result).encode())
     plot(result, out / "stability.png")
+    write_page("stability", tables(result), out)
     for path in folder.iterdir():
         path.unlink()
     folder.rmdir()
@@ -250,94 +251,62 @@ def plot(result: dict[str, Any], path: Path) -> None:
     """Plot the map of a result into a PNG file."""
     from matplotlib.patches import Patch, Rectangle
 
-    plt = pyplot()
     panels = _panels(result["map"])
-    across = 4
+    across = 3
     down = -(-len(panels) // across)
-    figure, axes = plt.subplots(down, across, figsize=(4.6 * across, 3.5 * down), squeeze=False)
-    for axis in axes.ravel()[len(panels) :]:
+    figure, axes = figure_of(down, across, (4.2 * across, 3.0 * down))
+    for axis in axes[len(panels) :]:
         axis.axis("off")
-    for axis, (name, (rows, columns, grid)) in zip(axes.ravel(), panels.items(), strict=False):
+    for axis, (name, (rows, columns, grid)) in zip(axes, panels.items(), strict=False):
         for i, row in enumerate(rows):
             for j, column in enumerate(columns):
                 record = grid.get((row, column))
-                colour = VERDICTS[record["verdict"]] if record else "white"
-                axis.add_patch(Rectangle((j, i), 1, 1, facecolor=colour, edgecolor="white"))
+                color = VERDICTS[record["verdict"]] if record else "white"
+                axis.add_patch(Rectangle((j, i), 1, 1, facecolor=color, edgecolor="white"))
         axis.set(xlim=(0, len(columns)), ylim=(len(rows), 0))
-        axis.set_xticks(np.arange(len(columns)) + 0.5, columns, rotation=35 if max(map(len, columns)) > 6 else 0, fontsize=8)
-        axis.set_yticks(np.arange(len(rows)) + 0.5, rows, fontsize=8)
-        axis.tick_params(length=0)
+        axis.grid(visible=False)
+        tilted = {"rotation": 30, "ha": "right"} if max(map(len, columns)) > 6 else {}
+        axis.set_xticks(np.arange(len(columns)) + 0.5, columns, **tilted)
+        axis.set_yticks(np.arange(len(rows)) + 0.5, rows)
+        axis.tick_params(length=0, labelsize=8)
         down_name, _, across_name = name.partition(" | ")
-        axis.set_title(name if not across_name else "", fontsize=9)
-        axis.set_xlabel(across_name, fontsize=9)
-        axis.set_ylabel(down_name if across_name else "", fontsize=9)
-    handles = [Patch(color=colour, label=f"{v} ({result['counts'][v]})") for v, colour in VERDICTS.items()]
-    figure.legend(handles=handles, loc="upper center", ncols=len(handles), fontsize=11, frameon=False)
-    figure.tight_layout(rect=(0, 0, 1, 0.97))
-    figure.savefig(path, dpi=110, metadata={"Software": None})
-    plt.close(figure)
+        axis.set(xlabel=across_name or "side of the bound", ylabel=down_name if across_name else "field")
+        axis.set_title("" if across_name else name)
+    handles = [Patch(color=color, label=f"{v} ({result['counts'][v]})") for v, color in VERDICTS.items()]
+    figure.legend(handles=handles, loc="outside upper center", ncols=len(handles))
+    save_figure(figure, path)
 
 
-def markdown(result: dict[str, Any]) -> str:
-    """Return the page of a result."""
+def tables(result: dict[str, Any]) -> dict[str, str]:
+    """Return the tables of docs/stability.md from stability.json."""
     counts, records = result["counts"], result["map"]
-    good = [r for r in records if r["verdict"] in ("converged", "after refinement")]
-    lines = [
-        "# Where a contact converges, and where it is refused",
-        "",
-        f"Written by `tactip bench stability`; do not edit. {result['design']}, fidelity `{result['fidelity']}`, on: "
-        + machine_text(result["machine"])
-        + ".",
-        "",
-        "Each cell is one contact, on the surface 3 mm deep unless the cell says otherwise. *Converged*: its record keeps "
-        "all bounds (`sim/contact/simulator.py`), and half the step gives the same: pins within "
-        f"{result['agreement']['pins_rms_mm']} mm rms, force within {100 * result['agreement']['force_share']:.0f} % or "
-        f"{1e3 * result['agreement']['force_n']:.0f} mN. *After refinement*: the same, at the second or third try, each "
-        "with half the step of the one before. *Refused*: three tries, none to be trusted; four where skin may catch by "
-        "chance, and two records must agree. *Refused beforehand*: by "
-        "the bounds beside each field of the configuration, or of the pose. *Wrong*: a record that keeps all bounds, but "
-        "not its promise.",
-        "",
-        "![map](stability.png)",
-        "",
-        "| " + " | ".join(counts) + " | in all |",
-        "|" + "---|" * (len(counts) + 1),
-        "| " + " | ".join(str(n) for n in counts.values()) + f" | {len(records)} |",
-        "",
+    state = f"Machine: {machine_text(result['machine'])}. Design `{result['design']}`, fidelity `{result['fidelity']}`."
+    counted = table([*counts, "in total"], [[*map(str, counts.values()), str(len(records))]])
+    refused = [
+        [r["panel"].replace(" | ", " / "), f"{r['row']} / {r['column']}", "; ".join(r["reasons"])]
+        for r in records
+        if r["verdict"] in ("refused", "wrong")
     ]
-    if good:
-        force = max(
-            abs(r["half_step_force_n"] - r["normal_force_n"]) / max(abs(r["half_step_force_n"]), FORCE_N / FORCE_FRACTION)
-            for r in good
-        )
-        pins = sorted(r["half_step_pins_rms_mm"] for r in good)
-        lines += [
-            f"Between a converged cell and half its step: pins {pins[len(pins) // 2]:.3f} mm rms in the median, "
-            f"{pins[-1]:.3f} mm at most; force {100 * force:.1f} % at most. Greatest penetration "
-            f"{1e3 * max(r['penetration_m'] for r in good):.3f} mm, overlap by shape "
-            f"{1e3 * max(r['overlap_m'] for r in good):.3f} mm, smallest element "
-            f"{min(r['volume_ratio'] for r in good):.2f} of its volume.",
-            "",
-        ]
-    lines += [
-        "## By panel",
-        "",
-        "| panel (rows, columns) | " + " | ".join(VERDICTS) + " |",
-        "|" + "---|" * (len(VERDICTS) + 1),
+    return {
+        "counts": f"{counted}\n\n{state}",
+        "differences": _differences([r for r in records if r["verdict"] in ("converged", "after refinement")]),
+        "refused": table(["panel", "cell", "reason"], refused) if refused else "None.",
+    }
+
+
+def _differences(good: Sequence[Mapping[str, Any]]) -> str:
+    """Return a table of the accepted cells: differences between a step and half of it, and extremes of the records."""
+    if not good:
+        return "No cell was accepted."
+    pins = [r["half_step_pins_rms_mm"] for r in good]
+    scale = FORCE_N / FORCE_FRACTION
+    force = max(abs(r["half_step_force_n"] - r["normal_force_n"]) / max(abs(r["half_step_force_n"]), scale) for r in good)
+    rows = [
+        ["change of pins at half the step, median", f"{np.median(pins):.3f} mm rms"],
+        ["change of pins at half the step, maximum", f"{max(pins):.3f} mm rms"],
+        ["change of force at half the step, maximum", f"{100 * force:.1f} %"],
+        ["penetration, maximum", f"{1e3 * max(r['penetration_m'] for r in good):.3f} mm"],
+        ["overlap of the shapes, maximum", f"{1e3 * max(r['overlap_m'] for r in good):.3f} mm"],
+        ["volume of an element relative to its undeformed volume, minimum", f"{min(r['volume_ratio'] for r in good):.2f}"],
     ]
-    for name, (_, _, grid) in _panels(records).items():
-        by = _counts(grid.values())
-        lines.append(f"| {name.replace(' | ', ', ')} | " + " | ".join(str(by[v]) for v in VERDICTS) + " |")
-    for verdict, title in (
-        ("wrong", "Wrong"),
-        ("refused", "Refused after all tries"),
-        ("refused beforehand", "Refused beforehand"),
-    ):
-        chosen = [r for r in records if r["verdict"] == verdict]
-        if chosen:
-            lines += ["", f"## {title}", "", "| cell | why |", "|---|---|"]
-            for r in chosen:
-                down_name, _, across_name = r["panel"].partition(" | ")
-                where = f"{down_name}: {r['row']}, {across_name}: {r['column']}".replace(", :", ",")
-                lines.append(f"| {where} | {'; '.join(r['reasons'])} |")
-    return "\n".join(lines) + "\n"
+    return table(["accepted cells", "value"], rows)

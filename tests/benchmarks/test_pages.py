@@ -8,6 +8,8 @@ import pytest
 from tactip_twin.benchmarks.report import DOCS, fill
 
 PAGES = {
+    "friction": "physics.friction",
+    "stability": "physics.stability",
     "fidelity": "physics.fidelity_page",
     "learning": "learning.learning",
     "search": "learning.search",

@@ -461,7 +461,8 @@ def test_stability_map_is_resumed_and_written(tmp_path, monkeypatch):
         (folder / f"{i:04d}.json").write_text(json.dumps(record))
     result = stability.run(StabilityOptions(tmp_path, quick=True, workers="1"), log=lambda line: None)
     assert result["counts"]["refused beforehand"] == 3
-    assert "radius_m must be a finite number from 0.01 to 0.04, got 0.041" in (tmp_path / "stability.md").read_text()
+    assert result["map"][-1]["reasons"] == ["radius_m must be a finite number from 0.01 to 0.04, got 0.041"]
+    assert "| 4 |" in (tmp_path / "stability.md").read_text()
     assert (tmp_path / "stability.png").stat().st_size > 10_000
     assert json.loads((tmp_path / "stability.json").read_text())["map"][0]["panel"].startswith("skin modulus")
     assert not folder.exists()
