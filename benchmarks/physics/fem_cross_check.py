@@ -19,6 +19,7 @@ import numpy as np
 from tactip_twin.benchmarks.options import FemCrossCheckOptions
 from tactip_twin.benchmarks.physics.fem_tetrahedra import Solid, lame
 from tactip_twin.benchmarks.physics.materials import Specimen, gel
+from tactip_twin.benchmarks.report import table, write_page
 from tactip_twin.sim.contact.fidelity import FIDELITIES
 from tactip_twin.sim.contact.simulator import ContactSimulator
 from tactip_twin.sim.labels import FidelityName
@@ -135,7 +136,7 @@ def compare_simulator(depth_mm: float) -> dict[str, Any]:
     solid = Solid(mesh.vertices, mesh.tetrahedra, "stable neo-Hooke", *constants)
     other = solid.solve(fixed, moved)
     surface = np.arange(len(moved)) < mesh.surface_count
-    row = {"depth_mm": depth_mm, "law": "stable neo-Hooke", "codes": "simulator, benchmarks/physics/fem_tetrahedra.py"}
+    row = {"depth_mm": depth_mm, "law": "stable neo-Hooke", "codes": "simulator, `fem_tetrahedra`"}
     row |= differences(moved, other, surface & ~mesh.bonded, 1e3 * float(np.abs(moved).max()))
     touching = fixed[:, 2] & ~mesh.bonded
     return row | {"force_ratio": float(force / -solid.forces(other)[touching, 2].sum())}
@@ -150,9 +151,7 @@ def compare_codes(depth_mm: float, law: str, folder: Path) -> list[dict[str, Any
     expected, reaction = solve_with_calculix(*problem, fixed, prescribed, folder)
     solid = Solid(*problem)
     moved = solid.solve(fixed, prescribed)
-    solutions: dict[str, tuple[np.ndarray, np.ndarray]] = {
-        "benchmarks/physics/fem_tetrahedra.py": (moved, solid.forces(moved))
-    }
+    solutions: dict[str, tuple[np.ndarray, np.ndarray]] = {"`fem_tetrahedra`": (moved, solid.forces(moved))}
     if law == "St Venant-Kirchhoff":
         specimen = Specimen(mesh.vertices, mesh.tetrahedra, gel(PLAIN_POISSON, law, young), fixed)
         positions, force = mesh.vertices, np.zeros(mesh.vertices.shape)
@@ -183,30 +182,22 @@ def run(options: FemCrossCheckOptions, log: Callable[[str], None] = print) -> di
     result = {"rows": rows}
     options.out.mkdir(parents=True, exist_ok=True)
     write_file(options.out / "fem_cross_check.json", (json.dumps(result, indent=1) + "\n").encode())
-    write_file(options.out / "fem_cross_check.md", markdown(result).encode())
+    write_page("fem_cross_check", tables(result), options.out)
     return result
 
 
-def markdown(result: dict[str, Any]) -> str:
-    """Return the page of a result."""
-    lines = [
-        "# The pressed gel in other finite-element codes",
-        "",
-        "Written by `tactip bench fem-cross-check`; do not edit. The gel of the "
-        "127-pin tip on the `standard` mesh, "
-        "without skin and friction, solved by two codes on the very same tetrahedra; the vertices that touch the plate are "
-        "held at the simulator's height. *Simulator*: a contact as it is played for data sets. *MuJoCo's flex*: the flex "
-        f"alone. CalculiX's gel has a Poisson's ratio of {PLAIN_POISSON}; its two laws are `*ELASTIC` at large "
-        "displacements and `*HYPERELASTIC, NEO HOOKE`.",
-        "",
-        "| codes | law | depth, mm | free surface, rms mm | greatest, mm | force ratio |",
-        "|---|---|---|---|---|---|",
+def tables(result: dict[str, Any]) -> dict[str, str]:
+    """Return the table of docs/fem_cross_check.md from fem_cross_check.json."""
+    rows = [
+        [
+            r["codes"],
+            r["law"],
+            f"{r['depth_mm']:g}",
+            f"{r['rms_mm']:.1e}",
+            f"{r['greatest_mm']:.1e}",
+            f"{r['force_ratio']:.6f}",
+        ]
+        for r in result["rows"]
     ]
-    for r in result["rows"]:
-        lines.append(
-            f"| {r['codes']} | {r['law']} | {r['depth_mm']:g} | {r['rms_mm']:.1e} | {r['greatest_mm']:.1e} | "
-            f"{r['force_ratio']:.6f} |"
-        )
-    if not any("CalculiX" in r["codes"] for r in result["rows"]):
-        lines += ["", "CalculiX was not installed."]
-    return "\n".join(lines) + "\n"
+    missing = "" if any("CalculiX" in r["codes"] for r in result["rows"]) else "\n\nCalculiX was not installed."
+    return {"codes": table(["codes", "law", "depth, mm", "distance, rms mm", "maximum, mm", "force ratio"], rows) + missing}

@@ -18,7 +18,7 @@ from scipy.spatial import Delaunay
 
 from tactip_twin.benchmarks.options import MaterialsOptions
 from tactip_twin.benchmarks.physics.fem_tetrahedra import lame
-from tactip_twin.benchmarks.physics.materials_page import markdown
+from tactip_twin.benchmarks.report import table, write_page
 from tactip_twin.sim.contact.fidelity import FIDELITIES
 from tactip_twin.tactip_model.design import Materials, TipGeometry
 from tactip_twin.tactip_model.files import write_file
@@ -429,5 +429,36 @@ def run(options: MaterialsOptions) -> dict[str, Any]:
     result = measure()
     options.out.mkdir(parents=True, exist_ok=True)
     write_file(options.out / "materials.json", (json.dumps(result, indent=1) + "\n").encode())
-    write_file(options.out / "materials.md", markdown(result).encode())
+    write_page("materials", tables(result), options.out)
     return result
+
+
+def tables(result: dict[str, Any]) -> dict[str, str]:
+    """Return the tables of docs/materials.md from materials.json."""
+    patches, sizes = list(next(iter(result["patch"].values()))), list(result["cantilever"])
+    bars = []
+    for row in result["bar"]:
+        ratios = {float(k): v for k, v in row["force_ratio"].items()}
+        worst = max(abs(r - 1) for r in ratios.values())
+        stretches = f"{min(ratios)} to {max(ratios)}"
+        bars.append([row["law"], row["poisson"], stretches, f"{worst:.0e}", f"{row['worst_side_error']:.0e}"])
+    bent = [
+        [f"moment, bent to a {shape}", lattice, *(f"{by_size[size][shape]:.2f}" for size in sizes)]
+        for lattice, by_size in result["curving"].items()
+        for shape in ("cylinder", "sphere", "saddle")
+    ]
+    bent += [
+        ["deflection of a clamped disc of 15 mm", lattice, *(f"{by_size[size]:.2f}" for size in sizes)]
+        for lattice, by_size in result["clamped_plate"].items()
+    ]
+    strip = [f"{result['cantilever'][size]:.2f}" for size in sizes]
+    bent.append(["deflection of a strip, 20 by 6 mm", "jittered squares", *strip])
+    dome = [[name, f"{r['deflection_ratio']:.2f}", f"{r['unloaded_mm']:.4f}"] for name, r in result["dome"].items()]
+    worst = max(abs(r - 1) for r in result["strip"].values())
+    return {
+        "patch": table(["law", *patches], [[law, *(f"{e:.0e}" for e in v.values())] for law, v in result["patch"].items()]),
+        "bar": table(["law", "Poisson's ratio", "stretch", "error of force", "error of the sides"], bars),
+        "strip": f"Maximum relative error of the force: {worst:.0e}.",
+        "bending": table(["ratio to the closed form", "mesh", *(f"spacing {size} mm" for size in sizes)], bent),
+        "dome": table(["mesh", "deflection, ratio to the closed form", "motion without a load, mm"], dome),
+    }

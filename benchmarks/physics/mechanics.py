@@ -15,6 +15,7 @@ import numpy as np
 
 from tactip_twin.benchmarks.options import MechanicsOptions
 from tactip_twin.benchmarks.physics.fem_axisymmetric import Dome, Layer
+from tactip_twin.benchmarks.report import table, write_page
 from tactip_twin.sim.contact.fidelity import FIDELITIES, Fidelity
 from tactip_twin.sim.contact.record import Contact
 from tactip_twin.sim.contact.scene import Scene
@@ -116,7 +117,7 @@ def meshes() -> dict[str, Fidelity]:
     return {name: replace(standard, mesh=FIDELITIES[name].mesh) for name in ("draft", "standard", "reference")}
 
 
-def as_it_is(fidelity: Fidelity) -> Fidelity:
+def uncorrected(fidelity: Fidelity) -> Fidelity:
     """Return the fidelity whose elements have the gel's own Poisson's ratio."""
     return replace(fidelity, mesh=replace(fidelity.mesh, poisson_limit=0.5, locked_stiffness=1.0))
 
@@ -129,7 +130,7 @@ def against_depth(expected: Mapping[str, Expected], log: Callable[[str], None]) 
         log: Called with each row.
     """
     standard, rows = FIDELITIES["standard"], []
-    cases = {"draft": FIDELITIES["draft"], "standard": standard, "standard mesh, 0.49 as it is": as_it_is(standard)}
+    cases = {"draft": FIDELITIES["draft"], "standard": standard, "standard mesh, 0.49 uncorrected": uncorrected(standard)}
     for what in expected:
         for name, fidelity in cases.items():
             simulator = ContactSimulator(frictionless(what), "surface", fidelity)
@@ -154,12 +155,12 @@ def locking(known: Mapping[str, Expected], log: Callable[[str], None]) -> list[d
         for poisson in POISSONS:
             expected = known[what] if poisson == own else Expected(design_named("nominal-127"), what, poisson, log)
             for name, fidelity in meshes().items():
-                cures = {"as it is": as_it_is(fidelity)}
+                variants = {"uncorrected": uncorrected(fidelity)}
                 if poisson > fidelity.mesh.poisson_limit:
-                    cures["cured"] = fidelity
-                for cure, changed in cures.items():
+                    variants["corrected"] = fidelity
+                for elements, changed in variants.items():
                     simulator = ContactSimulator(frictionless(what, poisson), "surface", changed)
-                    row = {"tip": what, "poisson": poisson, "mesh": name, "elements": cure, "force_ratio": []}
+                    row = {"tip": what, "poisson": poisson, "mesh": name, "elements": elements, "force_ratio": []}
                     for depth in LOCKING_DEPTHS_MM:
                         row["force_ratio"].append(press(simulator, depth).normal_force_n / expected.force(depth))
                         if depth == SHAPE_DEPTH_MM:
@@ -208,61 +209,36 @@ def run(options: MechanicsOptions, log: Callable[[str], None] = print) -> dict[s
     }
     options.out.mkdir(parents=True, exist_ok=True)
     write_file(options.out / "mechanics.json", (json.dumps(result, indent=1) + "\n").encode())
-    write_file(options.out / "mechanics.md", markdown(result).encode())
+    write_page("mechanics", tables(result), options.out)
     return result
 
 
-def markdown(result: dict[str, Any]) -> str:
-    """Return the page of a result."""
-    depths, mesh = result["depths_mm"], FIDELITIES["standard"].mesh
-    lines = [
-        "# The pressed tip against an independent code",
-        "",
-        "Written by `tactip bench mechanics`; do not edit. Centred press on the flat "
-        "without friction. Force over "
-        "that of `benchmarks/physics/fem_axisymmetric.py` (eight-node elements with reduced integration, a solid skin) at",
-        "",
-        "| tip | mesh | " + " | ".join(f"{d} mm" for d in depths) + " | volume lost at 5 mm |",
-        "|---|---|" + "---|" * (len(depths) + 1),
+def tables(result: dict[str, Any]) -> dict[str, str]:
+    """Return the tables of docs/mechanics.md from mechanics.json."""
+    head = [f"{d:g} mm" for d in result["depths_mm"]]
+    forces = [
+        [name, "*reference code, N*", *(f"*{f:.3f}*" for f in values), ""]
+        for name, values in result["independent_force_n"].items()
     ]
-    for name, forces in result["independent_force_n"].items():
-        lines.append(f"| {name} | *independent code, N* | " + " | ".join(f"*{f:.3f}*" for f in forces) + " | |")
-    for r in result["rows"]:
-        ratios = " | ".join(f"{x:.2f}" for x in r["force_ratio"])
-        lines.append(f"| {r['tip']} | {r['mesh']} | {ratios} | {100 * r['volume_lost_at_5_mm']:.1f} % |")
-    lines += [
-        "",
-        f"Force every 0.1 mm from 0.5 to 5 mm with friction, `standard`: within {100 * result['ripple']:.1f} % of a smooth "
-        "curve (a cubic in the logarithms).",
-        "",
-        "## Locking, and what is done about it",
-        "",
-        "Linear tetrahedra are too stiff near incompressibility. *As it is*: elements of the gel's own Poisson's ratio. "
-        f"*Cured*: as `mesh.Resolution` has it, of {mesh.poisson_limit} with the factor on the modulus that "
-        "belongs to the mesh (0.87, 0.90, 1). Force "
-        "over that of the independent code, and distance of surface vertices from it at "
-        f"{SHAPE_DEPTH_MM:g} mm, rms / greatest:",
-        "",
-        "| tip | Poisson's ratio | mesh | elements | "
-        + " | ".join(f"{d:g} mm" for d in LOCKING_DEPTHS_MM)
-        + " | shape, mm |",
-        "|---|---|---|---|" + "---|" * (len(LOCKING_DEPTHS_MM) + 1),
+    ratios = [
+        [r["tip"], r["mesh"], *(f"{x:.2f}" for x in r["force_ratio"]), f"{100 * r['volume_lost_at_5_mm']:.1f} %"]
+        for r in result["rows"]
     ]
-    for r in result["locking"]:
-        ratios = " | ".join(f"{x:.2f}" for x in r["force_ratio"])
-        shape = " / ".join(f"{x:.3f}" for x in r["shape_mm"])
-        lines.append(f"| {r['tip']} | {r['poisson']} | {r['mesh']} | {r['elements']} | {ratios} | {shape} |")
-    lines += [
-        "",
-        "## The skin's bending",
-        "",
-        "Sensor at `standard`, the bending of its skin taken times a factor ([materials.md](materials.md) says how exact it "
-        "is):",
-        "",
-        "| factor | " + " | ".join(f"{d} mm" for d in depths) + f" | shape at {SHAPE_DEPTH_MM:g} mm |",
-        "|---|" + "---|" * (len(depths) + 1),
+    shape = f"shape at {SHAPE_DEPTH_MM:g} mm: rms / maximum, mm"
+    locked = [
+        [r["tip"], r["poisson"], r["mesh"], r["elements"], *(f"{x:.2f}" for x in r["force_ratio"]), _shape(r["shape_mm"])]
+        for r in result["locking"]
+        if r["mesh"] == "standard" or r["poisson"] == 0.49
     ]
-    for r in result["bending"]:
-        ratios = " | ".join(f"{x:.2f}" for x in r["force_ratio"])
-        lines.append(f"| {r['bending']:g} | {ratios} | " + " / ".join(f"{x:.3f}" for x in r["shape_mm"]) + " |")
-    return "\n".join(lines) + "\n"
+    bent = [[f"{r['bending']:g}", *(f"{x:.2f}" for x in r["force_ratio"]), _shape(r["shape_mm"])] for r in result["bending"]]
+    depths = [f"{d:g} mm" for d in LOCKING_DEPTHS_MM]
+    return {
+        "forces": table(["tip", "mesh", *head, "volume lost at 5 mm"], [*forces, *ratios]),
+        "ripple": f"Maximum distance of the force from a smooth curve: {100 * result['ripple']:.1f} %.",
+        "locking": table(["tip", "Poisson's ratio", "mesh", "elements", *depths, shape], locked),
+        "bending": table(["factor", *head, shape], bent),
+    }
+
+
+def _shape(errors_mm: Sequence[float]) -> str:
+    return " / ".join(f"{x:.3f}" for x in errors_mm)

@@ -17,6 +17,7 @@ import trimesh
 from tactip_twin.assets.meshes.rims import block
 from tactip_twin.benchmarks.hardware import machine, machine_text
 from tactip_twin.benchmarks.options import MeshContactOptions
+from tactip_twin.benchmarks.report import table, write_page
 from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.contact.record import Contact
 from tactip_twin.sim.contact.signed_distance import SignedDistanceMesh
@@ -110,12 +111,12 @@ def contact_models(name: str, mesh: trimesh.Trimesh) -> dict[str, Callable[[], S
         fine = subdivide(name, mesh, size)
         count = f"{len(fine.faces)} triangles"
         sharpest = EDGE_RADIUS_M if name != "sphere" else SPHERE_RADIUS_M
-        out[f"follows the skin, {count}"] = lambda fine=fine, r=sharpest: SolidStimulus(
+        out[f"contact proxies, {count}"] = lambda fine=fine, r=sharpest: SolidStimulus(
             SignedDistanceMesh(fine.vertices, fine.faces), min_radius_m=r
         )
         if size != SIZES_MM[-1]:
             out[f"rigid flex, {count}"] = lambda fine=fine: NativeMesh(true, fine, "flex", both)
-            out[f"rigid flex, vertices alone, {count}"] = lambda fine=fine: NativeMesh(true, fine, "flex", TOUCHES_VERTICES)
+            out[f"rigid flex, vertices only, {count}"] = lambda fine=fine: NativeMesh(true, fine, "flex", TOUCHES_VERTICES)
             out[f"signed distance, {count}"] = lambda fine=fine: NativeMesh(true, fine, "sdf", both)
     return out
 
@@ -137,13 +138,13 @@ def measure(log: Callable[[str], None]) -> dict[str, Any]:
     for name, mesh in meshes().items():
         rows: list[dict[str, Any]] = []
         true: list[Contact] = []
-        own: dict[str, Callable[[], Stimulus]] = {"the stimulus itself": lambda name=name: stimulus_named(name)}
-        for way, stimulus in (own | contact_models(name, mesh)).items():
+        own: dict[str, Callable[[], Stimulus]] = {"stimulus": lambda name=name: stimulus_named(name)}
+        for model, stimulus in (own | contact_models(name, mesh)).items():
             try:
                 simulator = ContactSimulator(design, stimulus(), fidelity)
             except TactipError as error:
-                rows.append({"way": way, "refused": str(error).splitlines()[0]})
-                log(f"{name}: {way}: refused")
+                rows.append({"contact_model": model, "refused": str(error).splitlines()[0]})
+                log(f"{name}: {model}: refused")
                 continue
             found, seconds = [], []
             for pose, shear in contacts(name):
@@ -151,16 +152,16 @@ def measure(log: Callable[[str], None]) -> dict[str, Any]:
                 found.append(simulator.simulate(pose, shear))
                 seconds.append(time.perf_counter() - start)
             true = true or found
-            rows.append({"way": way, **_figures(found, true, seconds)})
-            if way.startswith("rigid flex"):
+            rows.append({"contact_model": model, **_figures(found, true, seconds)})
+            if model.startswith("rigid flex"):
                 rows[-1]["force"] = None  # Scene.contact_force distinguishes the sides by geoms, and a flex has none
-            log(f"{name}: {way}: {rows[-1]['pins_mm']} mm, {rows[-1]['seconds']:.2f} s")
+            log(f"{name}: {model}: {rows[-1]['pins_mm']} mm, {rows[-1]['seconds']:.2f} s")
         out["stimuli"][name] = rows
     return out
 
 
 def _figures(found: Sequence[Contact], true: Sequence[Contact], seconds: Sequence[float]) -> dict[str, Any]:
-    """Return the errors of contacts against those with the stimulus itself, and their costs."""
+    """Return the errors of contacts against those with stimulus, and their costs."""
     apart = [1e3 * float(np.sqrt(((p.pin_tips - t.pin_tips) ** 2).sum(1).mean())) for p, t in zip(found, true, strict=True)]
     force = [abs(abs(p.normal_force_n / t.normal_force_n) - 1) for p, t in zip(found, true, strict=True)]
     return {
@@ -172,40 +173,26 @@ def _figures(found: Sequence[Contact], true: Sequence[Contact], seconds: Sequenc
     }
 
 
-def markdown(record: dict[str, Any]) -> str:
-    """Return the page of a result."""
-    state = machine_text(record["machine"])
-    lines = [
-        "# By what a mesh is met",
-        "",
-        "Written by `tactip bench mesh-contact`; do not edit. "
-        f"{record['contacts']} sheared contacts of `{record['design']}` at `{record['fidelity']}`, with a stimulus and "
-        f"with a mesh of its shape; errors are against the stimulus itself. On: {state}.",
-        "",
-        "The skin's vertices and facets may meet a mesh as a rigid flex (triangle by triangle), as a signed distance "
-        "(MuJoCo's `sdf`), or by a surface that follows the skin (`sim/contact/solid_stimulus.py`), which is what "
-        "objects are met by. "
-        "Overlap is the greatest depth of a facet inside the true shape: 0.1 mm is allowed of a record.",
-    ]
+def tables(record: dict[str, Any]) -> dict[str, str]:
+    """Return the tables of docs/mesh_contact.md from mesh_contact.json: one per stimulus."""
+    head = ["contact model", "pin error, mm: median", "maximum", "force error", "overlap, mm", "time, s", "cost"]
+    out = {}
     for name, rows in record["stimuli"].items():
-        lines += [
-            "",
-            f"## {name}",
-            "",
-            "| met as | pins off, mm: median, most | force off | overlap, mm | s | over the first |",
-        ]
-        lines.append("|---|---|---|---|---|---|")
-        base = rows[0]["seconds"]
+        cells, base = [], rows[0]["seconds"]
         for row in rows:
             if "refused" in row:
-                lines.append(f"| {row['way']} | refused: {row['refused']} | | | | |")
+                cells.append([row["contact_model"], f"refused: {row['refused']}", "", "", "", "", ""])
                 continue
-            force = "not read" if row["force"] is None else f"{100 * row['force']:.1f} %"
-            lines.append(
-                f"| {row['way']} | {row['pins_mm'][0]:.3f}, {row['pins_mm'][1]:.3f} | {force} | "
-                f"{row['overlap_mm']:.3f} | {row['seconds']:.2f} | {row['seconds'] / base:.1f} |"
-            )
-    return "\n".join(lines) + "\n"
+            force = "not available" if row["force"] is None else f"{100 * row['force']:.1f} %"
+            errors = [f"{e:.3f}" for e in (*row["pins_mm"], row["overlap_mm"])]
+            costs = [f"{row['seconds']:.2f}", f"{row['seconds'] / base:.1f}"]
+            cells.append([row["contact_model"], *errors[:2], force, errors[2], *costs])
+        out[name] = table(head, cells)
+    out["settings"] = (
+        f"Machine: {machine_text(record['machine'])}. Settings: {record['contacts']} contacts per stimulus, design "
+        f"`{record['design']}`, fidelity `{record['fidelity']}`."
+    )
+    return out
 
 
 def run(options: MeshContactOptions, log: Callable[[str], None] = print) -> dict[str, Any]:
@@ -213,5 +200,5 @@ def run(options: MeshContactOptions, log: Callable[[str], None] = print) -> dict
     record = measure(log)
     options.out.mkdir(parents=True, exist_ok=True)
     write_file(options.out / "mesh_contact.json", (json.dumps(record, indent=1) + "\n").encode())
-    write_file(options.out / "mesh_contact.md", markdown(record).encode())
+    write_page("mesh_contact", tables(record), options.out)
     return record

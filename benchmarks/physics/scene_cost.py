@@ -1,15 +1,15 @@
-"""Cost of each part of the data-set scene, and an inventory of the scene: `tactip bench scene-cost`.
+"""Cost of each part of the data-set scene: `tactip bench scene-cost`.
 
 Simulates the first contacts of the training sets at `standard`, and right after each the same contact without one part: the
 time that this saves, and its effect on the pins. Also measures the time of a contact by MuJoCo's functions, and the cost of
-a sample besides its contact, and lists what the compiled scene contains. Writes docs/scene_cost.md and docs/scene_cost.json.
+a sample besides its contact. Writes docs/scene_cost.md and docs/scene_cost.json.
 """
 
 import json
 import sys
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from typing import Any, TypeVar
 from unittest import mock
@@ -23,8 +23,8 @@ from tactip_twin.benchmarks.hardware import machine, machine_text
 from tactip_twin.benchmarks.options import SceneCostOptions
 from tactip_twin.benchmarks.physics.contact_cache import DESIGN, STANDARD, UncorrectedSimulator, timed
 from tactip_twin.benchmarks.physics.contact_cases import Case, training
+from tactip_twin.benchmarks.report import table, write_page
 from tactip_twin.sim.contact.record import Contact
-from tactip_twin.sim.contact.scene import Scene
 from tactip_twin.sim.contact.simulator import ContactSimulator
 from tactip_twin.sim.dataset.format import encode_image
 from tactip_twin.sim.labels import TASKS
@@ -83,13 +83,13 @@ def _with_plain_steps(task: str) -> ContactSimulator:
 
 
 PARTS: dict[str, MakeSimulator] = {
-    "nothing (the same twice)": _simulator,
-    "the skin's bending": _with_skin(elastic2d=STRETCHING_ALONE),
-    "the skin, stretching and bending": _with_skin(elastic2d=NOTHING),
+    "nothing (repeated contact)": _simulator,
+    "bending of the skin": _with_skin(elastic2d=STRETCHING_ALONE),
+    "the skin's stretching and bending": _with_skin(elastic2d=NOTHING),
     "friction": lambda task: _simulator(task, friction=0.0),
     "contact of the skin's facets": _without_facet_contact,
-    "the correction for sliding skin": lambda task: UncorrectedSimulator(design_named(DESIGN), task, STANDARD.fidelity),
-    "Scene.step (mujoco.mj_step in its place)": _with_plain_steps,
+    "De Saxcé correction": lambda task: UncorrectedSimulator(design_named(DESIGN), task, STANDARD.fidelity),
+    "`Scene.step` (`mujoco.mj_step` instead)": _with_plain_steps,
 }
 """Makers of a simulator without a part, by the part. The gel cannot be left out."""
 
@@ -172,10 +172,10 @@ class _TimedSimulator(ContactSimulator):
 
 
 CALLS = {
-    "mj_fwdPosition": "stiffness for the implicit step, collisions, contact rows",
+    "mj_fwdPosition": "stiffness matrices, collisions, contact rows",
     "mj_forwardSkip": "forces of gel and skin",
     "mj_fwdConstraint": "solver",
-    "mj_mulJacVec": "correction for sliding skin",
+    "mj_mulJacVec": "De Saxcé correction",
     "mj_integratePos": "new positions",
     "mj_step": "mj_step",
     "mj_resetData": "reset",
@@ -191,7 +191,7 @@ def time_fractions(task: str, count: int) -> dict[str, float]:
         total = sum(timed(simulator, *case.si())[1] for case in training(task, count))
     fractions = {CALLS.get(name, name): s / total for name, s in calls.seconds.items()}
     fractions["recording"] = simulator.recording / total
-    return fractions | {"the rest (path, pace, Python)": 1 - sum(fractions.values())}
+    return fractions | {"other (path, step control, Python)": 1 - sum(fractions.values())}
 
 
 def position_stage(task: str) -> dict[str, float]:
@@ -216,10 +216,10 @@ def position_stage(task: str) -> dict[str, float]:
     model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
     explicit = milliseconds(mujoco.mj_fwdPosition)
     return {
-        "stiffness of gel and skin for the implicit step": whole - explicit,
+        "stiffness matrices of gel and skin": whole - explicit,
         "collisions": collisions,
         "contact rows": rows,
-        "vertices, and the rest": explicit - collisions - rows,
+        "vertices and other": explicit - collisions - rows,
     }
 
 
@@ -238,41 +238,16 @@ def sample_costs(task: str, count: int) -> dict[str, float]:
     for case in training(task, count):
         contact = measured("contact", lambda case=case: simulator.simulate(*case.si()))
         frames = [measured(what, lambda r=r, c=contact: r.render(c.pin_tips, c.directions)) for what, r in renderers.items()]
-        image = measured("threshold", lambda f=frames[-1]: tactile_image(f, design.image))
+        image = measured("binary image", lambda f=frames[-1]: tactile_image(f, design.image))
         measured("PNG", lambda i=image: encode_image(i))
     return {what: float(np.median(ms[1:])) for what, ms in out.items()}  # the first of each warms up
-
-
-def inventory(scene: Scene) -> list[tuple[str, int, int, str]]:
-    """Return what a compiled scene contains: rows of a name, the number, the number that is needed, and its purpose."""
-    model, mesh = scene.model, scene.mesh
-    free = int((~mesh.bonded).sum())
-    skin = int((~mesh.bonded[: mesh.surface_count]).sum())
-    hulls = len(set(model.geom_dataid[model.geom_type == mujoco.mjtGeom.mjGEOM_MESH].tolist()))
-    of_stimulus = int((model.geom_bodyid == model.body("stimulus").id).sum())
-    needed = {
-        "nbody": (3 + free, "world, stimulus, tip, and one for each free vertex"),
-        "njnt": (1 + 3 * free, "the stimulus's free joint, three slides a free vertex"),
-        "nv": (6 + 3 * free, "their degrees of freedom"),
-        "ngeom": (1 + skin, "the stimulus, and a sphere for each free skin vertex"),
-        "nflex": (2, "gel and skin"),
-        "nmesh": (hulls, "the stimulus's shape, where that is a hull"),
-    }
-    rows = [(name, int(getattr(model, name)), *what) for name, what in needed.items()]
-    rows.append(("geoms of the stimulus", of_stimulus, 1, "one shape"))
-    nothing = "nu nsensor ncam nlight ntex nmat neq ntendon nmocap nsite nskin nhfield nplugin npair nexclude nkey nuserdata"
-    rows += [(name, int(getattr(model, name)), 0, "none") for name in nothing.split() if hasattr(model, name)]
-    touching = (model.geom_contype | model.geom_conaffinity) == 0
-    rows.append(("geoms that touch nothing", int(touching.sum()), 0, "none"))
-    rows.append(("flexes that touch", int((model.flex_contype | model.flex_conaffinity > 0).sum()), 1, "the skin"))
-    return rows
 
 
 def run(options: SceneCostOptions) -> dict[str, Any]:
     """Measure, write scene_cost.json and scene_cost.md, and return the results. Raises TactipError and OSError."""
     with tqdm(total=len(TASKS) * (len(PARTS) + 2) + 1, unit="part", file=sys.stderr) as bar:
         result = {
-            "contacts_a_task": options.contacts,
+            "contacts_per_task": options.contacts,
             "machine": machine(),
             "parts": [],
             "split": {},
@@ -287,67 +262,37 @@ def run(options: SceneCostOptions) -> dict[str, Any]:
             bar.update(2)
         result["edge"] = edge_against_plane(options.contacts)
         bar.update()
-    result["inventory"] = {task: [list(row) for row in inventory(_simulator(task).scene)] for task in TASKS}
     options.out.mkdir(parents=True, exist_ok=True)
     write_file(options.out / "scene_cost.json", (json.dumps(result, indent=1) + "\n").encode())
-    write_file(options.out / "scene_cost.md", markdown(result).encode())
+    write_page("scene_cost", tables(result), options.out)
     return result
 
 
-def markdown(result: dict[str, Any]) -> str:
-    """Return the page of a result."""
-    lines = [
-        "# What a scene does not need",
-        "",
-        "Written by `tactip bench scene-cost`; do not edit. The first "
-        f"{result['contacts_a_task']} contacts of each training set of seed 0 at `standard`, 127-pin tip, one core of: "
-        + machine_text(result["machine"])
-        + ".",
-        "",
-        "## What it saves to leave a part out",
-        "",
-        "CPU time of a contact without the part over that of the same contact with it, played one right after the other "
-        "(median), and how far the pins are apart then (mean). More than 1: without it the solver has a harder time.",
-        "",
-        "| without | surface: cost | pins, mm | edge: cost | pins, mm |",
-        "|---|---|---|---|---|",
+def tables(result: dict[str, Any]) -> dict[str, str]:
+    """Return the tables of docs/scene_cost.md from scene_cost.json."""
+    by, edge = {(r["task"], r["without"]): r for r in result["parts"]}, result["edge"]
+    rows = [
+        [what, *(f"{by[t, what]['cost']:.2f}" for t in TASKS), *(f"{by[t, what]['pins_mm']:.3f}" for t in TASKS)]
+        for what in PARTS
     ]
-    by = {(r["task"], r["without"]): r for r in result["parts"]}
-    for what in PARTS:
-        cells = [f"{by[t, what]['cost']:.2f} | {by[t, what]['pins_mm']:.3f}" for t in TASKS]
-        lines.append(f"| {what} | {' | '.join(cells)} |")
-    edge = result["edge"]
-    lines += [
-        "",
-        f"The edge's block in place of the flat surface: the same contacts on its top, away from the edge, cost "
-        f"{edge['on_top']:.2f} times as much (pins {edge['on_top_pins_mm']:.4f} mm apart); across its edge, "
-        f"{edge['at_its_edge']:.2f} times. Hence the flat surface is a plate of its own that the skin's facets do not meet.",
-        "",
-        "## Where the time of a contact goes",
-        "",
-        "| | " + " | ".join(TASKS) + " |",
-        "|---|" + "---|" * len(TASKS),
+    head = ["without", *(f"{t}: cost" for t in TASKS), *(f"{t}: change of pins, mm" for t in TASKS)]
+    state = (
+        f"Machine: {machine_text(result['machine'])}. Settings: first {result['contacts_per_task']} contacts of each task."
+    )
+    block = [
+        ["away from the edge", f"{edge['on_top']:.2f}", f"{edge['on_top_pins_mm']:.4f}"],
+        ["at the edge", f"{edge['at_its_edge']:.2f}", ""],
     ]
-    for what in sorted(result["split"]["surface"], key=result["split"]["surface"].get, reverse=True):
-        lines.append(f"| {what} | " + " | ".join(f"{100 * result['split'][t].get(what, 0):.1f} %" for t in TASKS) + " |")
-    lines += ["", "Of the first of them, CPU ms a step:", "", "| | " + " | ".join(TASKS) + " |", "|---|---|---|"]
-    for what in result["stage"]["surface"]:
-        lines.append(f"| {what} | " + " | ".join(f"{result['stage'][t][what]:.2f}" for t in TASKS) + " |")
-    lines += ["", "## What a sample costs beside it", "", "| CPU, ms | " + " | ".join(TASKS) + " |", "|---|---|---|"]
-    for what in result["beside"]["surface"]:
-        lines.append(f"| {what} | " + " | ".join(f"{result['beside'][t][what]:.2f}" for t in TASKS) + " |")
-    lines += [
-        "",
-        "## What the scene holds",
-        "",
-        "Counted in the compiled model; tests/benchmarks/physics/test_fidelity.py holds the scenes to it. Arm, "
-        "mounting and object meshes come "
-        "with the scenes that use them.",
-        "",
-        "| | " + " | ".join(TASKS) + " | needed | for |",
-        "|---|" + "---|" * (len(TASKS) + 2),
-    ]
-    for rows in zip(*(result["inventory"][t] for t in TASKS), strict=True):
-        needed = " / ".join(dict.fromkeys(str(r[2]) for r in rows))
-        lines.append(f"| {rows[0][0]} | " + " | ".join(str(r[1]) for r in rows) + f" | {needed} | {rows[0][3]} |")
-    return "\n".join(lines) + "\n"
+    return {
+        "parts": table(head, rows) + "\n\n" + state,
+        "block": table(["contacts on the edge's block", "cost relative to the flat surface", "change of pins, mm"], block),
+        "time": _by_task(result["split"], "part of a contact", lambda fraction: f"{100 * fraction:.1f} %"),
+        "stage": _by_task(result["stage"], "part of the first row, ms per step", lambda ms: f"{ms:.2f}"),
+        "sample": _by_task(result["beside"], "part of a sample, ms", lambda ms: f"{ms:.1f}"),
+    }
+
+
+def _by_task(values: Mapping[str, Mapping[str, float]], what: str, text: Callable[[float], str]) -> str:
+    """Return a table of values by part and task, the largest first."""
+    names = sorted(values["surface"], key=lambda name: values["surface"][name], reverse=True)
+    return table([what, *TASKS], [[name, *(text(values[t].get(name, 0.0)) for t in TASKS)] for name in names])

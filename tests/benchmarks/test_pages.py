@@ -8,6 +8,11 @@ import pytest
 from tactip_twin.benchmarks.report import DOCS, fill
 
 PAGES = {
+    "fem_cross_check": "physics.fem_cross_check",
+    "materials": "physics.materials",
+    "mechanics": "physics.mechanics",
+    "mesh_contact": "physics.mesh_contact",
+    "scene_cost": "physics.scene_cost",
     "friction": "physics.friction",
     "stability": "physics.stability",
     "fidelity": "physics.fidelity_page",

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import tactip_twin.sim.contact.scene
+from helpers.inventory import inventory
 from tactip_twin.benchmarks.options import FidelityOptions
 from tactip_twin.benchmarks.physics import contact_cache, fidelity, pose_sensitivity
 from tactip_twin.benchmarks.physics.contact_cache import STANDARD, CachedContact, ContactCache, Variant, without_timings
@@ -17,7 +18,6 @@ from tactip_twin.benchmarks.physics.fidelity import blobs_at, jobs, sequence, sp
 from tactip_twin.benchmarks.physics.fidelity_page import tables
 from tactip_twin.benchmarks.physics.parameter_sweeps import REFINED_MM, small_steps, sweeps
 from tactip_twin.benchmarks.physics.pose_sensitivity import ImagePins, PoseSensitivity
-from tactip_twin.benchmarks.physics.scene_cost import inventory
 from tactip_twin.benchmarks.report import fill
 from tactip_twin.sim.contact.fidelity import FIDELITIES, Motion, fidelity_named
 from tactip_twin.sim.contact.stimuli import add_stimulus
@@ -37,9 +37,9 @@ def cache(tmp_path_factory):
     return ContactCache(tmp_path_factory.mktemp("cache"))
 
 
-def test_presets_are_in_order(cache):
-    played = [cache(CHEAP[0], Variant(FIDELITIES[name])) for name in ("draft", "standard", "reference")]
-    for coarse, fine in pairwise(played):
+def test_finer_presets_cost_more(cache):
+    contacts = [cache(CHEAP[0], Variant(FIDELITIES[name])) for name in ("draft", "standard", "reference")]
+    for coarse, fine in pairwise(contacts):
         assert coarse.freedom < fine.freedom
         assert coarse.steps < fine.steps
         assert coarse.model_bytes < fine.model_bytes
@@ -98,9 +98,9 @@ def test_blobs_are_the_pins_that_were_drawn(design):
 
 
 @pytest.mark.parametrize("task", TASKS)
-def test_a_scene_holds_what_its_job_needs_and_nothing_else(task, on_surface, on_edge):
+def test_scene_contains_what_its_job_needs_and_nothing_else(task, on_surface, on_edge):
     scene = (on_surface if task == "surface" else on_edge).simulator.scene
-    for what, count, needed, _ in inventory(scene):
+    for what, (count, needed) in inventory(scene).items():
         assert count == needed, what
     model = scene.model
     of_stimulus = [model.geom(g).name for g in range(model.ngeom) if model.geom_bodyid[g] == model.body("stimulus").id]
@@ -108,7 +108,7 @@ def test_a_scene_holds_what_its_job_needs_and_nothing_else(task, on_surface, on_
     assert {mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_FLEX, f) for f in range(model.nflex)} == {"tip/skin", "tip/gel"}
 
 
-def test_the_inventory_sees_what_is_too_much(design, monkeypatch):
+def test_inventory_finds_superfluous_items(design, monkeypatch):
     def crowded(spec, *arguments):
         add_stimulus(spec, *arguments)
         spec.worldbody.add_camera(name="spare")
@@ -117,11 +117,11 @@ def test_the_inventory_sees_what_is_too_much(design, monkeypatch):
 
     monkeypatch.setattr(tactip_twin.sim.contact.scene, "add_stimulus", crowded)
     scene = tactip_twin.sim.contact.scene.Scene(design, "surface", FIDELITIES["draft"])
-    found = {row[0] for row in inventory(scene) if row[1] != row[2]}
-    assert found == {"ncam", "nlight", "ngeom", "geoms that touch nothing"}
+    found = {what for what, (count, needed) in inventory(scene).items() if count != needed}
+    assert found == {"ncam", "nlight", "ngeom", "geoms without contact"}
 
 
-def test_sweeps_change_one_thing(cache):
+def test_sweeps_change_one_setting(cache):
     for what, (of_mesh, variants) in sweeps().items():
         assert 1 <= len(variants) <= 6, what
         for variant in variants.values():
@@ -173,7 +173,7 @@ def small(monkeypatch, tmp_path):
     return FidelityOptions(contacts=1, sweep_contacts=1, out=tmp_path / "docs", cache=tmp_path / "kept")
 
 
-def test_a_stopped_measurement_goes_on_and_gives_the_same(small, monkeypatch):
+def test_interrupted_measurement_resumes_to_the_same_result(small, monkeypatch):
     wanted = jobs(small)
     assert len(set(wanted)) == len(wanted)
     first = fidelity.run(small)
@@ -194,7 +194,7 @@ def test_a_stopped_measurement_goes_on_and_gives_the_same(small, monkeypatch):
     assert fill(known["fidelity.md"].decode(), tables(first)) == known["fidelity.md"].decode()
 
 
-def test_nothing_to_redraw_from_is_an_error(tmp_path):
+def test_redraw_without_results_is_refused(tmp_path):
     with pytest.raises(TactipError, match="without --redraw"):
         fidelity.run(FidelityOptions(out=tmp_path, redraw=True))
     with pytest.raises(TactipError, match="between 1 and"):
