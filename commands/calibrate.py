@@ -46,7 +46,7 @@ class Calibrate(Command):
         design = replace(result.twin.design, name=self.out.stem)
         result = replace(result, twin=replace(result.twin, design=design))
         figures = write_report(result, self.real.resolve().name, settings, self.out, report)
-        judged = figures["frames_px"]["share_of_move_found"]
-        print(f"judged frames: {judged['rms']:.2f} px rms, median {judged['median']:.2f} px (256 px image)")
+        tested = figures["frames_px"]["fitted_fraction"]
+        print(f"pin distance on test frames: {tested['rms']:.2f} px rms, median {tested['median']:.2f} px (256 px image)")
         print(f"{self.out} and {report / 'calibration.md'} written")
         return 0

@@ -10,10 +10,12 @@ from collections.abc import Callable, Mapping
 from importlib.metadata import version
 from typing import Any
 
+from tactip_twin.benchmarks import report
 from tactip_twin.benchmarks.hardware import machine, machine_text
 from tactip_twin.benchmarks.options import TransferOptions
+from tactip_twin.benchmarks.report import table
 from tactip_twin.sim2real.transfer.experiments import EXPERIMENTS, Experiment
-from tactip_twin.sim2real.transfer.page import page_lines, write_page
+from tactip_twin.sim2real.transfer.page import sections, write_page
 from tactip_twin.sim2real.transfer.settings import GAP
 from tactip_twin.tactip_model.errors import TactipError, lookup
 from tactip_twin.tactip_model.files import write_file
@@ -32,7 +34,7 @@ def run(options: TransferOptions, log: Callable[[str], None] = print) -> dict[st
     Progress goes to `log`. Raises TactipError, and Interrupted at Ctrl-C.
     """
     if not options.real:
-        raise TactipError("no imported set is named: give one or more folders by --real")
+        raise TactipError("--real must name one or more folders of imported sets")
     names = [lookup("experiment", name, dict(zip(EXPERIMENTS, EXPERIMENTS, strict=True))) for name in options.experiments]
     path = options.out / "transfer.json"
     whole = json.loads(path.read_text()) if path.exists() else {}
@@ -48,7 +50,7 @@ def run(options: TransferOptions, log: Callable[[str], None] = print) -> dict[st
             state = {"task": experiment.task, "version": version("tactip-twin"), "machine": machine()}
             whole[real.name] = {**state, **record}
             write_file(path, (json.dumps(whole, indent=1) + "\n").encode())
-            write_file(options.out / "transfer.md", markdown(whole).encode())
+            report.write_page("transfer", tables(whole), options.out)
     return whole
 
 
@@ -57,27 +59,16 @@ def gap_figure(name: str) -> str:
     return f"transfer_gap_{name}.png"
 
 
-def markdown(whole: Mapping[str, Any]) -> str:
-    """Return the Markdown of transfer.json."""
-    lines = [
-        "# From simulation to real sensors",
-        "",
-        "Written by `tactip bench transfer`; do not edit. Networks that have seen no real label, and what some labels add; "
-        "tested on real frames that nothing was learned from. The sets are published ones, imported as "
-        "[your-own-sensor.md](your-own-sensor.md) says. The rigs' axes are those of calibrations, and the ranges of the "
-        "optics `steady` were chosen with errors on these sets in view: other sets will tell what that was worth.",
-        "",
-        f"| set | component | error | asked | of real training | asked | after {SHOTS} frames, of real training | asked |",
-        "|" + "---|" * 8,
-    ]
+def tables(whole: Mapping[str, Any]) -> dict[str, str]:
+    """Return the tables of docs/transfer.md from transfer.json."""
+    head = ["set", "component", "error", "target", "ratio to real training", "target"]
+    targets = [[name, *cells] for name, record in whole.items() for cells in target_rows(record)]
+    parts = []
     for name, record in whole.items():
-        lines += [f"| {name} | {' | '.join(cells)} |" for cells in target_rows(record)]
-    for name, record in whole.items():
-        state = machine_text(record["machine"])
-        settings = ", ".join(f"{k} {v}" for k, v in record["settings"].items() if v not in ("", None))
-        its = page_lines(record, record["task"], 2, gap_figure(name))
-        lines += ["", *its, "", f"Version {record.get('version', '0.1.0')}. Settings: {settings}. On: {state}."]
-    return "\n".join(lines) + "\n"
+        chosen = ", ".join(f"{k} {v}" for k, v in record["settings"].items() if v not in ("", None))
+        state = f"Machine: {machine_text(record['machine'])}. Version {record['version']}. Settings: {chosen}."
+        parts += [f"### {name}", *sections(record, record["task"], gap_figure(name)), state]
+    return {"targets": table([*head, f"ratio after {SHOTS} frames", "target"], targets), "sets": "\n\n".join(parts)}
 
 
 def target_rows(record: Mapping[str, Any]) -> list[list[str]]:

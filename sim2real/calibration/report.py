@@ -1,4 +1,4 @@
-"""Report of a calibration: its errors on frames that it was not fitted to, as tables, text and figures."""
+"""Report of a calibration: its errors on test frames, as tables and figures."""
 
 import json
 from dataclasses import asdict
@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from tactip_twin.sim.view.plot import pyplot
+from tactip_twin.sim.view.plot import COLORS, figure_of, save_figure
 from tactip_twin.sim2real.calibration.fit import Result
 from tactip_twin.sim2real.calibration.moves import LOAD_CELL_N, best_fraction, distances
 from tactip_twin.sim2real.calibration.rig import RigMotion
@@ -27,7 +27,7 @@ _DISPLAY = {"m": (1e3, "mm"), "Pa": (1e-3, "kPa"), "deg": (1.0, "°"), "-": (1.0
 def figures_of(result: Result) -> dict[str, Any]:
     """Return figures (JSON) of a calibration on its test frames. Distances in px of a 256 px image."""
     along, seen = result.pins_along_moves, result.test_frames.pins_px
-    fraction, pins, _ = best_fraction(along, seen)
+    _, pins, _ = best_fraction(along, seen)
     commanded, before = distances(along[:, -1], seen), distances(along[:, 0], seen)
     fitted = distances(pins, seen)
     depths, slides, tilts, directions = _commands(result)
@@ -36,23 +36,22 @@ def figures_of(result: Result) -> dict[str, Any]:
         value = p.read(result.twin)
         spread = deviation * p.step * (value if p.logarithmic else 1.0)
         at_bound = bool(value in (p.low, p.high))
-        parameters[p.name] = {"value": value, "deviation": float(spread), "unit": p.unit, "at_its_bound": at_bound}
+        parameters[p.name] = {"value": value, "deviation": float(spread), "unit": p.unit, "at_bound": at_bound}
     return {
         "parameters": parameters,
         "rig": asdict(result.twin.rig),
         "neutral_px": {
-            "as_it_came": result.neutral.before_px,
-            "lens_camera_turn": result.neutral.lattice_px,
-            "pins_as_built": result.neutral.after_px,
+            "initial": result.neutral.before_px,
+            "lens_and_camera": result.neutral.lattice_px,
+            "pin_positions": result.neutral.after_px,
         },
         "rounds": result.rounds,
-        "judged_frames": len(seen),
+        "test_frames": len(seen),
         "frames_px": {
-            "share_of_move_found": _summary(fitted),
-            "before_or_after_move": _summary(np.minimum(commanded, before)),
+            "fitted_fraction": _summary(fitted),
+            "before_or_after_motion": _summary(np.minimum(commanded, before)),
             "as_commanded": _summary(commanded),
         },
-        "share_of_move_done": np.histogram(fraction, [0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.01])[0].tolist(),
         "depth": _depth_table(depths, tilts, seen, pins, result.neutral.pins_px),
         "shear": _shear_table(depths, slides, directions, seen, pins, along, result.neutral.pins_px),
         "force_n": {
@@ -157,101 +156,95 @@ def write_report(result: Result, real_name: str, settings: Settings, out: str | 
     write_file(folder / "calibration.json", (json.dumps(figures, indent=1) + "\n").encode())
     write_file(folder / "calibration.md", page(figures).encode())
     _plot_pins(result, folder / "pins.png")
-    _plot_curves(figures, folder / "curves.png")
-    kept = ("real", "settings", "parameters", "rig", "neutral_px", "judged_frames", "frames_px", "force_n")
+    plot_curves(figures, folder / "curves.png")
+    kept = ("real", "settings", "parameters", "rig", "neutral_px", "test_frames", "frames_px", "force_n")
     write_fitted_design(out, result.twin.design, {"by": "tactip calibrate"} | {k: figures[k] for k in kept})
     return figures
 
 
 def page(figures: dict[str, Any]) -> str:
     """Return a report as Markdown."""
-    n, f = figures["neutral_px"], figures["frames_px"]
-    lines = [
-        f"# {figures['design']} fitted to {figures['real']}",
-        "",
-        f"Fitted to {figures['settings']['fit_frames']} frames of one half of the set, judged on "
-        f"{figures['judged_frames']} of the other. Distances are those of pins, in px of a 256 px image.",
-        "",
-        "| judged | rms px | median frame | 90 % of frames |",
-        "|---|---|---|---|",
-        f"| neutral image: as it came / lens, camera and turn / pins as built | {n['as_it_came']:.2f} / "
-        f"{n['lens_camera_turn']:.2f} / {n['pins_as_built']:.2f} | | |",
-    ]
+    n, f, shear = figures["neutral_px"], figures["frames_px"], figures["shear"]
     names = {
-        "share_of_move_found": "frames, share of the move that is done found from each",
-        "before_or_after_move": "frames, taken either before or after the move",
-        "as_commanded": "frames, all taken after the move as the rows say",
+        "fitted_fraction": "frames, fraction of the motion fitted to each",
+        "before_or_after_motion": "frames, taken either before or after the motion",
+        "as_commanded": "frames, taken after the motion as commanded",
     }
-    lines += [f"| {text} | {f[k]['rms']:.2f} | {f[k]['median']:.2f} | {f[k]['p90']:.2f} |" for k, text in names.items()]
-    lines += [
-        f"| outward motion of {RINGS} rings by depth, upright frames | {figures['depth']['rms_px']:.2f} | | |",
-        f"| mean shift by depth and shear | {figures['shear']['rms_px']:.2f} (as commanded "
-        f"{figures['shear']['as_commanded_rms_px']:.2f}) | | |",
+    lines = [
+        f"# Calibration of {figures['design']} to {figures['real']}",
         "",
-        "Frames by the share of the move that was done when they were taken, 0–0.1, –0.3, –0.5, –0.7, –0.9, –1: "
-        + ", ".join(str(k) for k in figures["share_of_move_done"])
-        + ".",
+        f"Fitted to {figures['settings']['fit_frames']} frames of one half of the set, and tested on "
+        f"{figures['test_frames']} frames of the other half.",
         "",
-        "Normal force on the flat, simulated (load cell): "
-        + ", ".join(f"{a:.2f} N ({b:.2f}) at {d}" for d, (a, b) in figures["force_n"].items())
-        + ".",
-        "",
-        "| parameter | value | deviation | |",
+        "| pin distance, px of a 256 px image | rms | median frame | 90 % of frames |",
         "|---|---|---|---|",
+        f"| neutral image, initial | {n['initial']:.2f} | | |",
+        f"| neutral image, lens and camera fitted | {n['lens_and_camera']:.2f} | | |",
+        *(f"| {text} | {f[k]['rms']:.2f} | {f[k]['median']:.2f} | {f[k]['p90']:.2f} |" for k, text in names.items()),
+        f"| outward motion of {RINGS} rings of pins by depth, upright frames | {figures['depth']['rms_px']:.2f} | | |",
+        f"| mean shift of pins by depth and shear | {shear['rms_px']:.2f} | | |",
+        f"| the same, as commanded | {shear['as_commanded_rms_px']:.2f} | | |",
+        "",
+        "| depth on a flat surface | simulated force, N | load cell, N |",
+        "|---|---|---|",
+        *(f"| {depth} | {a:.2f} | {b:.2f} |" for depth, (a, b) in figures["force_n"].items()),
+        "",
+        "| parameter | value | standard deviation |",
+        "|---|---|---|",
     ]
     for name, p in figures["parameters"].items():
         scale, unit = _DISPLAY[p["unit"]]
-        note = "at its bound" if p["at_its_bound"] else ""
-        lines.append(f"| {name} | {scale * p['value']:.4g} {unit} | {scale * p['deviation']:.2g} | {note} |")
-    lines += ["", "![pins](pins.png)", "", "![curves](curves.png)"]
+        note = " (at its bound)" if p["at_bound"] else ""
+        lines.append(f"| {name} | {scale * p['value']:.4g} {unit}{note} | {scale * p['deviation']:.2g} |")
+    lines += [
+        "",
+        "![Real and simulated pins of six test frames](pins.png)",
+        "",
+        "![Response to depth and shear](curves.png)",
+    ]
     return "\n".join(lines) + "\n"
 
 
 def _plot_pins(result: Result, path: Path) -> None:
     """Plot detected (rings) and simulated pins (dots) of six test frames, residuals as arrows three times their length."""
-    plt = pyplot()
     seen = result.test_frames.pins_px
     fraction, pins, _ = best_fraction(result.pins_along_moves, seen)
     rms = distances(pins, seen)
     shown = np.argsort(rms)[(np.linspace(0.05, 0.95, 6) * len(rms)).astype(int)]
     depths, slides, tilts, _ = _commands(result)
-    figure, axes = plt.subplots(2, 3, figsize=(13, 9))
-    for axis, i in zip(axes.ravel(), shown, strict=True):
+    figure, axes = figure_of(2, 3, (12, 8.6))
+    for axis, i in zip(axes, shown, strict=True):
         left = seen[i] - pins[i]
         axis.plot(*seen[i].T, "o", mfc="none", color="0.4", ms=6, label="real")
-        axis.plot(*pins[i].T, ".", color="C3", ms=5, label="simulated")
-        axis.quiver(*pins[i].T, *left.T, angles="xy", scale_units="xy", scale=1 / 3, color="C0", width=0.003)
-        axis.set(xlim=(0, 256), ylim=(256, 0), aspect="equal", xticks=[], yticks=[])
+        axis.plot(*pins[i].T, ".", color=COLORS[1], ms=5, label="simulated")
+        axis.quiver(*pins[i].T, *left.T, angles="xy", scale_units="xy", scale=1 / 3, color=COLORS[0], width=0.003)
+        axis.set(xlim=(0, 256), ylim=(256, 0), aspect="equal", xlabel="x, px of 256", ylabel="y, px of 256")
         axis.set_title(
-            f"{1e3 * depths[i]:.1f} mm deep, tilt {np.degrees(tilts[i]):.0f}°, move {1e3 * slides[i]:.1f} mm, "
-            f"{100 * fraction[i]:.0f} % done: {rms[i]:.2f} px",
+            f"{1e3 * depths[i]:.1f} mm deep, tilt {np.degrees(tilts[i]):.0f}°, motion {1e3 * slides[i]:.1f} mm\n"
+            f"{100 * fraction[i]:.0f} % of the motion: {rms[i]:.2f} px",
             fontsize=9,
         )
-    axes[0, 0].legend(fontsize=8, loc="lower left")
-    figure.tight_layout()
-    figure.savefig(path, dpi=70)
-    plt.close(figure)
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
+    save_figure(figure, path)
 
 
-def _plot_curves(figures: dict[str, Any], path: Path) -> None:
-    """Plot depth and shear response, real (dots) and simulated (lines)."""
-    plt = pyplot()
-    figure, axes = plt.subplots(1, 2, figsize=(11, 4.3))
-    for k, row in enumerate(figures["depth"]["rows"]):
-        colour = plt.cm.viridis(k / max(1, len(figures["depth"]["rows"])))
-        rings = np.arange(1, RINGS + 1)
-        axes[0].plot(rings, row["real_px"], "o", color=colour, ms=4)
-        axes[0].plot(rings, row["simulated_px"], "-", color=colour, label=f"{row['depth_mm']:.1f} mm")
-    axes[0].set(xlabel="ring of pins, inner to outer", ylabel="outward, px of 256", title="upright presses")
-    for k, row in enumerate(figures["shear"]["rows"]):
-        colour = plt.cm.viridis(k / max(1, len(figures["shear"]["rows"])))
-        axes[1].plot(row["shear_mm"], row["real_px"], "o", color=colour, ms=4)
-        low, high = row["depth_mm"]
-        axes[1].plot(row["shear_mm"], row["simulated_px"], "-", color=colour, label=f"{low:.0f}–{high:.0f} mm deep")
-    axes[1].set(xlabel="commanded move, mm", ylabel="mean shift of the pins, px of 256", title="moves in contact")
-    for axis in axes:
-        axis.legend(fontsize=8, frameon=False)
-        axis.spines[["top", "right"]].set_visible(False)
-    figure.tight_layout()
-    figure.savefig(path, dpi=80)
-    plt.close(figure)
+def plot_curves(figures: dict[str, Any], path: Path) -> None:
+    """Plot depth and shear response, real (dots) and simulated (lines), from the figures of a report."""
+    from matplotlib import colormaps
+
+    figure, axes = figure_of(1, 2, (11, 5.2))
+    depths, shears = figures["depth"]["rows"], figures["shear"]["rows"]
+    for axis, rows in zip(axes, (depths, shears), strict=True):
+        colors = colormaps["viridis"](np.linspace(0, 0.9, max(1, len(rows))))
+        for color, row in zip(colors, rows, strict=True):
+            if axis is axes[0]:
+                x, text = np.arange(1, RINGS + 1), f"{row['depth_mm']:.1f} mm deep"
+            else:
+                x, text = row["shear_mm"], "{:.0f}–{:.0f} mm deep".format(*row["depth_mm"])
+            axis.plot(x, row["real_px"], "o", color=color, ms=4)
+            axis.plot(x, row["simulated_px"], "-", color=color, label=text)
+        axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=3)
+    axes[0].set(xlabel="ring of pins, inner to outer", ylabel="outward motion, px of 256", title="Upright presses")
+    axes[1].set(xlabel="commanded motion, mm", ylabel="mean shift of the pins, px of 256", title="Motions in contact")
+    figure.suptitle("dots: real, lines: simulated", fontsize=9)
+    save_figure(figure, path)

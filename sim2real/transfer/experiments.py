@@ -351,7 +351,7 @@ def sim_to_real_gap_experiment(experiment: Experiment) -> dict[str, Any]:
     s = experiment.settings
     figures, arrays = sim_to_real_gap(experiment.split.test, experiment.design(), s.fidelity, s.gap_frames, s.seed)
     experiment.out.mkdir(parents=True, exist_ok=True)  # no design was written there if one was given
-    plot_gap(arrays, f"simulated from real pins, {experiment.real.name}", experiment.out / GAP)
+    plot_gap(arrays, f"Distance of simulated from real pins, {experiment.real.name}", experiment.out / GAP)
     return figures
 
 

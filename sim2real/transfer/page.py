@@ -1,4 +1,4 @@
-"""The results of transfer experiments as a page and figures."""
+"""The results of transfer experiments as a page."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -10,10 +10,16 @@ from tactip_twin.tactip_model.files import write_file
 
 PAGE = "results.md"
 
-_TITLES = {
-    "zero-shot": "Simulation alone, tested on real frames",
-    "ablate": "What each part of the simulation is worth",
-    "few-shot": "Some real frames",
+_DESCRIPTION = (
+    "Mean absolute errors on {test} real test frames that were not used for training. Depth errors are given without the "
+    "median error of the set, its offset, and in brackets with it. Components that do not vary in the set are left out."
+)
+
+_NAMES = {
+    "simulation": "trained in simulation",
+    "real": "trained on all real training frames",
+    "fine_tuned": "trained in simulation and fine-tuned on {} real frames",
+    "alone": "trained on {} real frames only",
 }
 
 
@@ -24,85 +30,57 @@ def write_page(record: Mapping[str, Any], task: str, folder: Path) -> None:
 
 def page(record: Mapping[str, Any], task: str) -> str:
     """Return the record in results.json as Markdown."""
-    return "\n".join(page_lines(record, task)) + "\n"
+    title = f"# Transfer from simulation to {record['real']['set']}"
+    return "\n\n".join([title, _DESCRIPTION.format(test=record["real"]["test"]), *sections(record, task)]) + "\n"
 
 
-def page_lines(record: Mapping[str, Any], task: str, level: int = 1, figure: str = GAP) -> list[str]:
-    """Return the lines of a page, or of a part of one.
+def sections(record: Mapping[str, Any], task: str, figure: str = GAP) -> list[str]:
+    """Return the tables of a record, and the figure of the gap, as Markdown.
 
     Args:
         record: Content of results.json.
         task: surface or edge.
-        level: Level of its title.
         figure: File name of the figure of the gap.
     """
-    mark = "#" * level
-    names = [f"pose_{c}" for c in LEARNED[task]]
-    lines = [
-        f"{mark} From simulation to {record['real']['set']}",
-        "",
-        "Written by `tactip transfer`; do not edit. Mean absolute errors on "
-        f"{record['real']['test']} real frames that nothing was learned from; of the depth with its zero, the median error, "
-        "taken out, and in brackets as it is. Components that do not vary in the set are left out.",
-    ]
-    for name, title in _TITLES.items():
-        if name not in record:
-            continue
-        rows = list(_rows(record[name]))
-        kept = [n for n in names if rows[0][1]["varies"][n]]
-        units = ["°" if "_R" in n else "mm" for n in kept]
-        lines += [
-            "",
-            f"{mark}# {title}",
-            "",
-            "| | " + " | ".join(f"{n}, {u}" for n, u in zip(kept, units, strict=True)) + " |",
-        ]
-        lines.append("|" + "---|" * (1 + len(kept)))
-        for what, figures in rows:
-            cells = [_cell(figures, n) for n in kept]
-            lines.append(f"| {what} | {' | '.join(cells)} |")
+    rows = [row for name in ("zero-shot", "ablate", "few-shot") if name in record for row in _rows(name, record[name])]
+    out = []
+    if rows:
+        names = [n for n in (f"pose_{c}" for c in LEARNED[task]) if rows[0][1]["varies"][n]]
+        lines = ["| network | " + " | ".join(f"{n}, {'°' if '_R' in n else 'mm'}" for n in names) + " |"]
+        lines += ["|" + "---|" * (1 + len(names))]
+        lines += [f"| {what} | {' | '.join(_cell(figures, n) for n in names)} |" for what, figures in rows]
+        out.append("\n".join(lines))
     if "gap" in record:
-        lines += _gap(record["gap"], mark, figure)
-    return lines
+        out += _gap(record["gap"], figure)
+    return out
 
 
-def _gap(figures: Mapping[str, Any], mark: str, figure: str) -> list[str]:
-    """Return the lines on the gap."""
-    labelled, best = figures["as_told"], figures["at_the_best_share_of_the_move"]
-    beside = f"Pins of {figures['frames']} real frames beside simulated ones, {figures['unit']}"
-    lines = ["", f"{mark}# The gap itself", "", f"{beside}; they move by {figures['pins_move']:.1f} (rms)."]
-    hidden, slipped = (figures[f"frames_whose_pins_were_{how}"] for how in ("not_told_apart", "taken_for_others"))
-    lines[-1] += f" {hidden} frames are left out since their pins were not told apart, {slipped} since they were taken for"
-    lines[-1] += " their neighbours."
-    lines += ["", "| | rms | median frame | 90 % of frames |", "|---|---|---|---|"]
-    for what, one in (("as the rows have it", labelled), ("at the share of the move that fits best", best)):
-        lines.append(f"| {what} | {one['rms']:.2f} | {one['median']:.2f} | {one['p90']:.2f} |")
+def _gap(figures: Mapping[str, Any], figure: str) -> list[str]:
+    """Return a table, a sentence and a figure on the distance of real and simulated pins."""
+    rows = {
+        "with the labels of the set": figures["labelled"],
+        "at the best fraction of the motion": figures["best_fraction"],
+    }
+    lines = [f"| pin distance, {figures['unit']} | rms | median frame | 90 % of frames |", "|---|---|---|---|"]
+    lines += [f"| {what} | {r['rms']:.2f} | {r['median']:.2f} | {r['p90']:.2f} |" for what, r in rows.items()]
     images = figures["images"]
-    lines += ["", f"White pixels with white of the other within a pixel: {images['white_within_a_pixel']:.0%}; "]
-    lines[-1] += f"white: real {images['white_real']:.2%}, simulated {images['white_simulated']:.2%}."
-    lines += ["", "| median distance by | from | to | px |", "|---|---|---|---|"]
-    parts = figures["against"] | {"distance from the middle, px": figures["by_distance_from_the_middle"]}
-    for name, bins in parts.items():
-        lines += [f"| {name} | {b['from']:.2f} | {b['to']:.2f} | {b['median']:.2f} |" for b in bins]
-    return [*lines, "", f"![where]({figure})"]
+    text = (
+        f"{figures['frames']} frames, whose pins move by {figures['pins_move']:.1f} px rms; {figures['unmatched_frames']} "
+        f"were left out because pins could not be matched, and {figures['mismatched_frames']} because pins were matched to "
+        f"their neighbours. White pixels within a pixel of a white pixel of the other image: {images['white_within_a_pixel']:.0%}."
+    )
+    return ["\n".join(lines), text, f"![Distance of simulated from real pins]({figure})"]
 
 
-def _rows(results: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield titles and figures of an experiment's results: scores, and scores one level below."""
+def _rows(experiment: str, results: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield descriptions of networks and their figures."""
     for name, figures in results.items():
-        if "mae" in figures:
-            yield _WORDS.get(name, name), figures
-        else:
+        if experiment == "few-shot":
             for part, inner in figures.items():
-                yield f"{name} real frames, {_WORDS.get(part, part)}", inner
-
-
-_WORDS = {
-    "simulation": "trained on simulation",
-    "real": "trained on real frames",
-    "fine_tuned": "after simulation",
-    "alone": "alone",
-}
+                if name != "0":  # the network of zero-shot
+                    yield _NAMES[part].format(name), inner
+        elif experiment == "zero-shot" or name.startswith("without"):
+            yield _NAMES.get(name, f"trained in simulation {name}"), figures
 
 
 def _cell(figures: Mapping[str, Any], name: str) -> str:

@@ -17,6 +17,7 @@ from tactip_twin.learning.data import Samples
 from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.contact.simulator import ContactSimulator
 from tactip_twin.sim.pose import from_mm_deg
+from tactip_twin.sim.view.plot import figure_of, save_figure
 from tactip_twin.sim2real.calibration.moves import MOVE_FRACTIONS, best_fraction, distances, pin_pixels
 from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.errors import TactipError
@@ -83,16 +84,15 @@ def sim_to_real_gap(
     rings = np.linalg.norm(neutral - neutral.mean(0), axis=1)
     figures = {
         "frames": len(chosen),
-        "frames_whose_pins_were_not_told_apart": int((~good).sum()),
-        "frames_whose_pins_were_taken_for_others": int((~right).sum()),
+        "unmatched_frames": int((~good).sum()),
+        "mismatched_frames": int((~right).sum()),
         "unit": "px of a 256 px image",
-        "as_told": _spread(distances(simulated[:, -1], real)),
-        "at_the_best_share_of_the_move": _spread(rms),
+        "labelled": _spread(distances(simulated[:, -1], real)),
+        "best_fraction": _spread(rms),
         "pins_move": float(np.sqrt(np.nanmean(moved**2))),
-        "frames_by_share_of_the_move": np.histogram(fractions, [0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.001])[0].tolist(),
         "images": _likeness(chosen.images, images),
         "against": {name: _binned(values, rms) for name, values in labels.items() if np.ptp(values) > _MIN_RANGE},
-        "by_distance_from_the_middle": _binned(rings, np.sqrt(np.nanmean((off**2).sum(-1), 0))),
+        "by_radius_px": _binned(rings, np.sqrt(np.nanmean((off**2).sum(-1), 0))),
     }
     return figures, {"neutral": neutral, "off": np.nanmean(off, 0), "rms": np.sqrt(np.nanmean((off**2).sum(-1), 0))}
 
@@ -139,16 +139,11 @@ def _likeness(real: np.ndarray, simulated: np.ndarray) -> dict[str, float]:
 
 def plot_gap(arrays: dict[str, np.ndarray], title: str, path: Path) -> None:
     """Plot the mean and rms distance by pin to `path`, from the arrays of `sim_to_real_gap`."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(5.6, 5), layout="constrained")
-    FigureCanvasAgg(figure)
-    axis = figure.add_subplot()
+    figure, (axis,) = figure_of(1, 1, (6.0, 5.2))
     x, y = arrays["neutral"].T
     points = axis.scatter(x, y, c=arrays["rms"], cmap="viridis", s=40, vmin=0)
     axis.quiver(x, y, *arrays["off"].T, angles="xy", scale_units="xy", scale=0.1, width=0.003, color="0.2")
-    axis.set(aspect="equal", title=title, xlabel="px", ylabel="px")
+    axis.set(aspect="equal", title=title, xlabel="x, px of a 256 px image", ylabel="y, px")
     axis.invert_yaxis()
-    figure.colorbar(points, label="rms, px of 256; arrows: mean, ten times as long")
-    figure.savefig(path, dpi=120, metadata={"Software": None})
+    figure.colorbar(points, label="rms distance, px (arrows: mean, 10 times)")
+    save_figure(figure, path)

@@ -8,6 +8,7 @@ import pytest
 from tactip_twin.benchmarks.report import DOCS, fill
 
 PAGES = {
+    "transfer": "learning.transfer",
     "fem_cross_check": "physics.fem_cross_check",
     "materials": "physics.materials",
     "mechanics": "physics.mechanics",

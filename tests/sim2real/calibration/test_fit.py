@@ -157,7 +157,7 @@ def test_calibrate_recovers_hidden_sensor(real, tmp_path):
     result = calibrate(real, start(), settings, tmp_path / "state.json", print)
     found, hidden = result.twin, hidden_twin()
     figures = figures_of(result)
-    assert figures["frames_px"]["share_of_move_found"]["median"] < 0.35
+    assert figures["frames_px"]["fitted_fraction"]["median"] < 0.35
     assert figures["depth"]["rms_px"] < 0.2
     close = {"azimuth": 1.5, "depth_zero": 0.12e-3, "tcp_behind_apex": 3e-3, "tilt_zero_x": 0.6, "tilt_zero_y": 0.6}
     close |= {"friction": 0.12, "pin_length": 0.25e-3, "zoom": 0.003}

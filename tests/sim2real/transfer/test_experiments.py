@@ -117,7 +117,7 @@ def test_zero_and_few_shot_from_the_command_line(lab, tiny, tmp_path, capsys):
     assert record["few-shot"]["0"]["fine_tuned"] == record["zero-shot"]["simulation"]
     assert record["few-shot"]["30"]["alone"] == record["zero-shot"]["real"]
     page = (tmp_path / "out" / "results.md").read_text()
-    assert "| trained on simulation |" in page and "pose_Rx" not in page
+    assert "| trained in simulation |" in page and "pose_Rx" not in page
     # Nothing that is there is made again.
     made = {p: p.stat().st_mtime_ns for p in (tmp_path / "out").rglob("*") if p.name in ("model.pt", "pins.npz")}
     assert tactip.main(["transfer", "few-shot", *command]) == 0
@@ -223,9 +223,9 @@ def test_gap_is_small_with_right_design(lab, tmp_path, capsys):
     command = ["transfer", "gap", "--real", str(lab), "--out", str(tmp_path / "out"), "--real-train-frames", "20"]
     assert tactip.main([*command, "--gap-frames", "20", "--fidelity", "draft", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
-    left_out = [told[f"frames_whose_pins_were_{how}"] for how in ("not_told_apart", "taken_for_others")]
+    left_out = [told[f"{how}_frames"] for how in ("unmatched", "mismatched")]
     assert told["frames"] + sum(left_out) == 20 and told["frames"] > 15
-    assert told["at_the_best_share_of_the_move"]["median"] < 0.4 * told["pins_move"]
+    assert told["best_fraction"]["median"] < 0.4 * told["pins_move"]
     assert (tmp_path / "out" / "gap.png").stat().st_size > 10_000
     assert {"pose_z", "pose_Ry", "shear_mm"} <= set(told["against"])
     # The same with a design that is told, into a folder that is not there yet.
@@ -233,7 +233,7 @@ def test_gap_is_small_with_right_design(lab, tmp_path, capsys):
     assert tactip.main([*told, "--fidelity", "draft"]) == 0
     assert (tmp_path / "other" / "gap.png").exists()
     right, _ = sim_to_real_gap(read_samples(lab), hidden(design_named("nominal-127")), "draft", 20)
-    assert right["at_the_best_share_of_the_move"]["median"] < 0.5  # a blob's middle in an image of 128 px
+    assert right["best_fraction"]["median"] < 0.5  # a blob's middle in an image of 128 px
     assert right["images"]["white_within_a_pixel"] > 0.9
     with pytest.raises(TactipError, match="none of 8 frames shows"):
         sim_to_real_gap(read_samples(lab), design_named("nominal-331"), "draft", 8)
@@ -305,7 +305,7 @@ def test_pseudo_real_needs_no_real_data(tiny, tmp_path, capsys):
     assert tactip.main([*command, "--shots", "10", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert set(told) == {"zero-shot", "gap", "few-shot"}
-    assert told["gap"]["at_the_best_share_of_the_move"]["median"] < told["gap"]["pins_move"]
+    assert told["gap"]["best_fraction"]["median"] < told["gap"]["pins_move"]
 
 
 def test_hidden_design_depends_on_seed_only(tmp_path, capsys):
@@ -346,8 +346,8 @@ def test_transfer_page_shows_targets(lab, tmp_path, monkeypatch):
     page = (tmp_path / "out" / "transfer.md").read_text()
     assert "| set | pose_z | 0.300 mm | 0.3 mm | 3.00 | 2 | 1.10 | 1.3 |" in page
     assert "| set | pose_Ry | 1.500 ° | 2 ° | 1.50 | 2 | 1.20 | 1.3 |" in page and "| set | pose_Rx" not in page
-    assert page.index("## From simulation to set") < page.index("### Some real frames")
+    assert page.index("### set") < page.index("fine-tuned on 50 real frames")
     with pytest.raises(TactipError, match="unknown experiment 'many': choose one of zero-shot, few-shot"):
         transferred.run(replace(options, experiments=("many",)))
-    with pytest.raises(TactipError, match="no imported set is named"):
+    with pytest.raises(TactipError, match="--real must name"):
         transferred.run(replace(options, real=()))
