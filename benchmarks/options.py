@@ -45,9 +45,9 @@ class StabilityOptions:
     out: Path = Path("docs")
     """Folder for stability.json, stability.md and stability.png."""
     quick: bool = False
-    """Every seventh cell: about a minute and a half on two cores."""
+    """Measure only every seventh cell, in about a minute and a half on two cores."""
     workers: str = "auto"
-    """Worker processes; auto is one a core."""
+    """Number of worker processes; auto: one per core."""
 
 
 @dataclass(frozen=True)
@@ -92,12 +92,12 @@ class MeshContactOptions:
 
 @dataclass(frozen=True)
 class SceneCostOptions:
-    """Measure what each part of the data-set scene costs, and count what it holds."""
+    """Measure the cost of each part of the data-set scene."""
 
     out: Path = Path("docs")
     """Folder for scene_cost.json and scene_cost.md."""
     contacts: int = 6
-    """Contacts of each training set."""
+    """Number of contacts per task."""
 
 
 @dataclass(frozen=True)
@@ -207,37 +207,37 @@ class MissingNeutralImageOptions:
     real: Path
     """Folder that it was imported into (tactip import)."""
     keep: Path | None = None
-    """Folder to keep the set in that is imported without its neutral image: for tactip transfer."""
+    """Folder for the set imported without its neutral image, for tactip transfer. Default: it is not kept."""
 
 
 @dataclass(frozen=True)
 class RealComparisonOptions:
-    """Compare the simulated 127-pin tip with the real one, in a picture and by the displacements of its pins."""
+    """Compare the displacements of the pins of the simulated 127-pin tip with those of the real one, and plot both."""
 
     out: Path = Path("docs")
     """Folder for real_and_simulated.png."""
     real: Path | None = None
-    """Folder with the real neutral frame init_0.png; not needed."""
+    """Folder with the real neutral frame init_0.png, to show it. Default: draw the neutral image from measurements."""
     fidelity: FidelityName = "standard"
     """draft, standard or reference."""
 
 
 @dataclass(frozen=True)
 class ServoBenchOptions:
-    """Measure what the servo reaches: objects, arms, fidelities, what it withstands, random starts."""
+    """Measure the accuracy of the servo by object, arm and fidelity, and its robustness. Rerun to resume."""
 
     groups: tuple[ServoGroup, ...] = ()
-    """objects, oracle, arm, fidelity, robust, starts; all if not given. The page keeps the others."""
+    """Groups to measure. Default: all. Results of others remain on the page."""
     other_surface: str = ""
-    """A surface network of another seed, to hold beside the shipped one."""
+    """A surface network trained with another seed, to compare with the shipped one. Default: none."""
     other_edge: str = ""
-    """An edge network of another seed."""
+    """An edge network trained with another seed. Default: none."""
     runs: Path = Path("runs/servo-bench")
     """Folder of the runs: RUNS/GROUP/NAME."""
     out: Path = Path("docs")
     """Folder for servo.json, servo.md and servo.png."""
     workers: str = "auto"
-    """Worker processes; auto is one a core."""
+    """Number of worker processes; auto: one per core."""
 
 
 @dataclass(frozen=True)
@@ -245,7 +245,7 @@ class PerformanceOptions:
     """Measure rates and memory of data sets, rendering, training, prediction and servo, and how they scale."""
 
     groups: tuple[PerformanceGroup, ...] = ()
-    """Groups to measure. Default: all. The page keeps the last measurement of the others."""
+    """Groups to measure. Default: all. Results of others remain on the page."""
     contacts: int = 40
     """Difference in contacts between the two sets of a rate."""
     steps: int = 60
@@ -259,11 +259,11 @@ class ScaleOptions:
     """Measure the rates that decide what a large data set costs."""
 
     contacts: int = 60
-    """Contacts of a set that is measured."""
-    few: int = 4
-    """Contacts of the set that is taken off, for what is paid once."""
+    """Number of contacts that are measured."""
+    warm_up_contacts: int = 4
+    """Number of contacts of a smaller set, whose time is subtracted because it contains the start."""
     messages: int = 5000
-    """Tasks that are handed out to see how many can be."""
+    """Number of empty tasks that are sent to workers."""
     out: Path = Path("docs")
     """Folder for scale.json and scale.md."""
 

@@ -19,31 +19,31 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Camera(Command):
-    """A real sensor, live: pins, tactile image and what the network feels, a JSON line a frame, and in a browser. The first
-    frame should show the tip untouched."""
+    """Read a real sensor live: print pins, predicted pose and contact as one JSON line per frame. The first frame should
+    show the undeformed tip."""
 
     device: int | None = within(0, 1000, default=None)
-    """Number of a camera of this machine."""
+    """Number of a camera of this machine: 0, 1, … Give this, --video or --images."""
     video: Path | None = None
-    """A film in the camera's place."""
+    """Video file to read instead of a camera."""
     images: Path | None = None
-    """A folder of images in its place."""
+    """Folder of images to read instead of a camera."""
     model: str = "surface-tactip-127"
-    """A shipped network or the folder of a training; none for none."""
+    """Shipped network, or folder of a training; none: no prediction."""
     neutral: Path | None = None
-    """Image of the untouched tip; the first frame if not given."""
+    """Image of the undeformed tip. Default: the first frame."""
     browser: bool = False
-    """Show it in a browser, too."""
+    """Show frames and predictions in a browser, too."""
     host: str = "127.0.0.1"
-    """Address that the page is served at."""
+    """Address at which the page is served; 127.0.0.1: this machine only."""
     port: int = 8080
-    """Its port, or the next that is free."""
+    """Port of the page; if it is taken, the next free one."""
     frames: int = within(0, 10**9, default=0)
-    """Stop after so many frames; 0: go on to the end."""
+    """Number of frames after which to stop; 0: read to the end."""
     preprocessing: Annotated[ImagePreprocessing, tyro.conf.arg(name="")] = field(
         default_factory=lambda: ImagePreprocessing(threshold=(61, -5.0))
     )
-    """What its frames are like, and what is used of them."""
+    """Preprocessing of the frames."""
 
     def __post_init__(self) -> None:
         check(self)
@@ -64,7 +64,7 @@ class Camera(Command):
             neutral = None if self.neutral is None else load_neutral(self.neutral)
             page = self._page()
             count, faults, last = 0, 0, 0.0
-            # A camera never ends by itself: Ctrl-C is how it does.
+            # A camera has no end: Ctrl-C ends the command.
             with suppress(KeyboardInterrupt):
                 for sight in LiveSensor(source, self.preprocessing, model, neutral):
                     print(dumps(sight.as_json()), flush=True)
@@ -75,10 +75,10 @@ class Camera(Command):
                         break
                 else:
                     if page:
-                        print("that was the last frame; the page keeps showing it until Ctrl-C", file=sys.stderr)
+                        print("last frame; the page shows it until Ctrl-C", file=sys.stderr)
                         Event().wait()
             rate = (count - 1) / last if count > 1 else 0.0
-            print(f"{count} frames, {faults} of them faulty; {rate:.1f} frames/s", file=sys.stderr)
+            print(f"{count} frames, {faults} with a fault; {rate:.1f} frames/s", file=sys.stderr)
         finally:
             source.close()
             if page:
@@ -99,7 +99,7 @@ class Camera(Command):
                 return VideoFrames(self.video)
             if self.images is not None:
                 return ImageFrames(self.images)
-        raise TactipError(f"{count} sources of frames are given: give one of --device, --video and --images")
+        raise TactipError(f"one of --device, --video and --images must be given, got {count} of them")
 
     def _page(self) -> "CameraPage | None":
         """Return the page in a browser, if there is to be one."""

@@ -172,7 +172,7 @@ class Show(Command):
     count: int = 24
     """Samples, spread over the set."""
     columns: int = 6
-    """Samples in a line."""
+    """Number of samples per line."""
 
     def run(self) -> int:
         from tactip_twin.sim.dataset.contact_sheet import write_sheet
@@ -184,7 +184,7 @@ class Show(Command):
 
 @dataclass(frozen=True)
 class Record(Command):
-    """Play a sample's contact once more, the same, and keep every time step: for `tactip replay`."""
+    """Simulate the contact of a sample again and record every time step, for `tactip replay`."""
 
     folder: tyro.conf.Positional[Path]
     """Folder of the set."""
@@ -193,18 +193,18 @@ class Record(Command):
     sample: int = 0
     """Index of the sample."""
     model: str = ""
-    """A shipped network or the folder of a training, that says what it feels; the shipped one of task and design, if there
-    is one and this is empty; `none` for none."""
+    """Shipped network, or folder of a training. Default: the shipped network of task and design, if there is one; none: no
+    prediction."""
 
     def run(self) -> int:
-        with DelayedStatus("playing the contact"):
+        with DelayedStatus("simulating the contact"):
             from tactip_twin.sim.dataset.format import read_configuration, read_meta
             from tactip_twin.sim.view.record_contact import record_contact
 
             configuration = read_configuration(read_meta(self.folder), self.folder)
             read = load_pose_reader(self.model, configuration.task, configuration.design)
             record, _ = record_contact(self.folder, self.sample, self.out, read)
-        print(f"{record['object']}: {record['steps']} steps recorded; see them: tactip replay {self.out}")
+        print(f"{record['object']}: {record['steps']} steps recorded; tactip replay {self.out} shows them")
         return 0
 
 

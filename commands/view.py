@@ -12,7 +12,7 @@ from tactip_twin.tactip_model.renderer import RendererName
 
 @dataclass(frozen=True)
 class View(Command):
-    """The live scene in a browser: drag the stimulus, or move it by sliders, and see what the tip feels."""
+    """Show a live contact in a browser: drag the stimulus or move it by sliders, and see pins, image and predicted pose."""
 
     task: Literal["surface", "edge", "sphere", "point", "needle", "knife", "corner", "hole"] = "surface"
     """Stimulus."""
@@ -21,14 +21,14 @@ class View(Command):
     fidelity: FidelityName = "standard"
     """Fidelity of the simulation."""
     model: str = ""
-    """A shipped network or the folder of a training; the shipped one of task and design, if there is one and this is
-    empty; `none` for none."""
+    """Shipped network, or folder of a training. Default: the shipped network of task and design, if there is one; none: no
+    prediction."""
     renderer: RendererName = "pyrender"
     """Renderer of the pins; raster works without OpenGL."""
     host: str = "127.0.0.1"
-    """Address to serve the page at: this machine alone."""
+    """Address at which the page is served; 127.0.0.1: this machine only."""
     port: int = 8080
-    """Port, or the next that is free."""
+    """Port of the page; if it is taken, the next free one."""
 
     def run(self) -> int:
         from tactip_twin.sim.contact.fidelity import fidelity_named

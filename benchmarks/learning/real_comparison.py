@@ -1,9 +1,9 @@
 """The simulated 127-pin tip compared with the real one: `tactip bench real-comparison`.
 
-The real sensor is represented by measurements on its public images (Tac-VGNN's 127-pin surface set): the map of its neutral
-image, and the outward displacement of its pins at five depths. The frames themselves are not ours to distribute; with
---real DIR (a folder with init_0.png) the picture shows that frame instead of its measured map, for private use. Writes
-docs/real_and_simulated.png and logs the errors.
+The real sensor is represented by measurements on its public images (Tac-VGNN's 127-pin surface set): the pin map and blob
+sizes of its neutral image, and the outward displacement of its pins at five depths. The frames themselves are not ours to
+distribute, so real images are drawn from these measurements at the size of the simulated ones; with --real DIR (a folder
+with init_0.png) the figure shows that frame, for private use. Writes docs/real_and_simulated.png and logs the errors.
 """
 
 from collections.abc import Callable
@@ -18,7 +18,7 @@ from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.contact.record import Contact
 from tactip_twin.sim.contact.simulator import ContactSimulator
 from tactip_twin.sim.pose import from_mm_deg
-from tactip_twin.sim.view.plot import pyplot
+from tactip_twin.sim.view.plot import COLORS, figure_of, save_figure
 from tactip_twin.tactip_model.design import Design, Pins
 from tactip_twin.tactip_model.design_file import read_design_with_drift
 from tactip_twin.tactip_model.neutral_image import neutral_px, reference_pixels
@@ -61,8 +61,8 @@ PICTURE = "real_and_simulated.png"
 """File name of the picture."""
 
 MOVE_FRACTIONS = np.linspace(0, 1, 6)
-"""Fractions of the move at which a frame may have been taken: real frames lag behind their rows, evenly distributed between
-none and all of the move (docs/your-own-sensor.md)."""
+"""Fractions of the motion at which a frame may have been taken: real frames lag behind their commanded poses, evenly
+distributed between none and all of the motion (docs/your-own-sensor.md)."""
 
 OFFSETS_MM = np.arange(-0.5, 0.51, 0.25)
 """Depth offsets that are tried, mm: it is known to 0.5 mm."""
@@ -115,14 +115,28 @@ def simulated_shift_px(simulator: ContactSimulator) -> tuple[np.ndarray, np.ndar
     return table[..., -1], table.mean(-1)
 
 
-def measured_neutral(design: Design, size: int = 384) -> np.ndarray:
-    """Return the real neutral image (size, size) uint8, rendered from its measured pin map and blob sizes."""
-    rho = np.sqrt(shells(design.pins))
-    diameter = np.interp(rho, [0, 3, 4, 5, 6], [4.35, 4.37, 4.61, 5.04, 5.50]) * size / REFERENCE_PX
-    image = np.zeros((size, size), np.uint8)
-    for (x, y), d in zip((neutral_px(at_rest(design)) + 0.5) * size / REFERENCE_PX - 0.5, diameter, strict=True):
-        cv2.circle(image, (round(x * 16), round(y * 16)), round(d * 8), 255, -1, cv2.LINE_AA, 4)
+def measured_image(design: Design, outward_px: np.ndarray) -> np.ndarray:
+    """Return a binary real image (256, 256) uint8, drawn from the measured pin map, displacements and blob sizes.
+
+    Args:
+        design: The fitted design, whose pin map is the measured one.
+        outward_px: (15,), outward displacement of each shell, px.
+    """
+    n, pins = shells(design.pins), neutral_px(at_rest(design))
+    outward = pins - pins[n == 0]
+    outward /= np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-9)
+    pins = pins + outward * np.interp(np.sqrt(n), [0, *np.sqrt(SHELLS)], [0, *outward_px])[:, None]
+    diameter = np.interp(np.sqrt(n), [0, 3, 4, 5, 6], [4.35, 4.37, 4.61, 5.04, 5.50])
+    image = np.zeros((REFERENCE_PX, REFERENCE_PX), np.uint8)
+    for (x, y), d in zip(pins, diameter, strict=True):
+        cv2.circle(image, (round(x * 16), round(y * 16)), round(d * 8), 255, -1, cv2.LINE_8, 4)
     return image
+
+
+def simulated_image(design: Design, pin_tips: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """Return the binary simulated image (256, 256) uint8 of pins."""
+    frame = PinCamera(design).render(pin_tips, directions)
+    return tactile_image(frame, replace(design.image, size_px=REFERENCE_PX))
 
 
 def rms(values: np.ndarray) -> float:
@@ -132,61 +146,55 @@ def rms(values: np.ndarray) -> float:
 
 def run(options: RealComparisonOptions, log: Callable[[str], None] = print) -> dict[str, Any]:
     """Measure, plot real_and_simulated.png, and return the results; they also go to `log`."""
-    plt = pyplot()
     design = read_design_with_drift(FITTED["tactip-127"])
     simulator = ContactSimulator(design, "surface", fidelity_named(options.fidelity))
     offset, residuals, without = best_offset(simulator)
     simulated, contacts = simulated_outward_px(simulator, np.array(DEPTHS_MM) + offset)
     for depth, row, contact in zip(DEPTHS_MM, residuals, contacts, strict=True):
-        log(f"{depth:.2f} mm: {rms(row):.2f} px rms off; {contact.normal_force_n:.2f} N")
+        log(f"{depth:.2f} mm: {rms(row):.2f} px rms; {contact.normal_force_n:.2f} N")
     log(
-        f"all depths: {rms(residuals):.2f} px rms of 256 with a zero of depth of {offset:.2f} mm, "
-        f"{rms(without):.2f} px with 0"
+        f"all depths: {rms(residuals):.2f} px rms of 256 with a depth offset of {offset:.2f} mm, "
+        f"{rms(without):.2f} px without"
     )
     over, lagging = simulated_shift_px(simulator)
-    log("shift of the pin field under shears of 0.5, 1.5, 2.5, 3.5, 4.5 mm, px: move over | as frames lag | real")
+    log("mean pin shift under shears of 0.5, 1.5, 2.5, 3.5, 4.5 mm, px: after motion | lagging frames | real")
     for depth, *rows in zip(DEPTHS_MM, over, lagging, REAL_SHIFT_PX, strict=True):
         log(f"{depth:.2f} mm: " + " | ".join(" ".join(f"{x:.1f}" for x in row) for row in rows))
-    log(f"as frames lag: {rms(lagging - REAL_SHIFT_PX):.2f} px rms; all moves over: {rms(over - REAL_SHIFT_PX):.2f} px rms")
+    off = [rms(shift - REAL_SHIFT_PX) for shift in (over, lagging)]
+    log(f"errors: after motion {off[0]:.2f} px rms, lagging frames {off[1]:.2f} px rms")
     for depth in (1, 2, 3):
         force = simulator.simulate(from_mm_deg([0, 0, -depth, 0, 0, 0]), np.zeros(6)).normal_force_n
         log(f"normal force at {depth} mm: {force:.2f} N")
 
-    camera = PinCamera(design)
-    neutral = tactile_image(camera.render(*neutral_pins(design)), design.image)
-    sheared = simulator.simulate(from_mm_deg([0, 0, -4, 8, -6, 0]), from_mm_deg([3, 2, 0, 0, 0, 0]))
-    pressed = tactile_image(camera.render(sheared.pin_tips, sheared.directions), design.image)
-    if options.real is None:
-        real, title = measured_neutral(design), "real tip, at rest\n(drawn from its measured pin map)"
-    else:
-        real, title = cv2.imread(str(options.real / "init_0.png"), cv2.IMREAD_GRAYSCALE), "real tip, at rest"
-
-    figure, axes = plt.subplots(1, 4, figsize=(15, 4.2), width_ratios=[1, 1, 1, 1.35])
+    rest, shown = at_rest(design), DEPTHS_MM.index(4.25)
+    pressed, neutral_real = contacts[shown], measured_image(design, np.zeros(len(SHELLS)))
+    if options.real is not None:
+        neutral_real = cv2.imread(str(options.real / "init_0.png"), cv2.IMREAD_GRAYSCALE)
+    depth = f"pressed {DEPTHS_MM[shown]:g} mm"
     pictures = (
-        (real, title),
-        (neutral, "simulated, at rest"),
-        (pressed, "simulated, pressed 4 mm,\ntilted and sheared"),
+        (neutral_real, "real, undeformed"),
+        (simulated_image(rest, *neutral_pins(rest)), "simulated, undeformed"),
+        (measured_image(design, REAL_OUTWARD_PX[shown]), f"real, {depth}"),
+        (simulated_image(design, pressed.pin_tips, pressed.directions), f"simulated, {depth}"),
     )
+    figure, axes = figure_of(1, 5, (16, 3.9))
     for axis, (image, text) in zip(axes, pictures, strict=False):
         axis.imshow(image, cmap="gray", interpolation="nearest")
-        axis.set_title(text, fontsize=10)
+        axis.set_title(text)
         axis.axis("off")
-    for k, depth in enumerate(DEPTHS_MM):
-        colour = plt.cm.viridis(k / len(DEPTHS_MM))
-        axes[3].plot(np.sqrt(SHELLS), REAL_OUTWARD_PX[k], "o", color=colour, ms=4)
-        axes[3].plot(np.sqrt(SHELLS), simulated[k], "-", color=colour, label=f"{depth} mm")
-    axes[3].set_xlabel("distance of the pin from the axis, pitches")
-    axes[3].set_ylabel("outward displacement, px of 256")
-    axes[3].set_title("pins under a flat press: real (dots), simulated (lines)", fontsize=10)
-    axes[3].legend(fontsize=8, frameon=False)
-    axes[3].spines[["top", "right"]].set_visible(False)
-    figure.tight_layout()
+    for k, depth_mm in enumerate(DEPTHS_MM):
+        color = COLORS[k]
+        axes[4].plot(np.sqrt(SHELLS), REAL_OUTWARD_PX[k], "o", color=color, ms=4)
+        axes[4].plot(np.sqrt(SHELLS), simulated[k], "-", color=color, label=f"{depth_mm} mm")
+    axes[4].set(xlabel="distance from the axis, pitches", ylabel="outward displacement, px of 256")
+    axes[4].set_title("real (dots), simulated (lines)")
+    figure.legend(*axes[4].get_legend_handles_labels(), loc="outside right center", title="depth")
     options.out.mkdir(parents=True, exist_ok=True)
-    figure.savefig(options.out / PICTURE, dpi=80)
+    save_figure(figure, options.out / PICTURE)
     return {
         "offset_mm": offset,
         "outward_rms_px": rms(residuals),
         "outward_rms_px_without_offset": rms(without),
-        "shift_rms_px_lagging": rms(lagging - REAL_SHIFT_PX),
-        "shift_rms_px": rms(over - REAL_SHIFT_PX),
+        "shift_rms_px_lagging": off[1],
+        "shift_rms_px": off[0],
     }

@@ -28,7 +28,7 @@ from tactip_twin.sim.parallel.worker_pool import WorkerPool
 from tactip_twin.tactip_model.bounds import require
 from tactip_twin.tactip_model.files import write_file
 
-_MIN = {"contacts": 1, "few": 1, "messages": 10}
+_MIN = {"contacts": 1, "warm_up_contacts": 1, "messages": 10}
 """Minimum of each option. The first tenth of the messages is left out, because workers start up then."""
 
 
@@ -39,9 +39,10 @@ def run(options: ScaleOptions, log: Callable[[str], None] = print) -> dict[str, 
     """
     for name, minimum in _MIN.items():
         value = getattr(options, name)
-        require(value >= minimum, f"--{name}", value, f"at least {minimum}")
+        require(value >= minimum, f"--{name.replace('_', '-')}", value, f"at least {minimum}")
     options.out.mkdir(parents=True, exist_ok=True)
-    settings = f"contacts {options.contacts} after {options.few}, messages {options.messages}, one worker, seed 0"
+    sizes = f"{options.contacts} contacts after {options.warm_up_contacts}, {options.messages} messages"
+    settings = f"{sizes}, one worker, seed 0"
     record: dict[str, Any] = {"machine": machine(), "settings": settings, "tasks": {}, "dispatch": {}}
     for task in SYMMETRIES:
         log(f"sets of the task {task}")
@@ -56,8 +57,8 @@ def run(options: ScaleOptions, log: Callable[[str], None] = print) -> dict[str, 
 def _task(task: str, options: ScaleOptions) -> dict[str, float]:
     """Return the rates and sizes of a set of a task."""
     case = {"task": task, "fidelity": "standard", "renderer": "raster", "augment_symmetry": True, "design": "tactip-127"}
-    few, _ = set_seconds(options.few, 1, **case)
-    many, peak = set_seconds(options.few + options.contacts, 1, **case)
+    few, _ = set_seconds(options.warm_up_contacts, 1, **case)
+    many, peak = set_seconds(options.warm_up_contacts + options.contacts, 1, **case)
     with tempfile.TemporaryDirectory() as place:
         samples = options.contacts * len(SYMMETRIES[task])
         folder = made_set(place, samples, 1, **case)

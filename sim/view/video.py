@@ -15,7 +15,7 @@ from tactip_twin.tactip_model.errors import TactipError
 
 ENDINGS = (".mp4", ".gif")
 
-_GIF_WIDTH = 560
+_GIF_WIDTH = 960
 """Maximum width of a GIF, px."""
 
 _GIF_COLORS = 128

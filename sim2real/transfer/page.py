@@ -67,7 +67,8 @@ def _gap(figures: Mapping[str, Any], figure: str) -> list[str]:
     text = (
         f"{figures['frames']} frames, whose pins move by {figures['pins_move']:.1f} px rms; {figures['unmatched_frames']} "
         f"were left out because pins could not be matched, and {figures['mismatched_frames']} because pins were matched to "
-        f"their neighbours. White pixels within a pixel of a white pixel of the other image: {images['white_within_a_pixel']:.0%}."
+        "their neighbours. White pixels within a pixel of a white pixel of the other image: "
+        f"{images['white_within_a_pixel']:.0%}."
     )
     return ["\n".join(lines), text, f"![Distance of simulated from real pins]({figure})"]
 

@@ -10,7 +10,7 @@ from tactip_twin.tactip_model.errors import TactipError
 
 
 def test_run_measures_rates_and_writes_them(tmp_path):
-    options = ScaleOptions(contacts=2, few=1, messages=40, out=tmp_path)
+    options = ScaleOptions(contacts=2, warm_up_contacts=1, messages=40, out=tmp_path)
     record = run(options, lambda line: None)
     assert json.loads((tmp_path / "scale.json").read_text()) == record
     for task, each in (("surface", 8), ("edge", 2)):

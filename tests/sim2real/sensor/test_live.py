@@ -172,7 +172,7 @@ def test_camera_page_stays_after_last_frame_until_interrupt(video):
         assert process.poll() is None
         process.send_signal(signal.SIGINT)
         assert process.wait(30) == 0
-        assert "12 frames, 0 of them faulty" in process.stderr.read()
+        assert "12 frames, 0 with a fault" in process.stderr.read()
 
 
 @pytest.mark.parametrize(
@@ -180,8 +180,8 @@ def test_camera_page_stays_after_last_frame_until_interrupt(video):
     [
         (["--device", "-1"], "tactip: device must be a whole number from 0 to 1000, got -1"),
         (["--images", "b", "--frames", "-2"], "tactip: frames must be a whole number from 0 to 1e+09, got -2"),
-        ([], "0 sources of frames are given: give one of --device, --video and --images"),
-        (["--video", "a.avi", "--images", "b"], "2 sources of frames"),
+        ([], "one of --device, --video and --images must be given, got 0 of them"),
+        (["--video", "a.avi", "--images", "b"], "must be given, got 2 of them"),
         (["--video", "nothing.avi"], "the video nothing.avi does not exist"),
         (["--video", __file__], "cannot be read as a video"),
         (["--images", "nowhere"], "nowhere is not a folder of images"),
