@@ -326,5 +326,7 @@ def plot(whole: Mapping[str, Any], path: Path) -> None:
         for name in "xy":
             log_axis(axis, name)
         axis.margins(0.15)
+        (low, high), (fast, slow) = axis.get_ylim(), axis.get_xlim()
+        axis.set(ylim=(min(low, 0.5), max(high, 5)), xlim=(min(fast, 1), max(slow, 10)))
         axis.set(xlabel="time per image on one core, ms", ylabel="mean error / target", title=task)
     save_figure(figure, path)

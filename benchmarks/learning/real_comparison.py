@@ -21,6 +21,7 @@ from tactip_twin.sim.pose import from_mm_deg
 from tactip_twin.sim.view.plot import COLORS, figure_of, save_figure
 from tactip_twin.tactip_model.design import Design, Pins
 from tactip_twin.tactip_model.design_file import read_design_with_drift
+from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.neutral_image import neutral_px, reference_pixels
 from tactip_twin.tactip_model.optics import REFERENCE_PX, Lens
 from tactip_twin.tactip_model.pins import LAYOUTS, neutral_pins
@@ -169,7 +170,10 @@ def run(options: RealComparisonOptions, log: Callable[[str], None] = print) -> d
     rest, shown = at_rest(design), DEPTHS_MM.index(4.25)
     pressed, neutral_real = contacts[shown], measured_image(design, np.zeros(len(SHELLS)))
     if options.real is not None:
-        neutral_real = cv2.imread(str(options.real / "init_0.png"), cv2.IMREAD_GRAYSCALE)
+        frame = cv2.imread(str(options.real / "init_0.png"), cv2.IMREAD_GRAYSCALE)
+        if frame is None:
+            raise TactipError(f"--real must be a folder with the image init_0.png, got {options.real}")
+        neutral_real = frame
     depth = f"pressed {DEPTHS_MM[shown]:g} mm"
     pictures = (
         (neutral_real, "real, undeformed"),
