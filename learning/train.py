@@ -119,19 +119,19 @@ def _train_epochs(
         # The process was killed after the last checkpoint and before the other files were written.
         save_checkpoint(training, folder, record)
     writer = _tensorboard(folder)
-    images = training.images_per_epoch
+    steps = training.steps_per_epoch
     with tqdm(
-        total=training.epochs * images,
-        initial=training.epoch * images,
-        unit="image",
-        unit_scale=True,
+        total=training.epochs * steps,
+        initial=training.epoch * steps,
+        unit="step",
         file=sys.stderr,
         mininterval=0.5 if sys.stderr.isatty() else 15,
         disable=quiet,
     ) as bar:
         while not training.finished:
             figures = training.train_epoch(bar.update)
-            bar.set_postfix(epoch=training.epoch, loss=figures["loss"], val=figures["val_loss"], best=training.best_error)
+            epoch = f"{training.epoch}/{training.epochs}"
+            bar.set_postfix(epoch=epoch, loss=figures["loss"], val=figures["val_loss"], best=training.best_error)
             if writer:
                 for name in ("loss", "val_loss"):
                     writer.add_scalar(name, figures[name], training.epoch)

@@ -117,11 +117,6 @@ class Training:
         return -(-len(self._images) // self.config.batch_size)
 
     @property
-    def images_per_epoch(self) -> int:
-        """Number of images per epoch."""
-        return len(self._images)
-
-    @property
     def epochs(self) -> int:
         """Maximum number of epochs."""
         return max(self.settings.epochs, -(-self.settings.min_steps // self.steps_per_epoch))
@@ -139,11 +134,11 @@ class Training:
         since = self.epoch - 1 - int(np.argmin([h["val_loss"] for h in self.history]))
         return self.epoch >= self.epochs or since >= self.settings.patience
 
-    def train_epoch(self, progress: Callable[[int], object] = lambda count: None) -> dict[str, float]:
+    def train_epoch(self, progress: Callable[[], object] = lambda: None) -> dict[str, float]:
         """Train for one epoch, validate, and return the figures of the epoch.
 
         Args:
-            progress: Callback that gets the number of images of each step.
+            progress: Called after each step.
 
         Raises:
             TrainingDiverged: If a loss is not finite.
@@ -175,7 +170,7 @@ class Training:
         plain = torch.rand(len(chosen), 1, 1, device=self.device) >= self.settings.augmented_fraction
         return torch.where(plain, self._images[chosen], self._augmentation.render(chosen))
 
-    def _train_steps(self, order: torch.Tensor, progress: Callable[[int], object]) -> float:
+    def _train_steps(self, order: torch.Tensor, progress: Callable[[], object]) -> float:
         """Train on all images in the given `order` (n,) int; return the mean loss, with penalties."""
         self.net.train()
         schedule = SCHEDULES[self.settings.schedule]
@@ -193,7 +188,7 @@ class Training:
                     group["lr"] = rate * fraction
                 optimizer.step()
             total += loss.detach() * len(chosen)
-            progress(len(chosen))
+            progress()
         return float(total) / len(order)
 
     def error(self, images: torch.Tensor, targets: torch.Tensor, batch: int = 256) -> float:

@@ -43,39 +43,39 @@ def followed(tmp_path_factory):
         str(folder / "set"),
     ]
     assert tactip.main(made) == 0
-    told = run(EXAMPLES / "own_estimator.py", "--data", folder / "set", "--out", folder / "run", "--length-mm", "8")
-    return folder / "run", told
+    output = run(EXAMPLES / "own_estimator.py", "--data", folder / "set", "--out", folder / "run", "--length-mm", "8")
+    return folder / "run", output
 
 
-def test_one_contact_is_one_image(tmp_path):
-    told = run(EXAMPLES / "one_contact.py", "--out", tmp_path / "contact.png", "--renderer", "raster")
+def test_single_contact_example(tmp_path):
+    output = run(EXAMPLES / "one_contact.py", "--out", tmp_path / "contact.png", "--renderer", "raster")
     image = cv2.imread(str(tmp_path / "contact.png"), cv2.IMREAD_GRAYSCALE)
     assert image.shape == (128, 128) and set(np.unique(image)) == {0, 255}
-    force_N, depth_mm = map(float, re.findall(r"([\d.]+) (?:N|mm deep)", told))
+    force_N, depth_mm = map(float, re.findall(r"([\d.]+) (?:N|mm deep)", output))
     assert 0.5 < force_N < 5 and abs(depth_mm - 3) < 0.2
 
 
-def test_a_narrower_pipe_presses_less(tmp_path):
-    told = run(EXAMPLES / "own_stimulus.py", "--fidelity", "draft", "--radii-mm", "8", "20")
-    narrow, wide = (float(x) for x in re.findall(r"mm: ([\d.]+) N", told))
+def test_custom_stimulus_example(tmp_path):
+    output = run(EXAMPLES / "own_stimulus.py", "--fidelity", "draft", "--radii-mm", "8", "20")
+    narrow, wide = (float(x) for x in re.findall(r"mm: ([\d.]+) N", output))
     assert 0.3 < narrow < wide
-    overlaps = re.findall(r"overlap by (\d+) µm", told)
+    overlaps = re.findall(r"overlap by (\d+) µm", output)
     assert len(overlaps) == 2 and all(int(x) < 50 for x in overlaps)
 
 
-def test_a_network_is_trained_on_a_folder(tmp_path):
+def test_training_example(tmp_path):
     data = write_fake_splits(tmp_path / "data", samples=16, size=128)
-    told = run(
+    output = run(
         EXAMPLES / "train_on_a_folder.py", "--data", data, "--out", tmp_path / "run", "--epochs", "1", "--filters", "2"
     )
     assert (tmp_path / "run" / "model.json").exists()
-    assert len(re.findall(r"pose_\w+: [\d.]+ (mm|°)", told)) == 3
+    assert len(re.findall(r"pose_\w+: [\d.]+ (mm|°)", output)) == 3
 
 
-def test_an_estimator_of_ones_own_follows_a_sphere(followed):
-    folder, told = followed
+def test_custom_estimator_example(followed):
+    folder, output = followed
     score = json.loads((folder / "score.json").read_text())
-    assert "route completed" in told
+    assert "route completed" in output
     assert score["contact_losses"] == 0 and score["depth_mae_mm"] < 1 and score["angle_mean_deg"] < 8
 
 
@@ -87,12 +87,12 @@ def test_own_controller_follows_a_sphere(tmp_path):
     assert json.loads((tmp_path / "run" / "recording.json").read_text())["controller"] == "Proportional"
 
 
-def test_a_run_is_replayed_in_a_notebook(followed, tmp_path):
+def test_notebook_example(followed, tmp_path):
     """Its cells, one after another, as a script."""
     folder, _ = followed
     cells = json.loads((EXAMPLES / "replay.ipynb").read_text())["cells"]
     script = tmp_path / "cells.py"
     script.write_text("\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"))
-    told = run(script, RUN=str(folder))
-    assert "steps on sphere: route completed" in told
+    output = run(script, RUN=str(folder))
+    assert "steps on sphere: route completed" in output
     assert (folder / "pass.gif").read_bytes()[:3] == b"GIF"

@@ -56,7 +56,7 @@ def names_of(path):
 
 
 @pytest.mark.parametrize("path", [*FILES, *ON_TOP], ids=lambda p: str(p.relative_to(ROOT)))
-def test_what_is_imported_is_there(path):
+def test_imports_exist(path):
     """Also where it is imported late, by a command that no test may run."""
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("tactip_twin."):
@@ -66,7 +66,7 @@ def test_what_is_imported_is_there(path):
             assert {alias.name for alias in node.names} <= there, node.module
 
 
-def test_there_are_files_to_look_at():
+def test_files_are_found():
     assert len(FILES) > 15
 
 
@@ -87,9 +87,9 @@ def fields_without_a_line(tree):
             continue
         for field, after in zip(node.body, [*node.body[1:], None], strict=True):
             if isinstance(field, ast.AnnAssign):
-                said = isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)
+                lines = isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)
                 count += 1
-                if not (said and isinstance(after.value.value, str) and after.value.value.strip()):
+                if not (lines and isinstance(after.value.value, str) and after.value.value.strip()):
                     bare.add(f"{node.name}.{field.target.id}")
     return bare, count
 
@@ -106,7 +106,7 @@ def test_fields_are_found():
     assert fields_without_a_line(ast.parse(text.replace("class A", "class _A"))) == (set(), 0)
 
 
-def test_nothing_is_unpickled_or_evaluated():
+def test_no_pickle_or_eval():
     assert len(ON_TOP) > 20
     for path in [*FILES, *ON_TOP]:
         text = path.read_text()

@@ -25,13 +25,13 @@ def commands():
     return [shlex.split(line) for block in blocks for line in block.splitlines()]
 
 
-def test_it_is_all_commands_of_the_project():
+def test_tutorial_uses_only_project_commands():
     assert len(commands()) >= 10
     assert {words[0] for words in commands()} == {"make", "tactip"}
 
 
 @pytest.mark.slow
-def test_it_ends_where_it_says(tmp_path):
+def test_tutorial_reaches_its_results(tmp_path):
     home = {**os.environ, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
     begun = time.monotonic()
     for words in commands():

@@ -18,15 +18,15 @@ TORCH = next(line for line in (ROOT / "requirements.lock").read_text().splitline
 def interpreter(version):
     """Path of a Python of a version ("3.12"), or None where there is none that runs."""
     found = shutil.which(f"python{version}")
-    told = found and subprocess.run([found, "--version"], capture_output=True, text=True)
-    if told and told.returncode == 0 and told.stdout.startswith(f"Python {version}."):
+    output = found and subprocess.run([found, "--version"], capture_output=True, text=True)
+    if output and output.returncode == 0 and output.stdout.startswith(f"Python {version}."):
         return found
     # pyenv's are beside the one that runs this.
     beside = sorted(Path(sys.base_prefix).parent.glob(f"{version}.*/bin/python"))
     return str(beside[0]) if beside else None
 
 
-def test_the_versions_are_those_that_the_package_asks_for():
+def test_wheel_versions_match_the_package():
     asked = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["requires-python"]
     assert asked == f">={VERSIONS[0]},<3.{int(VERSIONS[-1].split('.')[1]) + 1}"
 
@@ -76,7 +76,7 @@ def test_wheel_works_beside_python_control(wheel, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("version", VERSIONS)
-def test_it_works_where_there_is_no_checkout(wheel, tmp_path, version):
+def test_wheel_works_without_checkout(wheel, tmp_path, version):
     python = interpreter(version)
     if python is None:
         pytest.skip(f"no Python {version} here")

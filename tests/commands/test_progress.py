@@ -9,7 +9,7 @@ from tactip_twin.commands import main as tactip
 from tactip_twin.commands._progress import _PATIENCE_S, DelayedStatus
 
 
-def test_a_long_wait_is_told_once_and_a_short_one_is_not(capsys):
+def test_only_long_waits_are_reported(capsys):
     with DelayedStatus("reading"):
         time.sleep(1.5 * _PATIENCE_S)
     assert capsys.readouterr().err == "reading …\n"
@@ -21,13 +21,13 @@ def test_a_long_wait_is_told_once_and_a_short_one_is_not(capsys):
     assert capsys.readouterr().err == ""
 
 
-def test_the_version_is_told(capsys):
+def test_version_is_printed(capsys):
     assert tactip.main(["--version"]) == 0
     assert capsys.readouterr().out.strip() == version("tactip-twin")
 
 
 @pytest.mark.parametrize("late", [False, True])
-def test_a_stop_before_anything_began_is_one_whole_line(capsys, monkeypatch, late):
+def test_interruption_before_start_prints_one_line(capsys, monkeypatch, late):
     """Also where it meets a library of compiled code, which then says that it cannot be loaded."""
 
     def stopped(_):
@@ -43,7 +43,7 @@ def test_a_stop_before_anything_began_is_one_whole_line(capsys, monkeypatch, lat
     assert capsys.readouterr().err == "tactip: stopped\n"
 
 
-def test_a_library_that_is_not_there_is_not_a_stop(monkeypatch):
+def test_missing_library_is_not_an_interruption(monkeypatch):
     def lacking(_):
         raise ImportError("no such library")
 
@@ -52,7 +52,7 @@ def test_a_library_that_is_not_there_is_not_a_stop(monkeypatch):
         tactip.main([])
 
 
-def test_an_error_is_one_line(tmp_path, capsys):
+def test_error_is_one_line(tmp_path, capsys):
     """Once libraries are loaded, as they are at the second time."""
     for command in (["train", "--data"], ["evaluate", "--model", "surface-tactip-127", "--data"]):
         options = [*command, str(tmp_path / "none"), *(["--out", str(tmp_path / "out")] if "train" in command else [])]

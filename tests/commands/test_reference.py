@@ -1,4 +1,4 @@
-"""What is said of the commands is what they do."""
+"""The command reference agrees with the commands."""
 
 import os
 import re
@@ -19,7 +19,7 @@ def reference(tmp_path_factory):
     return path.read_text()
 
 
-def test_the_reference_is_that_of_the_commands(reference):
+def test_reference_agrees_with_commands(reference):
     assert reference == (ROOT / "docs" / "commands.md").read_text(), "make reference writes it anew"
 
 
@@ -47,8 +47,8 @@ def written(page):
 def test_help_flows():
     """A line of help ends where the terminal does, and not where the source's does."""
     words = [sys.executable, "-m", "tactip_twin.commands.main", "servo", "--help"]
-    told = subprocess.run(words, check=True, capture_output=True, text=True, env={**os.environ, "COLUMNS": "400"}).stdout
-    lines = [line.strip("│ ") for line in told.splitlines() if line.startswith("│")]
+    output = subprocess.run(words, check=True, capture_output=True, text=True, env={**os.environ, "COLUMNS": "400"}).stdout
+    lines = [line.strip("│ ") for line in output.splitlines() if line.startswith("│")]
     assert any(
         "the shipped network of the task; for surfaces, the one trained on curved surfaces." in line for line in lines
     )

@@ -31,14 +31,14 @@ def options(tmp_path, monkeypatch):
     return options
 
 
-def test_the_sets_are_plain_ones(options):
+def test_search_sets_have_no_symmetric_copies(options):
     val, train = (job.configuration for job in searched.jobs(options))
     assert (val.split, val.samples, train.split, train.samples) == ("val", 8, "train", 12)
     assert not train.augment_symmetry
     assert train.shear == val.shear != train.pose
 
 
-def test_a_page_is_written_and_a_search_made_longer(options):
+def test_page_is_written_and_search_can_be_extended(options):
     searched.run(options, log=lambda line: None)
     record = searched.run(replace(options, trials=3), log=lambda line: None)
     assert [t["trial"] for t in record["trials"]] == [0, 1, 2]
@@ -53,7 +53,7 @@ def test_a_page_is_written_and_a_search_made_longer(options):
     assert list(json.loads((options.out / "search.json").read_text())) == ["surface"]
 
 
-def test_the_papers_search_has_no_cuts():
+def test_paper_search_lists_no_reductions():
     import dataclasses
 
     assert searched.differences(dataclasses.asdict(TuneSettings())) == []
@@ -64,7 +64,7 @@ def test_another_task_is_refused():
         searched.run(SearchOptions(task="sphere"))
 
 
-def test_a_record_from_before_a_field_came_is_not_a_cut():
+def test_record_without_a_new_field_lists_no_reduction():
     settings = dataclasses.asdict(TuneSettings())
     del settings["training"]["optics_ranges"]
     assert searched.differences(settings) == []

@@ -56,7 +56,7 @@ def test_standards_steps_cost_little_error(cache):
     assert spread([cache(case, Variant(jerk)).pin_tips for case in CHEAP], tips[1])[0] > 2 * mean
 
 
-def test_the_label_worth_of_a_small_move_is_the_move(cache, design):
+def test_label_error_of_a_small_motion_is_the_motion(cache, design):
     pins, case = ImagePins(design), CHEAP[1]
     estimator = PoseSensitivity.about(case, cache, pins)
     assert estimator.is_determined
@@ -69,7 +69,7 @@ def test_the_label_worth_of_a_small_move_is_the_move(cache, design):
             assert abs(value) < (0.06 if other == "z" else 0.4), (component, other)
 
 
-def test_the_label_worth_is_least_squares_without_the_pins_not_seen():
+def test_label_error_ignores_undetected_pins():
     jacobian = np.random.default_rng(0).normal(size=(20, 2, 3))
     estimator = PoseSensitivity(LABELS["surface"], jacobian)
     error = jacobian @ np.array([0.1, -0.2, 0.3])

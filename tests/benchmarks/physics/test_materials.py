@@ -13,7 +13,7 @@ SKIN = Materials()
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_one_element_has_the_stress_of_its_law(law):
+def test_single_element_has_the_stress_of_its_law(law):
     """At random gradients, one that turns the element inside out among them."""
     vertices = 1e-2 * np.array([[0, 0, 0], [1.1, 0.1, 0], [0.2, 0.9, 0.1], [0.1, 0.2, 1.0]])
     edges = (vertices[1:] - vertices[0]).T
@@ -43,7 +43,7 @@ def test_bar_in_tension_and_compression(law, poisson):
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_the_closed_form_of_the_bar_has_no_stress_on_its_sides(law):
+def test_bar_closed_form_has_no_stress_on_its_sides(law):
     for stretch in materials.STRETCHES[law]:
         stress, side = materials.bar_stress(law, 2e4, 0.45, stretch)
         tensor = piola(law, 2e4, 0.45, np.diag([stretch, side, side]))
@@ -100,7 +100,7 @@ def test_independent_tetrahedra_against_the_closed_form():
 
 @pytest.mark.parametrize("depth_mm", [1.0, 3.0])
 def test_pressed_gel_in_an_independent_code(depth_mm):
-    """The very contact that is played for data sets: the rest of the surface within 8 µm, force within 0.5 %."""
+    """A contact as for data sets: the free surface agrees within 8 µm, the force within 0.5 %."""
     row = fem_cross_check.compare_simulator(depth_mm)
     assert row["of_mm"] > 0.9 * depth_mm
     assert row["greatest_mm"] < 0.008

@@ -10,7 +10,7 @@ from tactip_twin.benchmarks.scale import performance as speed
 from tactip_twin.tactip_model.errors import TactipError
 
 
-def test_the_page_keeps_what_was_measured(tmp_path, monkeypatch):
+def test_page_keeps_results_of_other_groups(tmp_path, monkeypatch):
     measured = {
         "faces": ("Objects", lambda o: [{"triangles": 20, "ms": 1.234}]),
         "servo": ("Servo", lambda o: [{"s": None}]),
@@ -27,7 +27,7 @@ def test_the_page_keeps_what_was_measured(tmp_path, monkeypatch):
         speed.run(replace(options, groups=("mesh",)))
 
 
-def test_the_rate_of_a_set_is_its_marginal_one(monkeypatch):
+def test_set_rate_is_marginal(monkeypatch):
     """A set that takes 3 s and half a second a contact of each worker: what is paid once are the 3 s."""
     monkeypatch.setattr(speed, "set_seconds", lambda n, workers, **case: (3.0 + n / (2.0 * workers), 500))
     for row in speed._samples(PerformanceOptions(contacts=10)):
@@ -46,14 +46,14 @@ def _scripted(monkeypatch, seconds):
     return left
 
 
-def test_a_rate_that_cannot_be_is_measured_again(monkeypatch):
+def test_impossible_rate_is_measured_again(monkeypatch):
     """A larger set that takes no longer; one that takes so much longer that nothing was paid once; one that can be."""
     left = _scripted(monkeypatch, [5, 5, 5, 60, 5, 25])
     assert speed._rate(4, 40, 1) == (2.0, 3.0, 500)
     assert not left
 
 
-def test_a_machine_that_is_too_busy_is_said(monkeypatch):
+def test_busy_machine_is_reported(monkeypatch):
     left = _scripted(monkeypatch, [5, 4] * speed._TRIES)
     with pytest.raises(TactipError, match=r"too busy to measure: sets of 4 and of 44 contacts took 5\.0 and 4\.0 s"):
         speed._rate(4, 40, 1)
@@ -77,7 +77,7 @@ def test_sets_grow_by_fours(monkeypatch):
     assert [row["s per further contact"] for row in rows][1:] == [0.5, 0.5]
 
 
-def test_a_median_leaves_the_first_call_out():
+def test_median_excludes_first_call():
     calls = []
     speed._median(lambda: calls.append(None), 3)
     assert len(calls) == 4

@@ -22,8 +22,8 @@ def test_run_measures_rates_and_writes_them(tmp_path):
     assert "disk space per sample" in (tmp_path / "scale.md").read_text()
 
 
-@pytest.mark.parametrize(("name", "given", "least"), [("messages", 9, 10), ("contacts", 0, 1), ("few", 0, 1)])
+@pytest.mark.parametrize(("name", "given", "least"), [("messages", 9, 10), ("contacts", 0, 1), ("warm_up_contacts", 0, 1)])
 def test_too_few_are_refused(tmp_path, name, given, least):
-    with pytest.raises(TactipError, match=f"--{name} must be at least {least}, got {given}"):
+    with pytest.raises(TactipError, match=f"--{name.replace('_', '-')} must be at least {least}, got {given}"):
         run(ScaleOptions(**{name: given}, out=tmp_path))
     assert not list(tmp_path.iterdir())

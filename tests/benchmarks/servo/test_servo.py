@@ -75,7 +75,7 @@ def test_groups_keep_the_machine_that_made_them(options, monkeypatch):
     assert page.count("3 runs at a time, one core each; processor new.") == 1
 
 
-def test_a_run_that_felt_nothing_has_no_patch(options, monkeypatch):
+def test_run_without_contact_has_no_patch(options, monkeypatch):
     """One that could not be made, and one that ended before it followed."""
     away, deep = followed.cases(options)[1:3]
     lost = [replace(deep, options=replace(deep.options, task="edge")), replace(deep, options=away.options)]
@@ -86,14 +86,14 @@ def test_a_run_that_felt_nothing_has_no_patch(options, monkeypatch):
     assert "patches" not in record
 
 
-def test_what_has_no_figures_is_not_drawn(tmp_path):
+def test_runs_without_figures_are_not_plotted(tmp_path):
     row = {"name": "bust, draft", "steps_per_s": None, "depth_mae_mm": 0.1, "angle_mean_deg": 1.0}
     rows = [row, row | {"steps_per_s": 0.0}, row | {"steps_per_s": 9.0, "depth_mae_mm": None, "angle_mean_deg": None}]
     followed.plot([*rows, {"name": "bust, standard", "error": "it is out of reach"}], tmp_path / "servo.png")
     assert (tmp_path / "servo.png").stat().st_size > 3000
 
 
-def test_a_run_of_other_options_is_made_anew(options, monkeypatch):
+def test_run_with_other_options_is_repeated(options, monkeypatch):
     followed.run(replace(options, groups=("objects",)))
     before, _Here.made = followed.cases(options), 0
     changed = [replace(c, options=replace(c.options, route=RouteOptions("straight", length_mm=2))) for c in before]
@@ -102,7 +102,7 @@ def test_a_run_of_other_options_is_made_anew(options, monkeypatch):
     assert _Here.made == 1
 
 
-def test_there_is_a_run_for_all_that_is_promised():
+def test_all_groups_have_their_runs():
     every = followed.cases(ServoBenchOptions(other_surface="a"))
     names = [(c.group, c.name) for c in every]
     assert len(set(names)) == len(names)
@@ -116,17 +116,17 @@ def test_there_is_a_run_for_all_that_is_promised():
     assert len({o.seed for o in starts}) == followed.STARTS and {o.route.reverse for o in starts} == {True, False}
 
 
-def test_a_group_that_is_none_is_refused():
+def test_unknown_group_is_refused():
     with pytest.raises(TactipError, match="unknown group 'speed': choose one of objects, oracle, arm"):
         followed.run(ServoBenchOptions(groups=("speed",)))
 
 
-def test_what_another_network_learned_from_stands_beside_it(options):
+def test_other_networks_training_set_is_recorded(options):
     """Also on a page that is written again without it."""
     record = followed.run(replace(options, groups=("robust",), other_surface="surface-curved-tactip-127"))
-    told = record["others"]["surface"]
-    assert "images of a set of seed 0; training of seed 0, with initial weights of another network" in told
+    output = record["others"]["surface"]
+    assert "images of a set of seed 0; training of seed 0, with initial weights of another network" in output
     again = followed.run(replace(options, groups=("objects",)))
     assert again["others"] == record["others"]
-    assert f"Training of the other network of the surface: {told}." in (options.out / "servo.md").read_text()
+    assert f"Training of the other network of the surface: {output}." in (options.out / "servo.md").read_text()
     assert "others" not in followed.run(replace(options, groups=("robust",)))

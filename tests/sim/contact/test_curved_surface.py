@@ -44,11 +44,11 @@ def test_curved_surface_top_is_paraboloid_and_solid_is_closed(curvature):
 def test_force_falls_with_curvature_as_in_hertz():
     """The force is proportional to (1/R + k)^(-1/2), less exactly in a hollow that the tip nearly fills."""
     stimulus = SolidStimulus(curved_surface(0, 0, 0), min_radius_m=0.01)
-    player = ContactSimulator(load_design("tactip-127"), stimulus, fidelity_named("draft"))
+    simulator = ContactSimulator(load_design("tactip-127"), stimulus, fidelity_named("draft"))
     forces = []
     for curvature in (-20.0, 0.0, 30.0, 60.0):
         stimulus.solid = curved_surface(curvature, curvature, 0.0)
-        contact = player.simulate(from_mm_deg([0, 0, -2.0, 0, 0, 0]), np.zeros(6))
+        contact = simulator.simulate(from_mm_deg([0, 0, -2.0, 0, 0, 0]), np.zeros(6))
         assert not contact.violations(QualityLimits(penetration_m=0.1e-3))
         forces.append(contact.normal_force_n)
     hertz = [(1 / 0.02 + k) ** -0.5 for k in (-20.0, 0.0, 30.0, 60.0)]
@@ -56,7 +56,7 @@ def test_force_falls_with_curvature_as_in_hertz():
     stimulus.solid = curved_surface(0.0, 0.0, 0.0)
     flat = ContactSimulator(load_design("tactip-127"), "surface", fidelity_named("draft"))
     pose = from_mm_deg([0, 0, -3.0, 5, 0, 0]), from_mm_deg([2.0, 0, 0, 0, 0, 0])
-    assert np.allclose(player.simulate(*pose).pin_tips, flat.simulate(*pose).pin_tips, atol=2e-6)
+    assert np.allclose(simulator.simulate(*pose).pin_tips, flat.simulate(*pose).pin_tips, atol=2e-6)
 
 
 def test_curved_set_does_not_depend_on_worker_count(tmp_path):

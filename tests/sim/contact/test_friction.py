@@ -94,9 +94,9 @@ def weakened(design, ratio):
 
 def force_ratios(design, stimulus, fidelity, depth_mm=2.0):
     """Return the ratio of tangential to normal force at each of SHEARS_MM, and the last Contact."""
-    player = ContactSimulator(design, stimulus, fidelity)
+    simulator = ContactSimulator(design, stimulus, fidelity)
     pose, shear = from_mm_deg([0, 0, -depth_mm, 0, 0, 0]), from_mm_deg([SHEARS_MM[-1], 0, 0, 0, 0, 0])
-    contacts = list(player.simulate_partial_shears(pose, shear, SHEARS_MM / SHEARS_MM[-1]))
+    contacts = list(simulator.simulate_partial_shears(pose, shear, SHEARS_MM / SHEARS_MM[-1]))
     assert all(c.violations(QualityLimits()) == [] for c in contacts)
     return np.array([c.tangential_force_n / c.normal_force_n for c in contacts]), contacts[-1]
 
@@ -126,9 +126,9 @@ def test_facets_weaken_like_vertices(design, standard):
     full, _ = force_ratios(weakened(design, 1.0), "sphere", standard)
     # A few fresh facets enter the contact along the path, and the ball's flank pushes, so less is lost than on a plane.
     assert (full - weak)[SHEARS_MM >= 1].mean() > 0.2
-    player = ContactSimulator(weakened(design, 0.4), "sphere", standard)
-    player.simulate(from_mm_deg([0, 0, -2, 0, 0, 0]), from_mm_deg([4, 0, 0, 0, 0, 0]))
-    contacts = player.scene.data.contact
+    simulator = ContactSimulator(weakened(design, 0.4), "sphere", standard)
+    simulator.simulate(from_mm_deg([0, 0, -2, 0, 0, 0]), from_mm_deg([4, 0, 0, 0, 0, 0]))
+    contacts = simulator.scene.data.contact
     facets = (contacts.elem >= 0).any(1) & (contacts.dist < 0)
     assert facets.any()
     assert contacts.friction[facets, 0].min() < 0.9 * 0.6
@@ -136,8 +136,8 @@ def test_facets_weaken_like_vertices(design, standard):
 
 def test_contacts_stored_as_sliding_are_at_friction_limit(design, standard):
     """At every step, and no others are: forces decide here, the solver's states in SlipWeakening."""
-    player = ContactSimulator(weakened(design, 0.6), "surface", standard)
-    scene, records, step = player.scene, [], player.scene.step
+    simulator = ContactSimulator(weakened(design, 0.6), "surface", standard)
+    scene, records, step = simulator.scene, [], simulator.scene.step
 
     def watched():
         step()
@@ -148,7 +148,7 @@ def test_contacts_stored_as_sliding_are_at_friction_limit(design, standard):
         records.append((scene._slip.sliding(scene.data), fraction, normal > 1e-5))
 
     scene.step = watched
-    player.simulate(from_mm_deg([0, 0, -3, 5, 0, 0]), from_mm_deg([3, 0, 0, 0, 0, 0]))
+    simulator.simulate(from_mm_deg([0, 0, -3, 5, 0, 0]), from_mm_deg([3, 0, 0, 0, 0, 0]))
     sliding, fraction, presses = (np.concatenate(each) for each in zip(*records, strict=True))
     assert (fraction[sliding] > 1 - 1e-6).all()
     assert (fraction[~sliding & presses] < 1 - 1e-6).all()
@@ -157,11 +157,11 @@ def test_contacts_stored_as_sliding_are_at_friction_limit(design, standard):
 
 def test_sliding_distances_are_reset_when_tip_leaves(design, standard):
     """As for single parts: skin that returns sticks like fresh skin."""
-    player = ContactSimulator(weakened(design, 0.5), "surface", standard)
-    scene = player.scene
-    player.simulate(from_mm_deg([0, 0, -2, 0, 0, 0]), from_mm_deg([5, 0, 0, 0, 0, 0]))
+    simulator = ContactSimulator(weakened(design, 0.5), "surface", standard)
+    scene = simulator.scene
+    simulator.simulate(from_mm_deg([0, 0, -2, 0, 0, 0]), from_mm_deg([5, 0, 0, 0, 0, 0]))
     assert scene._slip._distance.max() > 1e-3
-    player._place(inverse(sensor_in_contact(from_mm_deg([0, 0, 10, 0, 0, 0]))))
+    simulator._place(inverse(sensor_in_contact(from_mm_deg([0, 0, 10, 0, 0, 0]))))
     scene.step()
     assert scene.data.nefc == 0
     assert scene._slip._distance.max() == 0.0
@@ -169,11 +169,11 @@ def test_sliding_distances_are_reset_when_tip_leaves(design, standard):
 
 
 def test_sliding_distances_are_reset_between_contacts(design, standard):
-    player = ContactSimulator(weakened(design, 0.5), "surface", standard)
+    simulator = ContactSimulator(weakened(design, 0.5), "surface", standard)
     pose, shear = from_mm_deg([0, 0, -2, 0, 0, 0]), from_mm_deg([1, 0, 0, 0, 0, 0])
-    first = player.simulate(pose, shear)
-    player.simulate(pose, 5 * shear)
-    assert np.array_equal(player.simulate(pose, shear).pin_tips, first.pin_tips)
+    first = simulator.simulate(pose, shear)
+    simulator.simulate(pose, 5 * shear)
+    assert np.array_equal(simulator.simulate(pose, shear).pin_tips, first.pin_tips)
 
 
 def test_weakened_slide_does_not_depend_on_step_size(design, standard):

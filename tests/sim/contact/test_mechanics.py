@@ -14,8 +14,8 @@ from tactip_twin.tactip_model.mesh import Resolution, tetrahedron_volumes
 GEL_ALONE = {"skin_young_pa": 1.0}  # a skin of 1 Pa has no effect
 
 
-def pressed(player, depth_mm):
-    return player.simulate(from_mm_deg([0, 0, -depth_mm, 0, 0, 0]), np.zeros(6))
+def pressed(simulator, depth_mm):
+    return simulator.simulate(from_mm_deg([0, 0, -depth_mm, 0, 0, 0]), np.zeros(6))
 
 
 def hertz(young, poisson, radius, depth):
@@ -172,9 +172,9 @@ def test_standard_fidelity_corrects_locking(what, design, standard):
     """Without the correction a gel of 0.49 is more than 30 % too stiff and its shape 40 % farther off."""
     expected, ratio, off = mechanics.Expected(design, what, 0.49), {}, {}
     for elements, fidelity in (("corrected", standard), ("uncorrected", mechanics.uncorrected(standard))):
-        player = ContactSimulator(mechanics.frictionless(what), "surface", fidelity)
-        ratio[elements] = pressed(player, 3.0).normal_force_n / expected.force(3.0)
-        off[elements], _ = expected.shape_error(player.scene, 3.0)
+        simulator = ContactSimulator(mechanics.frictionless(what), "surface", fidelity)
+        ratio[elements] = pressed(simulator, 3.0).normal_force_n / expected.force(3.0)
+        off[elements], _ = expected.shape_error(simulator.scene, 3.0)
     assert ratio["corrected"] == pytest.approx(1, abs=0.1)
     assert ratio["uncorrected"] > 1.3
     assert off["corrected"] < 0.15

@@ -76,7 +76,7 @@ def test_contact_does_not_depend_on_triangle_size(simulate):
 
 
 def test_contact_with_solid_does_not_depend_on_earlier_one():
-    player = ContactSimulator(load_design("tactip-127"), SolidStimulus(solid(edge())), fidelity_named("draft"))
-    first = player.simulate(POSE, SHEAR)
-    player.simulate(from_mm_deg([-2.0, 0, -4, 0, 0, 0]), np.zeros(6))
-    assert np.array_equal(player.simulate(POSE, SHEAR).pin_tips, first.pin_tips)
+    simulator = ContactSimulator(load_design("tactip-127"), SolidStimulus(solid(edge())), fidelity_named("draft"))
+    first = simulator.simulate(POSE, SHEAR)
+    simulator.simulate(from_mm_deg([-2.0, 0, -4, 0, 0, 0]), np.zeros(6))
+    assert np.array_equal(simulator.simulate(POSE, SHEAR).pin_tips, first.pin_tips)

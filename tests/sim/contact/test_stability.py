@@ -31,8 +31,8 @@ from tactip_twin.tactip_model.soft_body import ContactModel
 DOME_M = 20e-3
 
 
-def press(player, depth_mm, slide_mm=0.0, **options):
-    return player.simulate(from_mm_deg([0, 0, -depth_mm, 0, 0, 0]), from_mm_deg([slide_mm, 0, 0, 0, 0, 0]), **options)
+def press(simulator, depth_mm, slide_mm=0.0, **options):
+    return simulator.simulate(from_mm_deg([0, 0, -depth_mm, 0, 0, 0]), from_mm_deg([slide_mm, 0, 0, 0, 0, 0]), **options)
 
 
 @pytest.fixture(scope="module")
@@ -106,7 +106,7 @@ def test_unknown_stimulus_error_lists_names(design, standard):
 def pressed(design, standard):
     """Return for each stimulus the 3 mm press: Contact, its failed checks and the allowed number of tries."""
     players = {name: RetryingSimulator(design, name, standard, QualityLimits()) for name in STIMULI}
-    return {name: (*press(player, 3), player.tries) for name, player in players.items()}
+    return {name: (*press(simulator, 3), simulator.tries) for name, simulator in players.items()}
 
 
 def test_press_on_every_stimulus_passes_checks(pressed):
@@ -197,16 +197,16 @@ def test_skin_shape_measures_folds_and_shrunk_facets(on_surface):
 def test_record_of_moving_tip_has_energy_drift(design, standard, monkeypatch):
     """In a press recorded in motion, elastic energy is still being stored."""
     jerky = replace(standard, motion=replace(standard.motion, ease_in=0.0, ease_out=0.0))
-    player = ContactSimulator(design, "surface", jerky)
-    assert not press(player, 3).violations(QualityLimits())
+    simulator = ContactSimulator(design, "surface", jerky)
+    assert not press(simulator, 3).violations(QualityLimits())
     monkeypatch.setattr(ContactSimulator, "_settle", lambda self, pose: None)
-    assert any("drifts" in fault for fault in press(player, 3).violations(QualityLimits()))
+    assert any("drifts" in fault for fault in press(simulator, 3).violations(QualityLimits()))
 
 
 def test_record_shows_solver_at_iteration_limit(design, standard):
-    player = ContactSimulator(design, "surface", standard)
-    player.scene.model.opt.iterations = 10
-    contact = press(player, 3, 2)
+    simulator = ContactSimulator(design, "surface", standard)
+    simulator.scene.model.opt.iterations = 10
+    contact = press(simulator, 3, 2)
     assert contact.unconverged_fraction > 0.5
     assert any("iterations" in fault for fault in contact.violations(QualityLimits()))
 
@@ -247,37 +247,37 @@ def test_start_inside_non_flat_stimulus_raises_error(design, standard, name):
 
 
 def test_start_inside_plane_equals_approach(design, standard):
-    player = RetryingSimulator(design, "surface", standard, QualityLimits())
-    contact, violations = press(player, 1, approach=False)
-    assert len(violations) < player.tries
-    approached, _ = press(player, 1)
+    simulator = RetryingSimulator(design, "surface", standard, QualityLimits())
+    contact, violations = press(simulator, 1, approach=False)
+    assert len(violations) < simulator.tries
+    approached, _ = press(simulator, 1)
     assert contact.normal_force_n == pytest.approx(approached.normal_force_n, rel=0.05)
 
 
 def test_snagging_stimulus_needs_agreement_of_two_steps(design, standard):
     """Neither a single good record nor two that differ suffice."""
-    player = RetryingSimulator(design, "knife", standard, QualityLimits())
-    contact, violations = press(player, 1, 3)
+    simulator = RetryingSimulator(design, "knife", standard, QualityLimits())
+    contact, violations = press(simulator, 1, 3)
     assert violations[-1] == [UNCONFIRMED]
-    assert len(violations) < player.tries
-    again = ContactSimulator(design, "knife", finer(player._simulator(len(violations)).scene.fidelity))
+    assert len(violations) < simulator.tries
+    again = ContactSimulator(design, "knife", finer(simulator._simulator(len(violations)).scene.fidelity))
     apart = np.linalg.norm(press(again, 1, 3).pin_tips - contact.pin_tips, axis=1)
     assert np.sqrt(np.mean(apart**2)) < QualityLimits().disagreement_m
     _, violations = press(RetryingSimulator(design, "knife", standard, QualityLimits(disagreement_m=1e-9)), 1, 3)
-    assert len(violations) == player.tries
+    assert len(violations) == simulator.tries
     assert "halving the step moves the pins by" in violations[-1][0]
 
 
 def test_good_records_around_bad_one_do_not_confirm(design, monkeypatch, good):
     """Their steps differ by a factor of four, and the bad record between them cannot serve as the coarser one."""
     bad = replace(good, penetration_m=1e-3)
-    player = RetryingSimulator(design, "knife", fidelity_named("draft"), QualityLimits())
+    simulator = RetryingSimulator(design, "knife", fidelity_named("draft"), QualityLimits())
     script = iter([good, bad, good, good])
     monkeypatch.setattr(ContactSimulator, "simulate", lambda *_: next(script))
-    contact, violations = player.simulate(good.pose, good.shear)
+    contact, violations = simulator.simulate(good.pose, good.shear)
     assert contact is good
     assert [f == [UNCONFIRMED] for f in violations] == [True, False, True]
-    assert player._slider is player._simulators[2] and player.last is player._simulators[3]
+    assert simulator._slider is simulator._simulators[2] and simulator.last is simulator._simulators[3]
 
 
 @pytest.mark.parametrize(("name", "friction", "tries"), [("surface", 1.0, 3), ("surface", 1.1, 4), ("corner", 0.3, 4)])
@@ -307,12 +307,12 @@ def test_any_configuration_is_rejected_or_good(skin, gel, poisson, friction, den
             friction=friction,
             density_kg_m3=density,
         )
-        player = RetryingSimulator(Design("any", materials=materials), name, fidelity_named("draft"), QualityLimits())
+        simulator = RetryingSimulator(Design("any", materials=materials), name, fidelity_named("draft"), QualityLimits())
     except TactipError as error:
         assert "must be" in str(error)
         return
-    contact, violations = press(player, depth, slide)
-    if len(violations) == player.tries:
+    contact, violations = press(simulator, depth, slide)
+    if len(violations) == simulator.tries:
         assert all(violations)
         return
     assert np.isfinite(contact.pin_tips).all() and np.isfinite(contact.directions).all()
@@ -481,9 +481,9 @@ def test_quick_stability_map_has_no_wrong_cell(tmp_path):
 
 def test_needle_beside_axis_moves_nearest_pins(design, standard):
     """The pins nearest to the needle move most."""
-    player = RetryingSimulator(design, "needle", standard, QualityLimits())
-    contact, violations = player.simulate(from_mm_deg([3, 0, -2, 0, 0, 0]), np.zeros(6))
-    assert len(violations) < player.tries
+    simulator = RetryingSimulator(design, "needle", standard, QualityLimits())
+    contact, violations = simulator.simulate(from_mm_deg([3, 0, -2, 0, 0, 0]), np.zeros(6))
+    assert len(violations) < simulator.tries
     neutral, _ = neutral_pins(design)
     moved = np.linalg.norm(contact.pin_tips - neutral, axis=1)
     needle = inverse(sensor_in_contact(contact.pose))[:3, 3]

@@ -47,7 +47,7 @@ def copy(whole, tmp_path):
     return tmp_path / "set"
 
 
-def test_its_samples_are_those_of_one_folder(flat, whole):
+def test_sharded_samples_equal_those_of_one_folder(flat, whole):
     assert sorted(path.name for path in whole.iterdir()) == ["meta.json", "run.json", *(f"shard-0000{k}" for k in range(3))]
     one, many = read_dataset(flat), read_dataset(whole)
     assert one.images == many.images
@@ -81,7 +81,7 @@ def test_two_workers_make_the_same_bytes(whole, tmp_path):
     assert contents(tmp_path / "set") == contents(whole)
 
 
-def test_a_contact_that_makes_eight_samples_stays_in_one_shard(tmp_path, capsys):
+def test_eight_copies_of_a_contact_stay_in_one_shard(tmp_path, capsys):
     assert tactip.main(options(tmp_path / "odd", "--augment-symmetry")) == 1
     assert "shard_samples must be at least 8, the number of samples of one contact, got 4" in capsys.readouterr().err
     assert tactip.main(options(tmp_path / "set", "--augment-symmetry", samples=20, shard=16)) == 0
@@ -91,7 +91,7 @@ def test_a_contact_that_makes_eight_samples_stays_in_one_shard(tmp_path, capsys)
     assert tactip.main(["dataset", "verify", str(tmp_path / "set")]) == 0
 
 
-def test_a_shard_that_contacts_do_not_fill_evenly_grows_too(tmp_path):
+def test_unevenly_filled_shard_can_grow(tmp_path):
     """Of 20 samples, two contacts' 16 go into a shard: a set of 20 is of shards already, and grows by shards."""
     for samples in (20, 40):
         assert tactip.main(options(tmp_path / "set", "--augment-symmetry", samples=samples, shard=20)) == 0
@@ -99,7 +99,7 @@ def test_a_shard_that_contacts_do_not_fill_evenly_grows_too(tmp_path):
     assert [len(read_dataset(part).images) for part in sorted((tmp_path / "set").glob("shard-*"))] == [16, 16, 8]
 
 
-def test_a_worker_closes_a_shard_and_does_no_harm_where_it_is_closed(copy, whole):
+def test_closing_a_shard_twice_is_harmless(copy, whole):
     """As after a worker that was lost with the task, before its end or after it."""
     shard = copy / "shard-00001"
     configuration = read_configuration(read_meta(copy), copy)
@@ -116,7 +116,7 @@ def test_a_worker_closes_a_shard_and_does_no_harm_where_it_is_closed(copy, whole
     assert repr(closing) == "the completion of shard-00001"
 
 
-def test_a_shard_that_was_left_without_its_end_gets_it(copy, whole, capsys):
+def test_unfinished_shard_is_closed_on_resuming(copy, whole, capsys):
     for name in ("meta.json", "run.json"):
         (copy / name).unlink()
     for place in (copy, copy / "shard-00002"):
@@ -128,7 +128,7 @@ def test_a_shard_that_was_left_without_its_end_gets_it(copy, whole, capsys):
 
 
 @pytest.mark.parametrize("before", [3, 4, 6])
-def test_it_grows_from_one_folder_or_from_fewer_shards(whole, tmp_path, before):
+def test_set_grows_from_one_folder_or_fewer_shards(whole, tmp_path, before):
     assert tactip.main(options(tmp_path / "set", samples=before)) == 0
     assert (tmp_path / "set" / "targets.csv").exists() == (before <= SHARD)
     assert tactip.main(options(tmp_path / "set")) == 0
@@ -158,7 +158,7 @@ def test_growth_that_is_killed_while_it_moves_goes_on(whole, tmp_path, monkeypat
     assert contents(folder) == contents(whole)
 
 
-def test_a_kill_loses_no_shard(whole, tmp_path):
+def test_kill_loses_no_shard(whole, tmp_path):
     folder = tmp_path / "set"
     command = [sys.executable, "-m", "tactip_twin.commands.main", *options(folder, "--workers", "2")]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
@@ -177,11 +177,11 @@ def test_a_kill_loses_no_shard(whole, tmp_path):
 def test_fewer_samples_than_there_are_are_refused(copy, capsys):
     for fewer in (3, 8):
         assert tactip.main(options(copy, samples=fewer)) == 1
-        told = capsys.readouterr().err
-        assert f"has 10 samples: samples must be at least 10, got {fewer}" in told
+        output = capsys.readouterr().err
+        assert f"has 10 samples: samples must be at least 10, got {fewer}" in output
 
 
-def test_a_set_of_one_folder_that_is_too_large_for_a_shard_is_left_as_it_is(tmp_path, capsys):
+def test_large_set_of_one_folder_is_unchanged(tmp_path, capsys):
     """As they were made before there were shards."""
     folder = tmp_path / "set"
     assert tactip.main(options(folder, samples=3)) == 0

@@ -1,4 +1,4 @@
-"""Contacts that go on: where a walk leads, what it is labelled by, and the sets that are made of its looks."""
+"""Sequences of contacts: their poses, their labels, and data sets of their snapshots."""
 
 import json
 from dataclasses import replace
@@ -30,7 +30,7 @@ def strides(task, solid=None, count=300, seed=0):
 
 
 @pytest.mark.parametrize("task", POSE_RANGES)
-def test_a_walk_keeps_to_the_ranges_and_to_the_neighbourhood(task):
+def test_sequence_stays_within_ranges(task):
     poses, labels = strides(task)
     low, high = POSE_RANGES[task].bounds().T
     assert (to_mm_deg(labels) >= low - 1e-9).all() and (to_mm_deg(labels) <= high + 1e-9).all()
@@ -42,7 +42,7 @@ def test_a_walk_keeps_to_the_ranges_and_to_the_neighbourhood(task):
 
 
 @pytest.mark.parametrize("task", POSE_RANGES)
-def test_where_on_the_object_a_contact_began_is_no_matter_of_the_strides(task):
+def test_start_of_a_sequence_is_independent_of_its_steps(task):
     """What a pose has of it is gone through once, and not at every stride again."""
     ranges = replace(POSE_RANGES[task], x_mm=(-5, 5), y_mm=(-5, 5), yaw_deg=(-20, 20))
     walk = SlidingPath(task, None, ranges, from_mm_deg([4, 4, -3, 0, 0, 15]), np.random.default_rng(0))
@@ -77,29 +77,29 @@ def test_on_a_ball_labels_are_those_of_its_radius_and_middle():
     distance = np.linalg.norm(away, axis=1)
     assert np.allclose(labels[near, 2], distance - RADIUS_M, atol=0.05e-3)
     tilts = np.arccos(np.clip(-(away / distance[:, None] * axes[near]).sum(1), -1, 1))
-    felt = np.arccos(np.clip([-sensor_in_contact(label)[2, 2] for label in labels[near]], -1, 1))
-    assert np.allclose(felt, tilts, atol=np.radians(0.6))
+    predicted = np.arccos(np.clip([-sensor_in_contact(label)[2, 2] for label in labels[near]], -1, 1))
+    assert np.allclose(predicted, tilts, atol=np.radians(0.6))
 
 
 def test_sliding_on_is_what_one_long_shear_is(design, standard):
     """A contact that is sheared half the way and then slides the rest ends where one shear ends, to what rest makes of
     it."""
-    player = ContactSimulator(design, "surface", standard)
+    simulator = ContactSimulator(design, "surface", standard)
     pose, shear = from_mm_deg([0, 0, -3, 5, 0, 0]), from_mm_deg([4, 0, 0, 0, 0, 0])
-    whole = player.simulate(pose, shear)
+    whole = simulator.simulate(pose, shear)
     half = pose - shear / 2
-    player.simulate(half, shear / 2)
-    tips = player.slide(pose, pose).pin_tips
-    still = player.simulate(pose, 0 * shear).pin_tips
+    simulator.simulate(half, shear / 2)
+    tips = simulator.slide(pose, pose).pin_tips
+    still = simulator.simulate(pose, 0 * shear).pin_tips
     apart, moved = (np.sqrt(np.mean(((whole.pin_tips - other) ** 2).sum(1))) for other in (tips, still))
     assert apart < 0.06e-3 and moved > 10 * apart
 
 
-def test_the_shear_of_a_look_is_the_way_since_the_first_touch(on_surface):
-    player = on_surface.simulator
+def test_snapshot_shear_is_motion_since_first_contact(on_surface):
+    simulator = on_surface.simulator
     pose = from_mm_deg([0, 0, -2, 0, 0, 0])
-    player.simulate(pose, from_mm_deg([1, 0, 0, 0, 0, 0]))
-    there = player.slide(from_mm_deg([2, 1, -2, 0, 0, 0]), pose)
+    simulator.simulate(pose, from_mm_deg([1, 0, 0, 0, 0, 0]))
+    there = simulator.slide(from_mm_deg([2, 1, -2, 0, 0, 0]), pose)
     assert np.allclose(to_mm_deg(there.shear), [3, 1, 0, 0, 0, 0])
     assert np.allclose(there.pose, pose)
 
@@ -109,7 +109,7 @@ def made(folder, design, workers=1, **changes):
     return given, make([Job(given, folder)], workers, log=lambda line: None)[0]
 
 
-def test_a_set_of_looks_is_the_same_however_it_is_made(design, tmp_path):
+def test_set_of_snapshots_is_independent_of_workers(design, tmp_path):
     """One worker, two, and grown from a smaller one that ends within a contact."""
     made(tmp_path / "a", design)
     made(tmp_path / "b", design, workers=2)
@@ -148,7 +148,7 @@ def test_looks_turn_and_mirror_as_contacts_do(design, tmp_path):
         assert one["pose_x"] == other["pose_x"] and float(one["pose_Rz"]) == -float(other["pose_Rz"])
 
 
-def test_a_look_that_cannot_be_trusted_is_left_out_and_named(design, tmp_path):
+def test_failing_snapshot_is_left_out_and_listed(design, tmp_path):
     """And the set is whole, can be read, and grows."""
     strict = QualityLimits(volume_ratio=0.8)
     _, result = made(tmp_path / "set", design, samples=24, snapshots_per_contact=12, seed=3, bounds=strict)
@@ -177,13 +177,13 @@ def test_a_look_that_cannot_be_trusted_is_left_out_and_named(design, tmp_path):
         ),
     ],
 )
-def test_what_cannot_be_had_is_said(design, tmp_path, changes, sentence):
+def test_unsupported_combinations_are_refused(design, tmp_path, changes, sentence):
     with pytest.raises(TactipError, match=sentence.replace("(", r"\(").replace(")", r"\)")):
         made(tmp_path / "set", design, **changes)
     assert not (tmp_path / "set").exists()
 
 
-def test_a_walk_on_a_solid_asks_no_more_than_its_surface():
+def test_sequence_on_a_solid_uses_only_its_surface():
     """Also of one that is nowhere level."""
     corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]]) * 60e-3 - 15e-3
     solid = SignedDistanceMesh(corners, np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]))

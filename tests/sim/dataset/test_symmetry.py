@@ -14,14 +14,14 @@ POSE = from_mm_deg([1, 0, -3, 8, -5, 20])
 SHEAR = from_mm_deg([2, -1, 0, 2, 1, -3])
 
 
-def contacts_of(player, task, pose=POSE, shear=SHEAR):
-    contact = player.simulate(pose, shear)
-    skin = player.scene.vertices()[: player.scene.mesh.surface_count]
-    return SymmetricReader(player.scene.design, player.scene.mesh, SYMMETRIES[task]).read(contact, skin)
+def contacts_of(simulator, task, pose=POSE, shear=SHEAR):
+    contact = simulator.simulate(pose, shear)
+    skin = simulator.scene.vertices()[: simulator.scene.mesh.surface_count]
+    return SymmetricReader(simulator.scene.design, simulator.scene.mesh, SYMMETRIES[task]).read(contact, skin)
 
 
 @pytest.mark.parametrize("task", SYMMETRIES)
-def test_they_are_a_group_of_turns_and_mirrors(task):
+def test_symmetries_form_a_group(task):
     matrices = [s.matrix for s in SYMMETRIES[task]]
     assert len({tuple((np.round(m) + 0.0).ravel()) for m in matrices}) == len(matrices)
     assert len(matrices) == {"surface": 8, "edge": 2}[task]
@@ -40,38 +40,38 @@ def test_labels_go_as_motions_do(task):
 
 
 @pytest.mark.parametrize("task", SYMMETRIES)
-def test_the_papers_ranges_are_kept(task):
+def test_symmetries_preserve_the_paper_ranges(task):
     assert ranges_are_symmetric(SYMMETRIES[task], POSE_RANGES[task])
     assert ranges_are_symmetric(SYMMETRIES[task], SHEAR_RANGES)
     assert not ranges_are_symmetric(SYMMETRIES[task], Ranges(depth_mm=(-5, -1), roll_deg=(-5, 15)))
 
 
-def test_a_mirrored_contact_is_what_the_mirrored_play_gives(design, standard):
+def test_mirrored_contact_equals_simulation_of_mirrored_pose(design, standard):
     """On the edge; to what two meshes differ by, for the mesh is not its own mirror image."""
-    player = ContactSimulator(design, "edge", standard)
-    same, mirrored = contacts_of(player, "edge")
-    assert np.allclose(same.pin_tips, player.simulate(POSE, SHEAR).pin_tips, atol=1e-12)
-    played = player.simulate(mirrored.pose, mirrored.shear)
-    apart = np.linalg.norm(played.pin_tips - mirrored.pin_tips, axis=1)
+    simulator = ContactSimulator(design, "edge", standard)
+    same, mirrored = contacts_of(simulator, "edge")
+    assert np.allclose(same.pin_tips, simulator.simulate(POSE, SHEAR).pin_tips, atol=1e-12)
+    simulated = simulator.simulate(mirrored.pose, mirrored.shear)
+    apart = np.linalg.norm(simulated.pin_tips - mirrored.pin_tips, axis=1)
     moved = np.linalg.norm(mirrored.pin_tips - same.pin_tips, axis=1)
     assert np.sqrt(np.mean(apart**2)) < 0.12e-3
     assert np.sqrt(np.mean(moved**2)) > 5 * np.sqrt(np.mean(apart**2))
 
 
 @pytest.mark.parametrize("index", [1, 4, 6])
-def test_a_turned_contact_is_what_the_turned_play_gives(on_surface, index):
+def test_rotated_contact_equals_simulation_of_rotated_pose(on_surface, index):
     pose, shear = from_mm_deg([0, 0, -3, 8, -5, 0]), from_mm_deg([1, -0.5, 0, 2, 1, -3])
     contacts = contacts_of(on_surface.simulator, "surface", pose, shear)
-    played = on_surface.simulator.simulate(contacts[index].pose, contacts[index].shear)
-    apart = np.linalg.norm(played.pin_tips - contacts[index].pin_tips, axis=1)
+    simulated = on_surface.simulator.simulate(contacts[index].pose, contacts[index].shear)
+    apart = np.linalg.norm(simulated.pin_tips - contacts[index].pin_tips, axis=1)
     assert np.sqrt(np.mean(apart**2)) < 0.12e-3
 
 
 def test_directions_are_units_and_pins_as_built_stay_where_they_are(standard):
     """A fitted tip has no symmetry of its own: at the lightest touch its pins are all but where they were built."""
     design = design_named("tactip-127")
-    player = ContactSimulator(design, "surface", standard)
+    simulator = ContactSimulator(design, "surface", standard)
     neutral, _ = neutral_pins(design)
-    for contact in contacts_of(player, "surface", from_mm_deg([0, 0, -0.02, 0, 0, 0]), np.zeros(6)):
+    for contact in contacts_of(simulator, "surface", from_mm_deg([0, 0, -0.02, 0, 0, 0]), np.zeros(6)):
         assert np.abs(contact.pin_tips - neutral).max() < 0.1e-3
         assert np.allclose(np.linalg.norm(contact.directions, axis=1), 1)

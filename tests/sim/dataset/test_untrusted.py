@@ -1,4 +1,4 @@
-"""Contacts that cannot be trusted are played again, then named; motions that are too steep are not played."""
+"""Contacts that fail their checks are simulated again, then listed; too steep motions are not simulated."""
 
 import json
 import threading
@@ -22,7 +22,7 @@ from tactip_twin.sim.pose import from_mm_deg
 from tactip_twin.tactip_model.errors import TactipError
 
 
-def test_a_contact_that_cannot_be_trusted_is_tried_again_then_named(design, tmp_path):
+def test_failing_contact_is_repeated_then_listed(design, tmp_path):
     """No contact keeps a penetration bound of a nanometre: all are tried again, left out, and named with the reason."""
     job = Job(configuration(design, bounds=QualityLimits(penetration_m=1e-9)), tmp_path / "failed")
     (result,) = generation.make([job], workers=1, log=lambda line: None)
@@ -34,7 +34,7 @@ def test_a_contact_that_cannot_be_trusted_is_tried_again_then_named(design, tmp_
     assert tactip.main(["dataset", "verify", str(job.folder)]) == 0
 
 
-def test_the_second_try_takes_finer_steps(design):
+def test_second_attempt_has_finer_steps(design):
     """A bound between the penetrations of the two tries: the contact is good, and says that it took two."""
     draft = fidelity_named("draft")
     pose, shear = from_mm_deg([0, 0, -5, 10, 0, 0]), np.zeros(6)
@@ -109,7 +109,7 @@ def test_warnings_of_a_thread_that_counts_none_are_everybodys():
         assert [c.result() for c in counts] == [1, 1]
 
 
-def test_a_diverged_state_is_a_fault(on_surface):
+def test_diverged_state_is_a_violation(on_surface):
     from dataclasses import replace
 
     contact = on_surface([0, 0, -2, 0, 0, 0])
@@ -120,10 +120,10 @@ def test_a_diverged_state_is_a_fault(on_surface):
     assert "mm/s" in replace(contact, speed_m_s=1.0).violations(QualityLimits())[0]
 
 
-def test_a_state_that_blows_up_is_seen(design, monkeypatch):
+def test_exploding_state_is_detected(design, monkeypatch):
     """Not a number in one vertex in mid-press: the record must say so, not start again from the undeformed tip."""
-    player = RetryingSimulator(design, "surface", fidelity_named("draft"), QualityLimits())
-    scene = player._simulators[0].scene
+    simulator = RetryingSimulator(design, "surface", fidelity_named("draft"), QualityLimits())
+    scene = simulator._simulators[0].scene
     place, steps = scene.place, []
 
     def poisoned(*where):
@@ -133,12 +133,12 @@ def test_a_state_that_blows_up_is_seen(design, monkeypatch):
             scene.data.qpos[100] = np.nan
 
     monkeypatch.setattr(scene, "place", poisoned)
-    contact, violations = player.simulate(from_mm_deg([0, 0, -3, 0, 0, 0]), np.zeros(6))
+    contact, violations = simulator.simulate(from_mm_deg([0, 0, -3, 0, 0, 0]), np.zeros(6))
     assert violations == [["the state is not finite"]]
     assert contact.violations(QualityLimits()) == []  # the second try is another scene, and good
 
 
-def test_what_is_too_steep_is_drawn_again(design):
+def test_too_steep_motion_is_sampled_again(design):
     """±20 degrees two ways and what the shear adds to them leave the cone of 30 degrees in the corners alone: what is
     inside is as it was drawn, so that a set of gentler ranges is the same as ever."""
     wide = Ranges(depth_mm=(-5, -1), roll_deg=(-20, 20), pitch_deg=(-20, 20))

@@ -118,18 +118,18 @@ def test_verify_finds(copy, capsys, damage):
     assert DAMAGES[damage] in capsys.readouterr().err
 
 
-def test_a_whole_set_is_whole(copy, capsys):
+def test_verify_accepts_an_intact_set(copy, capsys):
     assert tactip.main(["dataset", "verify", str(copy)]) == 0
     assert "whole; 6 samples" in capsys.readouterr().out
 
 
-def test_nothing_to_verify_or_show(tmp_path, capsys):
+def test_verify_and_show_refuse_an_empty_folder(tmp_path, capsys):
     for action in ("verify", "show"):
         assert tactip.main(["dataset", action, str(tmp_path)]) == 1
         assert "no data set" in capsys.readouterr().err
 
 
-def test_a_foreign_meta_is_refused(tmp_path, capsys):
+def test_foreign_meta_is_refused(tmp_path, capsys):
     (tmp_path / "meta.json").write_text('{"num_poses": 5000}')
     assert tactip.main(["dataset", "verify", str(tmp_path)]) == 1
     assert "not describe a data set of this project" in capsys.readouterr().err

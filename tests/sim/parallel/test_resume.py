@@ -37,8 +37,8 @@ def test_check_resumable_empty_settings_are_settings(tmp_path, recorded):
 
 def test_check_resumable_foreign_content_is_refused(tmp_path):
     (tmp_path / "thesis.tex").write_text("years of work")
-    told = refusal(tmp_path, None, SETTINGS)
-    assert told == f"the folder {tmp_path} is not empty and holds no training: choose another folder"
+    output = refusal(tmp_path, None, SETTINGS)
+    assert output == f"the folder {tmp_path} is not empty and holds no training: choose another folder"
 
 
 def test_check_resumable_own_files_are_not_content(tmp_path):
@@ -50,8 +50,8 @@ def test_check_resumable_own_files_are_not_content(tmp_path):
 
 
 def test_check_resumable_other_settings_are_refused_by_the_first_difference(tmp_path):
-    told = refusal(tmp_path, SETTINGS, {"seed": 1, "network": {"units": [64], "dropout": 0.1}})
-    assert told == (
+    output = refusal(tmp_path, SETTINGS, {"seed": 1, "network": {"units": [64], "dropout": 0.1}})
+    assert output == (
         f"the folder {tmp_path} holds a training with other settings (network.units is [64, 32] there, [64] here): "
         "choose another folder, or remove this one"
     )

@@ -44,7 +44,7 @@ def test_forward_kinematics_are_the_chain_s(arm):
         assert np.allclose(arm.forward(angles), chain(angles), atol=1e-12)
 
 
-def test_the_jacobian_is_the_slope_of_forward_kinematics(arm):
+def test_jacobian_is_derivative_of_forward_kinematics(arm):
     h = 1e-6
     for angles in np.random.default_rng(1).uniform(*arm.limits.T, (5, 6)):
         slope = np.empty((6, 6))
@@ -64,7 +64,7 @@ def test_inverse_kinematics_come_back_to_the_pose_within_all_limits(arm):
         assert arm.limit_margin(found) >= -1e-9
 
 
-def test_a_pose_is_found_from_anywhere(arm):
+def test_inverse_kinematics_converge_from_any_start(arm):
     for place in ([0.38, 0, 0.05], [0.3, 0.2, 0.1], [0.45, -0.2, 0.02]):
         T = matrix(place, DOWN)
         assert np.allclose(arm.forward(arm.solve(T)), T, atol=2e-5)
@@ -81,7 +81,7 @@ def test_joint_6_begins_where_it_has_room_to_turn(arm, wrist_deg):
         assert arm.limit_margin(found) > 0
 
 
-def test_what_cannot_be_reached_is_said_before_moving(arm):
+def test_unreachable_target_is_refused_before_motion(arm):
     with pytest.raises(Unreachable, match="stays 1"):
         arm.solve(matrix([0.7, 0, 0.1], DOWN))
     model = KinematicArm()
@@ -125,7 +125,7 @@ def test_every_arm_model_ends_at_its_target(name):
     assert np.allclose(model.measured_pose(), model.pose)
 
 
-def test_the_dynamic_arm_gives_way_to_a_force_as_its_stiffness_says():
+def test_dynamic_arm_deflects_by_its_stiffness():
     """At rest, joints turn by torque over stiffness: the sensor moves by J K^-1 J^T F. Gravity is made up for."""
     model = DynamicArm()
     T = matrix([0.38, 0, 0.1], DOWN)
@@ -143,7 +143,7 @@ def test_the_dynamic_arm_gives_way_to_a_force_as_its_stiffness_says():
     assert 1e-6 < np.linalg.norm(expected) < 0.1e-3
 
 
-def test_the_arm_s_centres_of_mass_lie_in_its_links(arm):
+def test_arm_centres_of_mass_lie_in_their_links(arm):
     """Masses and centres are from another source than the shapes: each centre must be within the link's own solids."""
     data = mujoco.MjData(arm.model)
     mujoco.mj_kinematics(arm.model, data)
@@ -161,7 +161,7 @@ def test_half_way_between_two_poses():
     assert np.allclose(interpolate(a, b, 0.5), matrix([1, 0, 0], Rotation.from_rotvec([0, 0, 0.5])))
 
 
-def test_an_unknown_arm_is_refused():
+def test_unknown_arm_is_refused():
     with pytest.raises(TactipError, match="none, kinematic, dynamic"):
         arm_model_named("left")
 

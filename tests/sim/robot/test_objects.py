@@ -34,7 +34,7 @@ def test_unit_scale_and_place(tmp_path, ball):
     assert np.allclose(scene_object.T_base_object[:3, :3] @ [0, 0, 1], [1, 0, 0], atol=1e-9)
 
 
-def test_what_is_safe_is_repaired_and_said(tmp_path, ball):
+def test_safe_defects_are_repaired_and_reported(tmp_path, ball):
     inverted = ball.copy()
     inverted.invert()
     mixed = ball.copy()
@@ -54,7 +54,7 @@ def test_what_is_safe_is_repaired_and_said(tmp_path, ball):
         assert scene_object.solid.distance(np.array([0, 0, 0.035])) == pytest.approx(-0.005, abs=1e-3), name
 
 
-def test_what_is_not_safe_is_refused_with_the_reason(tmp_path, ball):
+def test_unsafe_defects_are_refused_with_a_reason(tmp_path, ball):
     torn = ball.copy()
     torn.update_faces(np.random.default_rng(0).random(len(torn.faces)) > 0.02)
     bowl = ball.copy()
@@ -104,7 +104,7 @@ def test_too_fine_a_mesh_is_refused_before_anything_is_built(monkeypatch, ball, 
     assert MAX_TRIANGLES > 1e6
 
 
-def test_a_mesh_in_memory_is_taken_in_metres_and_left_as_it_is(ball):
+def test_mesh_in_memory_is_in_metres_and_unchanged(ball):
     mesh = ball.copy().apply_scale(1e-3)
     before = mesh.vertices.copy()
     scene_object = load_object(mesh, scale=2.0)

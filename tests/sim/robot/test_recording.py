@@ -27,7 +27,7 @@ SCENE = RecordedScene(np.eye(3), np.array([[0, 1, 2]]), np.eye(4), np.array([[0,
 
 
 def _row(k):
-    """A step that is told from others by its number."""
+    """A step whose values contain its number."""
     sizes = {"pin_tips_m": (5, 3), "directions": (5, 3), "skin_m": (7, 3)}
     row = {name: np.full(sizes.get(name, shape), float(k)) for name, shape in ARRAYS.items() if name != "images"}
     image = np.zeros((20, 20), np.uint8)
@@ -55,7 +55,7 @@ def _check(arrays, steps):
         assert all(np.array_equal(arrays[name][k], value) for name, value in wanted.items())
 
 
-def test_it_is_read_back_as_it_was_made(tmp_path):
+def test_recording_round_trip(tmp_path):
     _record(tmp_path / "run", 5)
     record, arrays = read_recording(tmp_path / "run")
     _check(arrays, 5)
@@ -68,13 +68,13 @@ def test_it_is_read_back_as_it_was_made(tmp_path):
     assert scenery.tip_radius_m == 20e-3
 
 
-def test_one_without_steps_is_read(tmp_path):
+def test_recording_without_steps_is_read(tmp_path):
     _record(tmp_path / "run", 0)
     record, arrays = read_recording(tmp_path / "run")
     assert record["steps"] == 0 and arrays["T_base_tcp"].shape == (0, 4, 4)
 
 
-def test_a_kill_leaves_all_whole_steps(tmp_path):
+def test_kill_leaves_all_complete_steps(tmp_path):
     """By kill -9 of the process that records, between two steps."""
     code = (
         "import sys, os, signal; sys.path.insert(0, sys.argv[2]);"
@@ -94,7 +94,7 @@ def test_a_kill_leaves_all_whole_steps(tmp_path):
 
 
 @pytest.mark.parametrize("cut", [1, 50, 4000])
-def test_a_log_that_is_cut_short_is_read_to_its_last_whole_step(tmp_path, cut):
+def test_truncated_recording_is_read_to_its_last_complete_step(tmp_path, cut):
     _record(tmp_path / "run", 6, finish=False)._open_files.close()
     path = tmp_path / "run" / LOG
     whole = path.read_bytes()
@@ -136,14 +136,14 @@ def test_two_commands_do_not_record_into_one_folder(tmp_path):
         (STEPS, b"", "cannot be read"),
     ],
 )
-def test_what_is_none_is_refused(tmp_path, name, data, words):
+def test_folder_without_recording_is_refused(tmp_path, name, data, words):
     _record(tmp_path / "run", 3)
     (tmp_path / "run" / name).write_bytes(data)
     with pytest.raises(TactipError, match=words):
         read_recording(tmp_path / "run")
 
 
-def test_what_is_missing_is_said(tmp_path):
+def test_missing_file_is_reported(tmp_path):
     with pytest.raises(TactipError, match="there is no recording in"):
         read_recording(tmp_path)
     with pytest.raises(TactipError, match=r"scenery\.npz cannot be read"):

@@ -58,7 +58,7 @@ def replay():
     session.close()
 
 
-def test_a_replay_is_drawn(replay):
+def test_replay_is_drawn(replay):
     replay.text("step 0")
     replay.browser.click("close")
 
@@ -71,7 +71,7 @@ def test_a_replay_is_drawn(replay):
     replay.until(drawn)
 
 
-def test_it_plays_and_pauses_by_a_click(replay):
+def test_replay_plays_and_pauses_on_click(replay):
     replay.page.playback.go(0)
     replay.browser.click("Play")
     replay.until(lambda: replay.page.playback.step >= 3)
@@ -82,7 +82,7 @@ def test_it_plays_and_pauses_by_a_click(replay):
     replay.text("Play")
 
 
-def test_it_is_scrubbed_by_the_slider(replay):
+def test_replay_follows_the_slider(replay):
     replay.page.playback.playing = False
     replay.page.playback.go(0)
     replay.page.show()
@@ -106,7 +106,7 @@ def test_single_steps_and_events(replay):
     replay.until(lambda: replay.page.playback.step == 6)
 
 
-def test_a_key_steps(replay):
+def test_keys_step_the_replay(replay):
     replay.page.playback.go(4)
     replay.page.show()
     replay.browser.mouse("mousePressed", (300, 400))
@@ -123,7 +123,7 @@ def live():
     session.close()
 
 
-def test_a_number_that_is_typed_moves_the_stimulus(live):
+def test_typed_number_moves_the_stimulus(live):
     live.text("at rest")
     live.browser.write(".mantine-NumberInput-input", "3")
     live.until(lambda: abs(live.page._contact.label[0] - 3e-3) < 1e-9)
@@ -144,7 +144,7 @@ def _on_screen(point, camera, browser):
     return x + w / 2 + scale * seen[0], y + h / 2 - scale * seen[1]
 
 
-def test_the_handle_is_dragged_and_the_stimulus_follows(live):
+def test_stimulus_follows_the_dragged_handle(live):
     """Along the arrow of the handle's own x: the stimulus goes where the mouse goes, as far as it goes."""
     live.browser.click("reset")
     live.until(lambda: abs(live.page._contact.label[0]) < 1e-9)

@@ -30,7 +30,7 @@ def _skin():
     return mesh.vertices[: mesh.surface_count]
 
 
-def test_the_sensor_is_at_the_end_of_the_arm(geometry):
+def test_sensor_is_at_the_end_of_the_arm(geometry):
     """Its housing, which is put where the tip is, meets the flange of an arm that is put where its angles say."""
     arm, skin = Arm(), _skin()
     for turn in (0.0, 0.4, -0.7):
@@ -62,14 +62,14 @@ def test_meshes_are_moved_whole(geometry):
         assert (facing > 0).mean() > 0.99
 
 
-def test_a_tube_is_round():
+def test_tube_is_round():
     points = np.column_stack([np.linspace(0, 1, 20), np.zeros(20), np.zeros(20)])
     one = tube(points, 0.05, (255.0, 0, 0))
     assert np.allclose(np.hypot(*one.vertices[:, 1:].T), 0.05)
     assert one.triangles.max() == len(one.vertices) - 1
 
 
-def test_a_picture_shows_what_is_in_front():
+def test_image_shows_the_nearest_object():
     red, blue = _ball([0, 0, 0], 0.1, (255.0, 0, 0)), _ball([0.5, 0, 0], 0.1, (0.0, 0, 255))
     renderer = SceneRenderer(120, 90, [blue])
     for eye, channel in (([-1, 0, 0], 0), ([1.5, 0, 0], 2)):
@@ -82,7 +82,7 @@ def test_a_picture_shows_what_is_in_front():
     assert renderer.render([], [-1, 0, 0], [0.2, 0, 0])[45, 60, 0] == 0
 
 
-def test_a_camera_is_upright_and_looks_at_its_target():
+def test_camera_is_upright_and_points_at_its_target():
     eye, target = np.array([1.0, 2, 3]), np.array([0.2, 0.1, 0.4])
     T = look_at(eye, target)
     assert np.allclose(T[:3, :3].T @ T[:3, :3], np.eye(3))
@@ -94,13 +94,13 @@ def test_light_comes_from_above():
     assert shade(np.array([[0.0, 0, 1]])) > shade(np.array([[0.0, 0, -1]]))
 
 
-def test_an_object_is_shown_where_it_is():
+def test_object_is_drawn_at_its_pose():
     scene_object, mesh = load_object("sphere"), object_mesh(scenery())
     solid, T = scene_object.solid, scene_object.T_base_object
     assert np.allclose(mesh.vertices[mesh.triangles], solid.vertices[solid.triangles] @ T[:3, :3].T + T[:3, 3])
 
 
-def test_a_film_holds_every_picture(tmp_path):
+def test_video_contains_every_frame(tmp_path):
     levels = [20, 90, 160, 230]
     path = tmp_path / "film.mp4"
     assert write_video(path, (np.full((64, 96, 3), level, np.uint8) for level in levels)) == 4
@@ -111,7 +111,7 @@ def test_a_film_holds_every_picture(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["film.mp4"]
 
 
-def test_a_film_that_fails_leaves_nothing(tmp_path):
+def test_failed_video_leaves_no_file(tmp_path):
     def broken():
         yield np.zeros((64, 64, 3), np.uint8)
         raise KeyboardInterrupt
@@ -129,7 +129,7 @@ def test_a_film_that_fails_leaves_nothing(tmp_path):
         write_video(tmp_path / "film.mp4", [])
 
 
-def test_a_gif_holds_every_picture(tmp_path):
+def test_gif_contains_every_frame(tmp_path):
     path = tmp_path / "film.gif"
     pictures = [np.full((64, 96, 3), level, np.uint8) for level in (20, 90, 160)]
     for k, picture in enumerate(pictures):

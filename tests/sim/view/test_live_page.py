@@ -30,7 +30,7 @@ def _until_rest(page):
     raise AssertionError("it does not come to rest")
 
 
-def test_the_sliders_move_the_stimulus_and_the_tip_feels_it(page):
+def test_sliders_move_the_stimulus_and_deform_the_tip(page):
     for slider, value in zip(page._sliders, (2.0, -1.0, -3.0, 5.0, 0.0, 20.0), strict=True):
         slider.value = value
     page._on_slider()
@@ -83,7 +83,7 @@ def test_out_of_reach_is_said(page):
     assert "depth of the pose" not in page._status.content
 
 
-def test_a_lost_tip_is_lifted_and_said(page, monkeypatch):
+def test_diverged_tip_is_lifted_and_reported(page, monkeypatch):
     def lose(steps):
         monkeypatch.undo()
         raise Diverged("the simulated tip is lost")

@@ -1,11 +1,11 @@
-"""A replay goes at its pace, stops at its end, and goes where it is told."""
+"""Playback: real time, end, and seeking."""
 
 import pytest
 
 from tactip_twin.sim.view.playback import Playback
 
 
-def test_it_goes_at_its_pace_and_stops_at_the_end():
+def test_playback_runs_in_real_time_and_stops_at_the_end():
     replay = Playback(30, rate=10.0)
     assert replay.tick(5.0) == 0  # paused
     replay.toggle()
@@ -17,7 +17,7 @@ def test_it_goes_at_its_pace_and_stops_at_the_end():
     assert replay.playing and replay.step == 0
 
 
-def test_a_pause_costs_no_steps():
+def test_pause_skips_no_steps():
     replay = Playback(100, rate=10.0)
     replay.toggle()
     replay.tick(0.0)
@@ -28,7 +28,7 @@ def test_a_pause_costs_no_steps():
     assert replay.tick(50.5) == 15
 
 
-def test_a_clock_that_goes_back_does_no_harm():
+def test_backward_clock_is_harmless():
     replay = Playback(100)
     replay.toggle()
     replay.tick(10.0)
@@ -37,7 +37,7 @@ def test_a_clock_that_goes_back_does_no_harm():
 
 
 @pytest.mark.parametrize(("asked", "shown"), [(7, 7), (-3, 0), (99, 9), (3.7, 3)])
-def test_it_goes_where_it_is_told(asked, shown):
+def test_playback_seeks(asked, shown):
     replay = Playback(10)
     replay.go(asked)
     assert replay.step == shown
@@ -61,7 +61,7 @@ def test_events_are_jumped_to():
     assert seen == [10, 30, 49, 49, 30, 10, 10]
 
 
-def test_one_step_is_a_recording_too():
+def test_playback_of_one_step():
     replay = Playback(1)
     replay.toggle()
     replay.tick(0.0)

@@ -1,4 +1,4 @@
-"""A contact of a data set is recorded as it was played: its last moment is what the set has."""
+"""A recorded contact of a data set ends as the set has it."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ KINDS |= {
 }
 SAMPLES = {"symmetric": 16, "walk": 8, "walk on bent": 48}
 SHOWN = {"symmetric": 8, "walk": 6, "walk on bent": 40}
-"""Of the second contact, as it was played; of a walk, its third look."""
+"""Samples: the second contact as simulated, and the third snapshot of a sequence."""
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +40,7 @@ def sets(tmp_path_factory):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_its_last_step_is_what_the_set_has(sets, tmp_path, kind):
+def test_recorded_contact_ends_as_in_the_set(sets, tmp_path, kind):
     sample = SHOWN.get(kind, 1)
     record, arrays = record_contact(sets / kind, sample, tmp_path / "run")
     dataset = read_dataset(sets / kind)
@@ -53,7 +53,7 @@ def test_its_last_step_is_what_the_set_has(sets, tmp_path, kind):
     assert record["stopped_because"] == "the tip is at rest"
 
 
-def test_its_phases_come_one_after_the_other_and_its_force_with_the_touch(sets, tmp_path):
+def test_recorded_contact_phases_are_in_order(sets, tmp_path):
     _, arrays = record_contact(sets / "surface", 0, tmp_path / "run")
     phases = [PHASES[k] for k in arrays["phase"]]
     assert list(dict.fromkeys(phases)) == ["approach", "shear", "settle"]
@@ -63,7 +63,7 @@ def test_its_phases_come_one_after_the_other_and_its_force_with_the_touch(sets, 
     assert force[0] < 0.5 * force[-1] and arrays["touching"][-1]
 
 
-def test_the_stimulus_stands_under_the_tip(sets, tmp_path):
+def test_stimulus_is_below_the_tip(sets, tmp_path):
     """The skin that is pressed lies on what is shown, and not in it."""
     for kind in ("surface", "edge", "bent"):
         _, arrays = record_contact(sets / kind, 0, tmp_path / kind)
@@ -75,12 +75,12 @@ def test_the_stimulus_stands_under_the_tip(sets, tmp_path):
         assert (scenery.object_vertices @ scenery.T_base_object[:3, :3].T + scenery.T_base_object[:3, 3])[:, 2].min() > -1e-6
 
 
-def test_what_is_felt_is_kept(sets, tmp_path):
+def test_predictions_are_recorded(sets, tmp_path):
     _, arrays = record_contact(sets / "surface", 0, tmp_path / "run", lambda image: {"z": -2.0, "Rx": 3.0, "Ry": 0.5})
     assert np.allclose(to_mm_deg(arrays["predicted"][-1]), [0, 0, -2, 3, 0.5, 0])
 
 
-def test_a_command_records_and_a_film_is_made_of_it(sets, tmp_path, capsys):
+def test_recorded_contact_makes_a_video(sets, tmp_path, capsys):
     arguments = ["dataset", "record", str(sets / "edge"), "--sample", "1", "--out", str(tmp_path / "run"), "--model", "none"]
     assert tactip.main(arguments) == 0
     assert "steps recorded" in capsys.readouterr().out
@@ -92,7 +92,7 @@ def test_a_command_records_and_a_film_is_made_of_it(sets, tmp_path, capsys):
     assert record["set"]["sample"] == 1
 
 
-def test_a_sample_that_is_not_there_is_refused(sets, tmp_path):
+def test_missing_sample_is_refused(sets, tmp_path):
     with pytest.raises(TactipError, match="has no sample 7: it has 2 samples from 0 to 1"):
         record_contact(sets / "surface", 7, tmp_path / "run")
     with pytest.raises(TactipError, match="there is no data set"):

@@ -21,7 +21,7 @@ def page():
     page.close()
 
 
-def test_a_step_is_shown_as_it_was_recorded(page):
+def test_step_is_shown_as_recorded(page):
     arrays = arrays_of()
     for step in (3, 7, STEPS - 1):
         page.playback.go(step)
@@ -37,7 +37,7 @@ def test_a_step_is_shown_as_it_was_recorded(page):
     assert "ended: the loop is closed" in page._status.content
 
 
-def test_the_way_grows_with_the_steps():
+def test_path_grows_with_the_steps():
     arrays = arrays_of()
     lines, counts = path_lines(arrays)
     assert counts[2] <= 1 and counts[-1] == len(lines)
@@ -48,7 +48,7 @@ def test_the_way_grows_with_the_steps():
     assert len(normals) == 4  # every 2.5 mm of 9
 
 
-def test_it_plays_by_itself(page):
+def test_replay_page_plays(page):
     page.playback.go(0)
     page.playback.speed = 4.0
     page.playback.toggle()
@@ -58,7 +58,7 @@ def test_it_plays_by_itself(page):
     page.playback.playing = False
 
 
-def test_the_page_is_served_here_alone(page):
+def test_page_is_served_locally_only(page):
     connection = http.client.HTTPConnection("127.0.0.1", page._server.get_port(), timeout=20)
     connection.request("GET", "/")
     assert connection.getresponse().status == 200
@@ -93,17 +93,17 @@ def test_other_sites_are_not_let_in(page, origin, let_in):
             asyncio.run(knock())
 
 
-def test_nothing_to_show_is_said():
+def test_empty_recording_is_refused():
     with pytest.raises(TactipError, match="the recording has no steps to show"):
         ReplayPage(RECORD | {"steps": 0}, arrays_of(), scenery())
 
 
-def test_an_address_that_is_not_ours_is_said():
+def test_foreign_address_is_refused():
     with pytest.raises(TactipError, match=r"cannot serve at 192\.0\.2\.1"):
         ReplayPage(RECORD, arrays_of(), scenery(), host="192.0.2.1", port=8432)
 
 
 @pytest.mark.parametrize("port", [-5, 0, 65536])
-def test_a_port_that_there_is_not_is_said(port):
+def test_impossible_port_is_refused(port):
     with pytest.raises(TactipError, match=f"the port must be a number from 1 to 65535, got {port}"):
         ReplayPage(RECORD, arrays_of(), scenery(), port=port)

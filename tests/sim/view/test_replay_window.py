@@ -1,4 +1,4 @@
-"""MuJoCo's window: bodies and skin are where the recording has them, keys move it, and a missing display is said."""
+"""MuJoCo's window: bodies and skin at their recorded poses, keys, and the error without a display."""
 
 import shutil
 import subprocess
@@ -50,7 +50,7 @@ def test_normals_of_the_skin_are_outward_and_unit(window):
     assert ((normals * (centred - centred.mean(0))).sum(1) > 0).mean() > 0.95
 
 
-def test_the_way_grows_and_shrinks_with_the_steps(window):
+def test_path_grows_and_shrinks_with_the_steps(window):
     lines, counts = path_lines(arrays_of())
     scene = mujoco.MjvScene(window.model, maxgeom=100)
     for step in (5, STEPS - 1, 3):
@@ -105,7 +105,7 @@ print("shown", window._shown)
 
 @pytest.mark.slow
 @pytest.mark.skipif(shutil.which("xvfb-run") is None, reason="there is no display, nor Xvfb to stand in for one")
-def test_it_opens_and_plays():
+def test_window_opens_and_plays():
     program = _SHOW.format(tests=str(Path(__file__).parents[2]))
     run = ["xvfb-run", "-a", "-s", "-screen 0 1024x768x24", sys.executable, "-c", program]
     done = subprocess.run(run, capture_output=True, text=True, timeout=120, check=False)

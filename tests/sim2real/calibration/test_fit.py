@@ -57,7 +57,7 @@ def picture(design, tips, directions):
 def write_set(folder, twin, count, seed=0):
     """Write a real set of the hidden sensor, half of its frames taken during the move; return the finished fractions."""
     rng = np.random.default_rng(seed)
-    player, motion = ContactSimulator(twin.design, "surface", fidelity_named("draft")), RigMotion(twin.rig)
+    simulator, motion = ContactSimulator(twin.design, "surface", fidelity_named("draft")), RigMotion(twin.rig)
     (folder / "images").mkdir(parents=True)
     at_rest = replace(twin.design, optics=replace(twin.design.optics, zoom=1.0, drift=(0.0, 0.0)))
     cv2.imwrite(str(folder / "init_0.png"), picture(at_rest, *neutral_pins(at_rest)))
@@ -69,7 +69,7 @@ def write_set(folder, twin, count, seed=0):
         for i, fraction in enumerate(fractions):
             pose = from_mm_deg([0, rng.uniform(-3.5, -0.5), 0, 0, 0, rng.uniform(-15, 15)])
             move = from_mm_deg([rng.uniform(-3, 3), 0, 0, 0, 0, rng.uniform(-4, 4)])
-            contact = player.simulate(*motion.contact(pose, move, TAP, fraction))
+            contact = simulator.simulate(*motion.contact(pose, move, TAP, fraction))
             cv2.imwrite(str(folder / f"images/f_{i}.png"), picture(twin.design, contact.pin_tips, contact.directions))
             rows.writerow([f"f_{i}.png", *to_mm_deg(pose), *to_mm_deg(move)])
     (folder / "meta.json").write_text(json.dumps({"tap_move": to_mm_deg(TAP).tolist()}))

@@ -104,7 +104,7 @@ def test_convert_labels_missing_column_is_refused():
         image_column(ColumnMap(image_column="photo"), ["image_name"])
 
 
-def test_a_layout_file(tmp_path):
+def test_layout_file(tmp_path):
     path = tmp_path / "layout.json"
     path.write_text(json.dumps({"task": "edge", "columns": ["pose_z=-d"], "crop": [1, 2, 3, 4], "angles": "xyz"}))
     table = ColumnMap(task="edge", columns=("pose_z=-d",), angles="xyz")

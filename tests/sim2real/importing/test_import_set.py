@@ -84,9 +84,9 @@ def bring(folder, out, *options):
 def test_import_complete_set(tmp_path, capsys):
     rows = write_set(tmp_path / "lab")
     assert bring(tmp_path / "lab", tmp_path / "set", "--tcp-behind-apex-mm", "0") == 0
-    told = capsys.readouterr().out
-    assert "12 of 12 frames imported; pins: median 127, 127 to 127" in told
-    assert "shear_x: " in told
+    output = capsys.readouterr().out
+    assert "12 of 12 frames imported; pins: median 127, 127 to 127" in output
+    assert "shear_x: " in output
     assert tactip.main(["dataset", "verify", str(tmp_path / "set")]) == 0
     dataset = read_dataset(tmp_path / "set")
     assert np.allclose(dataset.poses[:, 2], [-row["pose_2"] - 5 for row in rows], atol=1e-6)
@@ -100,8 +100,8 @@ def test_import_complete_set(tmp_path, capsys):
     assert bring(tmp_path / "lab", tmp_path / "set", "--tcp-behind-apex-mm", "0") == 0
     assert "already holds this set" in capsys.readouterr().out
     assert bring(tmp_path / "lab", tmp_path / "set", "--tcp-behind-apex-mm", "5") == 1
-    told = capsys.readouterr().err
-    assert "holds a real data set with other settings (layout.tcp_behind_apex_mm is 0.0 there, 5.0 here)" in told
+    output = capsys.readouterr().err
+    assert "holds a real data set with other settings (layout.tcp_behind_apex_mm is 0.0 there, 5.0 here)" in output
     # Nor does any into a folder of something else.
     (tmp_path / "notes").mkdir()
     (tmp_path / "notes" / "notes.txt").touch()
@@ -115,8 +115,8 @@ def test_mask_removes_light_at_rim_only(tmp_path):
     assert np.array_equal(reader.masked(lit), plain)
     assert not np.array_equal(FrameReader(ImagePreprocessing(mask="none"), with_rim(frame())).masked(lit), plain)
     # Without a neutral image, frames tell where the pins are.
-    told = FrameReader(ImagePreprocessing(), None, [with_rim(frame(z)) for z in (1.0, 1.04, 1.1)])
-    assert np.array_equal(told.masked(lit), plain)
+    output = FrameReader(ImagePreprocessing(), None, [with_rim(frame(z)) for z in (1.0, 1.04, 1.1)])
+    assert np.array_equal(output.masked(lit), plain)
     with pytest.raises(TactipError, match="at least 20 pins must be detected in an image, got 0"):
         pin_area([np.zeros((64, 64), np.uint8)])
 
@@ -241,8 +241,8 @@ def test_import_wrong_set_reports_error(tmp_path, capsys, spoil, options, words)
     write_set(tmp_path / "lab")
     spoil(tmp_path / "lab")
     assert bring(tmp_path / "lab", tmp_path / "set", *options) == 1
-    told = capsys.readouterr().err.strip().splitlines()[-1]
-    assert words in told
+    output = capsys.readouterr().err.strip().splitlines()[-1]
+    assert words in output
     assert not (tmp_path / "set" / "meta.json").exists()
 
 
@@ -250,8 +250,8 @@ def test_import_unknown_task_lists_choices(tmp_path, capsys):
     with pytest.raises(SystemExit) as ended:
         bring(tmp_path / "lab", tmp_path / "set", "--task", "corner")
     assert ended.value.code == 2
-    told = " ".join(capsys.readouterr().err.replace("│", " ").split())
-    assert "invalid choice 'corner' for argument '--task'. Expected one of ('surface', 'edge')" in told
+    output = " ".join(capsys.readouterr().err.replace("│", " ").split())
+    assert "invalid choice 'corner' for argument '--task'. Expected one of ('surface', 'edge')" in output
 
 
 def test_import_uses_only_table_of_any_name(tmp_path):
@@ -356,8 +356,8 @@ def test_import_without_neutral_image_uses_shallowest_frames(tmp_path, capsys):
     write_table(tmp_path / "lab", rows)
     command = ["import", str(tmp_path / "lab"), "--out", str(tmp_path / "set"), "--columns", "pose_z=-pose_2-5"]
     assert tactip.main(command) == 0
-    told = "no neutral image: replaced by the median of 5 of the shallowest frames (-0.05 to -0.05 mm)"
-    assert told in capsys.readouterr().out
+    output = "no neutral image: replaced by the median of 5 of the shallowest frames (-0.05 to -0.05 mm)"
+    assert output in capsys.readouterr().out
     design, figures = fit_design_to_neutral_image(tmp_path / "set", 128)
     assert figures["pins"] == 127 and figures["camera"] is None
     assert np.abs(neutral_px(design) - neutral_px(DESIGN)).max() < 0.6
@@ -378,10 +378,10 @@ def test_fit_design_removes_press_of_pseudo_neutral_frames(tmp_path):
     write_set(tmp_path / "lab", 1)
     (tmp_path / "lab" / "init_0.png").unlink()
     stiffer = replace(DESIGN, materials=replace(DESIGN.materials, skin_young_pa=1.3 * DESIGN.materials.skin_young_pa))
-    player = ContactSimulator(stiffer, "surface", fidelity_named("draft"))
+    simulator = ContactSimulator(stiffer, "surface", fidelity_named("draft"))
     rows = []
     for k, depth in enumerate(np.linspace(1, 2, 6)):
-        contact = player.simulate(from_mm_deg([0, 0, -depth, 0, 0, 0]), np.zeros(6))
+        contact = simulator.simulate(from_mm_deg([0, 0, -depth, 0, 0, 0]), np.zeros(6))
         drawn = Raster(DESIGN).render(contact.pin_tips, contact.directions)
         image = tactile_image(drawn, replace(DESIGN.image, size_px=SIZE))
         cv2.imwrite(str(tmp_path / "lab" / "images" / f"frame_{k}.png"), image)
@@ -435,8 +435,8 @@ def test_import_grey_frames_suggest_threshold(tmp_path, capsys):
     write_set(tmp_path / "lab")
     redraw(tmp_path / "lab", lambda image: (60 + 0.5 * image).astype(np.uint8))
     assert bring(tmp_path / "lab", tmp_path / "set") == 1
-    told = capsys.readouterr().err
-    assert "are neither black nor white" in told and "give --threshold 43 -5" in told
+    output = capsys.readouterr().err
+    assert "are neither black nor white" in output and "give --threshold 43 -5" in output
     assert not (tmp_path / "set").exists()
     assert bring(tmp_path / "lab", tmp_path / "set", "--threshold", "43", "-5") == 0
     assert "pins: median 127" in capsys.readouterr().out
@@ -446,9 +446,9 @@ def test_import_wide_frame_suggests_crop(tmp_path, capsys):
     write_set(tmp_path / "lab")
     redraw(tmp_path / "lab", lambda image: np.pad(image, ((20, 30), (150, 40))))
     assert bring(tmp_path / "lab", tmp_path / "set") == 1
-    told = capsys.readouterr().err
-    assert "must be square, got 446×306 px: give --crop " in told
-    crop = told.split("--crop ")[1].split(",")[0].split()
+    output = capsys.readouterr().err
+    assert "must be square, got 446×306 px: give --crop " in output
+    crop = output.split("--crop ")[1].split(",")[0].split()
     # The pins in the middle, as they were before the frames were made wide.
     assert np.allclose(np.array(crop, int), [150, 20, 150 + SIZE, 20 + SIZE], atol=6)
     assert bring(tmp_path / "lab", tmp_path / "set", "--crop", *crop) == 0

@@ -34,8 +34,8 @@ CROP = (LEFT, TOP, LEFT + 360, TOP + 360)
 def presses():
     """Frames of a camera, the tip untouched and then pressed, and the depths: grey, 640 by 480 px."""
     design, depths = load_design("tactip-127"), [2.0, 3.0, 4.0]
-    player = ContactSimulator(design, "surface", fidelity_named("standard"))
-    contacts = [player.simulate(from_mm_deg([0, 0, -d, 0, 0, 0]), np.zeros(6)) for d in depths]
+    simulator = ContactSimulator(design, "surface", fidelity_named("standard"))
+    contacts = [simulator.simulate(from_mm_deg([0, 0, -d, 0, 0, 0]), np.zeros(6)) for d in depths]
     raster, shots = Raster(design), []
     for tips, directions in [neutral_pins(design), *((c.pin_tips, c.directions) for c in contacts)]:
         shot = np.full((HEIGHT, WIDTH), 20, np.uint8)

@@ -59,15 +59,15 @@ def photo(design, tips, directions):
 
 @pytest.fixture(scope="session")
 def lab(tmp_path_factory):
-    """A folder as a laboratory publishes it: depth before a tap, one tilt, shears that no network is told of."""
+    """A folder as a laboratory publishes it: depth before a tap, one tilt, and unlabelled shears."""
     folder = tmp_path_factory.mktemp("lab") / "other_tip"
     (folder / "images").mkdir(parents=True)
     design = hidden(design_named("nominal-127"))
     cv2.imwrite(str(folder / "init_0.png"), photo(design, *neutral_pins(design)))
-    player, draw, rows = ContactSimulator(design, "surface", fidelity_named("draft")), np.random.default_rng(0), []
+    simulator, draw, rows = ContactSimulator(design, "surface", fidelity_named("draft")), np.random.default_rng(0), []
     for k in range(60):
         depth, tilt, slid = draw.uniform(-4, 0), draw.uniform(-15, 15), draw.uniform(-3, 3)
-        contact = player.simulate(from_mm_deg([0, 0, -depth - 5, 0, tilt, 0]), from_mm_deg([slid, 0, 0, 0, 0, 0]))
+        contact = simulator.simulate(from_mm_deg([0, 0, -depth - 5, 0, tilt, 0]), from_mm_deg([slid, 0, 0, 0, 0, 0]))
         cv2.imwrite(str(folder / "images" / f"frame_{k}.png"), photo(design, contact.pin_tips, contact.directions))
         rows.append({"image_name": f"frame_{k}.png", "pose_2": depth, "pose_6": tilt, "move_1": slid})
     with (folder / "targets.csv").open("w", newline="") as file:
@@ -105,11 +105,11 @@ FEW += ["--fine-tuning-steps", "4", "--workers", "1"]
 def test_zero_and_few_shot_from_the_command_line(lab, tiny, tmp_path, capsys):
     command = ["--real", str(lab), "--out", str(tmp_path / "out"), *FEW, "--shots", "10", "30"]
     assert tactip.main(["transfer", "zero-shot", *command, "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert set(told) == {"simulation", "real"}
-    assert told["simulation"]["samples"] == 30
-    assert told["simulation"]["varies"] == {"pose_z": True, "pose_Rx": False, "pose_Ry": True}
-    assert all(np.isfinite(v) for part in told.values() for v in part["mae"].values())
+    output = json.loads(capsys.readouterr().out)
+    assert set(output) == {"simulation", "real"}
+    assert output["simulation"]["samples"] == 30
+    assert output["simulation"]["varies"] == {"pose_z": True, "pose_Rx": False, "pose_Ry": True}
+    assert all(np.isfinite(v) for part in output.values() for v in part["mae"].values())
     assert tactip.main(["transfer", "few-shot", *command]) == 0
     record = json.loads((tmp_path / "out" / "results.json").read_text())
     assert list(record["few-shot"]) == ["0", "10", "30"]
@@ -144,8 +144,8 @@ def test_experiment_optics_follow_camera_measurement(lab, tmp_path):
     (known / "import.json").unlink()  # as of a simulated set, in the place of a real one
     assert names(known, design="tactip-127") == ["real", "real", "real-clean"]
     (known / "import.json").write_text(json.dumps(report))
-    told = Experiment(known, tmp_path / "out", replace(settings, design="tactip-127")).design()
-    assert told.optics.zoom == 1.01 and told.pins == design_named("tactip-127").pins
+    output = Experiment(known, tmp_path / "out", replace(settings, design="tactip-127")).design()
+    assert output.optics.zoom == 1.01 and output.pins == design_named("tactip-127").pins
 
 
 @pytest.mark.slow
@@ -222,15 +222,15 @@ def test_gap_is_small_with_right_design(lab, tmp_path, capsys):
     """The hidden sensor's own design explains its frames; what is fitted to the neutral image alone, nearly."""
     command = ["transfer", "gap", "--real", str(lab), "--out", str(tmp_path / "out"), "--real-train-frames", "20"]
     assert tactip.main([*command, "--gap-frames", "20", "--fidelity", "draft", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    left_out = [told[f"{how}_frames"] for how in ("unmatched", "mismatched")]
-    assert told["frames"] + sum(left_out) == 20 and told["frames"] > 15
-    assert told["best_fraction"]["median"] < 0.4 * told["pins_move"]
+    output = json.loads(capsys.readouterr().out)
+    left_out = [output[f"{how}_frames"] for how in ("unmatched", "mismatched")]
+    assert output["frames"] + sum(left_out) == 20 and output["frames"] > 15
+    assert output["best_fraction"]["median"] < 0.4 * output["pins_move"]
     assert (tmp_path / "out" / "gap.png").stat().st_size > 10_000
-    assert {"pose_z", "pose_Ry", "shear_mm"} <= set(told["against"])
+    assert {"pose_z", "pose_Ry", "shear_mm"} <= set(output["against"])
     # The same with a design that is told, into a folder that is not there yet.
-    told = [*command[:-3], str(tmp_path / "other"), *command[-2:], "--design", "nominal-127", "--gap-frames", "8"]
-    assert tactip.main([*told, "--fidelity", "draft"]) == 0
+    output = [*command[:-3], str(tmp_path / "other"), *command[-2:], "--design", "nominal-127", "--gap-frames", "8"]
+    assert tactip.main([*output, "--fidelity", "draft"]) == 0
     assert (tmp_path / "other" / "gap.png").exists()
     right, _ = sim_to_real_gap(read_samples(lab), hidden(design_named("nominal-127")), "draft", 20)
     assert right["best_fraction"]["median"] < 0.5  # a blob's middle in an image of 128 px
@@ -268,8 +268,8 @@ def test_transfer_unknown_choice_lists_choices(tmp_path, capsys, option, value, 
     with pytest.raises(SystemExit) as ended:
         tactip.main([*command, f"--{option}", value])
     assert ended.value.code == 2
-    told = " ".join(capsys.readouterr().err.replace("│", " ").split())
-    assert f"invalid choice '{value}' for argument '--{option.replace('_', '-')}'. Expected one of {choices}" in told
+    output = " ".join(capsys.readouterr().err.replace("│", " ").split())
+    assert f"invalid choice '{value}' for argument '--{option.replace('_', '-')}'. Expected one of {choices}" in output
 
 
 def test_settings_unknown_name_is_refused():
@@ -303,9 +303,9 @@ def test_transfer_depth_of_wrong_sign_is_refused(lab, tmp_path, capsys):
 def test_pseudo_real_needs_no_real_data(tiny, tmp_path, capsys):
     command = ["transfer", "pseudo-real", "--out", str(tmp_path / "out"), "--frames", "50", "--gap-frames", "8", *FEW]
     assert tactip.main([*command, "--shots", "10", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert set(told) == {"zero-shot", "gap", "few-shot"}
-    assert told["gap"]["best_fraction"]["median"] < told["gap"]["pins_move"]
+    output = json.loads(capsys.readouterr().out)
+    assert set(output) == {"zero-shot", "gap", "few-shot"}
+    assert output["gap"]["best_fraction"]["median"] < output["gap"]["pins_move"]
 
 
 def test_hidden_design_depends_on_seed_only(tmp_path, capsys):
@@ -321,8 +321,8 @@ def test_transfer_unknown_experiment_or_missing_neutral_image(lab, tmp_path, cap
     with pytest.raises(SystemExit) as ended:
         tactip.main(["transfer", "many-shot", "--real", str(lab), "--out", str(tmp_path / "out")])
     assert ended.value.code == 2
-    told = " ".join(capsys.readouterr().err.replace("│", " ").split())
-    assert "Expected one of ('zero-shot', 'ablate', 'few-shot', 'gap', 'pseudo-real')" in told
+    output = " ".join(capsys.readouterr().err.replace("│", " ").split())
+    assert "Expected one of ('zero-shot', 'ablate', 'few-shot', 'gap', 'pseudo-real')" in output
     (tmp_path / "set").mkdir()
     with pytest.raises(TactipError, match=r"has no neutral\.png because an earlier version imported it"):
         fit_design_to_neutral_image(tmp_path / "set", 128)
