@@ -6,7 +6,6 @@ import json
 import os
 import platform
 import shutil
-from collections.abc import Iterable
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -14,8 +13,9 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from tactip_twin.sim.dataset.configuration import Configuration
-from tactip_twin.sim.dataset.format import PARTIAL, checksum, image_name, meta_json, read_meta, targets_csv, versions
+from tactip_twin.sim.dataset.format import PARTIAL, checksum, meta_json, read_meta, targets_csv, versions
 from tactip_twin.sim.dataset.partial_record import (
+    check_unaltered,
     contact_numbers,
     read_record,
     record_path,
@@ -26,7 +26,7 @@ from tactip_twin.sim.parallel.file_lock import locked
 from tactip_twin.sim.parallel.resume import check_resumable, first_difference
 from tactip_twin.sim.parallel.worker_pool import disk_error
 from tactip_twin.tactip_model.errors import TactipError
-from tactip_twin.tactip_model.files import write_file
+from tactip_twin.tactip_model.files import sync_all, write_file
 from tactip_twin.tactip_model.pins import neutral_pins
 
 if TYPE_CHECKING:
@@ -74,7 +74,9 @@ class DatasetBuilder:
         if not self._partial.exists():
             if self._is_complete(meta):
                 return
-            if not meta:
+            if meta:
+                check_unaltered(self._path, meta)  # before anything is written
+            else:
                 check_resumable(self._path, _KIND, None, identity)
         # This folder marks the set as started. It comes first, so a kill before the next line leaves a resumable set.
         self._partial.mkdir(parents=True, exist_ok=True)
@@ -85,9 +87,14 @@ class DatasetBuilder:
             shutil.rmtree(self._partial, ignore_errors=True)  # a kill came between the last two steps
             return
         started = self._partial / "configuration.json"
-        if started.exists() and not meta:
-            self._check_same(json.loads(started.read_text()), identity)
+        recorded = _read_json(started)
+        if recorded and not meta:
+            self._check_same(recorded, identity)
         else:
+            if started.exists() and not meta:
+                # A power cut damaged it, so the configuration of the records is unknown.
+                for record in self._partial.glob("*.npz"):
+                    record.unlink()
             write_file(started, json.dumps(identity, indent=1).encode())
         for folder in (self._path, self._partial, self._path / "images"):
             for leftover in folder.glob(".*.tmp"):
@@ -100,8 +107,9 @@ class DatasetBuilder:
         Raises:
             TactipError: The folder holds a set of another identity, or a larger one.
         """
-        if not (self._path / "meta.json").exists():
-            return None
+        path = self._path / "meta.json"
+        if not path.exists() or (self._partial.exists() and _read_json(path) is None):
+            return None  # an unfinished set, or a finished one whose last file was damaged before the records were removed
         meta = read_meta(self._path)
         self._check_same({key: meta.get(key) for key in identity}, _with_size_of(identity, meta))
         return meta
@@ -176,12 +184,13 @@ class DatasetBuilder:
         return self._samples is not None
 
     def _is_done(self, number: int) -> bool:
-        record = record_path(self._path, number)
-        names = [image_name(i) for i in sample_indices(self._configuration, number)]
-        return record.exists() and (self._have_images(names) or self._have_images(read_record(record)["images"]))
+        """Return whether a contact has an intact record and intact images; what a power cut damaged is made anew."""
+        record = read_record(record_path(self._path, number))
+        return record is not None and all(self._is_intact(name, value) for name, value in record["images"].items())
 
-    def _have_images(self, names: Iterable[str]) -> bool:
-        return all((self._path / "images" / name).exists() for name in names)
+    def _is_intact(self, name: str, expected: str) -> bool:
+        path = self._path / "images" / name
+        return path.exists() and checksum(path.read_bytes()) == expected
 
     def finish(self, workers: int, seconds: float) -> dict[str, Any]:
         """Turn records into a finished set, if it is not one yet.
@@ -245,6 +254,7 @@ class DatasetBuilder:
         for name, data in files.items():
             write_file(self._path / name, data)
         write_file(self._path / "run.json", run_json)
+        sync_all()  # images are written unsynced, and meta.json declares the set finished
         sums = {name: checksum(data) for name, data in files.items()}
         samples = {"asked": self._configuration.samples, "kept": len(rows), "failed": len(failures)}
         more = {"failures": failures, "images": images}
@@ -265,6 +275,15 @@ class DatasetBuilder:
             run["seconds_a_contact_and_worker_median"] = round(float(np.median([c[0] for c in self.costs])), 4)
             run["peak_memory_of_a_worker_MiB"] = round(max(c[1] for c in self.costs))
         return (json.dumps(run, indent=1) + "\n").encode()
+
+
+def _read_json(path: Path) -> dict[str, Any] | None:
+    """Return the object in a JSON file; None if the file is missing or damaged."""
+    try:
+        data = json.loads(path.read_bytes())
+    except (FileNotFoundError, ValueError, RecursionError):
+        return None
+    return data if isinstance(data, dict) else None
 
 
 def _with_size_of(identity: dict[str, Any], meta: dict[str, Any]) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 import io
 import json
 import zipfile
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tactip_twin.sim.dataset.configuration import Configuration, samples_per_contact
-from tactip_twin.sim.dataset.format import PARTIAL, read_meta, read_targets
+from tactip_twin.sim.dataset.format import PARTIAL, checksum, read_meta, read_targets
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.files import write_file
 
@@ -54,10 +55,29 @@ def pack_record(record: dict[str, Any], pin_tips: ArrayLike, directions: ArrayLi
     return data.getvalue()
 
 
-def read_record(path: Path) -> dict[str, Any]:
-    """Return the JSON object in a record, without the pins."""
-    with np.load(path, allow_pickle=False) as data:
-        return json.loads(str(data["record"]))
+def read_record(path: Path) -> dict[str, Any] | None:
+    """Return the JSON object in a record, without the pins; None if the record is missing or damaged."""
+    try:
+        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as data:
+            record = json.loads(str(data["record"]))
+            for name in ("pin_tips", "directions"):
+                data[name]  # reading checks its checksum
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
+        return None
+    return record if isinstance(record, dict) and isinstance(record.get("images"), dict) else None
+
+
+def check_unaltered(folder: Path, meta: dict[str, Any]) -> None:
+    """Raise TactipError if a table or an image does not match its checksum in meta.json; missing images are made anew."""
+    images = {f"images/{name}": value for name, value in meta.get("images", {}).items()}  # a set of shards has none
+    expected = meta.get("files", {}) | images
+    for name, value in expected.items():
+        path = folder / name
+        if name.startswith("images/") and not path.exists():
+            continue
+        if not path.exists() or checksum(path.read_bytes()) != value:
+            problem = "does not match its checksum in meta.json" if path.exists() else "is missing"
+            raise TactipError(f"the set in {folder} cannot grow because {name} {problem}: restore it, or make another set")
 
 
 def unpack_finished_set(folder: Path) -> None:
@@ -68,10 +88,12 @@ def unpack_finished_set(folder: Path) -> None:
     records.
 
     Raises:
-        TactipError: A table is damaged.
+        TactipError: A table or an image does not match its checksum in meta.json.
         OSError: A file cannot be written.
     """
-    meta, rows = read_meta(folder), read_targets(folder)
+    meta = read_meta(folder)
+    check_unaltered(folder, meta)
+    rows = read_targets(folder)
     configuration = meta["configuration"]
     each = samples_per_contact(configuration)
     try:

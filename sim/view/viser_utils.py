@@ -41,6 +41,8 @@ def serve(host: str, port: int) -> viser.ViserServer:
     Raises:
         TactipError: If the address cannot be served at.
     """
+    # An empty address would be every address of this machine.
+    require(host != "", "the address of the page", repr(host), "one of this machine, such as 127.0.0.1")
     require(1 <= port <= _MAX_PORT, "the port", port, f"a number from 1 to {_MAX_PORT}")
     origins = re.compile(r"https?://(127\.0\.0\.1|localhost|\[::1\]|" + re.escape(host) + r")(:\d+)?")
     try:

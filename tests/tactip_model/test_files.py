@@ -1,7 +1,6 @@
 """Atomic writing of files, and encoding of images."""
 
 import os
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -19,11 +18,10 @@ def test_write_design_failing_keeps_old_file(tmp_path, monkeypatch):
     path = tmp_path / "design.json"
     write_design(path, design_named("nominal-127"), {})
 
-    def full(self, data):
-        os.close(os.open(self, os.O_CREAT | os.O_WRONLY))
+    def full(descriptor):
         raise OSError("no space left")
 
-    monkeypatch.setattr(Path, "write_bytes", full)
+    monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(OSError, match="no space left"):
         write_design(path, design_named("nominal-331"), {})
     assert read_design(path) == design_named("nominal-127")

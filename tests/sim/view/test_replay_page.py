@@ -98,6 +98,11 @@ def test_empty_recording_is_refused():
         ReplayPage(RECORD | {"steps": 0}, arrays_of(), scenery())
 
 
+def test_empty_address_is_refused():
+    with pytest.raises(TactipError, match="the address of the page must be one of this machine"):
+        ReplayPage(RECORD, arrays_of(), scenery(), host="", port=8432)
+
+
 def test_foreign_address_is_refused():
     with pytest.raises(TactipError, match=r"cannot serve at 192\.0\.2\.1"):
         ReplayPage(RECORD, arrays_of(), scenery(), host="192.0.2.1", port=8432)
