@@ -144,7 +144,7 @@ def against_depth(expected: Mapping[str, Expected], log: Callable[[str], None]) 
 
 
 def locking(known: Mapping[str, Expected], log: Callable[[str], None]) -> list[dict[str, Any]]:
-    """Return force and shape over POISSONS and meshes.
+    """Return force and shape over POISSONS for the sensor at `standard`, and over meshes for both tips at the design's own.
 
     Args:
         known: Solutions for `gel` and `sensor` at the design's own Poisson's ratio.
@@ -152,9 +152,11 @@ def locking(known: Mapping[str, Expected], log: Callable[[str], None]) -> list[d
     """
     rows, own = [], design_named("nominal-127").materials.gel_poisson
     for what in ("gel", "sensor"):
-        for poisson in POISSONS:
+        for poisson in POISSONS if what == "sensor" else (own,):
             expected = known[what] if poisson == own else Expected(design_named("nominal-127"), what, poisson, log)
             for name, fidelity in meshes().items():
+                if poisson != own and name != "standard":
+                    continue
                 variants = {"uncorrected": uncorrected(fidelity)}
                 if poisson > fidelity.mesh.poisson_limit:
                     variants["corrected"] = fidelity
@@ -228,7 +230,6 @@ def tables(result: dict[str, Any]) -> dict[str, str]:
     locked = [
         [r["tip"], r["poisson"], r["mesh"], r["elements"], *(f"{x:.2f}" for x in r["force_ratio"]), _shape(r["shape_mm"])]
         for r in result["locking"]
-        if r["mesh"] == "standard" or r["poisson"] == 0.49
     ]
     bent = [[f"{r['bending']:g}", *(f"{x:.2f}" for x in r["force_ratio"]), _shape(r["shape_mm"])] for r in result["bending"]]
     depths = [f"{d:g} mm" for d in LOCKING_DEPTHS_MM]
