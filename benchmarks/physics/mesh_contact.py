@@ -169,30 +169,29 @@ def _figures(found: Sequence[Contact], true: Sequence[Contact], seconds: Sequenc
         "force": float(np.median(force)),
         "overlap_mm": 1e3 * max(p.overlap_m for p in found),
         "seconds": float(np.median(seconds)),
-        "steps": float(np.median([p.steps for p in found])),
     }
 
 
 def tables(record: dict[str, Any]) -> dict[str, str]:
-    """Return the tables of docs/mesh_contact.md from mesh_contact.json: one per stimulus."""
-    head = ["contact model", "pin error, mm: median", "maximum", "force error", "overlap, mm", "time, s", "cost"]
-    out = {}
-    for name, rows in record["stimuli"].items():
-        cells, base = [], rows[0]["seconds"]
+    """Return the table of docs/mesh_contact.md from mesh_contact.json."""
+    cells = []
+    for name, (stimulus, *rows) in record["stimuli"].items():
+        cells.append([name, "stimulus", "", "", "", "", f"{stimulus['overlap_mm']:.3f}", "1.0"])
         for row in rows:
+            model, _, triangles = row["contact_model"].removesuffix(" triangles").rpartition(", ")
             if "refused" in row:
-                cells.append([row["contact_model"], f"refused: {row['refused']}", "", "", "", "", ""])
+                cells.append([name, model, triangles, f"refused: {row['refused']}", "", "", "", ""])
                 continue
             force = "not available" if row["force"] is None else f"{100 * row['force']:.1f} %"
-            errors = [f"{e:.3f}" for e in (*row["pins_mm"], row["overlap_mm"])]
-            costs = [f"{row['seconds']:.2f}", f"{row['seconds'] / base:.1f}"]
-            cells.append([row["contact_model"], *errors[:2], force, errors[2], *costs])
-        out[name] = table(head, cells)
-    out["settings"] = (
+            median, maximum, overlap = (f"{e:.3f}" for e in (*row["pins_mm"], row["overlap_mm"]))
+            cost = f"{row['seconds'] / stimulus['seconds']:.1f}"
+            cells.append([name, model, triangles, median, maximum, force, overlap, cost])
+    errors = ["pin error, mm: median", "maximum", "force error", "overlap, mm", "cost"]
+    state = (
         f"Machine: {machine_text(record['machine'])}. Settings: {record['contacts']} contacts per stimulus, design "
         f"`{record['design']}`, fidelity `{record['fidelity']}`."
     )
-    return out
+    return {"models": f"{table(['stimulus', 'contact model', 'triangles', *errors], cells)}\n\n{state}"}
 
 
 def run(options: MeshContactOptions, log: Callable[[str], None] = print) -> dict[str, Any]:
