@@ -147,17 +147,16 @@ class Verify(Command):
         from tactip_twin.sim.dataset.verify import verify
 
         problems = verify(self.folder)
+        samples = None if problems else read_meta(self.folder)["samples"]
         if self.json:
-            told = {"folder": str(self.folder), "problems": problems, "samples": read_meta(self.folder).get("samples")}
-            print(dumps(told))
+            print(dumps({"folder": str(self.folder), "problems": problems, "samples": samples}))
             return 1 if problems else 0
         for problem in problems:
             print(f"{self.folder}: {problem}", file=sys.stderr)
-        if problems:
+        if samples is None:
             print(f"{self.folder}: {len(problems)} problem(s)", file=sys.stderr)
             return 1
-        samples = read_meta(self.folder).get("samples", {})
-        print(f"{self.folder}: whole; {samples.get('kept', 'some')} samples, {samples.get('failed', 0)} failed")
+        print(f"{self.folder}: whole; {samples['kept']} samples, {samples['failed']} failed")
         return 0
 
 

@@ -1,6 +1,8 @@
 """The command line: the list of commands, and how each ends."""
 
 import contextlib
+import io
+import os
 import signal
 import sys
 import threading
@@ -38,22 +40,44 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if arguments == ["--version"]:
         print(version("tactip-twin"))
         return 0
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # names of files may be no text, and terminals may lack letters
     with _terminable() as signals:
         try:
-            return _command(arguments).run()
-        except TactipError as error:
-            print(f"tactip: {error}", file=sys.stderr)
-            return 1
-        except OSError as error:
-            print(f"tactip: {error.filename or 'a file'}: {error.strerror or error}", file=sys.stderr)
-            return 1
+            status = _command(arguments).run()
+            sys.stdout.flush()
+            return status
         except (Interrupted, KeyboardInterrupt) as stopped:
             return _stopped(str(stopped), signals)
-        except ImportError as error:
+        except (TactipError, OSError, MemoryError, ImportError) as error:
             # A library of compiled code that is stopped while it is loaded says that it cannot be.
-            if not _is_from_stop(error):
-                raise
-            return _stopped("", signals)
+            if isinstance(error, ImportError) and _is_from_stop(error):
+                return _stopped("", signals)
+            return _failed(error)
+
+
+_BROKEN_PIPE = 141
+"""Exit status where the reader of the output has ended, as shells have it."""
+
+
+def _failed(error: TactipError | OSError | MemoryError | ImportError) -> int:
+    """Print one sentence about an error, and return the exit status. Raises the error if it is one of the program."""
+    if isinstance(error, BrokenPipeError):
+        # As `| head -1` ends; what was made is there. Without this, Python would complain at its end.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return _BROKEN_PIPE
+    problem = str(error)
+    if isinstance(error, MemoryError):
+        problem = "the memory that this process may use is too small for this command"
+    elif isinstance(error, ImportError):
+        if not any(words in problem for words in ("failed to map segment", "annot allocate memory")):
+            raise error
+        problem = "the memory that this process may use is too small to load its libraries"
+    elif isinstance(error, OSError):
+        problem = f"{error.filename or 'the output or a file'}: {error.strerror or error}"
+    print(f"tactip: {problem}", file=sys.stderr)
+    return 1
 
 
 def _stopped(what: str, signals: list[int]) -> int:

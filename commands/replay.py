@@ -42,7 +42,7 @@ class Replay(Command):
     def run(self) -> int:
         from tqdm import tqdm
 
-        from tactip_twin.sim.robot.recording import read_recorded_scene, read_recording
+        from tactip_twin.sim.robot.recording import check_skin, read_recorded_scene, read_recording
         from tactip_twin.sim.view.replay_video import render_frames
         from tactip_twin.sim.view.video import write_video
 
@@ -54,6 +54,7 @@ class Replay(Command):
                 raise TactipError(f"the name {path} does not end in {ending}")
             path.parent.mkdir(parents=True, exist_ok=True)
         (record, arrays), scenery = read_recording(self.run_), read_recorded_scene(self.run_)
+        check_skin(scenery, arrays)
         if not record["complete"]:
             print(f"{self.run_} was not completed: it has {record['steps']} steps", file=sys.stderr)
         count = -(-record["steps"] // self.stride)

@@ -1,6 +1,5 @@
 """tactip train: a network on a data set."""
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -95,9 +94,12 @@ def _train_set(arguments: Sequence[str]) -> Path | None:
 
 def _task(folder: Path | None) -> str:
     """Return the task of a set, `surface` where it cannot be told: to read the set is what reports its errors."""
+    from tactip_twin.tactip_model.errors import TactipError
+    from tactip_twin.tactip_model.input_files import read_json
+
     try:
-        task = json.loads((folder / "meta.json").read_text())["configuration"]["task"] if folder else "surface"
-    except (OSError, ValueError, KeyError, TypeError):
+        task = read_json(folder / "meta.json")["configuration"]["task"] if folder else "surface"
+    except (TactipError, KeyError, TypeError):
         return "surface"
     return "edge" if task == "edge" else "surface"
 

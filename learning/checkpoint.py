@@ -14,12 +14,21 @@ import torch
 
 from tactip_twin.learning.configuration import PoseNetConfig, TrainSettings
 from tactip_twin.learning.data import Samples
-from tactip_twin.learning.model import DESCRIPTION, Model, net_sha256, save_model, tensors_from_bytes, weights_bytes
+from tactip_twin.learning.model import (
+    DESCRIPTION,
+    Model,
+    net_sha256,
+    read_description,
+    save_model,
+    tensors_from_bytes,
+    weights_bytes,
+)
 from tactip_twin.learning.training import Training
 from tactip_twin.sim.dataset.format import labels_sha256
 from tactip_twin.sim.parallel.resume import check_resumable
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.files import write_file
+from tactip_twin.tactip_model.input_files import parse_json, read_file
 
 CHECKPOINT, METRICS, LOCK, TENSORBOARD = "checkpoint.pt", "metrics.jsonl", ".lock", "tensorboard"
 
@@ -85,12 +94,12 @@ def load_checkpoint(folder: Path, record: dict[str, Any]) -> dict[str, Any] | Li
     recorded: dict[str, Any] | None = None
     if checkpoint.exists():
         try:
-            state = tensors_from_bytes(checkpoint.read_bytes())
-            recorded = json.loads(state["of"])
+            state = tensors_from_bytes(read_file(checkpoint))
+            recorded = parse_json(state["of"], f"the settings in {checkpoint}")
         except (ValueError, KeyError, TypeError) as error:
             raise TactipError(f"cannot read {checkpoint} ({error}): delete it to restart the training") from error
     elif description.exists():
-        state, recorded = "finished", json.loads(description.read_text()).get("provenance", {})
+        state, recorded = "finished", read_description(folder)["provenance"]
     requested = {"initial_weights": None} | record
     if recorded is not None:
         defaults = {"network": dataclasses.asdict(PoseNetConfig()), "settings": dataclasses.asdict(TrainSettings())}

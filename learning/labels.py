@@ -6,8 +6,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tactip_twin.sim.dataset.sampling import Ranges
+from tactip_twin.sim.dataset.sampling import MAX_LABEL, Ranges
 from tactip_twin.sim.labels import COMPONENTS, LEARNED
+from tactip_twin.tactip_model.bounds import require
 from tactip_twin.tactip_model.errors import TactipError, lookup
 
 _RANGES = tuple(field.name for field in fields(Ranges))
@@ -24,6 +25,16 @@ class Labels:
     """Minimum of each component's range (k), mm and degrees."""
     high: tuple[float, ...]
     """Maximum of each component's range (k), mm and degrees."""
+
+    def __post_init__(self) -> None:
+        lookup("task", self.task, LEARNED)
+        for name, values in (("low", self.low), ("high", self.high)):
+            good = len(values) == len(self.components) and all(
+                type(x) in (int, float) and abs(x) <= MAX_LABEL for x in values
+            )
+            require(good, f"labels.{name}", values, f"{len(self.components)} numbers from -{MAX_LABEL:g} to {MAX_LABEL:g}")
+        good = all(low <= high and low**2 + high**2 > 0 for low, high in zip(self.low, self.high, strict=True))
+        require(good, "labels", (self.low, self.high), "low at most high, and not both 0")
 
     @property
     def components(self) -> tuple[str, ...]:

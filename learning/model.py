@@ -20,9 +20,10 @@ from tactip_twin.learning.configuration import PoseNetConfig
 from tactip_twin.learning.device import one_thread
 from tactip_twin.learning.labels import Labels
 from tactip_twin.learning.posenet import PoseNet
-from tactip_twin.sim.labels import LEARNED
-from tactip_twin.tactip_model.errors import TactipError, lookup
+from tactip_twin.tactip_model.design_file import from_dict
+from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.files import write_file
+from tactip_twin.tactip_model.input_files import MAX_UNPACKED_BYTES, read_file, read_json
 
 FORMAT = "tactip-twin PoseNet"
 VERSION = 2
@@ -95,12 +96,19 @@ def weights_bytes(tensors: dict[str, Any]) -> bytes:
 
 def tensors_from_bytes(data: bytes) -> dict[str, Any]:
     """Return the state dict that `weights_bytes` serialized. Raises ValueError if the bytes are damaged."""
-    if not zipfile.is_zipfile(io.BytesIO(data)):
-        raise ValueError("truncated, or not a file of tensors")
     try:
-        return torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
-    except (RuntimeError, EOFError, KeyError) as error:
-        raise ValueError(str(error).splitlines()[0]) from error
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            if sum(member.file_size for member in archive.infolist()) > MAX_UNPACKED_BYTES:
+                raise ValueError(f"it unpacks to more than {MAX_UNPACKED_BYTES / 2**20:.0f} MiB")
+    except (zipfile.BadZipFile, NotImplementedError) as error:
+        raise ValueError("truncated, or not a file of tensors") from error
+    try:
+        state = torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
+    except Exception as error:  # what torch raises for a damaged file depends on the damage; its advice is not for users
+        raise ValueError("damaged, or not a file of tensors") from error
+    if not isinstance(state, dict) or not all(isinstance(key, str) for key in state):
+        raise ValueError("it has no tensors by name")
+    return state
 
 
 def save_model(
@@ -135,9 +143,16 @@ def save_model(
         "weights": {"file": WEIGHTS, "sha256": hashlib.sha256(data).hexdigest()},
         "provenance": provenance,
     }
+    description["sha256"] = description_sha256(description)
     # The description contains the weights' checksum, so the reader detects a kill between the two writes.
     write_file(folder / WEIGHTS, data)
     write_file(folder / DESCRIPTION, (json.dumps(description, indent=1) + "\n").encode())
+
+
+def description_sha256(description: dict[str, Any]) -> str:
+    """Return a checksum (hex) of a description, which contains its own checksum or does not."""
+    rest = {key: value for key, value in description.items() if key != "sha256"}
+    return hashlib.sha256(json.dumps(rest, sort_keys=True).encode()).hexdigest()
 
 
 def net_sha256(net: PoseNet) -> str:
@@ -169,11 +184,7 @@ def weights_sha256(name: str | Path) -> str:
     Raises:
         TactipError: If there is none.
     """
-    path = _network_folder(name) / DESCRIPTION
-    try:
-        return json.loads(path.read_text())["weights"]["sha256"]
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise TactipError(f"cannot read the model description {path}: {error!r}") from error
+    return read_description(_network_folder(name))["weights"]["sha256"]
 
 
 def _network_folder(name: str | Path) -> Path:
@@ -187,33 +198,54 @@ def _network_folder(name: str | Path) -> Path:
     return Path(name)
 
 
-def load_model(folder: str | Path, device: str = "cpu") -> Model:
-    """Load the model in a folder to a torch device. Raises TactipError if there is none or it is damaged."""
-    folder = Path(folder)
+_MAX_SIZE_PX = 4096
+"""Maximum width of a network's images, px."""
+
+
+def read_description(folder: Path) -> dict[str, Any]:
+    """Return the description of the model in a folder, which matches its checksum.
+
+    Raises:
+        TactipError: If there is none, it is of another version, or it was altered.
+    """
     path = folder / DESCRIPTION
     if not path.exists():
         raise TactipError(f"no model in {folder}: {DESCRIPTION} is missing (training writes it after the first epoch)")
-    try:
-        description = json.loads(path.read_text())
-        if description.get("format") != FORMAT or description.get("version") != VERSION:
-            raise TactipError(f"{path} must have the format {FORMAT!r}, version {VERSION}: train the model again")
-        config = PoseNetConfig(**description["network"])
-        ranges = description["labels"]
-        lookup("task", ranges["task"], LEARNED)
-        labels = Labels(ranges["task"], tuple(ranges["low"]), tuple(ranges["high"]))
-        data = (folder / description["weights"]["file"]).read_bytes()
-        size, expected = int(description["size_px"]), description["weights"]["sha256"]
-    except (ValueError, KeyError, TypeError, AttributeError, OSError) as error:
-        raise TactipError(f"cannot read the model description {path}: {error!r}") from error
-    if hashlib.sha256(data).hexdigest() != expected:
+    description = read_json(path)
+    if not isinstance(description, dict) or description.get("format") != FORMAT or description.get("version") != VERSION:
+        raise TactipError(f"{path} must have the format {FORMAT!r}, version {VERSION}: train the model again")
+    if description.get("sha256") != description_sha256(description):
+        raise TactipError(f"{path} was altered: it does not match its own checksum; train again, or copy the model again")
+    weights = description.get("weights")
+    if not isinstance(weights, dict) or weights.get("file") != WEIGHTS or not isinstance(weights.get("sha256"), str):
+        raise TactipError(f"{path}: weights must have the file {WEIGHTS} and its sha256, got {weights!r:.60}")
+    if not isinstance(description.get("provenance"), dict):
+        raise TactipError(f"{path}: provenance must be an object")
+    return description
+
+
+def load_model(folder: str | Path, device: str = "cpu") -> Model:
+    """Load the model in a folder to a torch device. Raises TactipError if there is none or it is damaged."""
+    folder = Path(folder)
+    path, description = folder / DESCRIPTION, read_description(folder)
+    config = from_dict(PoseNetConfig, description.get("network"), f"{path}: network")
+    labels = from_dict(Labels, description.get("labels"), f"{path}: labels")
+    size = description.get("size_px")
+    if type(size) is not int or not 1 <= size <= _MAX_SIZE_PX:
+        raise TactipError(f"{path}: size_px must be a whole number from 1 to {_MAX_SIZE_PX}, got {size!r:.60}")
+    data = read_file(folder / WEIGHTS)
+    if hashlib.sha256(data).hexdigest() != description["weights"]["sha256"]:
         raise TactipError(
             f"the weights in {folder} do not match the checksum in {path}: train again, or copy both files again"
         )
     net = PoseNet(config, size, len(labels.components))
     try:
-        net.load_state_dict(tensors_from_bytes(data))
+        state = tensors_from_bytes(data)
+        if not all(isinstance(tensor, torch.Tensor) and torch.isfinite(tensor).all() for tensor in state.values()):
+            raise ValueError("it has something else than tensors of finite numbers")
+        net.load_state_dict(state)
     except (RuntimeError, ValueError) as error:
         raise TactipError(
             f"the weights in {folder} do not match the network in {path}: {str(error).splitlines()[0]}"
         ) from error
-    return Model(to_device(net, device), config, labels, size, description.get("provenance", {}))
+    return Model(to_device(net, device), config, labels, size, description["provenance"])

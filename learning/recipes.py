@@ -2,11 +2,12 @@
 
 import dataclasses
 import json
-from dataclasses import fields
 from pathlib import Path
 
 from tactip_twin.learning.configuration import RECIPES, PoseNetConfig, Recipe, TrainSettings
+from tactip_twin.tactip_model.design_file import from_dict
 from tactip_twin.tactip_model.errors import TactipError, lookup
+from tactip_twin.tactip_model.input_files import read_json
 
 
 def recipe_named(name: str, task: str) -> Recipe:
@@ -20,19 +21,11 @@ def read_recipe(path: str | Path) -> Recipe:
     Raises:
         TactipError: If the file cannot be read, has an unknown field, or a number is out of bounds.
     """
-    try:
-        given = json.loads(Path(path).read_text())
-        parts = given["network"], given.get("settings", {})
-        unknown = [
-            f"{k}" for part, kind in zip(parts, (PoseNetConfig, TrainSettings), strict=True)
-            for k in part if k not in {f.name for f in fields(kind)}
-        ]  # fmt: skip
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise TactipError(f"{path} must be a recipe, JSON with `network` and optionally `settings`: {error!r}") from error
-    if unknown:
-        allowed = [f.name for kind in (PoseNetConfig, TrainSettings) for f in fields(kind)]
-        raise TactipError(f"unknown fields in {path}: {', '.join(unknown)}; choose from {', '.join(allowed)}")
-    return Recipe(PoseNetConfig(**parts[0]), TrainSettings(**parts[1]))
+    given = read_json(path)
+    if not isinstance(given, dict) or "network" not in given:
+        raise TactipError(f"{path} must be a recipe, JSON with `network` and optionally `settings`, but has no `network`")
+    network = from_dict(PoseNetConfig, given["network"], f"{path}: network")
+    return Recipe(network, from_dict(TrainSettings, given.get("settings", {}), f"{path}: settings"))
 
 
 def recipe_json(recipe: Recipe) -> str:

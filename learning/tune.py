@@ -37,6 +37,7 @@ from tactip_twin.sim.parallel.file_lock import locked
 from tactip_twin.sim.parallel.resume import check_resumable
 from tactip_twin.tactip_model.errors import Interrupted, TactipError
 from tactip_twin.tactip_model.files import write_file
+from tactip_twin.tactip_model.input_files import read_json
 
 TRIAL, RESULTS, BEST, LOCK = "trial.json", "results.jsonl", "best.json", ".lock"
 
@@ -156,7 +157,7 @@ def prepare_folder(folder: Path, data: str | Path, settings: TuneSettings) -> No
     path = folder / "search.json"
     recorded = None
     if path.exists():
-        recorded = json.loads(path.read_text())
+        recorded = read_json(path)
         recorded = recorded | {"settings": with_new_defaults(recorded.get("settings"), _identity(TuneSettings()))}
     if not check_resumable(folder, "search", recorded, requested):
         (folder / "trials").mkdir(parents=True)
@@ -185,7 +186,7 @@ def record_start(folder: Path, index: int, record: Result) -> None:
 def _recorded_values(folder: Path, index: int) -> dict[str, Any] | None:
     """Return the values of an interrupted trial, or None if it has not started."""
     path = trial_folder(folder, index).with_suffix(".json")
-    return json.loads(path.read_text())["values"] if path.exists() else None
+    return read_json(path)["values"] if path.exists() else None
 
 
 def read_results(folder: str | Path) -> list[Result]:
@@ -244,7 +245,7 @@ def run_trial(data: str, folder: str, index: int, settings: TuneSettings, device
     """
     torch.set_num_threads(threads)
     place = trial_folder(folder, index)
-    record = json.loads(place.with_suffix(".json").read_text())
+    record = read_json(place.with_suffix(".json"))
     result = record | {"status": "failed", "loss": None, "network": None}
     try:
         network = network_of_values(settings.space, record["values"])
@@ -311,6 +312,6 @@ def read_result(folder: str | Path, index: int, why: str) -> Result:
     """Read the result of a trial that has ended. why: reason of its failure, for a trial that wrote no result."""
     path = trial_folder(folder, index) / TRIAL
     if path.exists():
-        return json.loads(path.read_text())
-    record = json.loads(trial_folder(folder, index).with_suffix(".json").read_text())
+        return read_json(path)
+    record = read_json(trial_folder(folder, index).with_suffix(".json"))
     return record | {"status": "failed", "loss": None, "network": None, "why": why}

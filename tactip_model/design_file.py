@@ -1,13 +1,16 @@
 """Designs as JSON files: calibration writes them, and every command accepts them instead of a preset's name."""
 
+import contextlib
 import json
 from dataclasses import MISSING, asdict, fields, is_dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_origin, get_type_hints
+from types import NoneType, UnionType
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
-from tactip_twin.tactip_model.design import Design
+from tactip_twin.tactip_model.design import Design, Optics
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.files import write_file
+from tactip_twin.tactip_model.input_files import read_json
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -49,22 +52,17 @@ def read_design_with_drift(path: str | Path) -> Design:
     Raises:
         TactipError: `read_design` fails, or the design was not fitted to frames.
     """
-    design, content = read_design(path), json.loads(Path(path).read_text())
+    design, content = read_design(path), read_json(path)
     camera = content["provenance"].get("camera_in_use")
     if not isinstance(camera, dict) or set(camera) != {"zoom", "drift"}:
         raise TactipError(f"the design file {path} lacks provenance.camera_in_use, which only designs fitted to frames have")
-    return replace(design, optics=replace(design.optics, zoom=camera["zoom"], drift=_tuples(camera["drift"])))
+    optics = from_dict(Optics, asdict(design.optics) | camera, f"{path}: provenance.camera_in_use")
+    return replace(design, optics=optics)
 
 
 def read_design(path: str | Path) -> Design:
     """Return the design in a JSON file; raise TactipError if the file is missing, not JSON or not a design."""
-    path = Path(path)
-    try:
-        content = json.loads(path.read_text())
-    except FileNotFoundError:
-        raise TactipError(f"the design file {path} does not exist") from None
-    except ValueError as error:
-        raise TactipError(f"the design file {path} is not JSON: {error}") from error
+    content = read_json(path, f"the design file {path}")
     if isinstance(content, dict) and content.get("format") == "tactip-design 1":
         raise TactipError(
             f"{path} has the format 'tactip-design 1', but this program reads {FORMAT!r}: fit the design again by "
@@ -101,18 +99,59 @@ def from_dict(kind: type[T], value: object, where: str) -> T:
         if name not in value and f.default is MISSING and f.default_factory is MISSING:
             raise TactipError(f"{where} lacks the field {name!r}")
     hints = get_type_hints(kind)
-    given = {}
-    for name, item in value.items():
-        if is_dataclass(hints[name]):
-            given[name] = from_dict(hints[name], item, f"{where}.{name}")
-        else:
-            given[name] = _tuples(item)
-            text = hints[name] is str or get_origin(hints[name]) is Literal
-            if text != isinstance(item, str) or isinstance(item, dict):
-                raise TactipError(f"{where}.{name} must be {'a string' if text else 'a number or numbers'}, got {item!r}")
-    return kind(**given)
+    try:
+        return kind(**{name: _value_of(hints[name], item, f"{where}.{name}") for name, item in value.items()})
+    except _WrongTypeError as error:
+        raise TactipError(str(error)) from None
 
 
-def _tuples(item: Any) -> Any:
-    """Return a JSON value with tuples instead of lists."""
-    return tuple(_tuples(i) for i in item) if isinstance(item, list) else item
+class _WrongTypeError(Exception):
+    """A JSON value does not have the type of its field."""
+
+
+def _value_of(hint: Any, item: Any, where: str) -> Any:
+    """Return a JSON value as the type of its field: a dataclass, tuple, number, string, bool or None."""
+    if is_dataclass(hint):
+        return from_dict(cast("type[DataclassInstance]", hint), item, where)
+    origin, choices = get_origin(hint), get_args(hint)
+    if origin in (Union, UnionType):
+        if item is None and NoneType in choices:
+            return None
+        for choice in choices:
+            with contextlib.suppress(_WrongTypeError):
+                return _value_of(choice, item, where)
+    elif origin is tuple and isinstance(item, list | tuple):
+        kinds = choices[:1] * len(item) if choices[-1] is Ellipsis else choices
+        if len(item) == len(kinds):
+            return tuple(_value_of(kind, i, where) for kind, i in zip(kinds, item, strict=True))
+    elif origin is Literal:
+        if item in choices:
+            return item
+    elif type(item) in ((int, float) if hint is float else (hint,)):
+        return item
+    shown = repr(item) if len(repr(item)) < _MAX_SHOWN else repr(item)[:_MAX_SHOWN] + "…"
+    raise _WrongTypeError(f"{where} must be {_words(hint)}, got {shown}")
+
+
+_MAX_SHOWN = 60
+"""Length to which a wrong value is cut in a message."""
+
+
+def _words(hint: Any) -> str:
+    """Return the type of a field in words."""
+    origin, choices = get_origin(hint), get_args(hint)
+    if origin in (Union, UnionType):
+        return " or ".join("null" if choice is NoneType else _words(choice) for choice in choices)
+    if origin is Literal:
+        return f"one of {', '.join(map(str, choices))}"
+    if origin is tuple:
+        if choices[-1] is Ellipsis:
+            return "a list of lists" if get_origin(choices[0]) is tuple else f"a list of {_PLURALS[choices[0]]}"
+        same = len(set(choices)) == 1
+        return (
+            f"a list of {len(choices)} {_PLURALS[choices[0]]}" if same else f"a list: {' and '.join(map(_words, choices))}"
+        )
+    return {str: "a string", bool: "true or false", int: "a whole number", float: "a number"}[hint]
+
+
+_PLURALS = {str: "strings", int: "whole numbers", float: "numbers"}

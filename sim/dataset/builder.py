@@ -27,6 +27,7 @@ from tactip_twin.sim.parallel.resume import check_resumable, first_difference
 from tactip_twin.sim.parallel.worker_pool import disk_error
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.files import sync_all, write_file
+from tactip_twin.tactip_model.input_files import read_file, read_json
 from tactip_twin.tactip_model.pins import neutral_pins
 
 if TYPE_CHECKING:
@@ -190,7 +191,7 @@ class DatasetBuilder:
 
     def _is_intact(self, name: str, expected: str) -> bool:
         path = self._path / "images" / name
-        return path.exists() and checksum(path.read_bytes()) == expected
+        return path.exists() and checksum(read_file(path)) == expected
 
     def finish(self, workers: int, seconds: float) -> dict[str, Any]:
         """Turn records into a finished set, if it is not one yet.
@@ -280,8 +281,8 @@ class DatasetBuilder:
 def _read_json(path: Path) -> dict[str, Any] | None:
     """Return the object in a JSON file; None if the file is missing or damaged."""
     try:
-        data = json.loads(path.read_bytes())
-    except (FileNotFoundError, ValueError, RecursionError):
+        data = read_json(path)
+    except TactipError:
         return None
     return data if isinstance(data, dict) else None
 

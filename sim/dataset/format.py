@@ -16,8 +16,8 @@ import hashlib
 import io
 import json
 import platform
-import zipfile
-from collections.abc import Sequence
+import re
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -28,10 +28,13 @@ import numpy as np
 
 from tactip_twin.sim.contact.record import Contact
 from tactip_twin.sim.dataset.configuration import REQUIRED_KEYS, Configuration
+from tactip_twin.sim.dataset.meta_check import check_meta
 from tactip_twin.sim.labels import LABELS, SHEARS
 from tactip_twin.sim.pose import to_mm_deg
 from tactip_twin.tactip_model.design_file import from_dict
 from tactip_twin.tactip_model.errors import TactipError
+from tactip_twin.tactip_model.input_files import parse_arrays, read_file, read_json
+from tactip_twin.tactip_model.input_images import decode_image
 
 FORMAT = "tactip-twin data set"
 VERSION = 2
@@ -158,6 +161,8 @@ class Dataset:
     """(n, 6), mm and degrees."""
     ends: tuple[int, ...]
     """Row after the last of each shard; a set without shards counts as one."""
+    checksums: tuple[str, ...]
+    """(n) SHA-256 of the images, in hex."""
 
     @property
     def simulated(self) -> bool:
@@ -165,13 +170,10 @@ class Dataset:
         return all((part / "pins.npz").exists() for part in shard_dirs(self.folder, self.meta))
 
     def image(self, i: int) -> np.ndarray:
-        """Return image i, (size, size) uint8. Raises TactipError where it cannot be read."""
+        """Return image i, (size, size) uint8. Raises TactipError where it cannot be read or does not match its checksum."""
         part = shard_dirs(self.folder, self.meta)[bisect.bisect_right(self.ends, i)]
         path = part / "images" / self.images[i]
-        image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) if path.exists() else None
-        if image is None:
-            raise TactipError(f"the image {path} cannot be read: the set is damaged, see `tactip dataset verify`")
-        return image
+        return decode_image(read_unaltered(path, self.checksums[i]), str(path))
 
 
 def read_meta(folder: str | Path) -> dict[str, Any]:
@@ -181,10 +183,7 @@ def read_meta(folder: str | Path) -> dict[str, Any]:
         if (Path(folder) / PARTIAL).exists():
             raise TactipError(f"the set in {folder} is unfinished: run the command that makes it again to resume it")
         raise TactipError(f"there is no data set in {folder}: it has no meta.json")
-    try:
-        meta = json.loads(path.read_text())
-    except (ValueError, OSError) as error:
-        raise TactipError(f"{path} cannot be read as JSON: {error}") from error
+    meta = read_json(path)
     if not isinstance(meta, dict) or meta.get("format") != FORMAT:
         raise TactipError(f"{path} does not describe a data set of this project: its format is not {FORMAT!r}")
     if meta.get("version") != VERSION:
@@ -192,7 +191,16 @@ def read_meta(folder: str | Path) -> dict[str, Any]:
             f"{path} has version {meta.get('version')!r}, but this program reads version {VERSION}: make the set again by "
             "`tactip dataset make`, or a real one by `tactip import`"
         )
+    check_meta(meta, path)
     return meta
+
+
+def read_unaltered(path: Path, expected: str) -> bytes:
+    """Return the content of a file of a set. Raises TactipError where it is missing or does not match its checksum."""
+    data = read_file(path)
+    if checksum(data) != expected:
+        raise TactipError(f"{path} was altered: it does not match its checksum in meta.json; see `tactip dataset verify`")
+    return data
 
 
 def read_configuration(meta: dict[str, Any], folder: str | Path) -> Configuration:
@@ -216,12 +224,15 @@ def read_configuration(meta: dict[str, Any], folder: str | Path) -> Configuratio
 def read_targets(folder: str | Path) -> list[dict[str, str]]:
     """Return the rows of targets.csv, by column. Raises TactipError where it is missing or lacks a needed column."""
     path = Path(folder) / "targets.csv"
+    return _parse_targets(read_file(path), path)
+
+
+def _parse_targets(data: bytes, path: Path) -> list[dict[str, str]]:
     try:
-        with path.open(newline="") as file:
-            reader = csv.DictReader(file)
-            rows = list(reader)
-            columns = reader.fieldnames or []
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        reader = csv.DictReader(io.StringIO(data.decode(), newline=""))
+        rows = list(reader)
+        columns = reader.fieldnames or []
+    except (UnicodeDecodeError, csv.Error) as error:
         raise TactipError(f"{path} cannot be read: {error}") from error
     missing = [c for c in COLUMNS[:13] if c not in columns]
     if missing:
@@ -234,26 +245,57 @@ def shard_dirs(folder: str | Path, meta: dict[str, Any]) -> list[Path]:
     return [Path(folder) / name for name in meta["shards"]] if "shards" in meta else [Path(folder)]
 
 
+def read_parts(folder: str | Path, meta: dict[str, Any]) -> Iterator[tuple[Path, dict[str, Any]]]:
+    """Yield the folder and the meta.json of each shard of a set, or its own. Raises TactipError where one was altered."""
+    if "shards" not in meta:
+        yield Path(folder), meta
+        return
+    for part in shard_dirs(folder, meta):
+        read_unaltered(part / "meta.json", meta["files"][f"{part.name}/meta.json"])
+        own = read_meta(part)
+        if "shards" in own:
+            raise TactipError(f"{part} must be a shard, but it has shards itself")
+        yield part, own
+
+
 def read_rows(folder: str | Path, meta: dict[str, Any]) -> list[dict[str, str]]:
-    """Return the rows of a finished set, those of all its shards. Raises TactipError as `read_targets` does."""
-    return [row for part in shard_dirs(folder, meta) for row in read_targets(part)]
+    """Return the rows of a finished set, those of all its shards.
+
+    Raises:
+        TactipError: A table was altered, does not have a row for each image, or has short rows.
+    """
+    return [row for part, own in read_parts(folder, meta) for row in _rows_of(part, own)]
+
+
+def _rows_of(part: Path, meta: dict[str, Any]) -> list[dict[str, str]]:
+    path = part / "targets.csv"
+    rows = _parse_targets(read_unaltered(path, meta["files"]["targets.csv"]), path)
+    if any(None in row or None in row.values() for row in rows):
+        raise TactipError(f"{path} has a row with more or fewer cells than the header")
+    names = [row["sensor_image"] for row in rows]
+    if len(set(names)) < len(names) or set(names) != set(meta["images"]):
+        raise TactipError(f"{path} must have one row for each image in meta.json")
+    if "fidelity" in meta["configuration"] and not all(re.fullmatch(r"[0-9]{1,18}", row.get("index", "")) for row in rows):
+        raise TactipError(f"{path} must have the index of a sample in every row")
+    return rows
 
 
 def read_dataset(folder: str | Path) -> Dataset:
-    """Read the labels and image names of a finished set. Raises TactipError where it cannot be read."""
+    """Read the labels and image names of a finished set. Raises TactipError where it cannot be read or was altered."""
     folder = Path(folder)
     meta = read_meta(folder)
-    names, poses, shears, ends = [], [], [], []
-    for part in shard_dirs(folder, meta):
-        rows = read_targets(part)
+    names, poses, shears, ends, checksums = [], [], [], [], []
+    for part, own in read_parts(folder, meta):
+        rows = _rows_of(part, own)
         try:
             poses.append(np.array([[float(row[c]) for c in LABELS] for row in rows]).reshape(-1, 6))
             shears.append(np.array([[float(row[c]) for c in SHEARS] for row in rows]).reshape(-1, 6))
         except (TypeError, ValueError) as error:
             raise TactipError(f"{part / 'targets.csv'} has a cell that is not a number: {error}") from error
         names += [row["sensor_image"] for row in rows]
+        checksums += [own["images"][row["sensor_image"]] for row in rows]
         ends.append(len(names))
-    return Dataset(folder, meta, tuple(names), np.concatenate(poses), np.concatenate(shears), tuple(ends))
+    return Dataset(folder, meta, tuple(names), np.concatenate(poses), np.concatenate(shears), tuple(ends), tuple(checksums))
 
 
 def read_pins(folder: str | Path, meta: dict[str, Any]) -> tuple[np.ndarray, np.ndarray]:
@@ -270,15 +312,45 @@ def read_pins(folder: str | Path, meta: dict[str, Any]) -> tuple[np.ndarray, np.
         TactipError: The set has no pins, or they cannot be read.
     """
     pin_tips, directions = [], []
-    for part in shard_dirs(folder, meta):
+    for part, own in read_parts(folder, meta):
         path = part / "pins.npz"
-        try:
-            with path.open("rb") as file, np.load(file, allow_pickle=False) as pins:
-                pin_tips.append(pins["pin_tips"])
-                directions.append(pins["directions"])
-        except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile) as error:
-            raise TactipError(f"{path} cannot be read ({error}): only simulated sets have pins") from error
-    return np.concatenate(pin_tips), np.concatenate(directions)
+        if "pins.npz" not in own["files"]:
+            raise TactipError(f"the set in {folder} has no pins.npz: only simulated sets have pins")
+        pins = check_pins(parse_arrays(read_unaltered(path, own["files"]["pins.npz"]), str(path)), len(own["images"]), path)
+        pin_tips.append(pins["pin_tips"])
+        directions.append(pins["directions"])
+    try:
+        return np.concatenate(pin_tips), np.concatenate(directions)
+    except ValueError:
+        raise TactipError(f"the shards of the set in {folder} must have the same number of pins") from None
+
+
+def check_pins(pins: dict[str, np.ndarray], rows: int, path: Path) -> dict[str, np.ndarray]:
+    """Return the arrays of pins.npz.
+
+    Args:
+        pins: Its arrays.
+        rows: Number of rows of targets.csv.
+        path: The file, for messages.
+
+    Raises:
+        TactipError: An array is missing, of another shape or type, or not finite.
+    """
+    count = len(pins["neutral_tips"]) if np.ndim(pins.get("neutral_tips", 0)) else 0
+    shapes = {
+        "pin_tips": (rows, count, 3),
+        "directions": (rows, count, 3),
+        "neutral_tips": (count, 3),
+        "neutral_directions": (count, 3),
+    }
+    for name, shape in shapes.items():
+        array = pins.get(name)
+        if array is None or array.dtype != np.float32 or array.shape != shape or not np.isfinite(array).all():
+            got = "none" if array is None else f"{array.dtype} of shape {array.shape}"
+            raise TactipError(f"{path}: {name} must be finite float32 of shape {shape}, got {got}")
+    if np.shape(pins.get("digest", 0)) != () or pins["digest"].dtype.kind != "U":
+        raise TactipError(f"{path}: digest must be a string")
+    return pins
 
 
 def labels_sha256(meta: dict[str, Any]) -> str | None:

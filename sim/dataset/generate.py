@@ -46,6 +46,9 @@ from tactip_twin.tactip_model.tactile_image import tactile_image
 _ROUNDING = 1e-9
 """Distance that a label may lie outside its range, because of rounding, mm or degrees."""
 
+_MAX_SAMPLES = 10_000_000
+"""Maximum number of samples of a set: some 40 GB of images, which one core simulates in three weeks."""
+
 _Task = tuple[int, int | ShardFinalizer]
 """A worker task: the number of the job, and the number of a contact or the end of a shard."""
 
@@ -62,7 +65,7 @@ class Job:
 
 def check(configuration: Configuration) -> None:
     """Raise TactipError where a configuration is invalid."""
-    require(configuration.samples >= 1, "samples", configuration.samples, "at least 1")
+    require(1 <= configuration.samples <= _MAX_SAMPLES, "samples", configuration.samples, f"from 1 to {_MAX_SAMPLES}")
     require(configuration.seed >= 0, "seed", configuration.seed, "non-negative")
     lookup("renderer", configuration.renderer, dict.fromkeys(RENDERERS))
     rng = generator(configuration.seed, configuration.task, configuration.split, 0)

@@ -2,8 +2,6 @@
 
 import io
 import json
-import zipfile
-import zlib
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tactip_twin.sim.dataset.configuration import Configuration, samples_per_contact
-from tactip_twin.sim.dataset.format import PARTIAL, checksum, read_meta, read_targets
+from tactip_twin.sim.dataset.format import PARTIAL, checksum, read_meta, read_pins, read_rows
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.files import write_file
+from tactip_twin.tactip_model.input_files import parse_json, read_arrays, read_file
 
 
 def contact_numbers(configuration: Configuration) -> range:
@@ -58,11 +57,11 @@ def pack_record(record: dict[str, Any], pin_tips: ArrayLike, directions: ArrayLi
 def read_record(path: Path) -> dict[str, Any] | None:
     """Return the JSON object in a record, without the pins; None if the record is missing or damaged."""
     try:
-        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as data:
-            record = json.loads(str(data["record"]))
-            for name in ("pin_tips", "directions"):
-                data[name]  # reading checks its checksum
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
+        data = read_arrays(path)
+        record = parse_json(str(data["record"]), str(path))
+        if not {"pin_tips", "directions"} <= set(data):
+            return None
+    except (TactipError, KeyError):
         return None
     return record if isinstance(record, dict) and isinstance(record.get("images"), dict) else None
 
@@ -70,12 +69,12 @@ def read_record(path: Path) -> dict[str, Any] | None:
 def check_unaltered(folder: Path, meta: dict[str, Any]) -> None:
     """Raise TactipError if a table or an image does not match its checksum in meta.json; missing images are made anew."""
     images = {f"images/{name}": value for name, value in meta.get("images", {}).items()}  # a set of shards has none
-    expected = meta.get("files", {}) | images
+    expected = meta["files"] | images
     for name, value in expected.items():
         path = folder / name
         if name.startswith("images/") and not path.exists():
             continue
-        if not path.exists() or checksum(path.read_bytes()) != value:
+        if not path.exists() or checksum(read_file(path)) != value:
             problem = "does not match its checksum in meta.json" if path.exists() else "is missing"
             raise TactipError(f"the set in {folder} cannot grow because {name} {problem}: restore it, or make another set")
 
@@ -93,16 +92,13 @@ def unpack_finished_set(folder: Path) -> None:
     """
     meta = read_meta(folder)
     check_unaltered(folder, meta)
-    rows = read_targets(folder)
+    rows = read_rows(folder, meta)
     configuration = meta["configuration"]
     each = samples_per_contact(configuration)
+    pin_tips, directions = read_pins(folder, meta)
     try:
-        with np.load(folder / "pins.npz", allow_pickle=False) as pins:
-            pin_tips, directions = pins["pin_tips"], pins["directions"]
         row_by_index = {int(row["index"]): k for k, row in enumerate(rows)}
         failures = {f["index"]: f for f in meta["failures"]}
-        if len(pin_tips) != len(rows):
-            raise ValueError(f"{len(pin_tips)} records of pins for {len(rows)} rows")
         first = configuration.get("first", 0)
         end = first + configuration["samples"]
         for number in range(first // each, end // each):
@@ -119,7 +115,7 @@ def unpack_finished_set(folder: Path) -> None:
                 names = [row["sensor_image"] for row in kept]
                 record |= {"rows": kept, "images": {name: meta["images"][name] for name in names}, "missed": missed}
             write_file(record_path(folder, number), pack_record(record, pin_tips[part], directions[part]))
-    except (ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+    except (ValueError, KeyError, TypeError) as error:
         raise TactipError(f"the set in {folder} cannot grow because it is damaged: {error}") from error
     for name in ("meta.json", "run.json", "targets.csv", "pins.npz"):
         (folder / name).unlink(missing_ok=True)

@@ -15,6 +15,9 @@ from tactip_twin.tactip_model.errors import lookup
 Split = Literal["train", "val", "test"]
 """Name of one of the three independent sets of a task."""
 
+MAX_LABEL = 1e6
+"""Maximum magnitude of a component of a pose or shear, mm and degrees: larger ones are mistakes."""
+
 SPLITS: tuple[Split, ...] = ("train", "val", "test")
 """The three independent sets of a task. Their order is part of what a seed means."""
 
@@ -43,8 +46,8 @@ class Ranges:
     def check(self, name: str) -> None:
         """Raise TactipError where a low is above its high or not finite. name: name of the ranges in messages."""
         for component, (low, high) in vars(self).items():
-            finite = np.isfinite(low) and np.isfinite(high)
-            require(finite, f"{name}.{component}", (low, high), "two finite numbers")
+            possible = max(abs(low), abs(high)) <= MAX_LABEL  # False for NaN
+            require(possible, f"{name}.{component}", (low, high), f"two numbers from -{MAX_LABEL:g} to {MAX_LABEL:g}")
             require(low <= high, f"{name}.{component}", (low, high), "a low and a high, with low at most high")
 
     def sample(self, rng: np.random.Generator) -> np.ndarray:

@@ -1,19 +1,28 @@
 """Verification of data sets: every property of the format is checked, and every violation is a sentence."""
 
-import zipfile
 from collections import Counter
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
-from tactip_twin.sim.dataset.configuration import digest_of, samples_per_contact
-from tactip_twin.sim.dataset.format import COLUMNS, checksum, image_name, read_configuration, read_meta, read_targets
+from tactip_twin.sim.dataset.configuration import samples_per_contact
+from tactip_twin.sim.dataset.format import (
+    COLUMNS,
+    check_pins,
+    checksum,
+    image_name,
+    read_configuration,
+    read_meta,
+    read_targets,
+)
+from tactip_twin.sim.dataset.generate import check
 from tactip_twin.sim.dataset.sampling import seed_text
 from tactip_twin.sim.dataset.shards import shards_of
 from tactip_twin.sim.labels import LABELS, SHEARS
 from tactip_twin.tactip_model.errors import TactipError
+from tactip_twin.tactip_model.input_files import read_arrays, read_file
+from tactip_twin.tactip_model.input_images import decode_image
 
 _ROUNDING = 1e-6
 """Distance that a cell may lie outside its range, because the table has six decimals, mm or degrees."""
@@ -22,13 +31,18 @@ _ROUNDING = 1e-6
 def verify(folder: str | Path) -> list[str]:
     """Return what is wrong with a finished set, as sentences. Raises TactipError where there is no set to check."""
     folder = Path(folder)
-    meta = read_meta(folder)
+    try:
+        meta = read_meta(folder)
+    except TactipError as error:
+        if not (folder / "meta.json").exists():
+            raise
+        return [str(error)]
     return _shards(folder, meta) if "shards" in meta else _single(folder, meta)
 
 
 def _shards(folder: Path, meta: dict[str, Any]) -> list[str]:
     """Return the problems of a set of shards: those of its manifest, and those of each shard."""
-    problems, counts = _files(folder, meta) + _altered(meta), {"asked": 0, "kept": 0, "failed": 0}
+    problems, counts = _files(folder, meta), {"asked": 0, "kept": 0, "failed": 0}
     try:
         expected = shards_of(read_configuration(meta, folder))
     except TactipError as error:
@@ -52,35 +66,33 @@ def _shards(folder: Path, meta: dict[str, Any]) -> list[str]:
     return problems
 
 
-def _altered(meta: dict[str, Any]) -> list[str]:
-    configuration = meta.get("configuration")
-    if configuration is not None and digest_of(configuration) != meta.get("digest"):
-        return ["meta.json: configuration altered: it does not match the digest"]
-    return []
-
-
 def _single(folder: Path, meta: dict[str, Any]) -> list[str]:
     """Return the problems of a set without shards, or of a shard."""
-    configuration = meta.get("configuration")
-    problems = _altered(meta)
+    problems = _files(folder, meta)
     try:
+        if _simulated(meta["configuration"]):
+            check(read_configuration(meta, folder))
         rows = read_targets(folder)
     except TactipError as error:
         return [*problems, str(error)]
-    problems += _files(folder, meta) + _images(folder, meta, rows) + _rows(rows, meta)
-    if _simulated(configuration):
+    problems += _images(folder, meta, rows) + _rows(rows, meta)
+    if _simulated(meta["configuration"]):
         problems += _pins(folder, meta, rows)
     return problems
 
 
 def _files(folder: Path, meta: dict[str, Any]) -> list[str]:
     problems = []
-    for name, expected in meta.get("files", {}).items():
+    for name, expected in meta["files"].items():
         path = folder / name
         if not path.exists():
             problems.append(f"{name}: missing")
-        elif checksum(path.read_bytes()) != expected:
-            problems.append(f"{name}: altered: it does not match the checksum in meta.json")
+            continue
+        try:
+            if checksum(read_file(path)) != expected:
+                problems.append(f"{name}: altered: it does not match the checksum in meta.json")
+        except TactipError as error:
+            problems.append(str(error))
     return problems
 
 
@@ -90,36 +102,47 @@ def _images(folder: Path, meta: dict[str, Any], rows: list[dict[str, str]]) -> l
     existing = {path.name for path in (folder / "images").glob("*")}
     problems += [f"images/{name}: missing" for name in sorted(set(named) - existing)]
     problems += [f"images/{name}: has no row in targets.csv" for name in sorted(existing - set(named))]
-    expected = meta.get("images", {})
-    size = (meta.get("configuration") or {}).get("design", {}).get("image", {}).get("size_px")
+    expected = meta["images"]
+    problems += [f"targets.csv: has no row for the image {name} of meta.json" for name in sorted(set(expected) - set(named))]
+    configuration = meta["configuration"]
+    size = configuration["design"]["image"]["size_px"] if _simulated(configuration) else None
     for name in sorted(set(named) & existing):
-        data = (folder / "images" / name).read_bytes()
-        if name in expected and checksum(data) == expected[name]:
+        try:
+            data = read_file(folder / "images" / name)
+        except TactipError as error:
+            problems.append(str(error))
             continue
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE) if data else None
-        if image is None:
-            problems.append(f"images/{name}: truncated or not an image ({len(data)} bytes)")
-        elif size is not None and image.shape != (size, size):
-            problems.append(f"images/{name}: {image.shape[1]} by {image.shape[0]} px, expected {size} by {size}")
-        elif name in expected:
-            problems.append(f"images/{name}: altered: it does not match the checksum in meta.json")
-        elif not np.isin(image, (0, 255)).all():
-            problems.append(f"images/{name}: has values other than 0 and 255")
+        if name not in expected:
+            problems.append(f"images/{name}: has no checksum in meta.json")
+        elif checksum(data) == expected[name]:
+            continue
+        else:
+            problems.append(f"images/{name}: {_damage(data, size)}")
     return problems
+
+
+def _damage(data: bytes, size: int | None) -> str:
+    """Return what is wrong with an image that does not match its checksum. size: expected width, px, if it is known."""
+    try:
+        image = decode_image(data, "the image")
+    except TactipError:
+        return f"truncated or not an image ({len(data)} bytes)"
+    if size is not None and image.shape != (size, size):
+        return f"{image.shape[1]} by {image.shape[0]} px, expected {size} by {size}"
+    return "altered: it does not match the checksum in meta.json"
 
 
 def _rows(rows: list[dict[str, str]], meta: dict[str, Any]) -> list[str]:
     problems = []
-    configuration = meta.get("configuration")
-    kept = meta.get("samples", {}).get("kept")
-    if kept is not None and kept != len(rows):
+    configuration = meta["configuration"]
+    kept = meta["samples"]["kept"]
+    if kept != len(rows):
         problems.append(f"targets.csv: has {len(rows)} rows, expected {kept} by meta.json")
     ranges = {}
-    if configuration is not None:
-        # On a sliding path the shear is the whole motion since the first contact, which no range limits.
-        slides = configuration.get("snapshots_per_contact", 1) > 1
-        for columns, key in ((LABELS, "pose"), *(() if slides else ((SHEARS, "shear"),))):
-            ranges.update(zip(columns, configuration[key].values(), strict=True))
+    # On a sliding path the shear is the whole motion since the first contact, which no range limits.
+    slides = configuration.get("snapshots_per_contact", 1) > 1
+    for columns, key in ((LABELS, "pose"), *(() if slides else ((SHEARS, "shear"),))):
+        ranges.update(zip(columns, configuration[key].values(), strict=True))
     for number, row in enumerate(rows, start=2):
         where = f"targets.csv, line {number}"
         if None in row or None in row.values():
@@ -138,14 +161,14 @@ def _rows(rows: list[dict[str, str]], meta: dict[str, Any]) -> list[str]:
                     f"{where}: {column} is {row[column]}, outside the set's range {ranges[column]}: "
                     "the row belongs to another configuration"
                 )
-        if configuration is not None and _simulated(configuration) and not _belongs(row, configuration):
+        if _simulated(configuration) and not _belongs(row, configuration):
             problems.append(f"{where}: seed {row.get('seed')!r} or the image does not belong to this set")
     return problems
 
 
-def _simulated(configuration: dict[str, Any] | None) -> bool:
+def _simulated(configuration: dict[str, Any]) -> bool:
     """Return whether a set with this configuration was simulated, not imported."""
-    return configuration is not None and "fidelity" in configuration
+    return "fidelity" in configuration
 
 
 def _belongs(row: dict[str, str], configuration: dict[str, Any]) -> bool:
@@ -161,19 +184,12 @@ def _belongs(row: dict[str, str], configuration: dict[str, Any]) -> bool:
 
 def _pins(folder: Path, meta: dict[str, Any], rows: list[dict[str, str]]) -> list[str]:
     path = folder / "pins.npz"
+    if "pins.npz" not in meta["files"]:
+        return ["meta.json: files has no checksum of pins.npz"]
     if not path.exists():
         return []  # reported by its checksum
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as pins:
-            digest, tips = str(pins["digest"]), pins["pin_tips"]
-            finite = all(np.isfinite(pins[k]).all() for k in ("pin_tips", "directions"))
-    except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile) as error:
-        return [f"pins.npz: cannot be read: {error}"]
-    problems = []
-    if digest != meta["digest"]:
-        problems.append("pins.npz: belongs to a set of another configuration")
-    if len(tips) != len(rows):
-        problems.append(f"pins.npz: has {len(tips)} records, targets.csv {len(rows)} rows")
-    if not finite:
-        problems.append("pins.npz: has numbers that are not finite")
-    return problems
+        pins = check_pins(read_arrays(path), len(rows), path)
+    except TactipError as error:
+        return [str(error)]
+    return [] if str(pins["digest"]) == meta["digest"] else ["pins.npz: belongs to a set of another configuration"]

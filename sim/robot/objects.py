@@ -1,5 +1,6 @@
 """Objects to follow: the project's own by name, and any mesh from a file or from memory, validated before use."""
 
+import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from os import PathLike
@@ -15,6 +16,7 @@ from tactip_twin.sim.contact.signed_distance import SignedDistanceMesh
 from tactip_twin.sim.pose import matrix
 from tactip_twin.tactip_model.bounds import require
 from tactip_twin.tactip_model.errors import TactipError, lookup
+from tactip_twin.tactip_model.input_files import read_file
 
 FORMATS = ("stl", "obj", "ply", "glb")
 """File formats that can be read, by ending."""
@@ -26,6 +28,9 @@ MIN_SIZE_M, MAX_SIZE_M = 5e-3, 2.0
 """Limits of an object's size, m: from a quarter of the tip to four times the arm's reach."""
 
 MAX_TRIANGLES = 2_000_000
+
+_MAX_FILE_BYTES = 2**30
+"""Maximum size of a mesh file, bytes: several times that of MAX_TRIANGLES as text."""
 
 _MIN_VOLUME_M3 = 1e-12
 """Volume below which a closed surface counts as empty, m^3: a cubic millimetre is a thousand times more."""
@@ -166,6 +171,8 @@ def validate_mesh(mesh: trimesh.Trimesh, name: str) -> tuple[trimesh.Trimesh, li
     before = len(mesh.faces)
     mesh.update_faces(mesh.nondegenerate_faces() & mesh.unique_faces())
     mesh.remove_unreferenced_vertices()
+    if not len(mesh.faces):
+        raise TactipError(f"{name} has no triangles of an area above 0")
     if len(mesh.faces) < before:
         notes.append(f"{before - len(mesh.faces)} degenerate or duplicate triangles were removed")
     if not mesh.is_watertight:
@@ -234,13 +241,20 @@ def _read(path: Path) -> trimesh.Trimesh:
     """Return the mesh in a file, unchecked. Raises TactipError where there is none."""
     if path.suffix.lower().lstrip(".") not in FORMATS:
         raise TactipError(f"a mesh file must end in one of {', '.join(FORMATS)}, got {path}")
+    data = read_file(path, _MAX_FILE_BYTES)
     try:
-        # trimesh has no error of its own for a damaged file: what it raises depends on the format.
-        mesh = trimesh.load(path, force="mesh", process=False)
+        # trimesh has no error of its own for a damaged file: what it raises depends on the format. Without the file's
+        # folder it opens no materials or textures that the file names.
+        mesh = trimesh.load(io.BytesIO(data), file_type=path.suffix.lower().lstrip("."), force="mesh", process=False)
     except Exception as error:
         raise TactipError(f"{path} cannot be read as a mesh: {error!r}") from error
     if not isinstance(mesh, trimesh.Trimesh):
         raise TactipError(f"{path} contains no triangle mesh")
+    if mesh.vertices.shape[1:] != (3,) or mesh.faces.shape[1:] != (3,):
+        raise TactipError(f"{path} is damaged: its vertices have {mesh.vertices.shape[-1]} coordinates instead of 3")
+    # Compiled libraries that get the mesh do not check its indices.
+    if len(mesh.faces) and not 0 <= mesh.faces.min() <= mesh.faces.max() < len(mesh.vertices):
+        raise TactipError(f"{path} is damaged: it has triangles of vertices that it lacks")
     return mesh
 
 

@@ -10,7 +10,6 @@ import contextlib
 import io
 import json
 import struct
-import zipfile
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -20,9 +19,12 @@ from typing import Any
 
 import numpy as np
 
+from tactip_twin.sim.labels import TASKS
 from tactip_twin.sim.parallel.file_lock import locked
+from tactip_twin.tactip_model.bounds import require
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.files import write_file
+from tactip_twin.tactip_model.input_files import parse_arrays, parse_json, read_arrays, read_file, read_json
 
 FORMAT, VERSION = "tactip-twin recording", 3
 
@@ -189,65 +191,136 @@ def read_recording(folder: str | PathLike[str]) -> tuple[dict[str, Any], dict[st
         packed = [row["images"] for row in rows]
         record["size_px"], record["steps"] = (packed[0].shape[0] if packed else 0), len(rows)
         return record, _unpacked(_stacked(rows), record["size_px"])
-    try:
-        with np.load(folder / STEPS, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in ARRAYS}
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-        raise TactipError(f"the recording in {folder} cannot be read: {error!r}") from error
-    if len({len(a) for a in arrays.values()}) > 1 or len(arrays["phase"]) != record["steps"]:
-        raise TactipError(f"the recording in {folder} is damaged: its arrays have different lengths")
+    arrays = _checked(read_arrays(folder / STEPS), f"{folder / STEPS}", (record["steps"],))
     return record, _unpacked(arrays, record["size_px"])
 
 
 def read_recorded_scene(folder: str | PathLike[str]) -> RecordedScene:
     """Read the scene of a recording. Raises TactipError where it cannot be read."""
     path = Path(folder) / SCENERY
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            values = {name: file[name] for name in RecordedScene.__dataclass_fields__}
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-        raise TactipError(f"{path} cannot be read: {error!r}") from error
-    return RecordedScene(**values | {"tip_radius_m": float(values["tip_radius_m"]), "with_arm": bool(values["with_arm"])})
+    values = read_arrays(path)
+    shapes = {"object_vertices": (None, 3), "object_triangles": (None, 3), "skin_triangles": (None, 3)}
+    shapes |= {"T_base_object": (4, 4), "tip_radius_m": (), "with_arm": ()}
+    for name, shape in shapes.items():
+        kinds = {"object_triangles": "i", "skin_triangles": "i", "with_arm": "b"}
+        if not _fits(values.get(name), shape) or values[name].dtype.kind not in kinds.get(name, "f"):
+            raise TactipError(f"{path} is damaged: {name} is missing, or has another type or shape")
+        if not np.isfinite(values[name]).all():
+            raise TactipError(f"{path} is damaged: {name} must be finite")
+    # Libraries that draw triangles do not check their indices.
+    if _exceeds(values["object_triangles"], len(values["object_vertices"])):
+        raise TactipError(f"{path} is damaged: object_triangles must be indices of object_vertices")
+    if (values["skin_triangles"] < 0).any():
+        raise TactipError(f"{path} is damaged: skin_triangles must not be negative")
+    radius = float(values["tip_radius_m"])
+    require(0 < radius < _MAX_RADIUS_M, f"tip_radius_m in {path}", radius, f"above 0 and below {_MAX_RADIUS_M:g}")
+    return RecordedScene(
+        values["object_vertices"],
+        values["object_triangles"],
+        values["T_base_object"],
+        values["skin_triangles"],
+        radius,
+        bool(values["with_arm"]),
+    )
+
+
+_MAX_RADIUS_M = 1.0
+
+
+def _fits(array: np.ndarray | None, shape: tuple[int | None, ...]) -> bool:
+    """Return whether an array has a shape, in which None is any length."""
+    if array is None or array.ndim != len(shape):
+        return False
+    return all(wanted in (None, length) for wanted, length in zip(shape, array.shape, strict=True))
+
+
+def _exceeds(indices: np.ndarray, count: int) -> bool:
+    return bool(((indices < 0) | (indices >= count)).any())
+
+
+def _checked(arrays: dict[str, np.ndarray], name: str, rows: tuple[int, ...] = ()) -> dict[str, np.ndarray]:
+    """Return the arrays of ARRAYS.
+
+    Args:
+        arrays: Arrays by name.
+        name: Name of their file, for messages.
+        rows: Number of steps, as the first dimension of every array; empty for the arrays of one step.
+
+    Raises:
+        TactipError: One is missing, has another type or shape, or a value that is not allowed.
+    """
+    for key, shape in ARRAYS.items():
+        array = arrays.get(key)
+        if array is None or array.dtype != _dtype(key) or not _fits(array, (*rows, *shape)):
+            raise TactipError(f"{name} is damaged: {key} is missing, or has another type or shape")
+    if (arrays["phase"] >= len(PHASES)).any():
+        raise TactipError(f"{name} is damaged: phase must be an index of {', '.join(PHASES)}")
+    for key in ("T_base_tcp", "T_base_tcp_measured", "pin_tips_m", "directions", "skin_m", "force_n"):
+        if not np.isfinite(arrays[key]).all():
+            raise TactipError(f"{name} is damaged: {key} must be finite")
+    return {key: arrays[key] for key in ARRAYS}
+
+
+def check_skin(scenery: RecordedScene, arrays: dict[str, np.ndarray]) -> None:
+    """Raise TactipError where the triangles of the skin are no indices of its vertices: what draws them does not check."""
+    vertices = arrays["skin_m"].shape[1]
+    if len(arrays["skin_m"]) and _exceeds(scenery.skin_triangles, vertices):
+        raise TactipError(f"the recording is damaged: skin_triangles must be indices of its {vertices} vertices")
 
 
 def _read_record(folder: Path) -> dict[str, Any]:
     path = folder / RECORDING
     if not path.exists():
         raise TactipError(f"there is no recording in {folder}: {RECORDING} is missing")
-    try:
-        record = json.loads(path.read_text())
-        known = record.get("format") == FORMAT
-    except (OSError, ValueError, AttributeError) as error:
-        raise TactipError(f"{path} cannot be read: {error!r}") from error
-    if not known:
+    record = read_json(path)
+    if not isinstance(record, dict) or record.get("format") != FORMAT:
         raise TactipError(f"{path} is not a recording of this project")
     if record.get("version") != VERSION:
         raise TactipError(
             f"{path} has version {record.get('version')}, but this program reads version {VERSION}: record it again"
         )
-    if not all(name in record for name in ("complete", "size_px", "steps", "events")):
-        raise TactipError(f"{path} is damaged: required keys are missing")
+    kinds = {"complete": bool, "size_px": int, "steps": int, "events": list, "task": str, "object": str}
+    for name, kind in kinds.items():
+        if type(record.get(name)) is not kind:
+            raise TactipError(f"{path} is damaged: {name} must be of the type {kind.__name__}, got {record.get(name)!r:.60}")
+    if record["task"] not in TASKS or not 0 <= record["size_px"] <= _MAX_SIZE_PX or record["steps"] < 0:
+        raise TactipError(f"{path} is damaged: the task, size_px or the number of steps is not allowed")
+    for event in record["events"]:
+        _check_event(event, str(path))
     return record
+
+
+_MAX_SIZE_PX = 4096
+
+
+def _check_event(event: Any, name: str) -> None:
+    """Raise TactipError unless a JSON value is an event: step, kind and what. name: name of the file, for the message."""
+    good = isinstance(event, dict) and type(event.get("step")) is int and event["step"] >= 0
+    if not good or not isinstance(event.get("kind"), str) or not isinstance(event.get("what"), str):
+        raise TactipError(f"{name} is damaged: an event must have a step, a kind and what happened, got {event!r:.60}")
 
 
 def _read_log(path: Path) -> tuple[list[dict[str, np.ndarray]], list[dict[str, Any]]]:
     """Return rows and events of a log, up to its last whole frame."""
     rows, events = [], []
-    try:
-        with open(path, "rb") as file:
-            while len(head := file.read(_FRAME.size)) == _FRAME.size:
-                length, checksum = _FRAME.unpack(head)
-                data = file.read(length) if length < _MAX_FRAME_BYTES else b""
-                if len(data) < length or zlib.crc32(data) != checksum:
-                    break
-                with np.load(io.BytesIO(data), allow_pickle=False) as frame:
-                    if "event" in frame:
-                        events.append(json.loads(frame["event"].tobytes()))
-                    else:
-                        rows.append({name: frame[name] for name in ARRAYS})
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
-        raise TactipError(f"{path} cannot be read: {error!r}") from error
+    file = io.BytesIO(read_file(path, _MAX_LOG_BYTES))
+    while len(head := file.read(_FRAME.size)) == _FRAME.size:
+        length, checksum = _FRAME.unpack(head)
+        data = file.read(length) if length < _MAX_FRAME_BYTES else b""
+        if len(data) < length or zlib.crc32(data) != checksum:
+            break
+        frame = parse_arrays(data, str(path))
+        if "event" in frame:
+            events.append(parse_json(frame["event"].tobytes(), str(path)))
+            _check_event(events[-1], str(path))
+        else:
+            rows.append(_checked(frame, str(path)))
+    if len({tuple(array.shape for array in row.values()) for row in rows}) > 1:
+        raise TactipError(f"{path} is damaged: its steps have arrays of different shapes")
     return rows, events
+
+
+_MAX_LOG_BYTES = 2**30
 
 
 def _unfinished(folder: Path) -> bool:

@@ -1,20 +1,27 @@
 """Helpers for browser pages made with viser: serving them, and showing meshes, pins and images.
 
-A page is served to this machine only unless another address is given, and accepts connections only from pages of its own:
-a browser that shows another site's page is refused.
+A page is served to this machine only unless another address is given. Requests must name the address that is served as their
+Host, and connections must come from a page of that address: a browser that shows another site's page is refused, also if the
+site's name leads to this machine, and so is a program that is no browser.
 """
 
 import contextlib
-import functools
 import io
 import logging
-import re
 import socket
+from collections.abc import Callable
+from http import HTTPStatus
+from ipaddress import ip_address
+from typing import Any
+from urllib.parse import urlsplit
 
 import numpy as np
 import viser
 import websockets.asyncio.server
 from scipy.spatial.transform import Rotation
+from websockets.asyncio.server import ServerConnection
+from websockets.datastructures import Headers
+from websockets.http11 import Request, Response
 
 from tactip_twin.sim.view.geometry import Color, ColoredMesh
 from tactip_twin.tactip_model.bounds import require
@@ -44,7 +51,6 @@ def serve(host: str, port: int) -> viser.ViserServer:
     # An empty address would be every address of this machine.
     require(host != "", "the address of the page", repr(host), "one of this machine, such as 127.0.0.1")
     require(1 <= port <= _MAX_PORT, "the port", port, f"a number from 1 to {_MAX_PORT}")
-    origins = re.compile(r"https?://(127\.0\.0\.1|localhost|\[::1\]|" + re.escape(host) + r")(:\d+)?")
     try:
         # viser waits for ever for an address that is not this machine's.
         with socket.create_server((host, 0)):
@@ -52,8 +58,19 @@ def serve(host: str, port: int) -> viser.ViserServer:
     except OSError as error:
         raise TactipError(f"cannot serve at {host}: {error.strerror or error}") from error
     unrestricted = websockets.asyncio.server.serve
-    # viser takes no list of origins, but its library does. None stands for programs that are not browsers.
-    websockets.asyncio.server.serve = functools.partial(unrestricted, origins=[origins, None], logger=_logger())
+
+    def restricted(
+        *arguments: Any, process_request: Callable[[ServerConnection, Request], Response | None], **options: Any
+    ) -> Any:
+        """Return the server that viser asks for, which answers other sites and programs by a refusal."""
+
+        def check(connection: ServerConnection, request: Request) -> Response | None:
+            problem = _refusal(request.headers, host)
+            return connection.respond(HTTPStatus.FORBIDDEN, problem) if problem else process_request(connection, request)
+
+        return unrestricted(*arguments, process_request=check, logger=_logger(), **options)
+
+    websockets.asyncio.server.serve = restricted  # viser has no option for it
     try:
         with _silenced():
             server = viser.ViserServer(host=host, port=port, verbose=False)
@@ -63,6 +80,42 @@ def serve(host: str, port: int) -> viser.ViserServer:
     server.scene.configure_default_lights(cast_shadow=False)
     server.scene.configure_environment_map(None)
     return server
+
+
+def _refusal(headers: Headers, served: str) -> str:
+    """Return why a request is refused; an empty string if it is not.
+
+    Args:
+        headers: Headers of the request.
+        served: Address at which the page is served.
+    """
+    host = (headers.get_all("Host") or [""])[0]
+    name = urlsplit(f"//{host}").hostname or ""
+    if name not in (LOCAL, "localhost", "::1", served.lower()) and not (_is_wildcard(served) and _is_own_name(name)):
+        return f"this page is not served at {host!r}\n"
+    if headers.get("Upgrade", "").lower() == "websocket" and headers.get_all("Origin") not in (
+        [f"http://{host}"],
+        [f"https://{host}"],
+    ):
+        return "connections are accepted from this page only\n"
+    return ""
+
+
+def _is_wildcard(address: str) -> bool:
+    """Return whether an address stands for all addresses of this machine."""
+    try:
+        return ip_address(address).is_unspecified
+    except ValueError:
+        return False
+
+
+def _is_own_name(name: str) -> bool:
+    """Return whether a name is a numeric address or that of this machine, so no other site can have it."""
+    try:
+        ip_address(name)
+    except ValueError:
+        return name == socket.gethostname().lower()
+    return True
 
 
 def stop(server: viser.ViserServer) -> None:

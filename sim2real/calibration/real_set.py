@@ -7,15 +7,16 @@ meta.json                 tap_move: the tap that makes contact, after the comman
 """
 
 import csv
-import json
+import io
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from tactip_twin.sim.pose import from_mm_deg
 from tactip_twin.tactip_model.errors import TactipError
+from tactip_twin.tactip_model.input_files import read_file, read_json
+from tactip_twin.tactip_model.input_images import read_image
 
 _NAMES = ("image_name", "sensor_image")
 
@@ -39,7 +40,7 @@ class RealSet:
 
     def frame(self, index: int) -> np.ndarray:
         """Return frame `index`, (h, w) uint8. Raises TactipError where it cannot be read or its size differs."""
-        frame = _image(self.files[index])
+        frame = read_image(self.files[index])
         if frame.shape != self.neutral.shape:
             sizes = (f"{i.shape[1]}×{i.shape[0]} px" for i in (self.neutral, frame))
             raise TactipError(f"{self.files[index]} must be {next(sizes)} like the neutral image, got {next(sizes)}")
@@ -77,16 +78,15 @@ def read_real_set(folder: str | Path) -> RealSet:
         raise TactipError(f"{folder / 'targets.csv'} has poses or moves that are not finite")
     files = tuple(_found(folder, row[name]) for row in rows)
     return RealSet(
-        folder, files, *(from_mm_deg(n) for n in numbers), tap=_tap(folder / "meta.json"), neutral=_image(inits[0])
+        folder, files, *(from_mm_deg(n) for n in numbers), tap=_tap(folder / "meta.json"), neutral=read_image(inits[0])
     )
 
 
 def _rows(path: Path) -> list[dict[str, str]]:
+    if not path.exists():
+        raise TactipError(f"{path} does not exist: it must name the frames and their poses")
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            rows = list(csv.DictReader(file))
-    except FileNotFoundError:
-        raise TactipError(f"{path} does not exist: it must name the frames and their poses") from None
+        rows = list(csv.DictReader(io.StringIO(read_file(path).decode("utf-8-sig"), newline="")))
     except (UnicodeDecodeError, csv.Error) as error:
         raise TactipError(f"{path} cannot be read as a table in UTF-8: {error}") from error
     if not rows:
@@ -102,22 +102,12 @@ def _found(folder: Path, name: str) -> Path:
 
 
 def _tap(path: Path) -> np.ndarray:
+    if not path.exists():
+        raise TactipError(f"{path} does not exist: it must give tap_move, the tap that makes contact, mm and degrees")
     try:
-        tap = json.loads(path.read_text())["tap_move"]
-        tap = np.array(tap, float)
-    except FileNotFoundError:
-        raise TactipError(
-            f"{path} does not exist: it must give tap_move, the tap that makes contact, mm and degrees"
-        ) from None
+        tap = np.array(read_json(path)["tap_move"], float)
     except (ValueError, KeyError, TypeError) as error:
         raise TactipError(f"{path} must give tap_move, six numbers in mm and degrees: {error}") from error
     if tap.shape != (6,) or not np.isfinite(tap).all() or not np.linalg.norm(tap[:3]) > 0 or tap[3:].any():
         raise TactipError(f"tap_move in {path} must be a translation, six numbers in mm and degrees, got {tap.tolist()}")
     return from_mm_deg(tap)
-
-
-def _image(path: Path) -> np.ndarray:
-    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-    if image is None:
-        raise TactipError(f"{path} cannot be read as an image")
-    return image

@@ -12,6 +12,7 @@ from tactip_twin.sim.parallel.resume import check_resumable
 from tactip_twin.sim2real.calibration.parameters import Parameter, SensorOnRig
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.files import write_file
+from tactip_twin.tactip_model.input_files import read_json
 from tactip_twin.tactip_model.neutral_image import with_pin_offsets
 
 
@@ -55,9 +56,9 @@ def read_state(
         TactipError: Where the file cannot be read, or is of a calibration with other settings.
     """
     try:
-        state = json.loads(path.read_text())
+        state = read_json(path)
         recorded = state["of"]
-    except (ValueError, KeyError, TypeError) as error:
+    except (TactipError, KeyError, TypeError) as error:
         raise TactipError(f"{path} is not the state of a calibration ({error}): remove it to start again") from error
     check_resumable(path.parent, "calibration", recorded, identity)
     for p in chosen:

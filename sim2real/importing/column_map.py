@@ -13,6 +13,7 @@ import re
 from dataclasses import dataclass
 from typing import Literal, get_args
 
+from tactip_twin.sim.dataset.sampling import MAX_LABEL
 from tactip_twin.sim.labels import LABELS, SHEARS
 from tactip_twin.tactip_model.bounds import check, require, within
 from tactip_twin.tactip_model.errors import TactipError, lookup
@@ -25,6 +26,15 @@ Angles = Literal["vector", "xyz", "xzy", "yxz", "yzx", "zxy", "zyx", "XYZ", "XZY
 
 _NUMBER = r"\d+\.?\d*(?:[eE][+-]?\d+)?"
 _TERM = re.compile(rf"(?P<sign>[+-]?)(?:(?P<factor>{_NUMBER})\*)?(?P<column>[A-Za-z_]\w*)(?P<offset>[+-]{_NUMBER})?")
+
+
+_MAX_LENGTH = 200
+"""Maximum length of the text that maps a column."""
+
+
+def _possible(number: float, spec: str) -> float:
+    require(abs(number) <= MAX_LABEL, f"the numbers in {spec!r}", number, f"from -{MAX_LABEL:g} to {MAX_LABEL:g}")
+    return number
 
 
 @dataclass(frozen=True)
@@ -55,8 +65,10 @@ class ColumnMap:
         check(self)
         lookup("task", self.task, dict.fromkeys(get_args(Task)))
         require(self.angles in get_args(Angles), "angles", repr(self.angles), "vector, or three letters as xyz or ZYX")
-        for spec in self.columns:
-            parse_column(spec)
+        names = [parse_column(spec)[0] for spec in self.columns]
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise TactipError(f"each component must be mapped once, got {', '.join(twice)} more than once")
 
 
 def parse_column(spec: str) -> tuple[str, tuple[float, str | None, float]]:
@@ -65,6 +77,8 @@ def parse_column(spec: str) -> tuple[str, tuple[float, str | None, float]]:
     Raises:
         TactipError: Where the component is unknown, or its column is not written as the module's docstring has it.
     """
+    if len(str(spec)) > _MAX_LENGTH:
+        raise TactipError(f"a column must be written in at most {_MAX_LENGTH} characters, got {len(str(spec))}")
     ours, equals, theirs = (part.strip() for part in str(spec).partition("="))
     theirs = theirs.replace(" ", "")
     if ours not in (*LABELS, *SHEARS):
@@ -72,7 +86,7 @@ def parse_column(spec: str) -> tuple[str, tuple[float, str | None, float]]:
     match = _TERM.fullmatch(theirs)
     if match:
         factor = float(match["factor"] or 1) * (-1 if match["sign"] == "-" else 1)
-        return ours, (factor, match["column"], float(match["offset"] or 0))
+        return ours, (_possible(factor, spec), match["column"], _possible(float(match["offset"] or 0), spec))
     if equals and re.fullmatch(rf"[+-]?{_NUMBER}", theirs):
-        return ours, (0.0, None, float(theirs))
+        return ours, (0.0, None, _possible(float(theirs), spec))
     raise TactipError(f"a column must be written like pose_z=-pose_2-5, pose_Ry=0.5*angle or shear_x=0, got {spec!r}")

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from tactip_twin.sim.dataset.sampling import MAX_LABEL
 from tactip_twin.sim.labels import LABELS, SHEARS
 from tactip_twin.sim.pose import from_mm_deg, label_of, matrix, sensor_in_contact, shear_between, to_mm_deg
 from tactip_twin.sim2real.importing.column_map import ColumnMap, parse_column
@@ -90,6 +91,7 @@ def _span(cells: Sequence[str]) -> str:
 
 def _number(cell: str | None) -> float:
     try:
-        return float("nan" if cell is None else cell)
+        number = float("nan" if cell is None else cell)
     except ValueError:
         return float("nan")
+    return number if abs(number) <= MAX_LABEL else float("nan")

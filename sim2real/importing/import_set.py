@@ -25,6 +25,7 @@ from tactip_twin.sim2real.sensor.preprocess import MIN_PIN_FRACTION, FrameReader
 from tactip_twin.sim2real.sensor.preprocessing_options import ImagePreprocessing
 from tactip_twin.tactip_model.errors import Interrupted, TactipError
 from tactip_twin.tactip_model.files import write_file
+from tactip_twin.tactip_model.input_files import read_file, read_json
 from tactip_twin.tactip_model.neutral_image import camera_change
 from tactip_twin.tactip_model.pin_detection import find_blobs
 
@@ -76,7 +77,7 @@ def import_set(
             "video_frame"
         ]  # written only where it differs from its default, so older sets keep their digest
     record |= {"source": {"name": source.folder.resolve().name, "targets_sha256": source.digest}}
-    record["source"]["neutral_sha256"] = source.neutral and checksum(source.neutral.read_bytes())
+    record["source"]["neutral_sha256"] = source.neutral and checksum(read_file(source.neutral))
     if not (out / _WORK).exists() and check_resumable(out, _KIND, _recorded(out, record), record):
         report = read_report(out)
         if report and ("camera" in report and (report["neutral_image"] or "stand_in" in report)):
@@ -115,10 +116,7 @@ def read_report(folder: str | Path) -> dict[str, Any] | None:
     path = Path(folder) / REPORT
     if not path.exists():
         return None
-    try:
-        report = json.loads(path.read_text())
-    except ValueError as error:
-        raise TactipError(f"{path} cannot be read as JSON: {error}; import the set again") from error
+    report = read_json(path)
     if not isinstance(report, dict) or not {"pins", "neutral_image"} <= set(report):
         raise TactipError(f"{path} is not an import report: import the set again")
     return report

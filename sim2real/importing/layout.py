@@ -9,6 +9,7 @@ from typing import Any
 from tactip_twin.sim2real.importing.column_map import ColumnMap
 from tactip_twin.sim2real.sensor.preprocessing_options import ImagePreprocessing
 from tactip_twin.tactip_model.errors import TactipError
+from tactip_twin.tactip_model.input_files import read_json
 
 _TABLE_KEYS = tuple(f.name for f in fields(ColumnMap))
 _FRAME_KEYS = tuple(f.name for f in fields(ImagePreprocessing))
@@ -46,13 +47,7 @@ def read_layout(path: str | Path) -> Layout:
     Raises:
         TactipError: Where the file does not exist, is not JSON, or has an unknown field or a wrong value.
     """
-    path = Path(path)
-    try:
-        content = json.loads(path.read_text())
-    except FileNotFoundError:
-        raise TactipError(f"the layout file {path} does not exist") from None
-    except ValueError as error:
-        raise TactipError(f"the layout file {path} is not JSON: {error}") from error
+    content = read_json(path, f"the layout file {path}")
     known = {*_TABLE_KEYS, *_FRAME_KEYS}
     if not isinstance(content, dict) or set(content) - known:
         unknown = sorted(set(content) - known) if isinstance(content, dict) else [type(content).__name__]

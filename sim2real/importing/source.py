@@ -15,6 +15,7 @@ from tactip_twin.sim2real.importing.convert_labels import convert_labels, image_
 from tactip_twin.sim2real.sensor.preprocess import IMAGES, load
 from tactip_twin.sim2real.sensor.video_frames import VIDEOS
 from tactip_twin.tactip_model.errors import TactipError
+from tactip_twin.tactip_model.input_files import read_file
 
 FOLDERS = ("images", "frames", "frames_bw", "videos", "")
 """Folders inside the set's folder in which frames are searched."""
@@ -73,10 +74,10 @@ def read_source(
         raise TactipError(f"{folder} is not a folder: it must hold a table targets.csv and frames")
     path = Path(targets) if targets else _table_in(folder)
     try:
-        data = path.read_bytes()
+        if not path.exists():
+            raise TactipError(f"the table {path} does not exist: name the table with --targets")
+        data = read_file(path)
         rows = list(csv.DictReader(io.StringIO(data.decode("utf-8-sig"))))
-    except FileNotFoundError:
-        raise TactipError(f"the table {path} does not exist: name the table with --targets") from None
     except (UnicodeDecodeError, csv.Error) as error:
         raise TactipError(f"the table {path} cannot be read: {error}") from error
     if not rows:

@@ -11,6 +11,8 @@ from tactip_twin.sim2real.sensor.preprocessing_options import ImagePreprocessing
 from tactip_twin.sim2real.sensor.video_frames import VIDEOS, frame_of
 from tactip_twin.tactip_model.design import TactileImage
 from tactip_twin.tactip_model.errors import TactipError
+from tactip_twin.tactip_model.input_files import read_file
+from tactip_twin.tactip_model.input_images import decode_image
 from tactip_twin.tactip_model.mask import detect_pins, pin_area
 from tactip_twin.tactip_model.tactile_image import binary_frame, tactile_image
 
@@ -45,10 +47,7 @@ def load(path: str | Path, video_frame: int = -1) -> np.ndarray:
         raise TactipError("it does not exist")
     if Path(path).suffix.lower() in VIDEOS:
         return frame_of(path, video_frame)
-    frame = cv2.imread(str(path), cv2.IMREAD_COLOR)
-    if frame is None:
-        raise TactipError("it cannot be read as an image")
-    return frame
+    return decode_image(read_file(path), "it", color=True)
 
 
 def load_neutral(path: str | Path) -> np.ndarray:

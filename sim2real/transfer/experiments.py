@@ -40,6 +40,7 @@ from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.design_file import write_design
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.files import write_file
+from tactip_twin.tactip_model.input_files import read_json
 from tactip_twin.tactip_model.presets import load_design
 
 RESULTS = "results.json"
@@ -288,7 +289,7 @@ class Experiment:
         """Add results of an experiment to results.json, and return all of its content."""
         self.out.mkdir(parents=True, exist_ok=True)
         path = self.out / RESULTS
-        record = json.loads(path.read_text()) if path.exists() else {}
+        record = read_json(path) if path.exists() else {}
         record["real"] = {"set": self.real.name, "digest": self.samples.dataset.meta["digest"], "test": len(self.split.test)}
         record["settings"] = json.loads(json.dumps(asdict(self.settings) | {"real_train_frames": len(self.split.known)}))
         record[name] = results

@@ -18,7 +18,7 @@ from tactip_twin.learning.augmentation import OpticsAugmentation
 from tactip_twin.learning.configuration import DeviceName
 from tactip_twin.learning.data import Samples
 from tactip_twin.learning.device import device_named
-from tactip_twin.learning.model import DESCRIPTION, WEIGHTS, Model, net_sha256, save_model, to_input
+from tactip_twin.learning.model import DESCRIPTION, WEIGHTS, Model, net_sha256, read_description, save_model, to_input
 from tactip_twin.learning.optics_ranges import OPTICS
 from tactip_twin.learning.training import cosine_rate
 from tactip_twin.sim.parallel.resume import check_resumable
@@ -99,10 +99,9 @@ def fine_tune(
 
 def _recorded(folder: Path, record: dict[str, Any]) -> dict[str, Any] | None:
     """Return what the provenance of a folder's network has for the keys of `record`; None without a fine-tuned network."""
-    path = folder / DESCRIPTION
-    if not path.exists():
+    if not (folder / DESCRIPTION).exists():
         return None
-    provenance = json.loads(path.read_text())["provenance"]
+    provenance = read_description(folder)["provenance"]
     return {key: provenance.get(key) for key in record} if "fine_tuning" in provenance else None
 
 

@@ -9,7 +9,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from tactip_twin.sim.contact.fidelity import fidelity_named
@@ -20,6 +19,7 @@ from tactip_twin.sim.pose import from_mm_deg
 from tactip_twin.sim2real.importing.import_set import NEUTRAL, NEUTRAL_TACTILE, read_report
 from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.errors import TactipError
+from tactip_twin.tactip_model.input_images import read_image
 from tactip_twin.tactip_model.neutral_image import fit_neutral, fit_pins, neutral_px, reference_pixels
 from tactip_twin.tactip_model.optics import Lens
 from tactip_twin.tactip_model.pin_detection import find_blobs
@@ -53,7 +53,7 @@ def fit_design_to_neutral_image(folder: Path, size_px: int) -> tuple[Design, dic
     Raises:
         TactipError: Where there is no neutral image, and where its pins are of no known layout.
     """
-    image, tactile = (cv2.imread(str(folder / name), cv2.IMREAD_GRAYSCALE) for name in (NEUTRAL, NEUTRAL_TACTILE))
+    image, tactile = (read_image(folder / name) if (folder / name).exists() else None for name in (NEUTRAL, NEUTRAL_TACTILE))
     if image is None:
         raise TactipError(
             f"{folder} has no {NEUTRAL} because an earlier version imported it: import the set again, or give a design with "

@@ -1,12 +1,15 @@
 """Small data sets for tests of learning: images that show their labels, made without physics."""
 
+import json
+
 import numpy as np
 
 from tactip_twin.sim.contact.fidelity import fidelity_named
-from tactip_twin.sim.dataset.configuration import Configuration
+from tactip_twin.sim.dataset.configuration import Configuration, digest_of
 from tactip_twin.sim.dataset.format import checksum, encode_image, image_name, meta_json, row_of, targets_csv
 from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES, generator
 from tactip_twin.sim.pose import from_mm_deg
+from tactip_twin.tactip_model.pins import neutral_pins
 from tactip_twin.tactip_model.presets import design_named
 
 
@@ -47,8 +50,33 @@ def write_fake_set(folder, task="surface", split="train", samples=24, size=40, s
         images[image_name(i)] = checksum(data)
         assert np.allclose(from_mm_deg([rows[-1]["pose_z"]] * 6)[0], contact.pose[2])
     (folder / "targets.csv").write_bytes(targets_csv(rows))
-    (folder / "meta.json").write_bytes(meta_json(configuration, {"kept": samples}, {}, {"images": images}))
+    counts = {"asked": samples, "kept": samples, "failed": 0}
+    more = {"failures": [], "images": images}
+    (folder / "meta.json").write_bytes(meta_json(configuration, counts, {"targets.csv": ""}, more))
+    mend_checksums(folder)
     return folder
+
+
+def add_pins(folder, tips, directions):
+    """Add pins.npz to a set of nominal-127: tips and directions (n, 127, 3)."""
+    neutral = dict(zip(("neutral_tips", "neutral_directions"), neutral_pins(design_named("nominal-127")), strict=True))
+    meta = json.loads((folder / "meta.json").read_text())
+    arrays = {
+        name: np.asarray(array, np.float32)
+        for name, array in {"pin_tips": tips, "directions": directions, **neutral}.items()
+    }
+    np.savez(folder / "pins.npz", **arrays, digest=np.array(meta["digest"]))
+    (folder / "meta.json").write_text(json.dumps(meta | {"files": meta["files"] | {"pins.npz": ""}}))
+    mend_checksums(folder)
+
+
+def mend_checksums(folder):
+    """Make meta.json of a changed set match its files and its configuration."""
+    meta = json.loads((folder / "meta.json").read_text())
+    for names, place in ((meta["files"], folder), (meta.get("images", {}), folder / "images")):
+        names.update({name: checksum((place / name).read_bytes()) for name in names if (place / name).exists()})
+    meta["digest"] = digest_of(meta["configuration"])
+    (folder / "meta.json").write_text(json.dumps(meta))
 
 
 def write_fake_splits(folder, task="surface", samples=24, **changes):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from helpers.learning_sets import write_fake_set
+from helpers.learning_sets import add_pins, write_fake_set
 from tactip_twin.learning.augmentation import OpticsAugmentation
 from tactip_twin.learning.checkpoint import read_metrics
 from tactip_twin.learning.configuration import PoseNetConfig, TrainSettings
@@ -26,7 +26,7 @@ def samples(tmp_path_factory, on_surface, design):
     folder = write_fake_set(tmp_path_factory.mktemp("drawn") / "set", samples=4, size=128)
     contacts = [on_surface([0, 0, -d, 0, 0, 0]) for d in (1, 2, 3, 4)]
     tips, directions = (np.array([getattr(c, k) for c in contacts]) for k in ("pin_tips", "directions"))
-    np.savez(folder / "pins.npz", pin_tips=tips, directions=directions)
+    add_pins(folder, tips, directions)
     images = [tactile_image(grey, design.image) for grey in Raster(design).render(tips, directions)]
     return replace(read_samples(folder), images=np.stack(images))
 
@@ -96,9 +96,9 @@ def test_augmentation_without_pins_raises(tmp_path):
     samples = read_samples(write_fake_set(tmp_path / "set", samples=3))
     with pytest.raises(TactipError, match="only simulated sets have pins"):
         OpticsAugmentation(samples)
-    np.savez(tmp_path / "set" / "pins.npz", pin_tips=np.zeros((2, 127, 3)), directions=np.zeros((2, 127, 3)))
-    with pytest.raises(TactipError, match="has pins of 2 samples for 3 images"):
-        OpticsAugmentation(samples)
+    add_pins(tmp_path / "set", np.zeros((2, 127, 3)), np.zeros((2, 127, 3)))
+    with pytest.raises(TactipError, match=r"pin_tips must be finite float32 of shape \(3, 127, 3\)"):
+        OpticsAugmentation(read_samples(tmp_path / "set"))
 
 
 def test_train_augmented_is_resumable_and_differs_from_plain(samples, tmp_path):

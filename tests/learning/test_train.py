@@ -1,6 +1,8 @@
 """Training: determinism, resuming, validation of the input, and evaluation."""
 
+import hashlib
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -12,7 +14,7 @@ import numpy as np
 import pytest
 import torch
 
-from helpers.learning_sets import write_fake_set, write_fake_splits
+from helpers.learning_sets import mend_checksums, write_fake_set, write_fake_splits
 from tactip_twin.commands import main as tactip
 from tactip_twin.learning import checkpoint
 from tactip_twin.learning import train as train_module
@@ -20,7 +22,7 @@ from tactip_twin.learning.checkpoint import read_metrics
 from tactip_twin.learning.configuration import PoseNetConfig, Recipe, TrainSettings
 from tactip_twin.learning.data import read_samples, read_splits
 from tactip_twin.learning.evaluate import binned, evaluate, tables
-from tactip_twin.learning.model import load_model, net_sha256, to_input
+from tactip_twin.learning.model import description_sha256, load_model, net_sha256, to_input
 from tactip_twin.learning.muon import Muon, inner_weights
 from tactip_twin.learning.recipes import read_recipe, recipe_json
 from tactip_twin.learning.train import train
@@ -243,10 +245,10 @@ def test_train_record_without_new_fields_is_recognized(splits, tmp_path):
         description["provenance"]["network"]["pixel_unshuffle"],
         description["provenance"]["settings"]["augmentation_strength"],
     )
-    path.write_text(json.dumps(description))
+    path.write_text(json.dumps(description | {"sha256": description_sha256(description)}))
     assert quiet(*splits, NET, QUICK, tmp_path / "run") == history
     description["provenance"]["network"]["filters"] += 1
-    path.write_text(json.dumps(description))
+    path.write_text(json.dumps(description | {"sha256": description_sha256(description)}))
     with pytest.raises(TactipError, match=r"holds a training with other settings \(network.filters is 7 there, 6 here\)"):
         quiet(*splits, NET, QUICK, tmp_path / "run")
 
@@ -339,6 +341,8 @@ def test_error_weights_components_by_scale(splits):
 def damaged(tmp_path, damage):
     folder = write_fake_splits(tmp_path / "data", samples=6)
     damage(folder / "train")
+    if (folder / "train" / "meta.json").exists():
+        mend_checksums(folder / "train")  # so that the content is judged
     return folder
 
 
@@ -356,6 +360,8 @@ def edit_row(column, value):
 
 def keep_header(folder):
     (folder / "targets.csv").write_text((folder / "targets.csv").read_text().splitlines()[0] + "\n")
+    meta = json.loads((folder / "meta.json").read_text())
+    (folder / "meta.json").write_text(json.dumps(meta | {"images": {}}))
 
 
 def resize_one(folder):
@@ -414,13 +420,62 @@ def test_load_model_damaged_raises(splits, tmp_path):
     (tmp_path / "run" / "model.pt").write_bytes(data[:-1] + b"x")
     with pytest.raises(TactipError, match="do not match the checksum in"):
         load_model(tmp_path / "run")
-    description = (tmp_path / "run" / "model.json").read_text()
-    (tmp_path / "run" / "model.json").write_text(description.replace('"task": "surface"', '"task": "ceiling"'))
+    path = tmp_path / "run" / "model.json"
+    description = json.loads(path.read_text())
+    description["labels"]["task"] = "ceiling"
+    path.write_text(json.dumps(description))
+    with pytest.raises(TactipError, match="was altered: it does not match its own checksum"):
+        load_model(tmp_path / "run")
+    path.write_text(json.dumps(description | {"sha256": description_sha256(description)}))
     with pytest.raises(TactipError, match="unknown task 'ceiling': choose one of surface, edge"):
         load_model(tmp_path / "run")
-    (tmp_path / "run" / "model.json").write_text("{")
-    with pytest.raises(TactipError, match="cannot read the model description"):
+    path.write_text("{")
+    with pytest.raises(TactipError, match=r"model\.json is not JSON"):
         load_model(tmp_path / "run")
+
+
+class _Payload:
+    def __reduce__(self):
+        return os.mkdir, ("payload-ran",)
+
+
+def _nan_weights(state):
+    return {name: tensor.clone().fill_(float("nan")) for name, tensor in state.items()}
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda state: _Payload(), "damaged, or not a file of tensors"),
+        (lambda state: [1, 2], "it has no tensors by name"),
+        (lambda state: {1: torch.zeros(1)}, "it has no tensors by name"),
+        (lambda state: dict.fromkeys(state, "x"), "something else than tensors of finite numbers"),
+        (_nan_weights, "something else than tensors of finite numbers"),
+    ],
+)
+def test_load_model_hostile_weights_raise(splits, tmp_path, monkeypatch, change, message):
+    """Weights with a matching checksum that are no weights of the network, or run a program when they are unpickled."""
+    monkeypatch.chdir(tmp_path)
+    quiet(*splits, NET, QUICK, tmp_path / "run")
+    weights, path = tmp_path / "run" / "model.pt", tmp_path / "run" / "model.json"
+    torch.save(change(torch.load(weights, weights_only=True)), weights)
+    description = json.loads(path.read_text())
+    description["weights"]["sha256"] = hashlib.sha256(weights.read_bytes()).hexdigest()
+    path.write_text(json.dumps(description | {"sha256": description_sha256(description)}))
+    with pytest.raises(TactipError, match=message):
+        load_model(tmp_path / "run")
+    assert not (tmp_path / "payload-ran").exists()
+
+
+def test_load_model_weights_outside_of_folder_raise(splits, tmp_path):
+    quiet(*splits, NET, QUICK, tmp_path / "run")
+    path = tmp_path / "run" / "model.json"
+    description = json.loads(path.read_text())
+    for file in ("../model.pt", "/dev/zero"):
+        description["weights"]["file"] = file
+        path.write_text(json.dumps(description | {"sha256": description_sha256(description)}))
+        with pytest.raises(TactipError, match=r"weights must have the file model\.pt"):
+            load_model(tmp_path / "run")
 
 
 def test_read_recipe_round_trip_and_errors(tmp_path):
@@ -428,9 +483,11 @@ def test_read_recipe_round_trip_and_errors(tmp_path):
     (tmp_path / "good.json").write_text(recipe_json(recipe))
     assert read_recipe(tmp_path / "good.json") == recipe
     for text, message in (
-        ("{", "must be a recipe, JSON with `network`"),
-        ('{"network": {"depth": 3}}', "unknown fields in .*: depth; choose from conv_layers"),
-        ('{"network": {"filters": "many"}}', "filters must be a whole number from 1 to 1024, got many"),
+        ("{", "bad.json is not JSON"),
+        ("[1]", "must be a recipe, JSON with `network`"),
+        ('{"network": {"depth": 3}}', "network has no field 'depth': it has conv_layers"),
+        ('{"network": {"filters": "many"}}', "network.filters must be a whole number, got 'many'"),
+        ('{"network": {"filters": 1025}}', "filters must be a whole number from 1 to 1024, got 1025"),
     ):
         (tmp_path / "bad.json").write_text(text)
         with pytest.raises(TactipError, match=message):

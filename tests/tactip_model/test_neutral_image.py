@@ -100,7 +100,7 @@ def test_fitted_design_file_keeps_camera_drift_apart(hidden, tmp_path):
         ('"name": "nominal-127"', '"name": 3', "must be a string, got 3"),
         ('"friction": 0', '"friction": -1e', "not JSON"),
         ('"pitch_m": 0.003', '"pitch_m": 0.3', "got 0.3"),
-        ('"pitch_m": 0.003', '"pitch_m": "wide"', "pitch_m must be a number or numbers, got 'wide'"),
+        ('"pitch_m": 0.003', '"pitch_m": "wide"', "pitch_m must be a number, got 'wide'"),
     ],
 )
 def test_read_design_of_invalid_file_names_field(tmp_path, old, new, words):

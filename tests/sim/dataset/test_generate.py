@@ -136,7 +136,7 @@ def test_make_all_tasks_and_splits_in_one_run(tmp_path):
 
 
 INVALID = {
-    "negative count": (["--samples", "-3"], "samples must be at least 1, got -3"),
+    "negative count": (["--samples", "-3"], "samples must be from 1 to 10000000, got -3"),
     "unknown design": (["--design", "digit"], "tactip-127, tactip-331"),
     "range upside down": (["--pose.depth-mm", "-1", "-5"], "with low at most high, got (-1.0, -5.0)"),
     "depth out of the object": (

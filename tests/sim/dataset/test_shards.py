@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from helpers.learning_sets import mend_checksums
 from helpers.set_commands import contents, run, samples_found, wait_for
 from tactip_twin.commands import main as tactip
 from tactip_twin.learning.augmentation import OpticsAugmentation
@@ -188,6 +189,7 @@ def test_large_set_of_one_folder_is_unchanged(tmp_path, capsys):
     meta = json.loads((folder / "meta.json").read_text())
     meta["configuration"]["samples"] = 6
     (folder / "meta.json").write_text(json.dumps(meta))
+    mend_checksums(folder)
     before = {path.name for path in folder.iterdir()}
     assert tactip.main(options(folder)) == 1
     assert "it has 6 samples in one folder, more than the 4 of a shard" in capsys.readouterr().err
@@ -197,7 +199,7 @@ def test_large_set_of_one_folder_is_unchanged(tmp_path, capsys):
 
 def _alter_manifest(folder):
     meta = json.loads((folder / "meta.json").read_text())
-    meta["samples"]["kept"] = 11
+    meta["samples"] = {"asked": 12, "kept": 11, "failed": 1}
     (folder / "meta.json").write_text(json.dumps(meta))
 
 

@@ -105,9 +105,9 @@ DAMAGES = {
     damage_foreign_row: "or the image does not belong to this set",
     damage_missing_pins: "pins.npz: missing",
     damage_pins_of_another_set: "pins.npz: belongs to a set of another configuration",
-    damage_truncated_pins: "pins.npz: cannot be read",
-    damage_emptied_pins: "pins.npz: cannot be read",
-    damage_configuration: "configuration altered",
+    damage_truncated_pins: "pins.npz cannot be read",
+    damage_emptied_pins: "pins.npz cannot be read",
+    damage_configuration: "digest must be the checksum of configuration, which was altered",
 }
 
 

@@ -112,3 +112,18 @@ def test_mesh_in_memory_is_in_metres_and_unchanged(ball):
     assert scene_object.solid.distance(np.zeros(3)) == pytest.approx(-0.08, abs=5e-4)
     assert np.array_equal(mesh.vertices, before)
     assert load_object(ball, unit="mm").solid.distance(np.zeros(3)) == pytest.approx(-0.04, abs=5e-4)
+
+
+def test_object_of_flat_triangles_is_refused(tmp_path):
+    """Three points on a line: nothing is left once triangles without an area are removed."""
+    mesh = trimesh.Trimesh([[0, 0, 0], [10, 0, 0], [20, 0, 0]], [[0, 1, 2]], process=False)
+    mesh.export(tmp_path / "line.ply")
+    with pytest.raises(TactipError, match="has no triangles of an area above 0"):
+        load_object(tmp_path / "line.ply")
+
+
+def test_object_with_triangles_of_missing_vertices_is_refused(tmp_path):
+    text = trimesh.creation.box((20, 20, 20)).export(file_type="ply", encoding="ascii").decode()
+    (tmp_path / "box.ply").write_text(text.replace("3 1 3 0", "3 1 3 99999"))
+    with pytest.raises(TactipError, match=r"is damaged|cannot be read as a mesh"):
+        load_object(tmp_path / "box.ply")

@@ -36,7 +36,7 @@ def _row(k):
 
 
 def _record(folder, steps, finish=True):
-    recorder = Recorder(folder, {"task": "surface"}, SCENE)
+    recorder = Recorder(folder, {"task": "surface", "object": "plate"}, SCENE)
     for k in range(steps):
         recorder.add(_row(k))
         if k == 1:
@@ -108,7 +108,7 @@ def test_truncated_recording_is_read_to_its_last_complete_step(tmp_path, cut):
 
 
 def test_two_commands_do_not_record_into_one_folder(tmp_path):
-    first = Recorder(tmp_path / "run", {}, SCENE)
+    first = Recorder(tmp_path / "run", {"task": "surface", "object": "plate"}, SCENE)
     with pytest.raises(TactipError, match="another command is recording"):
         Recorder(tmp_path / "run", {}, SCENE)
     first.finish({"task": "surface"})
@@ -123,8 +123,8 @@ def test_two_commands_do_not_record_into_one_folder(tmp_path):
 @pytest.mark.parametrize(
     ("name", "data", "words"),
     [
-        (RECORDING, b"{", "cannot be read"),
-        (RECORDING, b"[1]", "cannot be read"),
+        (RECORDING, b"{", "is not JSON"),
+        (RECORDING, b"[1]", "is not a recording of this project"),
         (RECORDING, b'{"format": "else"}', "is not a recording of this project"),
         (
             RECORDING,
@@ -146,5 +146,5 @@ def test_folder_without_recording_is_refused(tmp_path, name, data, words):
 def test_missing_file_is_reported(tmp_path):
     with pytest.raises(TactipError, match="there is no recording in"):
         read_recording(tmp_path)
-    with pytest.raises(TactipError, match=r"scenery\.npz cannot be read"):
+    with pytest.raises(TactipError, match=r"scenery\.npz does not exist"):
         read_recorded_scene(tmp_path)

@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 import viser
 import websockets
+from websockets.datastructures import Headers
 
 from helpers.recordings import RECORD, STEPS, arrays_of, scenery
+from tactip_twin.sim.view import viser_utils
 from tactip_twin.sim.view.geometry import path_lines
 from tactip_twin.sim.view.replay_page import ReplayPage
 from tactip_twin.tactip_model.errors import TactipError
@@ -68,22 +70,25 @@ def test_page_is_served_locally_only(page):
 
 
 @pytest.mark.parametrize(
-    ("origin", "let_in"),
+    ("host", "origin", "let_in"),
     [
-        ("http://127.0.0.1:8431", True),
-        ("http://localhost:8431", True),
-        (None, True),
-        ("http://example.com", False),
-        ("http://127.0.0.1.example.com:8431", False),
-        ("null", False),
+        ("127.0.0.1:8431", "http://127.0.0.1:8431", True),
+        ("localhost:8431", "http://localhost:8431", True),
+        ("127.0.0.1:8431", "http://127.0.0.1:9000", False),
+        ("127.0.0.1:8431", None, False),
+        ("127.0.0.1:8431", "http://example.com", False),
+        ("127.0.0.1:8431", "http://127.0.0.1.example.com:8431", False),
+        ("127.0.0.1:8431", "null", False),
+        ("example.com:8431", "http://example.com:8431", False),
     ],
 )
-def test_other_sites_are_not_let_in(page, origin, let_in):
+def test_other_sites_are_not_let_in(page, host, origin, let_in):
     """As browsers have it: a page of any site may open a socket to this machine, and says from where it is."""
 
     async def knock():
-        address, kind = f"ws://127.0.0.1:{page._server.get_port()}", f"viser-v{viser.__version__}"
-        async with websockets.connect(address, origin=origin, subprotocols=[kind], max_size=None) as socket:
+        address, kind = f"ws://{host}", f"viser-v{viser.__version__}"
+        place = {"host": "127.0.0.1", "port": page._server.get_port()}
+        async with websockets.connect(address, origin=origin, subprotocols=[kind], max_size=None, **place) as socket:
             return await asyncio.wait_for(socket.recv(), 20)
 
     if let_in:
@@ -91,6 +96,31 @@ def test_other_sites_are_not_let_in(page, origin, let_in):
     else:
         with pytest.raises(websockets.exceptions.InvalidStatus, match="403"):
             asyncio.run(knock())
+
+
+@pytest.mark.parametrize(("host", "status"), [("127.0.0.1:8431", 200), ("evil.example:8431", 403)])
+def test_page_is_served_under_its_own_name_only(page, host, status):
+    """A site may have its name lead to this machine, so that a browser takes this page for one of the site's."""
+    connection = http.client.HTTPConnection("127.0.0.1", page._server.get_port(), timeout=20)
+    connection.request("GET", "/", headers={"Host": host})
+    assert connection.getresponse().status == status
+    connection.close()
+
+
+@pytest.mark.parametrize(
+    ("served", "host", "allowed"),
+    [
+        ("192.0.2.2", "192.0.2.2:8080", True),
+        ("0.0.0.0", "192.0.2.2:8080", True),  # noqa: S104
+        ("0.0.0.0", "evil.example:8080", False),  # noqa: S104
+        ("::", "[2001:db8::1]:8080", True),
+        ("127.0.0.1", "192.0.2.2:8080", False),
+        ("robot.local", "robot.local:8080", True),
+    ],
+)
+def test_page_of_an_address_that_was_asked_for_is_let_in(served, host, allowed):
+    headers = Headers({"Host": host, "Origin": f"http://{host}", "Upgrade": "websocket"})
+    assert (viser_utils._refusal(headers, served) == "") == allowed
 
 
 def test_empty_recording_is_refused():

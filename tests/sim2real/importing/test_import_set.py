@@ -16,6 +16,7 @@ from tactip_twin.sim.dataset.format import read_dataset
 from tactip_twin.sim.pose import from_mm_deg
 from tactip_twin.sim.view.video import write_video
 from tactip_twin.sim2real.importing import import_set as importing
+from tactip_twin.sim2real.sensor import preprocess
 from tactip_twin.sim2real.sensor.preprocess import FrameReader
 from tactip_twin.sim2real.sensor.preprocessing_options import ImagePreprocessing
 from tactip_twin.sim2real.transfer.neutral_calibration import fit_design_to_neutral_image
@@ -266,7 +267,7 @@ def test_import_into_damaged_set_reports_error(tmp_path, capsys):
     (tmp_path / "set").mkdir()
     (tmp_path / "set" / "meta.json").write_text('{"format": ')
     assert bring(tmp_path / "lab", tmp_path / "set") == 1
-    assert "meta.json cannot be read as JSON" in capsys.readouterr().err
+    assert "meta.json is not JSON" in capsys.readouterr().err
 
 
 def test_import_names_outside_folder_are_refused(tmp_path, capsys):
@@ -281,16 +282,16 @@ def test_import_names_outside_folder_are_refused(tmp_path, capsys):
 
 def test_import_interrupted_starts_again(tmp_path, monkeypatch):
     write_set(tmp_path / "lab")
-    real = cv2.imread
+    real = preprocess.read_file
 
-    def stop(path, *flags):
-        if path.endswith("frame_7.png"):
+    def stop(path):
+        if path.name == "frame_7.png":
             raise KeyboardInterrupt
-        return real(path, *flags)
+        return real(path)
 
-    monkeypatch.setattr(cv2, "imread", stop)
+    monkeypatch.setattr(preprocess, "read_file", stop)
     assert bring(tmp_path / "lab", tmp_path / "set") == 130
-    monkeypatch.setattr(cv2, "imread", real)
+    monkeypatch.setattr(preprocess, "read_file", real)
     assert not (tmp_path / "set" / "meta.json").exists()
     assert bring(tmp_path / "lab", tmp_path / "set") == 0
     assert bring(tmp_path / "lab", tmp_path / "other") == 0
@@ -370,7 +371,7 @@ def test_import_without_neutral_image_uses_shallowest_frames(tmp_path, capsys):
     # And one whose report is damaged is named.
     (tmp_path / "set" / "import.json").write_text("{")
     assert tactip.main(command) == 1
-    assert "import.json cannot be read as JSON" in capsys.readouterr().err
+    assert "import.json is not JSON" in capsys.readouterr().err
 
 
 def test_fit_design_removes_press_of_pseudo_neutral_frames(tmp_path):

@@ -1,0 +1,47 @@
+"""Output that cannot be written: a reader that has ended, a full disk, a terminal without letters."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from helpers.learning_sets import write_fake_set
+
+TACTIP = [sys.executable, "-m", "tactip_twin.commands.main"]
+
+
+def run(*arguments, **options):
+    return subprocess.run([*TACTIP, *arguments], capture_output=True, check=False, **options)
+
+
+def test_reader_that_has_ended_is_no_error():
+    reading, writing = os.pipe()
+    os.close(reading)
+    done = subprocess.run([*TACTIP, "--help"], stdout=writing, stderr=subprocess.PIPE, check=False)
+    os.close(writing)
+    assert b"Traceback" not in done.stderr
+    assert b"Broken pipe" not in done.stderr
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="this system has no /dev/full")
+def test_output_to_a_full_disk_is_said(tmp_path):
+    write_fake_set(tmp_path / "set", samples=2)
+    with open("/dev/full", "w") as full:
+        done = subprocess.run([*TACTIP, "dataset", "show", tmp_path / "set", "--out", tmp_path / "a.png"], stdout=full,
+                              stderr=subprocess.PIPE, check=False, text=True)  # fmt: skip
+    assert done.returncode == 1
+    assert done.stderr == "tactip: the output or a file: No space left on device\n"
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "utf-8:strict"])
+def test_folder_whose_name_is_no_text(tmp_path, encoding):
+    folder = os.fsencode(tmp_path) + b"/w\xff\xc3\xa4"
+    os.mkdir(folder)
+    set_folder = write_fake_set(tmp_path / "set", samples=2)
+    os.rename(set_folder, folder + b"/set")
+    done = run(
+        "dataset", "show", folder + b"/set", "--out", folder + b"/a.png", env=os.environ | {"PYTHONIOENCODING": encoding}
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith(os.fsencode(tmp_path) + b"/w\\udcff")

@@ -1,0 +1,131 @@
+"""Files that are damaged, or made to exhaust the machine, are refused in one sentence."""
+
+import io
+import json
+import os
+import struct
+import zipfile
+import zlib
+
+import numpy as np
+import pytest
+
+from tactip_twin.tactip_model.errors import TactipError
+from tactip_twin.tactip_model.input_files import parse_arrays, parse_json, read_arrays, read_file, read_json
+from tactip_twin.tactip_model.input_images import decode_image, read_image
+
+
+def npz(**arrays):
+    data = io.BytesIO()
+    np.savez(data, **arrays)
+    return data.getvalue()
+
+
+def png_of_size(width, height):
+    """Return a PNG of one byte of pixels with a header that claims a size."""
+
+    def chunk(kind, data):
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    header = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(b"\0")) + chunk(b"IEND", b"")
+
+
+@pytest.mark.parametrize("read", [read_file, read_json, read_arrays, read_image])
+def test_special_files_are_refused_at_once(tmp_path, read):
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "zero").symlink_to("/dev/zero")
+    for name in ("pipe", "zero", "."):
+        with pytest.raises(TactipError, match="must be a regular file"):
+            read(tmp_path / name)
+    with pytest.raises(TactipError, match="does not exist"):
+        read(tmp_path / "nothing")
+
+
+def test_large_files_are_refused_before_they_are_read(tmp_path):
+    with (tmp_path / "large").open("wb") as file:
+        file.truncate(2**40)
+    with pytest.raises(TactipError, match=r"must have at most 256 MiB, got 1048576 MiB"):
+        read_file(tmp_path / "large")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[" * 100_000, "more than 32 levels"),
+        ("[" * 40 + "]" * 40, "more than 32 levels"),
+        ("NaN", "numbers must be finite"),
+        ('{"a": [1e999]}', "numbers must be finite"),
+        (str(2**64), "at most 63"),
+        ("9" * 100_000, "is not JSON"),
+        (b"\xff\xfe\xff", "is not JSON"),
+        ("", "is not JSON"),
+    ],
+)
+def test_json_beyond_its_limits_is_refused(text, message):
+    with pytest.raises(TactipError, match=message):
+        parse_json(text, "the file")
+
+
+def test_json_within_limits_is_read():
+    value = {"a": [1, -2.5, "x", None, True], "b": {"c": []}}
+    assert parse_json(json.dumps(value), "the file") == value
+
+
+@pytest.mark.parametrize("shape", [(), (0,), (0, 3), (2, 3), (3,)])
+@pytest.mark.parametrize("dtype", [np.float32, np.float64, np.int32, np.uint8, bool, "U5"])
+def test_arrays_are_read_as_they_were_written(shape, dtype):
+    array = np.ones(shape, dtype)
+    fortran = np.asfortranarray(np.arange(6.0).reshape(2, 3))
+    read = parse_arrays(npz(a=array, b=fortran), "the file")
+    assert read["a"].dtype == array.dtype
+    assert np.array_equal(read["a"], array)
+    assert np.array_equal(read["b"], fortran)
+
+
+def npy_with_header(header):
+    text = header.encode().ljust(117) + b"\n"
+    member = b"\x93NUMPY\x01\x00" + struct.pack("<H", len(text)) + text + b"\0" * 64
+    data = io.BytesIO()
+    with zipfile.ZipFile(data, "w") as archive:
+        archive.writestr("a.npy", member)
+    return data.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (b"", "cannot be read as arrays"),
+        (b"PK nothing", "cannot be read as arrays"),
+        (npz(a=np.zeros(3))[:-20], "cannot be read as arrays"),
+        (npy_with_header("{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000000,)}"), "has 64 bytes"),
+        (npy_with_header("{'descr': '<f8', 'fortran_order': False, 'shape': (-8, -1)}"), "numbers and texts are allowed"),
+        (npy_with_header("{'descr': '|O', 'fortran_order': False, 'shape': (8,)}"), "numbers and texts are allowed"),
+        (npy_with_header("{'descr': '<f8'}"), "cannot be read as arrays"),
+    ],
+)
+def test_damaged_arrays_are_refused(data, message):
+    with pytest.raises(TactipError, match=message):
+        parse_arrays(data, "the file")
+
+
+def test_packed_bomb_is_refused_before_it_is_unpacked():
+    data = io.BytesIO()
+    with zipfile.ZipFile(data, "w", zipfile.ZIP_DEFLATED) as archive, archive.open("a.npy", "w") as member:
+        for _ in range(600):
+            member.write(bytes(2**20))
+    assert len(data.getvalue()) < 2**20
+    with pytest.raises(TactipError, match="must unpack to at most 512 MiB"):
+        parse_arrays(data.getvalue(), "the file")
+
+
+@pytest.mark.parametrize("size", [(60_000, 60_000), (10_000, 10_000), (2**31 - 1, 1)])
+def test_image_bomb_is_refused(size):
+    with pytest.raises(TactipError, match="must have at most 67108864 pixels"):
+        decode_image(png_of_size(*size), "the image")
+
+
+@pytest.mark.parametrize("data", [b"", b"no image", png_of_size(0, 0), png_of_size(4, 4)[:30]])
+def test_damaged_image_is_refused(data):
+    with pytest.raises(TactipError, match="cannot be read as an image"):
+        decode_image(data, "the image")
