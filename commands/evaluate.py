@@ -1,5 +1,6 @@
 """tactip evaluate: the errors of a network on a set."""
 
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,6 +23,8 @@ class Evaluate(Command):
     """Print one JSON object and nothing else."""
     device: DeviceName = "cpu"
     """Device; auto is the GPU if there is one."""
+    any_sensor: bool = False
+    """Also evaluate on a sensor whose number of pins differs from that of the sensor of the training."""
 
     def run(self) -> int:
         from json import dumps
@@ -29,15 +32,23 @@ class Evaluate(Command):
         with DelayedStatus("reading the set and the network"):
             from tactip_twin.learning.data import read_samples
             from tactip_twin.learning.device import device_named
-            from tactip_twin.learning.evaluate import evaluate
+            from tactip_twin.learning.evaluate import MAX_OUTSIDE_FRACTION, check_same_pins, evaluate
             from tactip_twin.learning.evaluation_page import write_evaluation
             from tactip_twin.learning.model import load_network
 
             model, samples = load_network(self.model, device_named(self.device)), read_samples(self.data)
+            if not self.any_sensor:
+                check_same_pins(model, samples)
             evaluation = evaluate(model, samples)
         if self.out:
             write_evaluation(evaluation, samples, model, self.out)
         figures = evaluation.figures
+        if figures["outside_fraction"] > MAX_OUTSIDE_FRACTION:
+            print(
+                f"{figures['outside_fraction']:.0%} of the predictions are far outside the range that the network learned: "
+                "it does not fit these images",
+                file=sys.stderr,
+            )
         if self.json:
             print(dumps(figures))
             return 0

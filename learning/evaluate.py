@@ -11,6 +11,10 @@ from tactip_twin.learning.data import Samples, check_compatible
 from tactip_twin.learning.labels import Labels
 from tactip_twin.learning.model import Model
 from tactip_twin.learning.posenet import parameter_count
+from tactip_twin.tactip_model.design_file import design_from_dict
+from tactip_twin.tactip_model.errors import TactipError
+from tactip_twin.tactip_model.pin_detection import find_blobs
+from tactip_twin.tactip_model.pins import neutral_pins
 
 BINS = 10
 """Number of bins of a label or of the shear's magnitude."""
@@ -33,6 +37,54 @@ class Evaluation:
     """Figures that `tactip evaluate --json` prints, as JSON."""
 
 
+def check_same_pins(model: Model, samples: Samples) -> None:
+    """Check that the images of a model's training and of a set show about as many pins.
+
+    Raises:
+        TactipError: If the numbers of pins differ by more than a fifth, where both are known.
+    """
+    learned = _pin_count(model.provenance.get("train", {}).get("configuration"))
+    shown = _pin_count(samples.dataset.meta["configuration"]) or _detected_pins(samples)
+    if learned and abs(shown - learned) > _MAX_PIN_DIFFERENCE * learned:
+        raise TactipError(
+            f"the images in {samples.folder} show {shown} pins, but the network was trained on images of {learned}: its "
+            "predictions mean nothing there; evaluate it all the same with --any-sensor"
+        )
+
+
+_MAX_PIN_DIFFERENCE = 0.2
+"""Fraction by which the numbers of pins may differ: pins merge or leave the image."""
+
+_DETECTION_FRAMES = 20
+
+
+def _pin_count(configuration: Any) -> int:
+    """Return the number of pins of the design in a configuration (a JSON value); 0 if it has none."""
+    if not isinstance(configuration, dict) or "design" not in configuration:
+        return 0
+    return len(neutral_pins(design_from_dict(configuration["design"], "the design of the training"))[0])
+
+
+def _detected_pins(samples: Samples) -> int:
+    """Return the median number of pins that are detected in some images."""
+    chosen = np.unique(np.linspace(0, len(samples) - 1, _DETECTION_FRAMES).astype(int))
+    return int(np.median([len(find_blobs(samples.images[i]).centres) for i in chosen]))
+
+
+MAX_OUTSIDE_FRACTION = 0.05
+"""Fraction of predictions far outside the learned range above which a network does not fit a set. An estimate [?]."""
+
+_FAR = 0.25
+"""Distance from the learned range, as a fraction of its width, beyond which a prediction is far outside [?]."""
+
+
+def _outside_fraction(predictions: np.ndarray, labels: Labels) -> float:
+    """Return the fraction of predictions (n, k) of which a component lies far outside the learned range."""
+    low, high = np.array(labels.low), np.array(labels.high)
+    margin = _FAR * (high - low)
+    return float(((predictions < low - margin) | (predictions > high + margin)).any(1).mean())
+
+
 def evaluate(model: Model, samples: Samples) -> Evaluation:
     """Evaluate a model on samples. Raises TactipError if their tasks or image sizes differ."""
     check_compatible(samples, model.labels.task, model.size, "the model")
@@ -53,6 +105,7 @@ def evaluate(model: Model, samples: Samples) -> Evaluation:
         "p95": by_name(np.quantile(np.abs(errors), 0.95, axis=0)),
         "greatest": by_name(np.abs(errors).max(0)),
         "loss": float(((errors / model.labels.scale) ** 2).sum(1).mean()),
+        "outside_fraction": _outside_fraction(predictions, model.labels),
         "latency_ms": latency_ms(model),
         "parameters": parameter_count(model.net),
     }

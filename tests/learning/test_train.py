@@ -22,7 +22,7 @@ from tactip_twin.learning.checkpoint import read_metrics
 from tactip_twin.learning.configuration import PoseNetConfig, Recipe, TrainSettings
 from tactip_twin.learning.data import read_samples, read_splits
 from tactip_twin.learning.evaluate import binned, evaluate, tables
-from tactip_twin.learning.model import description_sha256, load_model, net_sha256, to_input
+from tactip_twin.learning.model import description_sha256, load_model, net_sha256, save_model, to_input
 from tactip_twin.learning.muon import Muon, inner_weights
 from tactip_twin.learning.recipes import read_recipe, recipe_json
 from tactip_twin.learning.train import train
@@ -30,6 +30,7 @@ from tactip_twin.learning.training import Training, TrainingDiverged
 from tactip_twin.sim.dataset.format import encode_image, read_dataset
 from tactip_twin.sim.dataset.sampling import POSE_RANGES
 from tactip_twin.tactip_model.errors import Interrupted, TactipError
+from tactip_twin.tactip_model.presets import design_named
 
 NET = PoseNetConfig(conv_layers=2, filters=6, dense_units=24, dropout=0.1, l1=0, l2=1e-5, batch_size=8)
 QUICK = TrainSettings(epochs=4, learning_rate=3e-3)
@@ -548,3 +549,28 @@ def test_tables_bins_and_worst_samples(data, splits, tmp_path):
     worst = tables(evaluation, samples, model.labels)["worst"]
     size = ((evaluation.errors / model.labels.scale) ** 2).sum(1)
     assert worst[0]["image"] == samples.dataset.images[int(size.argmax())]
+
+
+def test_evaluate_on_a_sensor_with_other_pins_is_refused_unless_asked_for(splits, tmp_path, capsys):
+    """Predictions from images of a sensor that was not learned mean nothing; where they are far outside, that is said."""
+    quiet(*splits, NET, QUICK, tmp_path / "run")
+    other = write_fake_set(tmp_path / "other", samples=4, design=design_named("nominal-331"))
+    command = ["evaluate", "--model", str(tmp_path / "run"), "--data", str(other)]
+    assert tactip.main(command) == 1
+    assert "show 331 pins, but the network was trained on images of 127" in capsys.readouterr().err
+    assert tactip.main([*command, "--any-sensor", "--json"]) == 0
+    assert 0 <= json.loads(capsys.readouterr().out)["outside_fraction"] <= 1
+
+
+def test_predictions_far_outside_the_learned_range_are_counted_and_said(splits, tmp_path, capsys):
+    quiet(*splits, NET, QUICK, tmp_path / "run")
+    model = load_model(tmp_path / "run")
+    state = model.net.state_dict()
+    state[list(state)[-1]] += 5.0  # the bias of the last layer: five times the learned range
+    (tmp_path / "shifted").mkdir()
+    save_model(tmp_path / "shifted", state, model.config, model.labels, model.size, model.provenance)
+    data = write_fake_set(tmp_path / "set", samples=4)
+    assert tactip.main(["evaluate", "--model", str(tmp_path / "shifted"), "--data", str(data), "--json"]) == 0
+    out, err = capsys.readouterr()
+    assert json.loads(out)["outside_fraction"] == 1
+    assert "100% of the predictions are far outside the range that the network learned" in err

@@ -18,6 +18,7 @@ from tactip_twin.sim.robot.recording import (
     STEPS,
     RecordedScene,
     Recorder,
+    check_skin,
     read_recorded_scene,
     read_recording,
 )
@@ -148,3 +149,15 @@ def test_missing_file_is_reported(tmp_path):
         read_recording(tmp_path)
     with pytest.raises(TactipError, match=r"scenery\.npz does not exist"):
         read_recorded_scene(tmp_path)
+
+
+def test_triangles_of_missing_vertices_are_refused(tmp_path):
+    """What draws triangles does not check their indices, and would end the program."""
+    _record(tmp_path / "run", 2)
+    path = tmp_path / "run" / "scenery.npz"
+    with np.load(path) as file:
+        values = dict(file)
+    for name, words in (("object_triangles", "must be indices of object_vertices"), ("skin_triangles", "must be indices")):
+        np.savez(path, **values | {name: values[name] + 100_000})
+        with pytest.raises(TactipError, match=words):
+            check_skin(read_recorded_scene(tmp_path / "run"), read_recording(tmp_path / "run")[1])

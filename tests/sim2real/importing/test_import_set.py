@@ -16,6 +16,7 @@ from tactip_twin.sim.dataset.format import read_dataset
 from tactip_twin.sim.pose import from_mm_deg
 from tactip_twin.sim.view.video import write_video
 from tactip_twin.sim2real.importing import import_set as importing
+from tactip_twin.sim2real.importing.column_map import ColumnMap
 from tactip_twin.sim2real.sensor import preprocess
 from tactip_twin.sim2real.sensor.preprocess import FrameReader
 from tactip_twin.sim2real.sensor.preprocessing_options import ImagePreprocessing
@@ -487,3 +488,16 @@ def test_import_other_layout_without_neutral_image(tmp_path):
     assert not dataset.shears.any()
     report = json.loads((out / "import.json").read_text())
     assert not report["neutral_image"] and report["stand_in"] == {"frames": 5, "pose_z": [-1.0, -3.0]}
+
+
+@pytest.mark.parametrize(
+    ("columns", "message"),
+    [
+        (["pose_z=a", "pose_z=b"], "each component must be mapped once, got pose_z more than once"),
+        (["pose_z=a+1e308"], r"the numbers in 'pose_z=a\+1e308' must be from -1e\+06 to 1e\+06, got 1e\+308"),
+        (["pose_z=" + "9" * 50_000], "must be written in at most 200 characters, got 50007"),
+    ],
+)
+def test_impossible_columns_are_refused(columns, message):
+    with pytest.raises(TactipError, match=message):
+        ColumnMap(columns=tuple(columns))
