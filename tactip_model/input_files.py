@@ -108,7 +108,7 @@ _NPZ_ERRORS = (
 
 
 def parse_arrays(data: bytes, name: str) -> dict[str, np.ndarray]:
-    """Return the arrays in the bytes of an .npz file, by name; they are read-only. name: name of the file, for messages."""
+    """Return the arrays in the bytes of an .npz file, by name. name: name of the file, for messages."""
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             members = archive.infolist()
@@ -145,9 +145,10 @@ def _array(data: bytes) -> np.ndarray:
         raise ValueError(f"an array of shape {shape} has {len(data) - file.tell()} bytes")
     if not math.prod(shape):
         return np.zeros(shape, dtype)
-    return np.frombuffer(data, dtype, offset=file.tell()).reshape(shape, order="F" if in_fortran_order else "C")
+    values = np.frombuffer(data, dtype, offset=file.tell()).copy()  # writable, as compiled libraries want it
+    return values.reshape(shape, order="F" if in_fortran_order else "C")
 
 
 def read_arrays(path: str | Path) -> dict[str, np.ndarray]:
-    """Return the arrays in an .npz file, by name; they are read-only."""
+    """Return the arrays in an .npz file, by name."""
     return parse_arrays(read_file(path), str(path))
