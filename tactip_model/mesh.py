@@ -40,8 +40,8 @@ class Resolution:
     """Rounds of averaging of the inner points."""
     poisson_limit: float = within(0, 0.5, default=0.47)
     """Largest Poisson's ratio of the elements, -. Linear tetrahedra lock near incompressibility: a gel of 0.49 meshed as
-    0.49 is 30 to 60 % too stiff; 0.47 gives the best deformed shape (tests compare it with a code that does not lock). Not a
-    property of the material."""
+    0.49 is 30 to 60 % too stiff, or 19 to 27 % on the mesh of `reference`; 0.47 gives the best deformed shape (tests compare
+    it with a code that does not lock). Not a property of the material."""
     locked_stiffness: float = within(0.1, 1, default=0.90)
     """Factor on the modulus of a gel that locks, -, which removes the remaining excess force of locking. It depends on the
     mesh: 0.87 for a surface_m of 3.2 mm, 0.90 for 1.9 mm, 0.97 for 1.5 mm and 1 for 1.2 mm with a rim_m of 3 mm. It takes

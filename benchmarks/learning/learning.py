@@ -321,7 +321,9 @@ def plot(whole: Mapping[str, Any], path: Path) -> None:
         for row in record["rows"]:
             x, y = row["latency_ms"], relative_error(row, task)
             axis.plot(x, y, "o", color=colors[row["set"]])
-            axis.annotate(row["name"], (x, y), xytext=(0, 5), textcoords="offset points", ha="center", fontsize=8, bbox=box)
+            axis.annotate(
+                row["name"], (x, y), xytext=(0, 5), textcoords="offset points", ha="center", fontsize=8, bbox=box, zorder=1
+            )
         axis.axhline(1, color="0.4", lw=0.8)
         for name in "xy":
             log_axis(axis, name)
