@@ -117,7 +117,7 @@ def _value_of(hint: Any, item: Any, where: str) -> Any:
     if origin in (Union, UnionType):
         if item is None and NoneType in choices:
             return None
-        for choice in choices:
+        for choice in (choice for choice in choices if choice is not NoneType):
             with contextlib.suppress(_WrongTypeError):
                 return _value_of(choice, item, where)
     elif origin is tuple and isinstance(item, list | tuple):

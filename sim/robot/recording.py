@@ -191,7 +191,9 @@ def read_recording(folder: str | PathLike[str]) -> tuple[dict[str, Any], dict[st
         packed = [row["images"] for row in rows]
         record["size_px"], record["steps"] = (packed[0].shape[0] if packed else 0), len(rows)
         return record, _unpacked(_stacked(rows), record["size_px"])
-    arrays = _checked(read_arrays(folder / STEPS), f"{folder / STEPS}", (record["steps"],))
+    arrays, size = _checked(read_arrays(folder / STEPS), f"{folder / STEPS}", (record["steps"],)), record["size_px"]
+    if len(arrays["images"]) and arrays["images"].shape[1:] != (size, -(-size // 8)):
+        raise TactipError(f"the recording in {folder} is damaged: its images are not {size} px wide")
     return record, _unpacked(arrays, record["size_px"])
 
 
