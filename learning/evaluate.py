@@ -41,7 +41,7 @@ def check_same_pins(model: Model, samples: Samples) -> None:
     """Check that the images of a model's training and of a set show about as many pins.
 
     Raises:
-        TactipError: If the numbers of pins differ by more than a fifth, where both are known.
+        TactipError: If the numbers of pins differ by more than a fifth. A training that does not record its design passes.
     """
     learned = _pin_count(model.provenance.get("train", {}).get("configuration"))
     shown = _pin_count(samples.dataset.meta["configuration"]) or _detected_pins(samples)
@@ -53,9 +53,10 @@ def check_same_pins(model: Model, samples: Samples) -> None:
 
 
 _MAX_PIN_DIFFERENCE = 0.2
-"""Fraction by which the numbers of pins may differ: pins merge or leave the image."""
+"""Fraction by which the numbers of pins may differ: pins merge or leave the image. An estimate [?]."""
 
 _DETECTION_FRAMES = 20
+"""Number of images in which the pins of an imported set are detected."""
 
 
 def _pin_count(configuration: Any) -> int:
@@ -66,7 +67,7 @@ def _pin_count(configuration: Any) -> int:
 
 
 def _detected_pins(samples: Samples) -> int:
-    """Return the median number of pins that are detected in some images."""
+    """Return the median number of pins that are detected in _DETECTION_FRAMES images of a set."""
     chosen = np.unique(np.linspace(0, len(samples) - 1, _DETECTION_FRAMES).astype(int))
     return int(np.median([len(find_blobs(samples.images[i]).centres) for i in chosen]))
 

@@ -118,16 +118,7 @@ def parse_arrays(data: bytes, name: str) -> dict[str, np.ndarray]:
                 if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) or member.flag_bits & 1:
                     raise ValueError(f"{member.filename!r} is packed by a method that numpy does not use")
             return {member.filename.removesuffix(".npy"): _array(archive.read(member)) for member in members}
-    except (
-        ValueError,
-        TypeError,
-        SyntaxError,
-        EOFError,
-        OSError,
-        NotImplementedError,
-        zipfile.BadZipFile,
-        zlib.error,
-    ) as error:
+    except _NPZ_ERRORS as error:
         raise TactipError(f"{name} cannot be read as arrays: {error}") from error
 
 

@@ -227,6 +227,7 @@ def read_recorded_scene(folder: str | PathLike[str]) -> RecordedScene:
 
 
 _MAX_RADIUS_M = 1.0
+"""Radius from which a recorded tip counts as damaged, m: far above that of any fingertip."""
 
 
 def _fits(array: np.ndarray | None, shape: tuple[int | None, ...]) -> bool:
@@ -293,6 +294,7 @@ def _read_record(folder: Path) -> dict[str, Any]:
 
 
 _MAX_SIZE_PX = 4096
+"""Width above which recorded images count as damaged, px."""
 
 
 def _check_event(event: Any, name: str) -> None:
@@ -323,6 +325,7 @@ def _read_log(path: Path) -> tuple[list[dict[str, np.ndarray]], list[dict[str, A
 
 
 _MAX_LOG_BYTES = 2**30
+"""Maximum size of the log of an incomplete recording, bytes."""
 
 
 def _unfinished(folder: Path) -> bool:
