@@ -23,6 +23,8 @@ class Evaluate(Command):
     """Print one JSON object and nothing else."""
     device: DeviceName = "cpu"
     """Device; auto is the GPU if there is one."""
+    threads: int | None = None
+    """Threads of the network, at most one a core. Default: one a core."""
     any_sensor: bool = False
     """Also evaluate on a sensor whose number of pins differs from that of the sensor of the training."""
 
@@ -31,11 +33,12 @@ class Evaluate(Command):
 
         with DelayedStatus("reading the set and the network"):
             from tactip_twin.learning.data import read_samples
-            from tactip_twin.learning.device import device_named
+            from tactip_twin.learning.device import device_named, set_threads
             from tactip_twin.learning.evaluate import MAX_OUTSIDE_FRACTION, check_same_pins, evaluate
             from tactip_twin.learning.evaluation_page import write_evaluation
             from tactip_twin.learning.model import load_network
 
+            set_threads(self.threads)
             model, samples = load_network(self.model, device_named(self.device)), read_samples(self.data)
             if not self.any_sensor:
                 check_same_pins(model, samples)

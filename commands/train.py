@@ -33,6 +33,8 @@ class Train(Command):
     recipe's then."""
     device: DeviceName = "auto"
     """Device; auto is the GPU if there is one."""
+    threads: int | None = None
+    """Threads of the network, at most one a core. Default: one a core."""
     network: PoseNetConfig = field(default_factory=PoseNetConfig)
     """The network."""
     training: TrainSettings = field(default_factory=TrainSettings)
@@ -51,11 +53,12 @@ class Train(Command):
     def run(self) -> int:
         with DelayedStatus("reading the sets"):
             from tactip_twin.learning.data import read_splits
-            from tactip_twin.learning.device import device_named
+            from tactip_twin.learning.device import device_named, set_threads
             from tactip_twin.learning.model import load_network
             from tactip_twin.learning.train import train
 
             device_named(self.device)
+            set_threads(self.threads)
             start = load_network(self.init_from) if self.init_from else None
             train_samples, val_samples = read_splits(self.data)
         recipe = read_recipe(self.config) if self.config else RECIPES[self.recipe][train_samples.labels.task]

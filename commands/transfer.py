@@ -42,6 +42,8 @@ class Transfer(Command):
     """Worker processes that make contacts; auto is one a core."""
     device: DeviceName = "auto"
     """Device; auto is the GPU if there is one."""
+    threads: int | None = None
+    """Threads of the network, at most one a core. Default: one a core."""
     settings: Annotated[TransferSettings, tyro.conf.arg(name="")] = field(default_factory=TransferSettings)
     """How the experiments are made."""
 
@@ -49,9 +51,11 @@ class Transfer(Command):
         from json import dumps
 
         with DelayedStatus("loading the libraries"):
+            from tactip_twin.learning.device import set_threads
             from tactip_twin.sim2real.transfer.experiments import EXPERIMENTS, Experiment
             from tactip_twin.sim2real.transfer.page import PAGE, write_page
 
+        set_threads(self.threads)
         log = to_stderr if self.json else print
         pseudo = self.experiment == "pseudo-real"
         names = ("zero-shot", "gap", "few-shot") if pseudo else (self.experiment,)

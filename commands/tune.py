@@ -29,23 +29,28 @@ class Tune(Command):
     """Address of a Ray cluster (auto: this machine's; local: this machine alone). Needs the extra `cluster`."""
     device: DeviceName = "auto"
     """Device; auto is the GPU if there is one."""
+    threads: int | None = None
+    """Threads of the network, at most one a core. Default: the cores over --jobs."""
     settings: Annotated[TuneSettings, tyro.conf.arg(name="")] = field(default_factory=TuneSettings)
     """The search."""
 
     def run(self) -> int:
         with DelayedStatus("loading the libraries"):
-            from tactip_twin.learning.device import device_named
+            from tactip_twin.learning.device import device_named, set_threads
             from tactip_twin.learning.tune import tune
 
         device_named(self.device)
+        set_threads(self.threads)
         if self.jobs < 1:
             raise TactipError(f"{self.jobs} jobs cannot work: ask for at least 1")
+        if self.cluster and self.threads is not None:
+            raise TactipError("--threads is for this machine, and each trial on a cluster has one core: leave it out")
         if self.cluster:
             from tactip_twin.learning.tune_ray import tune_on_cluster
 
             results = tune_on_cluster(self.data, self.out, self.settings, self.jobs, self.cluster, self.device)
         else:
-            results = tune(self.data, self.out, self.settings, self.jobs, self.device, to_stderr)
+            results = tune(self.data, self.out, self.settings, self.jobs, self.device, to_stderr, self.threads)
         good = [r for r in results if r["status"] == "ok"]
         print(f"{len(results)} trials, {len(good)} of them ended well: {self.out / 'best.json'} and tune.png written")
         return 0

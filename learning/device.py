@@ -1,12 +1,14 @@
 """Device and precision of networks."""
 
 import contextlib
+import os
 from collections.abc import Iterator
 from typing import Literal
 
 import torch
 
 from tactip_twin.learning.configuration import DeviceName, Precision, check_choice
+from tactip_twin.tactip_model.bounds import require
 from tactip_twin.tactip_model.errors import TactipError
 
 
@@ -34,6 +36,15 @@ def is_half(precision: Precision, device: str) -> bool:
     if precision == "auto":
         return device == "cuda" or bool(torch.cpu.get_capabilities().get("amx_bf16"))
     return precision == "bfloat16"
+
+
+def set_threads(count: int | None) -> None:
+    """Set the number of torch's threads; None keeps it. Raises TactipError unless it is from 1 to the number of cores."""
+    if count is None:
+        return
+    cores = len(os.sched_getaffinity(0))
+    require(1 <= count <= cores, "--threads", count, f"from 1 to the number of cores, {cores}")
+    torch.set_num_threads(count)
 
 
 @contextlib.contextmanager

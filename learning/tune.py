@@ -85,6 +85,7 @@ def tune(
     jobs: int = 1,
     device: DeviceName = "auto",
     log: Callable[[str], None] = print,
+    threads: int | None = None,
 ) -> list[Result]:
     """Search in a folder, or resume an interrupted search; return the results.
 
@@ -95,19 +96,28 @@ def tune(
         jobs: Number of parallel trials.
         device: Device to train on.
         log: Callback for messages to the user.
+        threads: Number of threads of each trial; None divides the cores among the jobs.
 
     Raises:
         TactipError: If the data are invalid, the folder holds something else, or all trials failed.
         Interrupted: On Ctrl-C.
     """
+    if threads is None:
+        threads = max(1, len(os.sched_getaffinity(0)) // jobs)
     folder = Path(folder)
     prepare_folder(folder, data, settings)
     with locked(folder / LOCK, f"searching in {folder}"):
-        return _tune(data, folder, settings, jobs, device, log)
+        return _tune(data, folder, settings, jobs, device, log, threads)
 
 
 def _tune(
-    data: str | Path, folder: Path, settings: TuneSettings, jobs: int, device: DeviceName, log: Callable[[str], None]
+    data: str | Path,
+    folder: Path,
+    settings: TuneSettings,
+    jobs: int,
+    device: DeviceName,
+    log: Callable[[str], None],
+    threads: int,
 ) -> list[Result]:
     """Search in a locked folder; see `tune`."""
     results = read_results(folder)
@@ -122,7 +132,7 @@ def _tune(
                     index = todo.pop(0)
                     values = _recorded_values(folder, index) or suggest(settings, index, results)
                     record_start(folder, index, {"trial": index, "values": values})
-                    running[index] = _start(data, folder, index, settings, device, jobs)
+                    running[index] = _start(data, folder, index, settings, device, threads)
                 for index in _ended(running):
                     process = running.pop(index)
                     process.join()
@@ -212,10 +222,9 @@ def _best_loss(results: Sequence[Result]) -> float:
 
 
 def _start(
-    data: str | Path, folder: Path, index: int, settings: TuneSettings, device: DeviceName, jobs: int
+    data: str | Path, folder: Path, index: int, settings: TuneSettings, device: DeviceName, threads: int
 ) -> ForkServerProcess:
     """Start a trial in its own process, so the search survives a crash of the trial, such as running out of memory."""
-    threads = max(1, len(os.sched_getaffinity(0)) // jobs)
     arguments = (str(data), str(folder), index, settings, device, threads)
     context = get_context("forkserver")
     context.set_forkserver_preload([__name__])  # torch is imported once instead of in every trial

@@ -13,6 +13,8 @@ These names are the public face; everything else may move between versions. They
 from importlib import import_module
 from typing import TYPE_CHECKING
 
+import tactip_twin.tactip_model  # noqa: F401  (the OpenGL platform and how threads wait are chosen before anything loads)
+
 if TYPE_CHECKING:
     from tactip_twin.control.estimator import Estimate, Estimator
     from tactip_twin.control.options import RouteOptions, ServoOptions

@@ -22,6 +22,7 @@ from tactip_twin.benchmarks.hardware import machine, machine_text
 from tactip_twin.benchmarks.options import PerformanceOptions
 from tactip_twin.benchmarks.report import write_page
 from tactip_twin.benchmarks.scale import mujoco_warp as gpu_engine
+from tactip_twin.benchmarks.scale import shared_cores
 from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.dataset.configuration import Configuration
 from tactip_twin.sim.dataset.generate import Job, make
@@ -378,6 +379,7 @@ GROUPS: dict[str, tuple[str, Callable[[PerformanceOptions], list[dict[str, Any]]
     "learning": ("training and prediction", _learning),
     "servo": ("rates of servo steps", _servo),
     "faces": ("objects with increasing numbers of triangles", _faces),
+    "shared-cores": ("two jobs side by side", lambda options: shared_cores.rows()),
     "gpu-engine": ("MuJoCo Warp", lambda options: gpu_engine.rows()),
 }
 """Description and function of each group."""

@@ -1,0 +1,39 @@
+"""How OpenMP threads wait: chosen before torch loads, unless the user has chosen."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from tactip_twin.commands.main import main
+
+
+@pytest.mark.parametrize(
+    ("chosen", "spins", "policy"),
+    [
+        ({}, "'1000'", None),
+        ({"GOMP_SPINCOUNT": "77"}, "'77'", None),
+        ({"OMP_WAIT_POLICY": "ACTIVE"}, None, "'ACTIVE'"),
+    ],
+)
+@pytest.mark.parametrize("module", ["learning.model", "sim.tactip"])
+def test_threads_sleep_soon_unless_user_has_chosen(module, chosen, spins, policy):
+    environment = {k: v for k, v in os.environ.items() if not k.startswith(("OMP_WAIT", "GOMP_"))}
+    environment |= {"OMP_DISPLAY_ENV": "VERBOSE"} | chosen
+    code = f"import tactip_twin.{module}, torch"
+    run = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    shown = dict(line.strip().split(" = ", 1) for line in run.stderr.splitlines() if " = " in line)
+    if not shown:
+        pytest.skip("torch does not use GNU's OpenMP here")
+    assert shown["OMP_WAIT_POLICY"] == (policy or shown["OMP_WAIT_POLICY"])
+    assert spins is None or shown["GOMP_SPINCOUNT"] == spins
+    assert spins is not None or shown["GOMP_SPINCOUNT"] != "'1000'"
+
+
+@pytest.mark.parametrize("count", ["0", "-1", "1000000"])
+@pytest.mark.parametrize("command", ["train --data {0} --out {0}/out", "evaluate --model surface-tactip-127 --data {0}"])
+def test_number_of_threads_is_bounded_by_cores(tmp_path, capsys, command, count):
+    status = main([*command.format(tmp_path).split(), "--threads", count])
+    assert status == 1
+    assert "--threads must be from 1 to the number of cores" in capsys.readouterr().err
