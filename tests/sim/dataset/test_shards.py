@@ -166,10 +166,13 @@ def test_kill_loses_no_shard(whole, tmp_path):
     wait_for((folder / "shard-00000" / "meta.json").exists)
     process.kill()
     process.wait()
-    closed = {path: path.stat().st_mtime_ns for path in folder.glob("shard-00000/**/*") if path.is_file()}
+    # A shard's partial records are removed after its meta.json is written: a kill in between leaves some of them.
+    shard = folder / "shard-00000"
+    files = [path for path in shard.rglob("*") if path.is_file() and PARTIAL not in path.relative_to(shard).parts]
+    closed = {path: path.stat().st_mtime_ns for path in files}
     resumed = run(command)
     assert resumed.returncode == 0, resumed.stderr
-    # How many there are is chance: the workers that are left finish what they had in their hands.
+    # The number varies, because the orphaned workers still finish their contacts.
     assert samples_found(resumed.stderr + resumed.stdout) >= SHARD
     assert all(path.stat().st_mtime_ns == written for path, written in closed.items())
     assert contents(folder) == contents(whole)
