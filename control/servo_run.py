@@ -52,7 +52,7 @@ def run_servo(
     """
     setup = prepare(options, log, estimator, controller)
     scenery = _scenery(options, setup)
-    recorder = Recorder(options.out, _description(options, setup), scenery)
+    recorder = Recorder(options.out, _description(options, setup), scenery, (SCORE, FIGURE, FILM))
     to_object = inverse(setup.scene_object.T_base_object)
 
     def record(step: Step) -> None:
@@ -82,13 +82,17 @@ def run_servo(
         "stopped_because": follower.stopped_because,
         "warnings": setup.mounted_tip.warnings,
     }
-    finished, arrays = recorder.finish(outcome)
-    figures = score(arrays, finished, reference_mm_deg(setup.depth_mm), setup.targets)
-    write_file(options.out / SCORE, (json.dumps(figures, indent=1) + "\n").encode())
-    if options.renderer == "pyrender":
-        write_figure(options.out / FIGURE, scenery, arrays, options.task)
-    if options.video and not interrupted and finished["steps"]:
-        write_video(options.out / FILM, render_frames(scenery, finished, arrays))
+    finished, arrays = recorder.results(outcome)
+    try:
+        figures = score(arrays, finished, reference_mm_deg(setup.depth_mm), setup.targets)
+        write_file(options.out / SCORE, (json.dumps(figures, indent=1) + "\n").encode())
+        if options.renderer == "pyrender":
+            write_figure(options.out / FIGURE, scenery, arrays, options.task)
+        if options.video and not interrupted and finished["steps"]:
+            write_video(options.out / FILM, render_frames(scenery, finished, arrays))
+    finally:
+        # Last, so after a kill the same command works; but an error or Ctrl-C completes it.
+        recorder.finish(outcome)
     if interrupted:
         raise Interrupted(f"the steps so far are in {options.out}")
     return figures

@@ -24,6 +24,7 @@ from tactip_twin.learning.posenet import parameter_count
 from tactip_twin.learning.training import Training, initial_state
 from tactip_twin.sim.parallel.file_lock import locked
 from tactip_twin.tactip_model.errors import Interrupted, TactipError
+from tactip_twin.tactip_model.files import remove_leftovers
 
 if TYPE_CHECKING:
     from torch.utils.tensorboard import SummaryWriter
@@ -79,6 +80,7 @@ def train(
         config.last_size(train_samples.size)
     folder.mkdir(parents=True, exist_ok=True)
     with locked(folder / LOCK, f"training in {folder}"):
+        remove_leftovers(folder)
         state = load_checkpoint(folder, record)
         if state == "finished":
             log(f"this training is already finished in {folder}")
@@ -128,7 +130,12 @@ def _train_epochs(
         mininterval=0.5 if sys.stderr.isatty() else 15,
         disable=quiet,
     ) as bar:
-        while not training.finished:
+        while True:
+            # First, because a kill may have come between the last checkpoint and this decision.
+            if should_prune and training.epoch and not training.finished and should_prune(training.history):
+                raise Pruned(f"half of the earlier trials had a lower loss after {training.epoch} epochs")
+            if training.finished:
+                break
             figures = training.train_epoch(bar.update)
             epoch = f"{training.epoch}/{training.epochs}"
             bar.set_postfix(epoch=epoch, loss=figures["loss"], val=figures["val_loss"], best=training.best_error)
@@ -136,8 +143,6 @@ def _train_epochs(
                 for name in ("loss", "val_loss"):
                     writer.add_scalar(name, figures[name], training.epoch)
             save_checkpoint(training, folder, record)
-            if should_prune and not training.finished and should_prune(training.history):
-                raise Pruned(f"half of the earlier trials had a lower loss after {training.epoch} epochs")
     if writer:
         writer.close()
     (folder / CHECKPOINT).unlink()

@@ -34,9 +34,10 @@ from tactip_twin.learning.search_space import expressions, network_of_values
 from tactip_twin.learning.train import Pruned, ShouldPrune, train
 from tactip_twin.learning.tune_figure import plot_search
 from tactip_twin.sim.parallel.file_lock import locked
+from tactip_twin.sim.parallel.parent_watch import end_with_parent
 from tactip_twin.sim.parallel.resume import check_resumable
 from tactip_twin.tactip_model.errors import Interrupted, TactipError
-from tactip_twin.tactip_model.files import write_file
+from tactip_twin.tactip_model.files import remove_leftovers, write_file
 from tactip_twin.tactip_model.input_files import read_json
 
 TRIAL, RESULTS, BEST, LOCK = "trial.json", "results.jsonl", "best.json", ".lock"
@@ -120,7 +121,7 @@ def _tune(
     threads: int,
 ) -> list[Result]:
     """Search in a locked folder; see `tune`."""
-    results = read_results(folder)
+    results = resumed_results(folder, settings)
     todo = [i for i in range(settings.trials) if i not in {r["trial"] for r in results}]
     if results and todo:
         log(f"{len(results)} of {settings.trials} trials are already done")
@@ -170,7 +171,7 @@ def prepare_folder(folder: Path, data: str | Path, settings: TuneSettings) -> No
         recorded = read_json(path)
         recorded = recorded | {"settings": with_new_defaults(recorded.get("settings"), _identity(TuneSettings()))}
     if not check_resumable(folder, "search", recorded, requested):
-        (folder / "trials").mkdir(parents=True)
+        folder.mkdir(parents=True, exist_ok=True)
         write_file(path, (json.dumps(requested, indent=1) + "\n").encode())
 
 
@@ -205,6 +206,16 @@ def read_results(folder: str | Path) -> list[Result]:
     return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
 
 
+def resumed_results(folder: Path, settings: TuneSettings) -> list[Result]:
+    """Return the results so far of a search that resumes, after mending what a kill may have left in its locked folder."""
+    remove_leftovers(folder)
+    remove_leftovers(folder / "trials")
+    results = read_results(folder)
+    if results:
+        write_results(folder, results, settings)  # a kill may have come between its two files
+    return results
+
+
 def write_results(folder: Path, results: Sequence[Result], settings: TuneSettings) -> None:
     """Write results.jsonl and, for the best result, best.json."""
     write_file(folder / RESULTS, "".join(json.dumps(r) + "\n" for r in results).encode())
@@ -236,6 +247,7 @@ def _start(
 def _trial_process(data: str, folder: str, index: int, settings: TuneSettings, device: DeviceName, threads: int) -> None:
     """Run a trial as the main function of its process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C
+    end_with_parent()
     # The parent ends trials by SIGTERM: an orderly exit releases their locks and memory.
     signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
     run_trial(data, folder, index, settings, device, threads)

@@ -22,8 +22,8 @@ from tactip_twin.learning.tune import (
     interrupted_message,
     prepare_folder,
     read_result,
-    read_results,
     record_start,
+    resumed_results,
     run_trial,
     to_hyperopt_trials,
     values_of,
@@ -59,8 +59,9 @@ def tune_on_cluster(
     ray_here()
     prepare_folder(folder, data, settings)
     with locked(folder / LOCK, f"searching in {folder}"):
-        results = read_results(folder)
+        results = resumed_results(folder, settings)
         if len(results) >= settings.trials:
+            plot_search(results, folder / "tune.png", settings.random_trials)
             return results
         clear(folder, results)
         with joined(address) as ray:

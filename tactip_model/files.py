@@ -1,6 +1,7 @@
-"""Atomic writing of files."""
+"""Atomic writing of files, and what kills leave of it."""
 
 import os
+import re
 from pathlib import Path
 
 
@@ -29,6 +30,41 @@ def write_file(path: Path, data: bytes, sync: bool = True) -> None:
     except OSError:
         temporary.unlink(missing_ok=True)
         raise
+
+
+_LEFTOVER = re.compile(r"\..+\.(?:(?P<writer>\d+)\.tmp|part)")
+"""Names of the files in which content waits for its name: of write_file, and of videos."""
+
+
+def is_leftover(path: Path) -> bool:
+    """Return whether a file is one that a kill leaves of another file's writing."""
+    return _LEFTOVER.fullmatch(path.name) is not None
+
+
+def remove_leftovers(folder: Path, name: str = "*") -> None:
+    """Remove what kills have left in a folder, unless the process that writes it is alive.
+
+    Args:
+        folder: The folder, which need not exist.
+        name: Name of the file whose leftovers are removed; all if not given, for folders that hold a command's files only.
+    """
+    for path in folder.glob(f".{name}.*"):
+        found = _LEFTOVER.fullmatch(path.name)
+        if found and not (found["writer"] and _is_alive(int(found["writer"]))):
+            path.unlink(missing_ok=True)
+
+
+def _is_alive(process: int) -> bool:
+    """Return whether another process of this number runs on this machine."""
+    if process == os.getpid():
+        return False
+    try:
+        os.kill(process, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except PermissionError:
+        pass
+    return True
 
 
 def _sync_folder(folder: Path) -> None:

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from tactip_twin.tactip_model.errors import TactipError
+from tactip_twin.tactip_model.files import is_leftover
 
 
 def check_resumable(folder: Path, kind: str, recorded: Any, requested: Any, own: tuple[str, ...] = ()) -> bool:
@@ -15,13 +16,14 @@ def check_resumable(folder: Path, kind: str, recorded: Any, requested: Any, own:
         kind: What the folder holds, as a noun: "data set", "training".
         recorded: Settings (a JSON value) written there by the first command; None where there are none.
         requested: Settings (a JSON value) of this command.
-        own: Names of files that every command of this kind leaves, lock files for example: they do not count.
+        own: Names of files that every command of this kind leaves, lock files for example: they do not count, nor do leftovers
+            of kills.
 
     Raises:
         TactipError: Where the folder holds something else, or the same with other settings; the first difference is named.
     """
     if recorded is None:
-        if folder.exists() and any(path.name not in own for path in folder.iterdir()):
+        if folder.exists() and any(path.name not in own and not is_leftover(path) for path in folder.iterdir()):
             raise TactipError(f"the folder {folder} is not empty and holds no {kind}: choose another folder")
         return False
     difference = first_difference(recorded, requested)

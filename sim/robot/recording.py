@@ -23,7 +23,7 @@ from tactip_twin.sim.labels import TASKS
 from tactip_twin.sim.parallel.file_lock import locked
 from tactip_twin.tactip_model.bounds import require
 from tactip_twin.tactip_model.errors import TactipError
-from tactip_twin.tactip_model.files import write_file
+from tactip_twin.tactip_model.files import is_leftover, remove_leftovers, write_file
 from tactip_twin.tactip_model.input_files import parse_arrays, parse_json, read_arrays, read_file, read_json
 
 FORMAT, VERSION = "tactip-twin recording", 3
@@ -101,23 +101,34 @@ class RecordedScene:
 class Recorder:
     """A recording that is being written."""
 
-    def __init__(self, folder: str | PathLike[str], description: dict[str, Any], scenery: RecordedScene) -> None:
+    def __init__(
+        self,
+        folder: str | PathLike[str],
+        description: dict[str, Any],
+        scenery: RecordedScene,
+        beside: tuple[str, ...] = (),
+    ) -> None:
         """Start a recording.
 
         Args:
             folder: Folder to write into. An unfinished recording in it is replaced.
             description: Settings of the run, as JSON values.
             scenery: The scene.
+            beside: Names of files that the caller makes of a recording before it completes it: those of an unfinished
+                recording are removed.
 
         Raises:
             TactipError: If the folder holds anything but an unfinished recording, or another command records into it.
         """
         self.folder = Path(folder)
-        if self.folder.exists() and not _unfinished(self.folder):
+        if self.folder.exists() and not _unfinished(self.folder, beside):
             raise TactipError(f"the folder {folder} is not empty: choose another folder, or remove this one")
         self.folder.mkdir(parents=True, exist_ok=True)
         with contextlib.ExitStack() as stack:
             stack.enter_context(locked(self.folder / _LOCK, f"recording into {folder}"))
+            remove_leftovers(self.folder)
+            for name in beside:
+                (self.folder / name).unlink(missing_ok=True)
             self._description = description
             self._rows: list[dict[str, np.ndarray]] = []
             self._events: list[dict[str, Any]] = []
@@ -146,22 +157,33 @@ class Recorder:
         self._events.append(event)
         self._append({"event": np.frombuffer(json.dumps(event).encode(), np.uint8)})
 
+    def results(self, outcome: dict[str, Any]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+        """Return record and arrays as read_recording will, once the recording is complete.
+
+        What is made of them can be written first, so a kill meanwhile leaves a recording that counts as unfinished, and the
+        same command makes all of it again.
+
+        Args:
+            outcome: Outcome of the run, as JSON values.
+        """
+        self._description = {**self._description, **outcome}
+        return self._record(complete=True), _unpacked(_stacked(self._rows), self.size_px)
+
     def finish(self, outcome: dict[str, Any]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         """Complete the recording with its outcome, of JSON values. Return record and arrays, as read_recording does."""
-        arrays = _stacked(self._rows)
-        write_file(self.folder / STEPS, _bytes(arrays, compressed=True))
-        self._description = {**self._description, **outcome}
-        record = self._write_record(complete=True)
+        record, arrays = self.results(outcome)
+        write_file(self.folder / STEPS, _bytes(_stacked(self._rows), compressed=True))
+        self._write_record(complete=True)
         self._open_files.close()
         (self.folder / LOG).unlink()
-        return record, _unpacked(arrays, self.size_px)
+        return record, arrays
 
     def _append(self, arrays: Mapping[str, np.ndarray]) -> None:
         data = _bytes(arrays, compressed=False)
         self._log.write(_FRAME.pack(len(data), zlib.crc32(data)) + data)
         self._log.flush()
 
-    def _write_record(self, complete: bool) -> dict[str, Any]:
+    def _record(self, complete: bool) -> dict[str, Any]:
         head = {
             "format": FORMAT,
             "version": VERSION,
@@ -169,9 +191,10 @@ class Recorder:
             "size_px": self.size_px,
             "steps": len(self._rows),
         }
-        record = {**head, **self._description, "events": self._events}
-        write_file(self.folder / RECORDING, (json.dumps(record, indent=1) + "\n").encode())
-        return record
+        return {**head, **self._description, "events": self._events}
+
+    def _write_record(self, complete: bool) -> None:
+        write_file(self.folder / RECORDING, (json.dumps(self._record(complete), indent=1) + "\n").encode())
 
 
 def read_recording(folder: str | PathLike[str]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
@@ -328,12 +351,18 @@ _MAX_LOG_BYTES = 2**30
 """Maximum size of the log of an incomplete recording, bytes."""
 
 
-def _unfinished(folder: Path) -> bool:
-    """Return whether a folder is empty, or holds an incomplete recording and nothing else."""
-    names = {p.name for p in folder.iterdir()}
-    if not names <= {RECORDING, SCENERY, STEPS, LOG, _LOCK}:
+def _unfinished(folder: Path, beside: tuple[str, ...]) -> bool:
+    """Return whether a folder is empty, or holds an unfinished recording and nothing else.
+
+    Args:
+        folder: The folder.
+        beside: Names of files that its caller makes of a recording before it completes it.
+    """
+    names = {p.name for p in folder.iterdir() if not is_leftover(p)}
+    if not names <= {RECORDING, SCENERY, STEPS, LOG, _LOCK, *beside}:
         return False
-    return RECORDING not in names or not _read_record(folder)["complete"]
+    # The log is removed last.
+    return RECORDING not in names or LOG in names or not _read_record(folder)["complete"]
 
 
 def _stacked(rows: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:

@@ -1,8 +1,11 @@
 """The style of all figures, by Matplotlib without a display."""
 
+import io
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING
+
+from tactip_twin.tactip_model.files import write_file
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -64,5 +67,7 @@ def log_axis(axis: "Axes", name: str) -> None:
 
 def save_figure(figure: "Figure", path: Path) -> None:
     """Write a figure as PNG and close it; the file holds no program name, so the same data give the same bytes."""
-    figure.savefig(path, dpi=_DPI, metadata={"Software": None})
+    data = io.BytesIO()
+    figure.savefig(data, dpi=_DPI, metadata={"Software": None}, format="png")
+    write_file(path, data.getvalue())
     pyplot().close(figure)

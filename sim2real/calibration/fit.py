@@ -9,12 +9,14 @@ import os
 import signal
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from tactip_twin.sim.parallel.parent_watch import end_with_parent
 from tactip_twin.sim2real.calibration.frames import Frames, sample_frames
 from tactip_twin.sim2real.calibration.parameters import UNKNOWN_CAMERA, Parameter, SensorOnRig, parameters
 from tactip_twin.sim2real.calibration.real_set import RealSet, read_real_set
@@ -24,6 +26,7 @@ from tactip_twin.sim2real.calibration.settings import Settings
 from tactip_twin.sim2real.calibration.state import read_state, write_state
 from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.errors import Interrupted, TactipError
+from tactip_twin.tactip_model.files import remove_leftovers
 from tactip_twin.tactip_model.neutral_image import NeutralFit, camera_change, fit_neutral
 from tactip_twin.tactip_model.optics import REFERENCE_PX
 from tactip_twin.tactip_model.pin_detection import PinMatcher
@@ -75,6 +78,7 @@ def calibrate(
         Interrupted: At Ctrl-C.
     """
     state_path = Path(state_path)
+    remove_leftovers(state_path.parent)
     real = read_real_set(real_dir)
     fitted_design, neutral = fit_neutral(design, real.neutral)
     log(
@@ -97,7 +101,7 @@ def calibrate(
     if state_path.exists():
         twin, deviations, rounds = read_state(state_path, identity, twin, chosen, neutral.pins_px)
         log(f"resuming after round {len(rounds)} of {len(settings.rounds)}")
-    with ProcessPoolExecutor(min(2, os.cpu_count() or 1), initializer=_ignore_interrupts) as executor:
+    with ProcessPoolExecutor(min(2, os.cpu_count() or 1), initializer=_start_worker) as executor:
         calibrator = Calibrator(fit_frames, neutral.pins_px, executor)
         try:
             if not rounds:
@@ -118,6 +122,11 @@ def calibrate(
         except KeyboardInterrupt:
             executor.shutdown(wait=False, cancel_futures=True)
             raise Interrupted("finished rounds are kept, and the same command resumes after them") from None
+        except BrokenProcessPool:
+            raise TactipError(
+                "a worker was killed; the machine may be out of memory; finished rounds are kept, and the same command "
+                "resumes after them"
+            ) from None
     return Result(twin, chosen, deviations, neutral, rounds, test_frames, along, forces)
 
 
@@ -157,5 +166,7 @@ def _round_text(figures: dict[str, Any]) -> str:
     )
 
 
-def _ignore_interrupts() -> None:
+def _start_worker() -> None:
+    """Prepare a worker process: the parent alone answers Ctrl-C, and its death ends the worker."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    end_with_parent()

@@ -13,7 +13,7 @@ from tactip_twin.sim2real.calibration.moves import LOAD_CELL_N, best_fraction, d
 from tactip_twin.sim2real.calibration.rig import RigMotion
 from tactip_twin.sim2real.calibration.settings import Settings
 from tactip_twin.tactip_model.design_file import write_fitted_design
-from tactip_twin.tactip_model.files import write_file
+from tactip_twin.tactip_model.files import remove_leftovers, write_file
 
 RINGS = 8
 """Number of rings of equally many pins, by their distance from the middle of the neutral image."""
@@ -151,6 +151,7 @@ def write_report(result: Result, real_name: str, settings: Settings, out: str | 
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
+    remove_leftovers(Path(out).parent, Path(out).name)
     figures = figures_of(result)
     figures = {"real": real_name, "design": result.twin.design.name, "settings": asdict(settings)} | figures
     write_file(folder / "calibration.json", (json.dumps(figures, indent=1) + "\n").encode())

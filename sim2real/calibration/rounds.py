@@ -178,7 +178,7 @@ class Calibrator:
             after, _ = self.cost(new, chosen, fidelity)
             if after < cost:
                 return new, after, fraction
-        return twin, cost, 0.0
+        return self._rebuilt(twin), cost, 0.0  # as a resumed run rebuilds it
 
     def search(
         self, twin: SensorOnRig, chosen: Sequence[Parameter], deviations: np.ndarray, fidelity: str

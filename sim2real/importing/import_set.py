@@ -16,6 +16,7 @@ from tqdm import tqdm
 from tactip_twin.sim.dataset.configuration import digest_of
 from tactip_twin.sim.dataset.format import COLUMNS, FORMAT, VERSION, checksum, encode_image, image_name, read_meta, versions
 from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES, Ranges
+from tactip_twin.sim.parallel.file_lock import locked
 from tactip_twin.sim.parallel.resume import check_resumable
 from tactip_twin.sim2real.importing.column_map import ColumnMap
 from tactip_twin.sim2real.importing.layout import Layout
@@ -24,7 +25,7 @@ from tactip_twin.sim2real.importing.source import Source, pin_detection_frames, 
 from tactip_twin.sim2real.sensor.preprocess import MIN_PIN_FRACTION, FrameReader, check_frame, load_neutral
 from tactip_twin.sim2real.sensor.preprocessing_options import ImagePreprocessing
 from tactip_twin.tactip_model.errors import Interrupted, TactipError
-from tactip_twin.tactip_model.files import write_file
+from tactip_twin.tactip_model.files import remove_leftovers, write_file
 from tactip_twin.tactip_model.input_files import read_file, read_json
 from tactip_twin.tactip_model.neutral_image import camera_change
 from tactip_twin.tactip_model.pin_detection import find_blobs
@@ -85,7 +86,12 @@ def import_set(
             return report
         log(f"{out} was imported by an earlier version, whose report is incomplete: importing it again")
     try:
-        return _import(source, layout, out, record, quiet)
+        neutral = None if source.neutral is None else load_neutral(source.neutral)
+        reader = _reader(source, layout.preprocessing, neutral)
+        out.mkdir(parents=True, exist_ok=True)
+        # The lock is written first, so the folder of a killed import is recognized.
+        with locked(out / _WORK, f"importing a set into {out}"):
+            return _import(source, layout, out, record, reader, neutral, quiet)
     except KeyboardInterrupt:
         raise Interrupted("an import keeps no partial results: run the same command to start again") from None
 
@@ -122,11 +128,17 @@ def read_report(folder: str | Path) -> dict[str, Any] | None:
     return report
 
 
-def _import(source: Source, layout: Layout, out: Path, record: dict[str, Any], quiet: bool) -> dict[str, Any]:
-    neutral = None if source.neutral is None else load_neutral(source.neutral)
-    reader = _reader(source, layout.preprocessing, neutral)
-    out.mkdir(parents=True, exist_ok=True)
-    write_file(out / _WORK, b"")  # written first, so the folder of a killed import is recognized
+def _import(
+    source: Source,
+    layout: Layout,
+    out: Path,
+    record: dict[str, Any],
+    reader: FrameReader,
+    neutral: np.ndarray | None,
+    quiet: bool,
+) -> dict[str, Any]:
+    """Write the set into a locked folder, and return the report; see `import_set`."""
+    remove_leftovers(out)
     (out / "meta.json").unlink(missing_ok=True)  # of an earlier version's import: until the last file it is no set
     shutil.rmtree(out / "images", ignore_errors=True)
     (out / "images").mkdir()

@@ -39,7 +39,7 @@ from tactip_twin.sim2real.transfer.sim_gap import plot_gap, sim_to_real_gap
 from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.design_file import write_design
 from tactip_twin.tactip_model.errors import TactipError
-from tactip_twin.tactip_model.files import write_file
+from tactip_twin.tactip_model.files import remove_leftovers, write_file
 from tactip_twin.tactip_model.input_files import read_json
 from tactip_twin.tactip_model.presets import load_design
 
@@ -154,6 +154,7 @@ class Experiment:
         self.real, self.out, self.settings = Path(real), Path(out), settings
         self._device: DeviceName = device
         self._workers, self._log = worker_count(workers), log
+        remove_leftovers(self.out)
         self.samples = read_samples(self.real)
         self.split = split_of(self.samples, settings)
         self.task = self.samples.labels.task

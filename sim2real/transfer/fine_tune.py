@@ -24,6 +24,7 @@ from tactip_twin.learning.training import cosine_rate
 from tactip_twin.sim.parallel.resume import check_resumable
 from tactip_twin.tactip_model.bounds import check, within
 from tactip_twin.tactip_model.errors import Interrupted, TactipError, lookup
+from tactip_twin.tactip_model.files import remove_leftovers
 
 
 @dataclass(frozen=True)
@@ -94,6 +95,7 @@ def fine_tune(
         except KeyboardInterrupt:
             raise Interrupted("fine-tuning keeps no partial results: run the same command to start again") from None
     folder.mkdir(parents=True, exist_ok=True)
+    remove_leftovers(folder)
     save_model(folder, state, model.config, model.labels, model.size, model.provenance | record)
 
 

@@ -28,7 +28,7 @@ from tactip_twin.sim2real.importing.layout import Layout
 from tactip_twin.sim2real.importing.source import read_source
 from tactip_twin.sim2real.transfer.settings import PseudoKind
 from tactip_twin.tactip_model.design import Design
-from tactip_twin.tactip_model.files import write_file
+from tactip_twin.tactip_model.files import remove_leftovers, write_file
 from tactip_twin.tactip_model.pins import neutral_pins
 from tactip_twin.tactip_model.presets import design_named
 from tactip_twin.tactip_model.raster_renderer import Raster
@@ -121,6 +121,8 @@ def make_pseudo_real(
 def _publish(contacts: Path, design: Design, lab: Path, seed: int) -> None:
     """Write frames and table as a laboratory does, table last."""
     (lab / "images").mkdir(parents=True, exist_ok=True)
+    for place in (lab, lab / "images"):
+        remove_leftovers(place)
     rng, dataset = np.random.default_rng((seed, 78)), read_dataset(contacts)
     camera = _Camera(design, rng)
     write_file(lab / "init_0.png", encode_image(camera.frame(*neutral_pins(design), rng)))
