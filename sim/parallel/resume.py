@@ -16,8 +16,8 @@ def check_resumable(folder: Path, kind: str, recorded: Any, requested: Any, own:
         kind: What the folder holds, as a noun: "data set", "training".
         recorded: Settings (a JSON value) written there by the first command; None where there are none.
         requested: Settings (a JSON value) of this command.
-        own: Names of files that every command of this kind leaves, lock files for example: they do not count, nor do leftovers
-            of kills.
+        own: Names of files that every command of this kind leaves, lock files for example: they do not count, nor do the
+            leftovers of kills.
 
     Raises:
         TactipError: Where the folder holds something else, or the same with other settings; the first difference is named.

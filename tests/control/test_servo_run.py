@@ -1,6 +1,8 @@
 """`tactip servo`: its outputs and its error messages."""
 
 import json
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -316,3 +318,20 @@ def test_servo_video_without_pyrender_is_refused(tmp_path, capsys):
     assert tactip.main([*QUICK, *SHORT, "--video", "--out", str(tmp_path / "run")]) == 1
     assert "--video needs --renderer pyrender, got raster" in capsys.readouterr().err
     assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("name", ["score.json", "steps.npz"])
+def test_servo_killed_after_its_last_step_runs_again(tmp_path, name):
+    out = tmp_path / "run"
+    command = [*QUICK, "--route.kind", "straight", "--route.length-mm", "1", "--arm", "none", "--out", str(out)]
+    code = (
+        "import os, sys; from tactip_twin.commands import main as tactip; rename = os.replace;"
+        "os.replace = lambda old, new: os._exit(9) if str(new).endswith(sys.argv[1]) else rename(old, new);"
+        "sys.exit(tactip.main(sys.argv[2:]))"
+    )
+    assert subprocess.run([sys.executable, "-c", code, name, *command], capture_output=True).returncode == 9
+    record, arrays = read_recording(out)
+    assert not record["complete"] and record["steps"] > 5
+    assert tactip.main(command) == 0
+    assert np.array_equal(read_recording(out)[1]["true"], arrays["true"])
+    assert {p.name for p in out.iterdir()} == {".lock", "recording.json", "scenery.npz", "score.json", "steps.npz"}

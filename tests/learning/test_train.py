@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import torch
 
+from helpers.kills import Killed
 from helpers.learning_sets import mend_checksums, write_fake_set, write_fake_splits
 from tactip_twin.commands import main as tactip
 from tactip_twin.learning import checkpoint
@@ -25,7 +26,7 @@ from tactip_twin.learning.evaluate import binned, evaluate, tables
 from tactip_twin.learning.model import description_sha256, load_model, net_sha256, save_model, to_input
 from tactip_twin.learning.muon import Muon, inner_weights
 from tactip_twin.learning.recipes import read_recipe, recipe_json
-from tactip_twin.learning.train import train
+from tactip_twin.learning.train import Pruned, train
 from tactip_twin.learning.training import Training, TrainingDiverged
 from tactip_twin.sim.dataset.format import encode_image, read_dataset
 from tactip_twin.sim.dataset.sampling import POSE_RANGES
@@ -574,3 +575,16 @@ def test_predictions_far_outside_the_learned_range_are_counted_and_said(splits, 
     out, err = capsys.readouterr()
     assert json.loads(out)["outside_fraction"] == 1
     assert "100% of the predictions are far outside the range that the network learned" in err
+
+
+def test_train_killed_before_it_is_pruned_is_pruned_after_the_same_epoch(splits, tmp_path):
+    def killed(history):
+        if len(history) == 2:
+            raise Killed
+        return False
+
+    with pytest.raises(Killed):
+        quiet(*splits, NET, QUICK, tmp_path / "run", should_prune=killed)
+    with pytest.raises(Pruned, match="a lower loss after 2 epochs"):
+        quiet(*splits, NET, QUICK, tmp_path / "run", should_prune=lambda history: True)
+    assert len(read_metrics(tmp_path / "run")) == 2

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import torch
 
+from helpers.kills import contents
 from helpers.learning_sets import write_fake_splits
 from tactip_twin.learning.configuration import SearchSpace, TrainSettings, TuneSettings
 from tactip_twin.learning.recipes import read_recipe
@@ -230,3 +231,18 @@ def test_clear_removes_interrupted_trials(tmp_path):
         record_start(tmp_path, index, {"trial": index, "values": {}})
     clear(tmp_path, [ended])
     assert sorted(path.name for path in (tmp_path / "trials").iterdir()) == ["0001", "0001.json"]
+
+
+def test_tune_killed_between_its_files_is_completed_by_the_same_command(data, tmp_path):
+    """A kill between results.jsonl and best.json of the last trial, and between the folder and its first file."""
+    folder, settings = tmp_path / "search", replace(SETTINGS, trials=1)
+    folder.mkdir()
+    (folder / ".search.json.4194305.tmp").touch()
+    tune(data, folder, settings, log=lambda line: None)
+    whole = contents(folder)
+    (folder / "best.json").unlink()
+    (folder / "tune.png").unlink()
+    (folder / "trials" / ".0000.json.4194305.tmp").touch()
+    tune(data, folder, settings, log=lambda line: None)
+    assert contents(folder) == whole
+    assert {"best.json", "tune.png", "search.json"} <= set(whole)

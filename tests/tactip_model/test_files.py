@@ -9,7 +9,7 @@ import pytest
 from tactip_twin.sim.dataset.format import encode_image
 from tactip_twin.tactip_model.design_file import read_design, write_design
 from tactip_twin.tactip_model.errors import TactipError
-from tactip_twin.tactip_model.files import write_file
+from tactip_twin.tactip_model.files import is_leftover, remove_leftovers, write_file
 from tactip_twin.tactip_model.presets import design_named
 
 
@@ -38,3 +38,22 @@ def test_encode_image_failing_raises_error(monkeypatch):
     monkeypatch.setattr(cv2, "imencode", lambda kind, image: (False, None))
     with pytest.raises(TactipError, match=r"an image of uint8 \(2, 3\) cannot be written as PNG"):
         encode_image(np.zeros((2, 3), np.uint8))
+
+
+@pytest.mark.parametrize(
+    ("name", "process", "stays"),
+    [("tmp", "dead", False), ("tmp", "own", False), ("tmp", "alive", True), ("part", "", False)],
+)
+def test_remove_leftovers_keeps_files_that_are_being_written(tmp_path, name, process, stays):
+    numbers = {"dead": "4194305.", "own": f"{os.getpid()}.", "alive": f"{os.getppid()}.", "": ""}
+    left = tmp_path / f".model.pt.{numbers[process]}{name}"
+    for path in (left, tmp_path / "model.pt", tmp_path / ".lock", tmp_path / ".notes.tmp"):
+        path.touch()
+    assert [path.name for path in tmp_path.iterdir() if is_leftover(path)] == [left.name]
+    remove_leftovers(tmp_path, "other")
+    assert left.exists()
+    remove_leftovers(tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == {"model.pt", ".lock", ".notes.tmp"} | (
+        {left.name} if stays else set()
+    )
+    remove_leftovers(tmp_path / "missing")

@@ -80,3 +80,12 @@ def test_first_difference_equal_values_have_none(value):
 
 def test_first_difference_missing_key_equals_null():
     assert first_difference({"a": None}, {}) is None
+
+
+def test_leftovers_of_a_kill_do_not_count(tmp_path):
+    """A command that was killed during its first write is followed by the same one."""
+    (tmp_path / ".model.pt.4194305.tmp").touch()
+    assert not check_resumable(tmp_path, "training", None, {})
+    (tmp_path / "model.pt").touch()
+    with pytest.raises(TactipError, match="is not empty"):
+        check_resumable(tmp_path, "training", None, {})

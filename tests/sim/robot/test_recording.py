@@ -5,10 +5,12 @@ import os
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from helpers.kills import Killed
 from tactip_twin.sim.robot.recording import (
     ARRAYS,
     LOG,
@@ -78,12 +80,12 @@ def test_recording_without_steps_is_read(tmp_path):
 def test_kill_leaves_all_complete_steps(tmp_path):
     """By kill -9 of the process that records, between two steps."""
     code = (
-        "import sys, os, signal; sys.path.insert(0, sys.argv[2]);"
+        "import sys, os, signal; sys.path[:0] = sys.argv[2:];"
         "from test_recording import _record; _record(sys.argv[1], 4, finish=False); os.kill(os.getpid(), signal.SIGKILL)"
     )
     here = os.path.dirname(os.path.abspath(__file__))
     folder = tmp_path / "run"
-    ended = subprocess.run([sys.executable, "-c", code, str(folder), here], timeout=120)
+    ended = subprocess.run([sys.executable, "-c", code, str(folder), here, str(Path(here).parents[1])], timeout=120)
     assert ended.returncode == -signal.SIGKILL
     record, arrays = read_recording(folder)
     assert not record["complete"] and record["steps"] == 4
@@ -161,3 +163,36 @@ def test_triangles_of_missing_vertices_are_refused(tmp_path):
         np.savez(path, **values | {name: values[name] + 100_000})
         with pytest.raises(TactipError, match=words):
             check_skin(read_recorded_scene(tmp_path / "run"), read_recording(tmp_path / "run")[1])
+
+
+@pytest.mark.parametrize("moment", range(4))
+def test_recorder_killed_at_a_rename_begins_anew(tmp_path, monkeypatch, moment):
+    """The renames are those of the scene, of the record at the start, of the steps, and of the record at the end."""
+    names = []
+
+    def killed(old, new):
+        names.append(os.path.basename(new))
+        if len(names) == moment + 1:
+            raise Killed
+        os.rename(old, new)
+
+    recorders = []
+    with monkeypatch.context() as patch, pytest.raises(Killed):
+        patch.setattr(os, "replace", killed)
+        recorders.append(_record(tmp_path / "run", 3, finish=False))
+        recorders[0].finish({"stopped_because": "it was enough"})
+    for recorder in recorders:
+        recorder._open_files.close()  # as the end of the process does
+    assert names == [SCENERY, RECORDING, STEPS, RECORDING][: moment + 1]
+    if moment > 1:
+        _check(read_recording(tmp_path / "run")[1], 3)
+    _record(tmp_path / "run", 5)
+    _check(read_recording(tmp_path / "run")[1], 5)
+    assert {p.name for p in (tmp_path / "run").iterdir()} == {RECORDING, SCENERY, STEPS, ".lock"}
+
+
+def test_recorder_killed_before_it_removes_the_log_begins_anew(tmp_path):
+    _record(tmp_path / "run", 3)
+    (tmp_path / "run" / LOG).touch()
+    _record(tmp_path / "run", 5)
+    _check(read_recording(tmp_path / "run")[1], 5)

@@ -1,79 +1,26 @@
 """A hidden twin is found from its frames and its rig's commands."""
 
-import csv
 import json
+import os
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
 
+from helpers.rig_sets import RIG, TAP, hidden_twin, write_set
 from tactip_twin.commands import main as tactip
-from tactip_twin.sim.contact.fidelity import fidelity_named
-from tactip_twin.sim.contact.simulator import ContactSimulator
-from tactip_twin.sim.pose import from_mm_deg, to_mm_deg
 from tactip_twin.sim2real.calibration.fit import calibrate
+from tactip_twin.sim2real.calibration.frames import Frames
 from tactip_twin.sim2real.calibration.moves import LOAD_CELL_N, MOVE_FRACTIONS, best_fraction, distances
 from tactip_twin.sim2real.calibration.parameters import SensorOnRig, parameters
 from tactip_twin.sim2real.calibration.report import figures_of, write_report
-from tactip_twin.sim2real.calibration.rig import Rig, RigMotion
-from tactip_twin.sim2real.calibration.rounds import robust_cost
+from tactip_twin.sim2real.calibration.rounds import Calibrator, robust_cost
 from tactip_twin.sim2real.calibration.settings import Settings
 from tactip_twin.tactip_model.design_file import read_design, read_design_with_drift
 from tactip_twin.tactip_model.errors import TactipError
-from tactip_twin.tactip_model.pins import neutral_pins
+from tactip_twin.tactip_model.neutral_image import neutral_px, with_pin_offsets
 from tactip_twin.tactip_model.presets import design_named
-from tactip_twin.tactip_model.raster_renderer import Raster
-from tactip_twin.tactip_model.tactile_image import tactile_image
-
-TAP = from_mm_deg([0, 5, 0, 0, 0, 0])
-RIG = Rig(
-    press_axis=(0.0, 1.0, 0.0),
-    azimuth_deg=-75.0,
-    depth_zero_m=0.2e-3,
-    tcp_behind_apex_m=12e-3,
-    tilt_zero_deg=(0.8, -0.6),
-)
-
-
-def hidden_twin():
-    plain = design_named("nominal-127")
-    return SensorOnRig(
-        replace(
-            plain,
-            materials=replace(plain.materials, friction=0.65, kinetic_fraction=0.6, skin_young_pa=0.9e6, gel_young_pa=1.6e4),
-            pins=replace(plain.pins, length_m=2.2e-3, rotation_deg=31.0),
-            optics=replace(plain.optics, camera_height_m=9e-3, zoom=1.012, drift=(0.002, -0.001), frame_px=512),
-        ),
-        RIG,
-    )
-
-
-def picture(design, tips, directions):
-    settings = replace(design.image, threshold=(87, -5.0), size_px=256)
-    return tactile_image(Raster(design).render(tips, directions), settings)
-
-
-def write_set(folder, twin, count, seed=0):
-    """Write a real set of the hidden sensor, half of its frames taken during the move; return the finished fractions."""
-    rng = np.random.default_rng(seed)
-    simulator, motion = ContactSimulator(twin.design, "surface", fidelity_named("draft")), RigMotion(twin.rig)
-    (folder / "images").mkdir(parents=True)
-    at_rest = replace(twin.design, optics=replace(twin.design.optics, zoom=1.0, drift=(0.0, 0.0)))
-    cv2.imwrite(str(folder / "init_0.png"), picture(at_rest, *neutral_pins(at_rest)))
-    fractions = np.where(rng.random(count) < 0.5, 1.0, rng.random(count))
-    columns = ["image_name", *(f"{k}_{i}" for k in ("pose", "move") for i in range(1, 7))]
-    with (folder / "targets.csv").open("w", newline="") as file:
-        rows = csv.writer(file)
-        rows.writerow(columns)
-        for i, fraction in enumerate(fractions):
-            pose = from_mm_deg([0, rng.uniform(-3.5, -0.5), 0, 0, 0, rng.uniform(-15, 15)])
-            move = from_mm_deg([rng.uniform(-3, 3), 0, 0, 0, 0, rng.uniform(-4, 4)])
-            contact = simulator.simulate(*motion.contact(pose, move, TAP, fraction))
-            cv2.imwrite(str(folder / f"images/f_{i}.png"), picture(twin.design, contact.pin_tips, contact.directions))
-            rows.writerow([f"f_{i}.png", *to_mm_deg(pose), *to_mm_deg(move)])
-    (folder / "meta.json").write_text(json.dumps({"tap_move": to_mm_deg(TAP).tolist()}))
-    return fractions
 
 
 @pytest.fixture(scope="module")
@@ -198,3 +145,21 @@ def test_calibrate_command_refused_writes_nothing(real, tmp_path, capsys):
 def test_constants_are_sorted():
     assert list(LOAD_CELL_N) == sorted(LOAD_CELL_N)
     assert MOVE_FRACTIONS[0] == 0 and MOVE_FRACTIONS[-1] == 1
+
+
+def test_calibrate_killed_worker_is_one_sentence(real, tmp_path, monkeypatch):
+    monkeypatch.setattr(Calibrator, "misfit", lambda self, twin, fidelity: self._executor.submit(os._exit, 9).result())
+    with pytest.raises(TactipError, match=r"^a worker was killed; .* the same command resumes after them$"):
+        calibrate(real, start(), Settings(fit_frames=10, test_frames=10), tmp_path / "state.json", lambda line: None)
+
+
+def test_calibrate_round_without_a_better_step_ends_as_a_resumed_one_begins(monkeypatch):
+    """A resumed run fits the pins to the neutral image again, so a round that changes nothing does that, too."""
+    twin = hidden_twin()
+    frames = Frames(np.zeros(1, int), np.zeros((1, 127, 2)), [(np.zeros(6), np.zeros(6))], TAP)
+    calibrator = Calibrator(frames, neutral_px(start()), ThreadPoolExecutor(1))
+    monkeypatch.setattr(calibrator, "cost", lambda twin, chosen, fidelity: (1.0, None))
+    moved = parameters(twin.design)[0]
+    found, _, fraction = calibrator._lowest(twin, (moved,), {moved: 1.0}, "draft", 1.0)
+    assert fraction == 0
+    assert found.design == with_pin_offsets(twin.design, neutral_px(start())) != twin.design

@@ -2,17 +2,20 @@
 
 import csv
 import json
+import os
 from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 
+from helpers.kills import Killed, contents
 from tactip_twin.commands import main as tactip
 from tactip_twin.learning.data import read_samples
 from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.contact.simulator import ContactSimulator
 from tactip_twin.sim.dataset.format import read_dataset
+from tactip_twin.sim.parallel.file_lock import locked
 from tactip_twin.sim.pose import from_mm_deg
 from tactip_twin.sim.view.video import write_video
 from tactip_twin.sim2real.importing import import_set as importing
@@ -501,3 +504,30 @@ def test_import_other_layout_without_neutral_image(tmp_path):
 def test_impossible_columns_are_refused(columns, message):
     with pytest.raises(TactipError, match=message):
         ColumnMap(columns=tuple(columns))
+
+
+@pytest.mark.parametrize("name", ["image_00000.png", "targets.csv", "import.png", "meta.json"])
+def test_import_killed_at_a_rename_begins_anew(tmp_path, monkeypatch, name):
+    write_set(tmp_path / "lab")
+    assert bring(tmp_path / "lab", tmp_path / "whole") == 0
+    rename = os.replace
+
+    def killed(old, new):
+        if os.path.basename(new) == name:
+            raise Killed
+        rename(old, new)
+
+    with monkeypatch.context() as patch, pytest.raises(Killed):
+        patch.setattr(os, "replace", killed)
+        bring(tmp_path / "lab", tmp_path / "set")
+    assert not (tmp_path / "set" / "meta.json").exists()
+    assert bring(tmp_path / "lab", tmp_path / "set") == 0
+    assert contents(tmp_path / "set") == contents(tmp_path / "whole")
+
+
+def test_import_into_a_folder_in_use_is_refused(tmp_path, capsys):
+    write_set(tmp_path / "lab")
+    (tmp_path / "set").mkdir()
+    with locked(tmp_path / "set" / importing._WORK, "importing"):
+        assert bring(tmp_path / "lab", tmp_path / "set") == 1
+    assert f"another command is importing a set into {tmp_path / 'set'}" in capsys.readouterr().err

@@ -1,0 +1,47 @@
+"""Commands that are killed at a moment of their run, and what they leave, without times."""
+
+import os
+import re
+import signal
+import subprocess
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+_TIMES = re.compile(rb'"(?:seconds\w*|finished|peak_memory\w*|samples_made\w*)": [^,}\n]+')
+"""Entries of JSON files that hold times, or facts of one run of a command."""
+
+_OF_A_RUN = ("run.json", "tensorboard")
+"""Files and folders that hold facts of one run of a command."""
+
+
+class Killed(BaseException):
+    """What a test raises in the place of a kill: no handler of the program's own catches it."""
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """Return the bytes of every file below a folder, by name, without times."""
+    files = (p for p in sorted(folder.rglob("*")) if p.is_file() and not set(p.parts) & set(_OF_A_RUN))
+    return {str(p.relative_to(folder)): _TIMES.sub(b"", p.read_bytes()) for p in files}
+
+
+def start(command: Sequence[str]) -> subprocess.Popen[str]:
+    """Start a command in a process group of its own."""
+    return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, start_new_session=True)
+
+
+def stop(process: subprocess.Popen[str], after_s: float, how: str) -> str:
+    """Stop a command after some seconds, and return its standard error.
+
+    Args:
+        process: The command.
+        after_s: Seconds after its start.
+        how: group (kill -9 of all its processes), parent (kill -9 of the first alone), or interrupt (Ctrl-C in a terminal).
+    """
+    time.sleep(after_s)
+    if how == "parent":
+        process.kill()
+        process.wait()
+        return ""  # what its orphans write may come at any time
+    os.killpg(process.pid, signal.SIGKILL if how == "group" else signal.SIGINT)
+    return process.communicate(timeout=120)[1]
