@@ -67,9 +67,7 @@ def judge(cell: Cell, fidelity: Fidelity) -> dict[str, Any]:
     result |= {name: _rounded(getattr(contact, name)) for name in _MEASURES}
     if len(violations) == simulator.tries:
         return result | {"verdict": "refused", "reasons": violations[-1]}
-    for _ in violations:
-        fidelity = finer(fidelity)
-    half = ContactSimulator(design, cell.stimulus, finer(fidelity)).simulate(pose, shear, cell.approach)
+    half = ContactSimulator(design, cell.stimulus, finer(simulator.last.scene.fidelity)).simulate(pose, shear, cell.approach)
     result |= {"half_step_" + key: value for key, value in _difference(contact, half).items()}
     differs = half.violations(QualityLimits()) + _disagreement(contact, half)
     if differs:

@@ -128,6 +128,11 @@ def fidelity_named(name: str) -> Fidelity:
     return lookup("fidelity", name, FIDELITIES)
 
 
+def is_coarse(fidelity: Fidelity) -> bool:
+    """Return whether the mesh of a fidelity is coarser than that of `standard`."""
+    return fidelity.mesh.surface_m > FIDELITIES["standard"].mesh.surface_m
+
+
 def finer(fidelity: Fidelity) -> Fidelity:
     """Return the fidelity of the next try of a contact that failed its checks: twice as many steps of half the length."""
     motion, solver = fidelity.motion, fidelity.solver

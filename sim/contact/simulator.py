@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 from scipy.special import betainc
 
-from tactip_twin.sim.contact.fidelity import Fidelity, Motion, finer
+from tactip_twin.sim.contact.fidelity import Fidelity, Motion, fidelity_named, finer, is_coarse
 from tactip_twin.sim.contact.limits import MAX_DEPTH_M, check_motion
 from tactip_twin.sim.contact.mujoco_warnings import counted_warnings
 from tactip_twin.sim.contact.record import Contact, QualityLimits
@@ -54,6 +54,11 @@ TRIES = 3
 
 UNCONFIRMED = "not yet confirmed by a simulation with half the step"
 """Failed check of the first good record on a stimulus that the skin may snag on."""
+
+
+MAX_COARSE_TRAVEL = 0.24
+"""Maximum travel of the skin on an edge, relative to the dome's radius, up to which a mesh coarser than that of `standard`
+is good enough [M] (docs/stability.md)."""
 
 
 Watch = Callable[[str, np.ndarray], None]
@@ -229,6 +234,12 @@ class ContactSimulator:
         if self.watch:
             self.watch(self._phase, label)
 
+    def skin_travel_m(self) -> float:
+        """Return how far the skin's farthest vertex is from its place in the undeformed tip, m."""
+        count = self.scene.mesh.surface_count
+        moved = self.scene.vertices()[:count] - self.scene.mesh.vertices[:count]
+        return float(np.linalg.norm(moved, axis=1).max())
+
     def _place(self, T: np.ndarray, linear: ArrayLike = (0, 0, 0), angular: ArrayLike = (0, 0, 0)) -> None:
         quaternion = Rotation.from_matrix(T[:3, :3]).as_quat(scalar_first=True)
         self.scene.place(T[:3, 3], quaternion, linear, angular)
@@ -276,6 +287,9 @@ class RetryingSimulator:
 
     Where skin may snag on the stimulus by chance (Stimulus.can_snag, or friction above STICKY_FRICTION), a single record
     does not show it. There, two records that pass must agree, the second with half the step of the first.
+
+    Where an edge moves the skin far, finer steps do not help a mesh that is coarser than that of `standard`: the contact is
+    repeated at `standard`.
     """
 
     def __init__(self, design: Design, stimulus: str | Stimulus, fidelity: Fidelity, limits: QualityLimits) -> None:
@@ -291,6 +305,8 @@ class RetryingSimulator:
             TactipError: The stimulus is unknown, or the tip cannot be built.
         """
         self._simulators = [ContactSimulator(design, stimulus, fidelity)]
+        self._standard_simulators: list[ContactSimulator] = []
+        """Simulators for contacts that the first mesh does not resolve."""
         self.stimulus = self._simulators[0].scene.stimulus
         """Stimulus of all tries."""
         self._last = self._slider = self._simulators[0]
@@ -298,7 +314,9 @@ class RetryingSimulator:
         self.watch: Watch | None = None
         """ContactSimulator.watch for the steps of every try."""
         self._must_agree = self.stimulus.can_snag or design.materials.friction > STICKY_FRICTION
-        self.tries = TRIES + self._must_agree
+        self._may_be_too_coarse = self.stimulus.has_edge and is_coarse(fidelity)
+        self._max_level = TRIES + self._must_agree - 1
+        self.tries = TRIES + self._must_agree + self._may_be_too_coarse
         """Maximum number of tries before a contact is rejected."""
 
     def replace_solid(self, solid: SignedDistanceMesh) -> None:
@@ -316,21 +334,28 @@ class RetryingSimulator:
         """
         violations: list[list[str]] = []
         good: Contact | None = None
-        attempt = 0
+        level, at_standard = 0, False
         while True:
-            self._last = self._simulator(attempt)
+            before, self._last = self._last, self._simulator(level, at_standard)
             self._last.watch = self.watch
             contact = self._last.simulate(pose, shear, approach)
             failed = contact.violations(self._limits)
-            if self._must_agree:
+            too_coarse = [] if failed or at_standard else self._mesh_violations()
+            if too_coarse:
+                failed, good = too_coarse, None
+            elif self._must_agree:
                 failed, good = (failed, None) if failed else (self._disagreement(contact, good), contact)
             # Of two records that agree, the coarser is good as well, and its simulator needs half the steps for a slide.
-            self._slider = self._simulators[attempt - 1] if self._must_agree and not failed else self._last
+            self._slider = before if self._must_agree and not failed else self._last
             if failed:
                 violations.append(failed)
-            attempt += 1
-            if not failed or attempt == self.tries:
+            if not failed or len(violations) == self.tries:
                 return RetriedContact(contact, violations)
+            last = len(violations) == self.tries - 1
+            if self._may_be_too_coarse and not at_standard and (too_coarse or last):
+                at_standard = True  # with as many halvings
+            else:
+                level = min(level + 1, self._max_level)
 
     def slide(self, pose: ArrayLike, label: np.ndarray) -> Contact:
         """Continue the last contact as ContactSimulator.slide does: once, with the coarsest steps that passed for it."""
@@ -357,12 +382,28 @@ class RetryingSimulator:
             return []
         return [f"halving the step moves the pins by {1e3 * apart:.3f} mm rms (allowed: {1e3 * allowed} mm)"]
 
-    def _simulator(self, attempt: int) -> ContactSimulator:
-        """Return the simulator of a try; it is built when it is first needed."""
-        if attempt == len(self._simulators):
-            fidelity = finer(self._simulators[-1].scene.fidelity)
-            self._simulators.append(ContactSimulator(self._design, self.stimulus, fidelity))
-        return self._simulators[attempt]
+    def _mesh_violations(self) -> list[str]:
+        """Return the failed check of the last record's mesh, if that is coarse."""
+        if not self._may_be_too_coarse:
+            return []
+        travel, radius = self._last.skin_travel_m(), self._design.shape.radius_m
+        if travel <= MAX_COARSE_TRAVEL * radius:
+            return []
+        allowed = f"allowed on this mesh: {1e3 * MAX_COARSE_TRAVEL * radius:.1f} mm"
+        return [f"the edge moves the skin by {1e3 * travel:.1f} mm ({allowed})"]
+
+    def _simulator(self, level: int, at_standard: bool = False) -> ContactSimulator:
+        """Return the simulator whose step has been halved `level` times; it is built when it is first needed.
+
+        Args:
+            level: Number of halvings.
+            at_standard: Whether the first step, and the mesh, are those of `standard`, instead of the first try's.
+        """
+        there = self._standard_simulators if at_standard else self._simulators
+        while level >= len(there):
+            fidelity = finer(there[-1].scene.fidelity) if there else fidelity_named("standard")
+            there.append(ContactSimulator(self._design, self.stimulus, fidelity))
+        return there[level]
 
 
 def motion_fractions(steps: float, motion: Motion) -> np.ndarray:

@@ -86,6 +86,11 @@ class Stimulus(ABC):
         return False
 
     @property
+    def has_edge(self) -> bool:
+        """Whether it presses an edge into the skin, which a coarse mesh does not resolve where the skin moves far."""
+        return False
+
+    @property
     def top_m(self) -> float:
         """Height of the highest point in the contact frame, m."""
         return 0.0
@@ -168,6 +173,11 @@ class StraightEdge(Stimulus):
     def min_radius_m(self) -> float:
         """See Stimulus."""
         return self.radius_m
+
+    @property
+    def has_edge(self) -> bool:
+        """See Stimulus."""
+        return True
 
     def add_geoms(self, spec: mujoco.MjSpec, body: mujoco.MjsBody, touch: ContactAttributes) -> None:
         """See Stimulus."""

@@ -213,7 +213,8 @@ class _SampleMaker:
         self._render = alike[0]._render if alike else lookup("renderer", c.renderer, RENDERERS)(c.design)
         same = [m for m in alike if _physics(m._configuration) == _physics(c)]
         self._simulator = same[0]._simulator if same else simulator_for(c, c.design)
-        self._reader = SymmetricReader(c.design, self._simulator.skin()[1], c.symmetries) if c.augment_symmetry else None
+        self._readers: dict[int, SymmetricReader] = {}
+        """Readers of the design's pins, by the number of vertices of their meshes' skins."""
 
     def make(self, number: int) -> None:
         """Write the images and the record of contact `number`. Raises OSError.
@@ -223,10 +224,9 @@ class _SampleMaker:
         """
         c = self._configuration
         sample = sample_contact(c, number)
-        simulator, reader = self._simulator, self._reader
+        simulator, readers = self._simulator, self._readers
         if not c.mechanics_randomization.is_identity:
-            simulator = simulator_for(c, sample.design)
-            reader = SymmetricReader(sample.design, simulator.skin()[1], c.symmetries) if c.augment_symmetry else None
+            simulator, readers = simulator_for(c, sample.design), {}
         if sample.solid is not None:
             simulator.replace_solid(sample.solid)
         indices, folder = sample_indices(c, number), shard_dir(c, self._folder, number)
@@ -242,7 +242,12 @@ class _SampleMaker:
             if violations:
                 missed += [{"index": index, "seed": seed, "tries": [violations]} for index in own]
                 continue
-            contacts = reader.read(state, simulator.skin()[0]) if reader else [state]
+            contacts = [state]
+            if c.augment_symmetry:
+                skin, mesh = simulator.skin()  # of another mesh where the first one was too coarse for this contact
+                if mesh.surface_count not in readers:
+                    readers[mesh.surface_count] = SymmetricReader(sample.design, mesh, c.symmetries)
+                contacts = readers[mesh.surface_count].read(state, skin)
             for index, one in zip(own, contacts, strict=False):
                 kept.append(one)
                 rows.append(row_of(one, index, tries, seed))

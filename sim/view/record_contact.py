@@ -66,8 +66,9 @@ def record_contact(
     solid, simulator = contact_sample.solid, simulator_for(configuration, contact_sample.design)
     if solid is not None:
         simulator.replace_solid(solid)
-    scene = simulator.last.scene
-    vertices, triangles = body_mesh(scene.model, "stimulus") if solid is None else (solid.vertices, solid.triangles)
+    vertices, triangles = (
+        body_mesh(simulator.last.scene.model, "stimulus") if solid is None else (solid.vertices, solid.triangles)
+    )
     T_base_object = np.eye(4)
     T_base_object[:3, 3] = [*_PLACE_M, -vertices[:, 2].min()]
     simulator.watch = steps = _Rows(simulator, configuration, T_base_object, read)
@@ -85,7 +86,7 @@ def record_contact(
         "versions": versions(),
     }
     radius = configuration.design.shape.radius_m
-    scenery = RecordedScene(vertices, triangles, T_base_object, scene.mesh.triangles, radius, False)
+    scenery = RecordedScene(vertices, triangles, T_base_object, simulator.skin()[1].triangles, radius, False)
     recorder = Recorder(out, description, scenery)
     for row in steps.accepted:
         recorder.add(row)

@@ -11,8 +11,9 @@ from pathlib import Path
 _TIMES = re.compile(rb'"(?:seconds\w*|finished|peak_memory\w*|samples_made\w*)": [^,}\n]+')
 """Entries of JSON files that hold times, or facts of one run of a command."""
 
-_OF_A_RUN = ("run.json", "tensorboard")
-"""Files and folders that hold facts of one run of a command."""
+_OF_A_RUN = ("run.json", "tensorboard", "checkpoint.pt")
+"""Files and folders that hold facts of one run of a command. A checkpoint has the times of its epochs; a search keeps those
+of pruned trials."""
 
 
 class Killed(BaseException):

@@ -3,7 +3,11 @@
 import numpy as np
 import pytest
 
+from helpers.set_commands import configuration, table
+from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.contact.simulator import ContactSimulator
+from tactip_twin.sim.dataset.format import read_meta, read_pins
+from tactip_twin.sim.dataset.generate import Job, make
 from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES, Ranges
 from tactip_twin.sim.dataset.symmetry import SYMMETRIES, SymmetricReader, ranges_are_symmetric
 from tactip_twin.sim.pose import before_shear, from_mm_deg
@@ -75,3 +79,19 @@ def test_directions_are_units_and_pins_as_built_stay_where_they_are(standard):
     for contact in contacts_of(simulator, "surface", from_mm_deg([0, 0, -0.02, 0, 0, 0]), np.zeros(6)):
         assert np.abs(contact.pin_tips - neutral).max() < 0.1e-3
         assert np.allclose(np.linalg.norm(contact.directions, axis=1), 1)
+
+
+def test_symmetric_set_reads_contacts_of_two_meshes(design, tmp_path):
+    """The far contact is simulated at `standard`, whose mesh has other vertices than that of `draft`."""
+    draft = fidelity_named("draft")
+    near, far = (Ranges(depth_mm=(depth, depth), pitch_deg=(-15, -15)) for depth in (-2, -5))
+    for pose, tries, used in ((near, 1, draft), (far, 2, fidelity_named("standard"))):
+        shear = Ranges(x_mm=(5, 5)) if tries > 1 else Ranges()
+        c = configuration(design, task="edge", samples=2, augment_symmetry=True, fidelity=draft, pose=pose, shear=shear)
+        folder = tmp_path / used.name
+        make([Job(c, folder)], 1, lambda line: None)
+        assert [row["tries"] for row in table(folder)] == [str(tries)] * 2
+        simulator = ContactSimulator(design, "edge", used)
+        expected = contacts_of(simulator, "edge", *(from_mm_deg(ranges.bounds()[:, 0]) for ranges in (pose, shear)))
+        tips, _ = read_pins(folder, read_meta(folder))
+        assert np.allclose(tips, [contact.pin_tips for contact in expected], atol=1e-8)
