@@ -1,6 +1,7 @@
 """The command line: the list of commands, and how each ends."""
 
 import contextlib
+import ctypes
 import io
 import os
 import signal
@@ -50,6 +51,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return status
         except (Interrupted, KeyboardInterrupt) as stopped:
             return _stopped(str(stopped), signals)
+        except ctypes.ArgumentError as error:
+            # An interrupt while ctypes converts an argument, as libraries of OpenGL do while they load, is text alone.
+            if "KeyboardInterrupt" not in str(error):
+                raise
+            return _stopped("", signals)
         except (TactipError, OSError, MemoryError, ImportError) as error:
             # A library of compiled code that is stopped while it is loaded says that it cannot be.
             if isinstance(error, ImportError) and _is_from_stop(error):

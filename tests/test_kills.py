@@ -58,7 +58,7 @@ SERVO += ["--route.kind", "straight", "--route.length-mm", "15"]
 HOW = ("group", "parent", "interrupt")
 """Ways in which commands are stopped, in turn."""
 
-KILLS = 6
+KILLS = 3
 """Number of times that each command is stopped."""
 
 

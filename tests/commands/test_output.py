@@ -1,5 +1,6 @@
 """Output that cannot be written: a reader that has ended, a full disk, a terminal without letters."""
 
+import ctypes
 import os
 import subprocess
 import sys
@@ -7,6 +8,7 @@ import sys
 import pytest
 
 from helpers.learning_sets import write_fake_set
+from tactip_twin.commands import main
 
 TACTIP = [sys.executable, "-m", "tactip_twin.commands.main"]
 
@@ -45,3 +47,21 @@ def test_folder_whose_name_is_no_text(tmp_path, encoding):
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith(os.fsencode(tmp_path) + b"/w\\udcff")
+
+
+def test_main_interrupted_while_ctypes_converts_says_that_it_is_stopped(monkeypatch, capsys):
+    """As OpenGL loads: the interrupt is left as text in another error."""
+
+    class Argument:
+        @classmethod
+        def from_param(cls, error):
+            raise error
+
+    function = ctypes.CDLL(None).abs
+    function.argtypes = [Argument]
+    monkeypatch.setattr(main, "_command", lambda arguments: function(KeyboardInterrupt()))
+    assert main.main(["servo"]) == 130
+    assert capsys.readouterr().err == "tactip: stopped\n"
+    monkeypatch.setattr(main, "_command", lambda arguments: function(ValueError("no number")))
+    with pytest.raises(ctypes.ArgumentError, match="no number"):
+        main.main(["servo"])

@@ -43,6 +43,8 @@ def stop(process: subprocess.Popen[str], after_s: float, how: str) -> str:
     if how == "parent":
         process.kill()
         process.wait()
+        if process.stderr:
+            process.stderr.close()
         return ""  # what its orphans write may come at any time
     os.killpg(process.pid, signal.SIGKILL if how == "group" else signal.SIGINT)
     return process.communicate(timeout=120)[1]
