@@ -20,7 +20,7 @@ import numpy as np
 
 from tactip_twin.benchmarks.hardware import machine, machine_text
 from tactip_twin.benchmarks.options import ServoBenchOptions
-from tactip_twin.benchmarks.report import write_page
+from tactip_twin.benchmarks.report import table, write_page
 from tactip_twin.benchmarks.servo.contact_patch import RADII_MM, contact_patch_normal
 from tactip_twin.control.options import RouteOptions, ServoOptions, Settings
 from tactip_twin.control.servo_run import SCORE, run_servo
@@ -44,7 +44,7 @@ _MAX_START_MM = 35.0
 """Maximum distance of a random start on a surface from the middle of its region, mm."""
 
 GROUPS = ("objects", "oracle", "arm", "fidelity", "robust", "starts")
-"""Groups of runs; each is a table of docs/servo.md."""
+"""Groups of runs."""
 
 
 @dataclass(frozen=True)
@@ -237,7 +237,7 @@ def _is_done(runs: Path, case: Case) -> bool:
 
 _KEPT = (
     "depth_mae_mm", "lateral_mae_mm", "angle_mean_deg", "angle_p95_deg", "contact_losses", "events", "coverage", "closed",
-    "force_max_n", "steps", "steps_followed", "steps_per_s", "ms_a_step", "stopped_because", "passes",
+    "force_max_n", "steps", "steps_followed", "steps_per_s", "ms_a_step", "stopped_because",
 )  # fmt: skip
 
 
@@ -251,81 +251,118 @@ def _row(runs: Path, case: Case) -> dict[str, Any]:
     return {"name": case.name, "version": version("tactip-twin"), "task": case.options.task, **kept}
 
 
-COLUMNS = (
-    ("depth, mm", "depth_mae_mm", "{:.2f}"),
-    ("lateral, mm", "lateral_mae_mm", "{:.2f}"),
-    ("angle, °", "angle_mean_deg", "{:.2f}"),
-    ("angle, 95th percentile, °", "angle_p95_deg", "{:.1f}"),
-    ("events", "events", "{}"),
-    ("coverage", "coverage", "{:.0%}"),
-    ("max force, N", "force_max_n", "{:.1f}"),
-    ("steps", "steps", "{}"),
-    ("steps/s", "steps_per_s", "{:.1f}"),
-)
-"""Title, name in the score, and format of each column."""
-
 _COMPLETED = ("route completed", "loop closed", "stopped at the path limit")
-"""Beginnings of the reasons for which a run ends that did what was asked; tables show other reasons only."""
+"""Beginnings of the reasons for which a run ends that did what was asked; notes below tables name other reasons only."""
+
+_ERRORS = {
+    "bust": {"depth, mm": "depth_mae_mm", "angle, °": "angle_mean_deg"},
+    "rim": {"depth, mm": "depth_mae_mm", "lateral, mm": "lateral_mae_mm", "angle, °": "angle_mean_deg"},
+}
+"""Errors in the tables of short runs: title and name in the score, by object."""
 
 
 def tables(record: dict[str, Any]) -> dict[str, str]:
     """Return the tables of docs/servo.md from servo.json."""
     groups = record["groups"]
-    out = {group: "Not measured." for group in (*GROUPS, "passes", "patches")}
+    out = dict.fromkeys(("objects", "arm", "fidelity", "robust", "patches", "starts"), "Not measured.")
+    for group in {"arm", "fidelity", "robust"} & set(groups):
+        out[group] = _short_runs(groups[group], speed=group == "fidelity")
+    if "objects" in groups:
+        out["objects"] = _objects(groups["objects"], groups.get("oracle", []))
+    if "starts" in groups:
+        out["starts"] = _starts(groups["starts"])
+    if "patches" in record:
+        out["patches"] = _patches(record["patches"])
+    for task, training in record.get("others", {}).items():
+        out["robust"] += f"\n\nTraining of the other network of the {task}: {training}."
+    states: dict[str, list[str]] = {}
     for group, rows in groups.items():
         made = record["made"][group]
         runs = "one run" if made["workers"] == 1 else f"{made['workers']} runs"
         versions = " and ".join(sorted({row["version"] for row in rows}))
         state = f"Version {versions}; {runs} at a time, one core each; {machine_text(made['machine'])}."
-        out[group] = "\n".join([*(_starts(rows) if group == "starts" else _runs(rows)), "", state])
-    if "objects" in groups:
-        out["passes"] = "\n".join(_passes(groups["objects"]))
-    if "patches" in record:
-        out["patches"] = "\n".join(_patches(record["patches"]))
-    for task, training in record.get("others", {}).items():
-        out["robust"] += f"\n\nTraining of the other network of the {task}: {training}."
-    return out
+        states.setdefault(state, []).append(group)
+    lines = [f"{', '.join(names)}: {state}" for state, names in states.items()]
+    return out | {"machines": "\n".join(lines if len(states) > 1 else states)}
 
 
-def _runs(rows: Sequence[dict[str, Any]]) -> list[str]:
-    """Return the table of some runs."""
-    lines = ["| run | " + " | ".join(title for title, _, _ in COLUMNS) + " |", "|" + "---|" * (1 + len(COLUMNS))]
+def _objects(rows: Sequence[dict[str, Any]], oracles: Sequence[dict[str, Any]]) -> str:
+    """Return the table of the long runs, with the errors of the same runs with the true pose."""
+    true_pose = {row["name"]: row for row in oracles}
+    with_true_pose = [("depth_mae_mm", "{:.2f}"), ("lateral_mae_mm", "{:.2f}"), ("angle_mean_deg", "{:.2f}")]
+    columns = [*with_true_pose, ("angle_p95_deg", "{:.1f}")]
+    columns += [("force_max_n", "{:.1f}"), ("steps", "{}"), ("steps_per_s", "{:.1f}")]
+    head = [
+        "object",
+        "depth, mm",
+        "lateral, mm",
+        "angle, °",
+        "angle, 95th percentile, °",
+        "max force, N",
+        "steps",
+        "steps/s",
+    ]
+    head += [f"true pose: {name}" for name in head[1:4]]
+    cells = [
+        [row["name"], *(_cell(row, *c) for c in columns), *(_cell(true_pose.get(row["name"]), *c) for c in with_true_pose)]
+        for row in rows
+    ]
+    return table(head, cells) + _notes(rows) + _notes(oracles, "true pose, ")
+
+
+def _short_runs(rows: Sequence[dict[str, Any]], speed: bool) -> str:
+    """Return the table of runs over bust and rim, a row per setting, with or without their speed."""
+    runs = {tuple(row["name"].split(", ", 1)): row for row in rows}
+    columns = [(name, title, key) for name, errors in _ERRORS.items() for title, key in errors.items()]
+    columns += [(name, "steps/s", "steps_per_s") for name in _ERRORS if speed]
+    settings = dict.fromkeys(row["name"].partition(", ")[2] for row in rows)
+    cells = [
+        [
+            setting,
+            *(
+                _cell(runs.get((name, setting)), key, "{:.1f}" if key == "steps_per_s" else "{:.2f}")
+                for name, _, key in columns
+            ),
+        ]
+        for setting in settings
+    ]
+    return table(["setting", *(f"{name}: {title}" for name, title, _ in columns)], cells) + _notes(rows)
+
+
+def _notes(rows: Sequence[dict[str, Any]], prefix: str = "") -> str:
+    """Return a list, below their table, of runs that were refused, ended early, recovered or lost part of the path."""
+    best: dict[str, float] = {}
+    for row in rows:
+        if "error" not in row:
+            name = row["name"].partition(",")[0]
+            best[name] = max(best.get(name, 0.0), row["coverage"])
+    lines = []
     for row in rows:
         if "error" in row:
-            lines.append(f"| {row['name']} | not run: {row['error']} |")
+            lines.append(f"- {prefix}{row['name']}: not run: {row['error']}")
             continue
-        ended = "" if row["stopped_because"].startswith(_COMPLETED) else f" ({row['stopped_because']})"
-        lines.append(f"| {row['name']}{ended} | " + " | ".join(_cell(row, *c[1:]) for c in COLUMNS) + " |")
-    return lines
+        notes = [] if row["stopped_because"].startswith(_COMPLETED) else [row["stopped_because"]]
+        notes += [f"events: {row['events']}"] if row["events"] else []
+        fraction = row["coverage"] / (best[row["name"].partition(",")[0]] or 1)
+        notes += [f"followed {fraction:.0%} of the path"] if fraction < 0.9 else []
+        lines += [f"- {prefix}{row['name']}: {'; '.join(notes)}"] if notes else []
+    return "\n\n" + "\n".join(lines) if lines else ""
 
 
-def _passes(rows: Sequence[dict[str, Any]]) -> list[str]:
-    """Return the table of the passes over the bust."""
-    lines = ["| pass | steps | depth, mm | angle, ° | angle, 95th percentile, ° |", "|" + "---|" * 5]
-    return lines + [
-        "| {} | {} | {:.2f} | {:.2f} | {:.1f} |".format(
-            one["pass"] + 1, one["steps"], one["depth_mae_mm"], one["angle_mean_deg"], one["angle_p95_deg"]
-        )
-        for row in rows
-        for one in row.get("passes", [])
-        if row["name"] == "bust"
-    ]
-
-
-def _patches(rows: Sequence[dict[str, Any]]) -> list[str]:
+def _patches(rows: Sequence[dict[str, Any]]) -> str:
     """Return the table of predicted normals and those of discs; a row is a result of `_patch`."""
-    lines = [
-        "| depth, mm | " + " | ".join(f"radius {r:g} mm" if r else "nearest point" for r in RADII_MM) + " |",
-        "|" + "---|" * (1 + len(RADII_MM)),
+    cells = [
+        [
+            f"{row['depth_mm']:g}",
+            *(f"{a:.2f} ({b:.2f})" for a, b in zip(row["predicted_deg"], row["apart_deg"], strict=True)),
+        ]
+        for row in rows
     ]
-    for row in rows:
-        pairs = zip(row["predicted_deg"], row["apart_deg"], strict=True)
-        lines.append(f"| {row['depth_mm']:g} | " + " | ".join(f"{a:.2f} ({b:.2f})" for a, b in pairs) + " |")
-    return lines
+    return table(["depth, mm", *(f"radius {r:g} mm" if r else "nearest point" for r in RADII_MM)], cells)
 
 
-def _cell(row: dict[str, Any], name: str, form: str) -> str:
-    return "" if row[name] is None else form.format(row[name])
+def _cell(row: dict[str, Any] | None, name: str, form: str) -> str:
+    return "" if row is None or row.get(name) is None else form.format(row[name])
 
 
 def followed(row: dict[str, Any]) -> bool:
@@ -333,17 +370,17 @@ def followed(row: dict[str, Any]) -> bool:
     return "error" not in row and row["steps_followed"] >= 10 and row["depth_mae_mm"] < 1.0
 
 
-def _starts(rows: Sequence[dict[str, Any]]) -> list[str]:
+def _starts(rows: Sequence[dict[str, Any]]) -> str:
     """Return the table of the random starts: how many followed, and why the others ended."""
-    lines = ["| object | successful | depth, mm | angle, ° | reasons of the others |", "|---|---|---|---|---|"]
+    cells = []
     for name in _LONG:
         mine = [row for row in rows if row["name"].startswith(f"{name}, ")]
         good = [row for row in mine if followed(row)]
         reasons = Counter(row.get("error") or row["stopped_because"] for row in mine if not followed(row))
         others = "; ".join(f"{n}: {reason}" for reason, n in reasons.most_common())
         depth, angle = (np.mean([row[k] for row in good]) if good else np.nan for k in ("depth_mae_mm", "angle_mean_deg"))
-        lines.append(f"| {name} | {len(good)} of {len(mine)} | {depth:.2f} | {angle:.2f} | {others} |")
-    return lines
+        cells.append([name, f"{len(good)} of {len(mine)}", f"{depth:.2f}", f"{angle:.2f}", others])
+    return table(["object", "successful", "depth, mm", "angle, °", "reasons of the others"], cells)
 
 
 _MARKERS = {"draft": "^", "standard": "o", "reference": "s"}
