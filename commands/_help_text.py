@@ -1,7 +1,7 @@
 """Options from dataclasses, with help texts whose paragraphs flow.
 
-tyro would keep the line breaks of a field's docstring, because its indentation looks like deliberate layout to it. This rule
-hands it the paragraphs as single lines.
+tyro would keep the line breaks of a field's docstring, because it takes the indentation for deliberate layout. This rule
+passes it each paragraph as a single line.
 """
 
 import ast

@@ -4,7 +4,7 @@ from typing import Protocol
 
 
 class Page(Protocol):
-    """A page that is served."""
+    """A page served in a browser."""
 
     def run(self) -> None:
         """Serve the page until it is interrupted."""

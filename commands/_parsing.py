@@ -37,7 +37,7 @@ class Command(ABC):
 
     @classmethod
     def defaults(cls, arguments: Sequence[str]) -> Self | None:
-        """Return the options' defaults as an instance, where a first look at the command line decides them."""
+        """Return an instance with the defaults, if they depend on other options of the command line."""
         return None
 
     @abstractmethod
@@ -74,7 +74,7 @@ def parse_subcommand(table: Mapping[str, Entry], arguments: Sequence[str], prog:
     """Return the command that the first word names; without one, show the list of commands or refuse."""
     if arguments and arguments[0] in table:
         return table[arguments[0]].parse(arguments[1:], f"{prog} {arguments[0]}")
-    # Commands without options: enough for the list, and nothing of the commands' own is loaded for it.
+    # Placeholders without options are enough for the list, so no command's module is loaded.
     arguments = ["--help" if word == "--help-all" else word for word in arguments]
     listed = {name: make_dataclass("Listed", (), namespace={"__doc__": entry.summary}) for name, entry in table.items()}
     tyro.extras.subcommand_cli_from_dict(listed, args=arguments, prog=prog, description=description)
@@ -82,7 +82,7 @@ def parse_subcommand(table: Mapping[str, Entry], arguments: Sequence[str], prog:
 
 
 def last_value(arguments: Sequence[str], option: str) -> str | None:
-    """Return the last value of an option in a command line that is not parsed yet; None where it is not given."""
+    """Return the last value of an option in a command line that is not parsed yet, or None if it is absent."""
     name, value = f"--{option}", None
     for word, after in zip(arguments, [*arguments, None][1:], strict=True):
         if word == name:

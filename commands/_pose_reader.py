@@ -29,5 +29,5 @@ def load_pose_reader(name: str, task: str, design: "Design") -> "Callable[[np.nd
         return None
     model, made = load_network(chosen), design.image.size_px
     if model.size != made:
-        raise TactipError(f"the network {chosen} takes images of {model.size} px, and the design makes {made}")
+        raise TactipError(f"the network {chosen} expects images of {model.size} px, but the design produces {made}")
     return lambda image: dict(zip(model.labels.components, model.predict(image[None])[0].tolist(), strict=True))

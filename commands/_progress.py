@@ -6,7 +6,7 @@ from types import TracebackType
 
 
 def to_stderr(line: str) -> None:
-    """Print a line that is no result."""
+    """Print a progress message."""
     print(line, file=sys.stderr, flush=True)
 
 
@@ -30,5 +30,5 @@ class DelayedStatus:
         self.cancel()
 
     def cancel(self) -> None:
-        """Drop the message, because something else is shown now."""
+        """Cancel the message, because something else is shown now."""
         self._timer.cancel()

@@ -1,4 +1,4 @@
-"""tactip bench: measurements, which come with the repository and not with the installed package."""
+"""tactip bench: measurements, which are part of the repository but not of the installed package."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -14,16 +14,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Bench(Command):
-    """Measure the simulation and what is learned: errors, costs, and where they can be trusted."""
+    """Measure errors, costs and limits of simulation, networks and servo."""
 
     measurement: "Measurement"
-    """What is measured."""
+    """The measurement."""
     options: Any
     """Its options."""
 
     @classmethod
     def parse(cls, arguments: Sequence[str], prog: str) -> Command:
-        """Parse the options of the measurement that is named. Raises TactipError where there are no measurements."""
+        """Parse the options of the named measurement. Raises TactipError if measurements are not installed."""
         try:
             measurements = import_module("tactip_twin.benchmarks.options").MEASUREMENTS
         except ModuleNotFoundError as error:

@@ -24,7 +24,7 @@ class Calibrate(Command):
     out: Path = Path("design.json")
     """Design file to write; --design of other commands takes it."""
     report: Path | None = None
-    """Folder for the report; the design file's name with _calibration if not given."""
+    """Folder for the report. Default: the design file's name with `_calibration`."""
     selection: Annotated[FrameSelection, tyro.conf.arg(name="")] = field(default_factory=FrameSelection)
     """Frames to use."""
 

@@ -33,7 +33,7 @@ class Camera(Command):
     neutral: Path | None = None
     """Image of the undeformed tip. Default: the first frame."""
     browser: bool = False
-    """Show frames and predictions in a browser, too."""
+    """Also show frames and predictions in a browser."""
     host: str = "127.0.0.1"
     """Address at which the page is served; 127.0.0.1: this machine only."""
     port: int = 8080
@@ -78,7 +78,7 @@ class Camera(Command):
                         print("last frame; the page shows it until Ctrl-C", file=sys.stderr)
                         Event().wait()
             rate = (count - 1) / last if count > 1 else 0.0
-            print(f"{count} frames, {faults} with a fault; {rate:.1f} frames/s", file=sys.stderr)
+            print(f"{count} frames, {faults} unusable; {rate:.1f} frames/s", file=sys.stderr)
         finally:
             source.close()
             if page:
@@ -102,7 +102,7 @@ class Camera(Command):
         raise TactipError(f"one of --device, --video and --images must be given, got {count} of them")
 
     def _page(self) -> "CameraPage | None":
-        """Return the page in a browser, if there is to be one."""
+        """Return the page in a browser, or None without --browser."""
         if not self.browser:
             return None
         from tactip_twin.sim2real.sensor.live_page import CameraPage

@@ -28,16 +28,16 @@ class Make(Command):
     example = "tactip dataset make --task edge --split all --samples 2000 --out data"
 
     out: Path
-    """Folder of the set; of the sets (OUT/TASK/SPLIT) if task or split is all."""
+    """Folder of the set. If task or split is `all`, the sets are written to OUT/TASK/SPLIT."""
     task: Task | Literal["all"] = "surface"
-    """Task."""
+    """Stimulus: a flat surface, a straight edge, or both."""
     split: Split | Literal["all"] = "train"
-    """Set of the task; all are independent."""
+    """Training, validation or test set; they are independent of each other."""
     workers: str = "auto"
-    """Worker processes; auto is one a core."""
+    """Number of worker processes; auto: one per core."""
     cluster: str = ""
-    """Address of a Ray cluster that makes it, auto for that of this machine, local for one of it alone; OUT is a folder that
-    all its machines see. None if empty."""
+    """Address of a Ray cluster (auto: this machine's; local: a new one on this machine alone), whose machines must share the
+    folder OUT. Default: no cluster."""
     fidelity: FidelityName = "standard"
     """Fidelity of the simulation (sim/contact/fidelity.py)."""
     design: str = "tactip-127"
@@ -52,7 +52,7 @@ class Make(Command):
 
     @classmethod
     def parse(cls, arguments: Sequence[str], prog: str) -> Command:
-        """Parse the command line, for --task all once per task, because each has its own default ranges."""
+        """Parse the command line; with --task all once per task, because each task has its own default ranges."""
         named = last_value(arguments, "task")
         if named != "all":
             return parse_options(cls, arguments, prog, cls._with_ranges("edge" if named == "edge" else "surface"))
@@ -76,7 +76,7 @@ class Make(Command):
 
         workers = 0 if self.cluster and self.workers == "auto" else worker_count(self.workers)
         results = make(jobs, workers, to_stderr, self.cluster)
-        # An empty set is of no use to a script.
+        # For a script, an empty set is a failure.
         status = 0 if all(r["kept"] for r in results) else 1
         if self.json:
             print(dumps(results))
@@ -90,14 +90,14 @@ class Make(Command):
         if made:
             print(f"{made} samples in {seconds:.1f} s: {made / seconds:.2f} samples/s")
         if failed:
-            print(f"{failed} samples failed each try and were left out: meta.json names them and says why")
+            print(f"{failed} samples failed all attempts and were left out; meta.json lists them with the reasons")
         return status
 
     def jobs(self, several: bool = False) -> list["Job"]:
         """Return the sets to make.
 
         Args:
-            several: Whether the sets go into OUT/TASK/SPLIT though only one task and split is named.
+            several: Whether the sets go into OUT/TASK/SPLIT although only one task and split is named.
         """
         from tactip_twin.sim.contact.fidelity import fidelity_named
         from tactip_twin.sim.dataset.configuration import Configuration
@@ -133,7 +133,7 @@ class _MakeTasks(Command):
 
 @dataclass(frozen=True)
 class Verify(Command):
-    """Check that a set is whole: images, rows, pins, checksums, one configuration."""
+    """Check that a set is complete and undamaged: images, rows, pins, checksums, configuration."""
 
     folder: tyro.conf.Positional[Path]
     """Folder of the set."""
@@ -156,22 +156,22 @@ class Verify(Command):
         if samples is None:
             print(f"{self.folder}: {len(problems)} problem(s)", file=sys.stderr)
             return 1
-        print(f"{self.folder}: whole; {samples['kept']} samples, {samples['failed']} failed")
+        print(f"{self.folder}: complete; {samples['kept']} samples, {samples['failed']} failed")
         return 0
 
 
 @dataclass(frozen=True)
 class Show(Command):
-    """Write a contact sheet of a set: images over their labels (x y depth, roll pitch yaw)."""
+    """Write a contact sheet of a set: tactile images above their labels (x y depth, roll pitch yaw)."""
 
     folder: tyro.conf.Positional[Path]
     """Folder of the set."""
     out: Path = Path("sheet.png")
-    """PNG to write."""
+    """PNG file to write."""
     count: int = 24
-    """Samples, spread over the set."""
+    """Number of samples, evenly spaced in the set."""
     columns: int = 6
-    """Number of samples per line."""
+    """Number of samples per row."""
 
     def run(self) -> int:
         from tactip_twin.sim.dataset.contact_sheet import write_sheet
@@ -212,7 +212,7 @@ class Dataset(Command):
 
     @classmethod
     def parse(cls, arguments: Sequence[str], prog: str) -> Command:
-        """Parse the options of the action that is named."""
+        """Parse the options of the named action."""
         actions = {"make": Make, "verify": Verify, "show": Show, "record": Record}
         table = {name: Entry(action.__doc__ or "", action.parse) for name, action in actions.items()}
         return parse_subcommand(table, arguments, prog, cls.__doc__ or "")

@@ -11,22 +11,22 @@ from tactip_twin.learning.configuration import DeviceName
 
 @dataclass(frozen=True)
 class Evaluate(Command):
-    """Hold a model against a set that it has not seen: errors by component, label and shear, worst cases, latency."""
+    """Evaluate a network on unseen data: errors by component, label and shear, worst cases, latency."""
 
     model: Path
-    """Folder of a training, or the name of a shipped model."""
+    """Shipped network, or folder of a training."""
     data: Path
     """Folder of a set."""
     out: Path | None = None
-    """Folder for evaluation.json, evaluation.md and pictures."""
+    """Folder for evaluation.json, evaluation.md and figures. Default: print only."""
     json: bool = False
     """Print one JSON object and nothing else."""
     device: DeviceName = "cpu"
-    """Device; auto is the GPU if there is one."""
+    """Device of the network; auto: the GPU if there is one."""
     threads: int | None = None
-    """Threads of the network, at most one a core. Default: one a core."""
+    """Number of threads of the network, at most one per core. Default: one per core."""
     any_sensor: bool = False
-    """Also evaluate on a sensor whose number of pins differs from that of the sensor of the training."""
+    """Also evaluate if the set's sensor has a different number of pins than the training's."""
 
     def run(self) -> int:
         from json import dumps
@@ -48,8 +48,8 @@ class Evaluate(Command):
         figures = evaluation.figures
         if figures["outside_fraction"] > MAX_OUTSIDE_FRACTION:
             print(
-                f"{figures['outside_fraction']:.0%} of the predictions are far outside the range that the network learned: "
-                "it does not fit these images",
+                f"{figures['outside_fraction']:.0%} of the predictions are far outside the range of its training, "
+                "so it does not suit these images",
                 file=sys.stderr,
             )
         if self.json:
@@ -58,7 +58,7 @@ class Evaluate(Command):
         for name, unit in zip(model.labels.names, model.labels.units, strict=True):
             mae, rmse, bias = (figures[key][name] for key in ("mae", "rmse", "bias"))
             print(f"{name}: mean error {mae:.3f} {unit}, rms {rmse:.3f} {unit}, bias {bias:+.3f} {unit}")
-        print(f"{figures['samples']} samples; {figures['parameters']} parameters; {figures['latency_ms']:.1f} ms an image")
+        print(f"{figures['samples']} samples; {figures['parameters']} parameters; {figures['latency_ms']:.1f} ms per image")
         if self.out:
             print(f"{self.out / 'evaluation.md'} written")
         return 0

@@ -15,27 +15,28 @@ from tactip_twin.sim2real.sensor.preprocessing_options import ImagePreprocessing
 
 @dataclass(frozen=True)
 class Import(Command):
-    """Bring a set of a real sensor, published or your own, into the project's format, and picture what was made of it."""
+    """Import a published or your own data set of a real sensor. A picture shows the result."""
 
     source: tyro.conf.Positional[Path]
-    """Folder of the set: a table, frames (or films) in it or in images/, frames/ or videos/, and a neutral image init* or
-    neutral* if there is one."""
+    """Folder of the set: a table, frames or videos (here or in images/, frames/ or videos/), and if there is one, a neutral
+    image init* or neutral*."""
     out: Path
-    """Folder to write."""
+    """Folder of the imported set."""
     targets: Path | None = None
-    """The table of poses; if not given, SOURCE/targets.csv, or the only table there is."""
+    """Table of poses. Default: targets.csv in the folder, or its only table."""
     neutral: Path | None = None
-    """Image of the undeformed tip. If there is none, the middle of the shallowest frames stands for it."""
+    """Image of the undeformed tip. Default: init* or neutral* in the folder; without one, the median of the shallowest
+    frames replaces it."""
     layout: Path | None = None
-    """JSON file of the options below; those that are given beside it come before its."""
+    """JSON file of the options below; options on the command line override the file."""
     column_map: Annotated[ColumnMap, tyro.conf.arg(name="")] = field(default_factory=ColumnMap)
-    """What the set's columns mean."""
+    """Meaning of the table's columns."""
     preprocessing: Annotated[ImagePreprocessing, tyro.conf.arg(name="")] = field(default_factory=ImagePreprocessing)
-    """What the set's frames are like."""
+    """Preprocessing of the frames."""
 
     @classmethod
     def defaults(cls, arguments: Sequence[str]) -> "Import":
-        """Return the defaults: those of --layout's file, where it is given."""
+        """Return the defaults, from the file of --layout if it is given."""
         file = last_value(arguments, "layout")
         layout = Layout() if file is None else read_layout(file)
         missing = tyro.MISSING
@@ -51,5 +52,5 @@ class Import(Command):
         report = import_set(source, layout, self.out)
         for line in report_lines(report):
             print(line)
-        print(f"{self.out} written; look at {self.out / PICTURE}")
+        print(f"{self.out} written; check the picture {self.out / PICTURE}")
         return 0

@@ -1,4 +1,4 @@
-"""The command line: the list of commands, and how each ends."""
+"""The command line: the list of commands, and their exit statuses."""
 
 import contextlib
 import ctypes
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 COMMANDS = {
     "dataset": ("dataset", "Dataset", "Make, verify, show and record data sets."),
-    "import": ("import_set", "Import", "Bring a set of a real sensor into the project's format."),
+    "import": ("import_set", "Import", "Import a data set of a real sensor."),
     "calibrate": ("calibrate", "Calibrate", "Fit the sensor to real frames."),
     "train": ("train", "Train", "Train a network on a data set."),
     "tune": ("tune", "Tune", "Search for a network."),
@@ -28,9 +28,9 @@ COMMANDS = {
     "transfer": ("transfer", "Transfer", "Train in simulation, test on a real sensor."),
     "camera": ("camera", "Camera", "Show a real sensor live."),
     "servo": ("servo", "Servo", "Follow a surface or an edge by touch."),
-    "replay": ("replay", "Replay", "Show a recording in a browser, or write a film of it."),
+    "replay": ("replay", "Replay", "Show a recording in a browser, or write a video of it."),
     "view": ("view", "View", "Show the live scene in a browser."),
-    "bench": ("bench", "Bench", "Measure the simulation and what is learned."),
+    "bench": ("bench", "Bench", "Measure errors, costs and limits."),
 }
 """Module in this folder, class and summary of each command."""
 
@@ -43,7 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")  # names of files may be no text, and terminals may lack letters
+            stream.reconfigure(errors="backslashreplace")  # names may not be text; terminals may lack letters
     with _terminable() as signals:
         try:
             status = _command(arguments).run()
@@ -57,29 +57,29 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 raise
             return _stopped("", signals)
         except (TactipError, OSError, MemoryError, ImportError) as error:
-            # A library of compiled code that is stopped while it is loaded says that it cannot be.
+            # A compiled library that is interrupted while it loads reports a failure to load.
             if isinstance(error, ImportError) and _is_from_stop(error):
                 return _stopped("", signals)
             return _failed(error)
 
 
 _BROKEN_PIPE = 141
-"""Exit status where the reader of the output has ended, as shells have it."""
+"""Exit status if the reader of the output has ended, by the shells' convention."""
 
 
 def _failed(error: TactipError | OSError | MemoryError | ImportError) -> int:
-    """Print one sentence about an error, and return the exit status. Raises the error if it is one of the program."""
+    """Print one sentence about an error, and return the exit status. Raises the error if it is a defect of the program."""
     if isinstance(error, BrokenPipeError):
-        # As `| head -1` ends; what was made is there. Without this, Python would complain at its end.
+        # The reader, such as `| head -1`, has ended; results are kept. Without this, Python would complain at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return _BROKEN_PIPE
     problem = str(error)
     if isinstance(error, MemoryError):
-        problem = "the memory that this process may use is too small for this command"
+        problem = "this process is not allowed enough memory for this command"
     elif isinstance(error, ImportError):
         if not any(words in problem for words in ("failed to map segment", "annot allocate memory")):
             raise error
-        problem = "the memory that this process may use is too small to load its libraries"
+        problem = "this process is not allowed enough memory to load its libraries"
     elif isinstance(error, OSError):
         problem = f"{error.filename or 'the output or a file'}: {error.strerror or error}"
     print(f"tactip: {problem}", file=sys.stderr)
@@ -87,7 +87,7 @@ def _failed(error: TactipError | OSError | MemoryError | ImportError) -> int:
 
 
 def _stopped(what: str, signals: list[int]) -> int:
-    """Print that the command was stopped.
+    """Print that the command was interrupted.
 
     Args:
         what: What is kept.
@@ -109,7 +109,7 @@ def _is_from_stop(error: BaseException | None) -> bool:
 
 def _command(arguments: Sequence[str]) -> "Command":
     """Return the command of a command line."""
-    # Here, and not above: an interrupt while these load ends like a later one.
+    # Imported here, so an interrupt while these load is handled like a later one.
     from tactip_twin.commands._parsing import Command, Entry, parse_subcommand
 
     def parser(module: str, name: str) -> Callable[[Sequence[str], str], Command]:
@@ -127,7 +127,7 @@ def _command(arguments: Sequence[str]) -> "Command":
 
 @contextlib.contextmanager
 def _terminable() -> Iterator[list[int]]:
-    """Handle SIGTERM, by which schedulers and services end programs, like Ctrl-C in a `with` block. Yield the signals
+    """Handle SIGTERM, with which schedulers end programs, like Ctrl-C in a `with` block. Yield the signals
     received."""
     came: list[int] = []
 

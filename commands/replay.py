@@ -1,4 +1,4 @@
-"""tactip replay: a recording in a browser, a window, a film or a GIF."""
+"""tactip replay: a recording in a browser, in a window, as a video or as a GIF."""
 
 import contextlib
 import sys
@@ -20,24 +20,24 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Replay(Command):
-    """Look at a recording again, in a browser, as a film or as a GIF; nothing is simulated anew."""
+    """Show a recording in a browser, or write a video or GIF of it. Nothing is simulated again."""
 
     run_: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(name="run")]
     """Folder of a servo run."""
     video: Path | None = None
-    """Film to write, .mp4."""
+    """Video file to write (.mp4)."""
     gif: Path | None = None
-    """GIF to write, .gif."""
+    """GIF file to write (.gif)."""
     stride: int = 1
-    """Steps a picture."""
+    """Number of servo steps per video frame."""
     fps: int = 25
-    """Pictures a second."""
+    """Video frames per second."""
     window: bool = False
-    """Show it in MuJoCo's own window instead of a page in a browser: for where there is a display."""
+    """Show the recording in MuJoCo's window instead of a browser; needs a display."""
     host: str = "127.0.0.1"
-    """Address to serve the page at: this machine alone."""
+    """Address at which the page is served; 127.0.0.1: this machine only."""
     port: int = 8080
-    """Port, or the next that is free."""
+    """Port of the page; if it is taken, the next free one."""
 
     def run(self) -> int:
         from tqdm import tqdm
@@ -47,16 +47,16 @@ class Replay(Command):
         from tactip_twin.sim.view.video import write_video
 
         if self.stride < 1 or self.fps < 1:
-            raise TactipError(f"--stride is {self.stride} and --fps {self.fps}: both must be at least 1")
+            raise TactipError(f"--stride and --fps must be at least 1, got {self.stride} and {self.fps}")
         asked = [(path, ending) for path, ending in ((self.video, ".mp4"), (self.gif, ".gif")) if path is not None]
         for path, ending in asked:
             if path.suffix.lower() != ending:
-                raise TactipError(f"the name {path} does not end in {ending}")
+                raise TactipError(f"the file name must end in {ending}, got {path}")
             path.parent.mkdir(parents=True, exist_ok=True)
         (record, arrays), scenery = read_recording(self.run_), read_recorded_scene(self.run_)
         check_skin(scenery, arrays)
         if not record["complete"]:
-            print(f"{self.run_} was not completed: it has {record['steps']} steps", file=sys.stderr)
+            print(f"{self.run_} is incomplete: the run was interrupted after {record['steps']} steps", file=sys.stderr)
         count = -(-record["steps"] // self.stride)
         for path, _ in asked:
             drawn = render_frames(scenery, record, arrays, self.stride)
@@ -79,5 +79,5 @@ class Replay(Command):
         from tactip_twin.sim.view.replay_page import ReplayPage
 
         page = ReplayPage(record, arrays, scenery, self.host, self.port)
-        print(f"{page.address} shows {self.run_}; Ctrl-C ends it", flush=True)
+        print(f"{page.address} shows {self.run_}; stop with Ctrl-C", flush=True)
         return serve_until_interrupted(page)

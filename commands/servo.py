@@ -1,4 +1,4 @@
-"""tactip servo: follow a thing by touch."""
+"""tactip servo: follow an object by touch."""
 
 import sys
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Servo(ServoOptions, Command):
-    """Follow a surface or an edge by touch, with the soft tip on an arm: recording, score and picture into OUT."""
+    """Follow a surface or an edge by touch, with the soft tip on an arm. Writes a recording, a score and a figure."""
 
     common = ("task", "object", "out", "model", "depth_mm", "fidelity", "arm", "video", "route.kind", "route.length_mm",
               "settings.step_mm", "seed")  # fmt: skip
@@ -32,7 +32,7 @@ class Servo(ServoOptions, Command):
 
         def progress(step: "Step") -> None:
             waiting.cancel()
-            if not bars:  # nothing is shown before there is something to show: an error is one line
+            if not bars:  # the bar is shown at the first step, so an earlier error prints one line only
                 bars.append(tqdm(unit="step", file=sys.stderr, mininterval=0.5 if sys.stderr.isatty() else 15))
             bars[0].set_postfix_str(f"{step.phase}, {1e3 * abs(float(step.estimate.label[2])):.1f} mm deep", refresh=False)
             bars[0].update()
@@ -45,7 +45,7 @@ class Servo(ServoOptions, Command):
         finally:
             for bar in bars:
                 bar.close()
-        # A run that never came to follow anything has failed, whatever it recorded.
+        # A run that never followed anything has failed, whatever it recorded.
         status = 0 if score["depth_mae_mm"] is not None else 1
         if self.json:
             print(dumps(score))

@@ -25,20 +25,20 @@ class Train(Command):
     out: Path
     """Folder of the training."""
     recipe: RecipeName = "laptop"
-    """Network and training that the options below change; their defaults are those of the recipe for the set's task."""
+    """Network and training. The options below change single settings; their defaults are the recipe's for the set's task."""
     config: Path | None = None
-    """Instead of a recipe: a JSON file, as `tactip tune` writes best.json."""
+    """JSON file of network and training instead of a recipe, such as best.json of `tactip tune`."""
     init_from: str = ""
-    """A shipped network or the folder of a training, whose weights it begins with; at random if empty. Its layers are the
-    recipe's then."""
+    """Initial weights: a shipped network or the folder of a training, whose layers then replace the recipe's. Default:
+    random weights."""
     device: DeviceName = "auto"
-    """Device; auto is the GPU if there is one."""
+    """Device of the network; auto: the GPU if there is one."""
     threads: int | None = None
-    """Threads of the network, at most one a core. Default: one a core."""
+    """Number of threads of the network, at most one per core. Default: one per core."""
     network: PoseNetConfig = field(default_factory=PoseNetConfig)
-    """The network."""
+    """Network."""
     training: TrainSettings = field(default_factory=TrainSettings)
-    """The training."""
+    """Training."""
 
     @classmethod
     def defaults(cls, arguments: Sequence[str]) -> "Train":
@@ -67,14 +67,17 @@ class Train(Command):
             and not self.training.augmented_fraction
             and not train_samples.dataset.simulated
         ):
-            to_stderr(f"{train_samples.folder} has no pins: its images are taken as they are, and none is drawn anew")
+            to_stderr(
+                f"{train_samples.folder} has no pins, so its images cannot be rendered with other optics "
+                "and are used as they are"
+            )
         train(train_samples, val_samples, self.network, self.training, self.out, self.device, to_stderr, init_from=start)
         print(f"{self.out / 'model.json'} written")
         return 0
 
 
 def _recipe(arguments: Sequence[str]) -> Recipe:
-    """Return the recipe that the command line names. Raises TactipError where --config's file is not one."""
+    """Return the recipe that the command line names. Raises TactipError if the file of --config is not one."""
     config = last_value(arguments, "config")
     if config is not None:
         return read_recipe(config)
@@ -89,14 +92,14 @@ def _recipe(arguments: Sequence[str]) -> Recipe:
 
 
 def _train_set(arguments: Sequence[str]) -> Path | None:
-    """Return the folder of the set to train on, where there is one."""
+    """Return the folder of the training set, or None if there is none."""
     data = last_value(arguments, "data")
     folder = None if data is None else Path(data) / "train"
     return folder if folder is not None and folder.is_dir() else None
 
 
 def _task(folder: Path | None) -> str:
-    """Return the task of a set, `surface` where it cannot be told: to read the set is what reports its errors."""
+    """Return the task of a set, or `surface` if it cannot be read: reading the set later reports the error."""
     from tactip_twin.tactip_model.errors import TactipError
     from tactip_twin.tactip_model.input_files import read_json
 
@@ -113,7 +116,7 @@ def _is_simulated(folder: Path) -> bool:
 
 
 def _without_rendered_images(training: TrainSettings) -> TrainSettings:
-    """Return the settings for a set without pins, from which no image can be rendered anew."""
+    """Return the settings for a set without pins, whose images cannot be rendered with other optics."""
     from dataclasses import replace
 
     return replace(training, augmented_fraction=0.0)

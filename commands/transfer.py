@@ -16,36 +16,35 @@ from tactip_twin.sim2real.transfer.settings import PseudoKind, TransferSettings
 
 @dataclass(frozen=True)
 class Transfer(Command):
-    """From simulation to a real sensor: train on simulated contacts of its twin, test on its frames. Run again, it goes on
-    where it stopped."""
+    """Train networks on simulated contacts of a real sensor's twin, and test them on its frames. Rerun to resume."""
 
     common = ("experiment", "real", "out", "settings.contacts", "settings.design", "workers", "device")
     example = "tactip transfer zero-shot --real data/real --out runs/transfer"
 
     experiment: tyro.conf.Positional[Literal["zero-shot", "ablate", "few-shot", "gap", "pseudo-real"]]
-    """Experiment: zero-shot (no real label is used), ablate (what each part of the simulation is worth), few-shot, gap
-    (pins and images side by side), or pseudo-real: all but the second on a hidden simulated sensor in the place of a
-    real one."""
+    """Experiment: zero-shot (no real labels), ablate (one part of the simulation left out at a time), few-shot (fine-tuning
+    with some real labels), gap (pins and images compared), or pseudo-real (all of these but ablate, on a hidden simulated
+    sensor instead of a real one)."""
     out: Path
     """Folder for sets, networks, results.json and results.md."""
     real: Path | None = None
-    """Folder of an imported set (tactip import); pseudo-real makes its own."""
+    """Folder of an imported set (tactip import). Not for pseudo-real, which makes its own."""
     task: Task = "surface"
-    """Task of pseudo-real."""
+    """Task of the set that pseudo-real makes."""
     pseudo_design: PseudoKind = "nominal-127"
-    """Nominal design of the hidden sensor of pseudo-real."""
+    """Nominal design of the hidden sensor in pseudo-real."""
     frames: int = 2500
-    """Frames of pseudo-real."""
+    """Number of frames of the set that pseudo-real makes."""
     json: bool = False
     """Print the results as JSON instead of text."""
     workers: str = "auto"
-    """Worker processes that make contacts; auto is one a core."""
+    """Number of worker processes that simulate contacts; auto: one per core."""
     device: DeviceName = "auto"
-    """Device; auto is the GPU if there is one."""
+    """Device of the network; auto: the GPU if there is one."""
     threads: int | None = None
-    """Threads of the network, at most one a core. Default: one a core."""
+    """Number of threads of the network, at most one per core. Default: one per core."""
     settings: Annotated[TransferSettings, tyro.conf.arg(name="")] = field(default_factory=TransferSettings)
-    """How the experiments are made."""
+    """Settings of the experiments."""
 
     def run(self) -> int:
         from json import dumps
@@ -69,16 +68,16 @@ class Transfer(Command):
         return 0
 
     def _real_set(self, log: Callable[[str], None]) -> Path:
-        """Return the folder of the real set, or of the set of a hidden sensor, which is made here."""
+        """Return the folder of the real set, or make the set of a hidden sensor and return its folder."""
         from tactip_twin.sim.parallel.worker_pool import worker_count
         from tactip_twin.sim2real.transfer.pseudo_real import make_pseudo_real
         from tactip_twin.tactip_model.errors import TactipError
 
         if self.experiment == "pseudo-real":
             if self.real is not None:
-                raise TactipError(f"pseudo-real makes its own set, and --real {self.real} is given: leave it out")
+                raise TactipError(f"pseudo-real makes its own set: leave out --real {self.real}")
             seed, workers = self.settings.seed, worker_count(self.workers)
             return make_pseudo_real(self.out / "hidden", self.task, self.pseudo_design, self.frames, seed, workers, log)
         if self.real is None:
-            raise TactipError(f"{self.experiment} needs the folder of an imported set: give --real")
+            raise TactipError(f"{self.experiment} needs the folder of an imported set: add --real FOLDER")
         return self.real

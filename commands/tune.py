@@ -14,7 +14,7 @@ from tactip_twin.tactip_model.errors import TactipError
 
 @dataclass(frozen=True)
 class Tune(Command):
-    """Search for a network by TPE, each trial a training. Rerun to resume."""
+    """Search for network hyperparameters by TPE; each trial is one training. Rerun to resume."""
 
     common = ("data", "out", "settings.trials", "settings.space.max_filters", "jobs", "device")
     example = "tactip tune --data data/surface --out runs/tune-surface --trials 50 --max-filters 64"
@@ -24,15 +24,15 @@ class Tune(Command):
     out: Path
     """Folder of the search."""
     jobs: int = 1
-    """Trainings at a time."""
+    """Number of simultaneous trainings."""
     cluster: str | None = None
     """Address of a Ray cluster (auto: this machine's; local: this machine alone). Needs the extra `cluster`."""
     device: DeviceName = "auto"
-    """Device; auto is the GPU if there is one."""
+    """Device of the networks; auto: the GPU if there is one."""
     threads: int | None = None
-    """Threads of the network, at most one a core. Default: the cores over --jobs."""
+    """Number of threads of each training, at most one per core. Default: the cores divided by --jobs."""
     settings: Annotated[TuneSettings, tyro.conf.arg(name="")] = field(default_factory=TuneSettings)
-    """The search."""
+    """Search."""
 
     def run(self) -> int:
         with DelayedStatus("loading the libraries"):
@@ -42,9 +42,9 @@ class Tune(Command):
         device_named(self.device)
         set_threads(self.threads)
         if self.jobs < 1:
-            raise TactipError(f"{self.jobs} jobs cannot work: ask for at least 1")
+            raise TactipError(f"--jobs must be at least 1, got {self.jobs}")
         if self.cluster and self.threads is not None:
-            raise TactipError("--threads is for this machine, and each trial on a cluster has one core: leave it out")
+            raise TactipError("--threads does not apply to a cluster, where each trial has one core: leave it out")
         if self.cluster:
             from tactip_twin.learning.tune_ray import tune_on_cluster
 
@@ -52,5 +52,5 @@ class Tune(Command):
         else:
             results = tune(self.data, self.out, self.settings, self.jobs, self.device, to_stderr, self.threads)
         good = [r for r in results if r["status"] == "ok"]
-        print(f"{len(results)} trials, {len(good)} of them ended well: {self.out / 'best.json'} and tune.png written")
+        print(f"{len(results)} trials, {len(good)} successful; {self.out / 'best.json'} and tune.png written")
         return 0

@@ -39,5 +39,5 @@ class View(Command):
         design = load_design(self.design)
         render, read = renderer_named(self.renderer, design), load_pose_reader(self.model, self.task, design)
         live = LivePage(design, self.task, fidelity_named(self.fidelity), render, read, self.host, self.port)
-        print(f"{live.address} shows the tip {design.name} on the stimulus {self.task}; Ctrl-C ends it", flush=True)
+        print(f"{live.address} shows the tip {design.name} on the stimulus {self.task}; stop with Ctrl-C", flush=True)
         return serve_until_interrupted(live)
