@@ -41,7 +41,7 @@ class Estimate:
     touching: float
     """Difference of the image from that of an undeformed tip, 0 to 1."""
     image: np.ndarray | None = None
-    """(size, size) uint8; None where no image was used."""
+    """(size, size) uint8; None if no image was used."""
     image_s: float = 0.0
     """Time for the image, s."""
     network_s: float = 0.0

@@ -38,7 +38,7 @@ def run_servo(
     Args:
         options: Options of the run.
         progress: Called with each step.
-        log: Called with each line of text for the user.
+        log: Callback for messages to the user.
         estimator: An object with the method `estimate`, or a function from the tactile image to the label in mm and degrees,
             in place of the network. Estimates outside the label ranges of the task's network still count as failures.
         controller: An object with the methods `move` and `reset`, in place of the paper's controller.
@@ -48,7 +48,7 @@ def run_servo(
 
     Raises:
         TactipError: The options are invalid or contradict each other.
-        Interrupted: At Ctrl-C; the steps so far are recorded and scored.
+        Interrupted: On Ctrl-C; the steps so far are recorded and scored.
     """
     setup = prepare(options, log, estimator, controller)
     scenery = _scenery(options, setup)

@@ -75,7 +75,7 @@ def prepare(
 
     Args:
         options: Options of the run.
-        log: Called with each line of text for the user.
+        log: Callback for messages to the user.
         estimator: Replacement for the options' network.
         controller: Replacement for the paper's controller.
 

@@ -51,7 +51,7 @@ class OpticsAugmentation:
             device: Torch device.
 
         Raises:
-            TactipError: Where the set has no pins.
+            TactipError: If the set has no pins.
         """
         tips, directions = _read_pins(samples)
         design = design_from_dict(samples.dataset.meta["configuration"]["design"], f"{samples.folder}: design")

@@ -16,7 +16,7 @@ TORCH = next(line for line in (ROOT / "requirements.lock").read_text().splitline
 
 
 def interpreter(version):
-    """Path of a Python of a version ("3.12"), or None where there is none that runs."""
+    """Path of a Python of a version ("3.12"), or None if there is none that runs."""
     found = shutil.which(f"python{version}")
     output = found and subprocess.run([found, "--version"], capture_output=True, text=True)
     if output and output.returncode == 0 and output.stdout.startswith(f"Python {version}."):

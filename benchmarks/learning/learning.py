@@ -196,7 +196,7 @@ class Sets:
         return self._large.take(chosen), read_samples(self._folder("plain") / "val")
 
     def tests(self) -> dict[str, Samples]:
-        """Return test samples by kind of contact. Raises TactipError where a set is missing or damaged."""
+        """Return test samples by kind of contact. Raises TactipError if a set is missing or damaged."""
         kinds = {"sheared": "plain", "taps": "taps"} | ({"curved": "curved"} if self._options.task == "surface" else {})
         return {name: read_samples(self._folder(kind) / "test") for name, kind in kinds.items()}
 
@@ -207,7 +207,7 @@ class Sets:
 def run(options: LearningOptions, log: Callable[[str], None] = print) -> dict[str, Any]:
     """Measure a task, write learning.json, learning.md and learning.png, and return the results of this task.
 
-    Progress goes to `log`. Raises TactipError, and Interrupted at Ctrl-C.
+    Progress goes to `log`. Raises TactipError, and Interrupted on Ctrl-C.
     """
     lookup("task", options.task, dict.fromkeys(PAPER))
     if not 1 <= options.contacts <= options.large_contacts:

@@ -47,7 +47,7 @@ def jobs(options: SearchOptions) -> list[Job]:
 def run(options: SearchOptions, log: Callable[[str], None] = print) -> dict[str, Any]:
     """Search, write search.json, search.md and the figure of the task, and return the results of the task.
 
-    Progress goes to `log`. Raises TactipError, and Interrupted at Ctrl-C.
+    Progress goes to `log`. Raises TactipError, and Interrupted on Ctrl-C.
     """
     lookup("task", options.task, dict.fromkeys(learning.PAPER))
     settings = TuneSettings() if options.paper else replace(LAPTOP, trials=options.trials)

@@ -31,7 +31,7 @@ fine-tuning on SHOTS of them."""
 def run(options: TransferOptions, log: Callable[[str], None] = print) -> dict[str, Any]:
     """Run the experiments, write transfer.json, transfer.md and the figures, and return the results of all sets.
 
-    Progress goes to `log`. Raises TactipError, and Interrupted at Ctrl-C.
+    Progress goes to `log`. Raises TactipError, and Interrupted on Ctrl-C.
     """
     if not options.real:
         raise TactipError("--real must name one or more folders of imported sets")

@@ -178,7 +178,7 @@ def _done(folder: Path, index: int, cell: Cell) -> dict[str, Any] | None:
 def run(options: StabilityOptions, log: Callable[[str], None] = print) -> dict[str, Any]:
     """Measure the map, write stability.json, .md and .png, and return the results. Progress goes to `log`.
 
-    Raises Interrupted at Ctrl-C, which keeps the finished cells, and OSError.
+    Raises Interrupted on Ctrl-C, which keeps the finished cells, and OSError.
     """
     fidelity: Fidelity = fidelity_named("standard")
     out, quick, workers = options.out, options.quick, worker_count(options.workers)

@@ -168,7 +168,7 @@ def identity(case: Case) -> str:
 def run(options: ServoBenchOptions, log: Callable[[str], None] = print) -> dict[str, Any]:
     """Make the runs that are missing, write servo.json, servo.md and servo.png, and return the results.
 
-    Progress goes to `log`. Raises TactipError, and Interrupted at Ctrl-C.
+    Progress goes to `log`. Raises TactipError, and Interrupted on Ctrl-C.
     """
     groups = [lookup("group", name, dict.fromkeys(GROUPS, name)) for name in options.groups or GROUPS]
     chosen = [case for case in cases(options) if case.group in groups]

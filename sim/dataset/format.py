@@ -77,7 +77,7 @@ def image_name(index: int) -> str:
 
 
 def encode_image(image: np.ndarray) -> bytes:
-    """Return a uint8 image as PNG. Raises TactipError where it has no such format."""
+    """Return a uint8 image as PNG. Raises TactipError if it has no such format."""
     ok, data = cv2.imencode(".png", image)
     if not ok:
         raise TactipError(f"an image of {image.dtype} {image.shape} cannot be written as PNG")
@@ -170,14 +170,14 @@ class Dataset:
         return all((part / "pins.npz").exists() for part in shard_dirs(self.folder, self.meta))
 
     def image(self, i: int) -> np.ndarray:
-        """Return image i, (size, size) uint8. Raises TactipError where it cannot be read or does not match its checksum."""
+        """Return image i, (size, size) uint8. Raises TactipError if it cannot be read or does not match its checksum."""
         part = shard_dirs(self.folder, self.meta)[bisect.bisect_right(self.ends, i)]
         path = part / "images" / self.images[i]
         return decode_image(read_unaltered(path, self.checksums[i]), str(path))
 
 
 def read_meta(folder: str | Path) -> dict[str, Any]:
-    """Return the meta.json of a finished set. Raises TactipError where there is none, or one of something else."""
+    """Return the meta.json of a finished set. Raises TactipError if there is none, or one of something else."""
     path = Path(folder) / "meta.json"
     if not path.exists():
         if (Path(folder) / PARTIAL).exists():
@@ -196,7 +196,7 @@ def read_meta(folder: str | Path) -> dict[str, Any]:
 
 
 def read_unaltered(path: Path, expected: str) -> bytes:
-    """Return the content of a file of a set. Raises TactipError where it is missing or does not match its checksum."""
+    """Return the content of a file of a set. Raises TactipError if it is missing or does not match its checksum."""
     data = read_file(path)
     if checksum(data) != expected:
         raise TactipError(f"{path} was altered: it does not match its checksum in meta.json; see `tactip dataset verify`")
@@ -222,7 +222,7 @@ def read_configuration(meta: dict[str, Any], folder: str | Path) -> Configuratio
 
 
 def read_targets(folder: str | Path) -> list[dict[str, str]]:
-    """Return the rows of targets.csv, by column. Raises TactipError where it is missing or lacks a needed column."""
+    """Return the rows of targets.csv, by column. Raises TactipError if it is missing or lacks a needed column."""
     path = Path(folder) / "targets.csv"
     return _parse_targets(read_file(path), path)
 
@@ -246,7 +246,7 @@ def shard_dirs(folder: str | Path, meta: dict[str, Any]) -> list[Path]:
 
 
 def read_parts(folder: str | Path, meta: dict[str, Any]) -> Iterator[tuple[Path, dict[str, Any]]]:
-    """Yield the folder and the meta.json of each shard of a set, or its own. Raises TactipError where one was altered."""
+    """Yield the folder and the meta.json of each shard of a set, or its own. Raises TactipError if one was altered."""
     if "shards" not in meta:
         yield Path(folder), meta
         return
@@ -281,7 +281,7 @@ def _rows_of(part: Path, meta: dict[str, Any]) -> list[dict[str, str]]:
 
 
 def read_dataset(folder: str | Path) -> Dataset:
-    """Read the labels and image names of a finished set. Raises TactipError where it cannot be read or was altered."""
+    """Read the labels and image names of a finished set. Raises TactipError if it cannot be read or was altered."""
     folder = Path(folder)
     meta = read_meta(folder)
     names, poses, shears, ends, checksums = [], [], [], [], []

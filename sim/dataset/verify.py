@@ -29,7 +29,7 @@ _ROUNDING = 1e-6
 
 
 def verify(folder: str | Path) -> list[str]:
-    """Return what is wrong with a finished set, as sentences. Raises TactipError where there is no set to check."""
+    """Return what is wrong with a finished set, as sentences. Raises TactipError if there is no set to check."""
     folder = Path(folder)
     try:
         meta = read_meta(folder)

@@ -23,7 +23,7 @@ _SHUTDOWN_S = 10
 
 
 def ray_here() -> ModuleType:
-    """Return the module ray. Raises TactipError where it is not installed."""
+    """Return the module ray. Raises TactipError if it is not installed."""
     try:
         import ray  # pyright: ignore[reportMissingImports]
     except ImportError as error:
@@ -106,7 +106,7 @@ class RayPool(WorkerPool[Task]):
         self._actor = ray.remote(num_cpus=1, max_restarts=0, runtime_env=variables)(_Actor)
 
     def places(self) -> int:
-        """Return the number of workers that the cluster has room for. Raises TactipError where it has none."""
+        """Return the number of workers that the cluster has room for. Raises TactipError if it has none."""
         count = int(self._ray.cluster_resources().get("CPU", 0))
         if count < 1:
             raise TactipError("the cluster has no CPU for a worker")

@@ -14,13 +14,13 @@ def check_resumable(folder: Path, kind: str, recorded: Any, requested: Any, own:
     Args:
         folder: Output folder, which need not exist.
         kind: What the folder holds, as a noun: "data set", "training".
-        recorded: Settings (a JSON value) written there by the first command; None where there are none.
+        recorded: Settings (a JSON value) written there by the first command; None if there are none.
         requested: Settings (a JSON value) of this command.
         own: Names of files that every command of this kind leaves, lock files for example: they do not count, nor do the
             leftovers of kills.
 
     Raises:
-        TactipError: Where the folder holds something else, or the same with other settings; the first difference is named.
+        TactipError: If the folder holds something else, or the same with other settings; the first difference is named.
     """
     if recorded is None:
         if folder.exists() and any(path.name not in own and not is_leftover(path) for path in folder.iterdir()):

@@ -238,7 +238,7 @@ def _fill_holes(mesh: trimesh.Trimesh, name: str) -> list[str]:
 
 
 def _read(path: Path) -> trimesh.Trimesh:
-    """Return the mesh in a file, unchecked. Raises TactipError where there is none."""
+    """Return the mesh in a file, unchecked. Raises TactipError if there is none."""
     if path.suffix.lower().lstrip(".") not in FORMATS:
         raise TactipError(f"a mesh file must end in one of {', '.join(FORMATS)}, got {path}")
     data = read_file(path, _MAX_FILE_BYTES)

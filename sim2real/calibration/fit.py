@@ -1,4 +1,4 @@
-"""Calibration of one's own sensor: a design and a rig fitted to real frames.
+"""Calibration of a sensor: a design and a rig fitted to real frames.
 
 The neutral image gives lens, camera and pins (tactip_model/neutral_image.py). Pressed frames, of which only the rig's
 commands are known, give the rest: each parameter has a value, bounds, a prior, and a place in the design or the rig.
@@ -32,7 +32,7 @@ from tactip_twin.tactip_model.optics import REFERENCE_PX
 from tactip_twin.tactip_model.pin_detection import PinMatcher
 
 _CAMERA_SPREAD = np.array([0.0005, 0.001, 0.001])
-"""Min. standard deviations of zoom and drift, as reflections give them."""
+"""Minimum standard deviations of zoom and drift estimated from reflections."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Result:
     rounds: list[dict[str, Any]]
     """Figures of each round."""
     test_frames: Frames
-    """Frames that it was not fitted to."""
+    """Frames that the fit did not use."""
     pins_along_moves: np.ndarray
     """(n, MOVE_FRACTIONS, p, 2) float: simulated pins of the test frames at each fraction of their moves, px of 256."""
     forces_n: np.ndarray
@@ -69,13 +69,13 @@ def calibrate(
     Args:
         real_dir: Folder of a real set (sim2real/calibration/real_set.py).
         design: Design to start from.
-        settings: How the calibration is run.
+        settings: Settings of the calibration.
         state_path: File of the state, written after each round: an interrupted run resumes from there.
-        log: Called with lines for the user.
+        log: Callback for messages to the user.
 
     Raises:
-        TactipError: Where frames do not fit the design, and where state_path is of another run.
-        Interrupted: At Ctrl-C.
+        TactipError: If frames do not fit the design, or state_path belongs to another run.
+        Interrupted: On Ctrl-C.
     """
     state_path = Path(state_path)
     remove_leftovers(state_path.parent)
@@ -152,14 +152,14 @@ def _first_guess(real: RealSet, design: Design, chosen: tuple[Parameter, ...]) -
     x, y, z = (float(component) for component in press)
     twin = SensorOnRig(design, Rig(press_axis=(x, y, z)))
     for p in chosen:
-        # What the neutral image does not give, and what a perfect sensor has at its bound.
+        # Start values for what the neutral image does not determine, where a perfect sensor would be at a bound.
         if p.prior and (p.part == "optics" or p.name in ("kinetic_fraction", "slip_weakening")):
             twin = p.write(twin, p.prior[0])
     return twin
 
 
 def _round_text(figures: dict[str, Any]) -> str:
-    """Return a round's figures as text for people."""
+    """Return a round's figures as readable text."""
     return (
         f"started at {figures['rms_px']:.2f} px rms, median frame {figures['median_px']:.2f} px; cost "
         f"{figures['cost_before']:.3f} to {figures['cost_after']:.3f} px² with {figures['share_of_step']:g} of the step"

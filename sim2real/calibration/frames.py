@@ -25,7 +25,7 @@ class Frames:
 
 
 def sample_frames(real: RealSet, matcher: PinMatcher, odd: bool, count: int, rng: np.random.Generator) -> Frames:
-    """Sample frames of a real set's odd or even rows, detect their pins, and leave out those with too few.
+    """Sample frames from a real set's odd or even rows, detect their pins, and leave out frames with too few.
 
     Args:
         real: The set.
@@ -35,7 +35,7 @@ def sample_frames(real: RealSet, matcher: PinMatcher, odd: bool, count: int, rng
         rng: Generator of the sample.
 
     Raises:
-        TactipError: Where the set is too small, or in many frames pins are not detected.
+        TactipError: If the set is too small, or in many frames pins are not detected.
     """
     rows = np.arange(len(real.files))[1 if odd else 0 :: 2]
     if len(rows) < 10:

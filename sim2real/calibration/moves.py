@@ -1,10 +1,10 @@
 """Simulation of a rig's moves: pins at fractions of each move, and the fraction at which they match a frame best.
 
-An image is not always taken where its label says: cameras lag, and frames of a rig's moves show the tip before the move is
-over, or amid it. The finished fraction of the move is therefore estimated for each frame, from the frame.
+An image is not always taken at the pose of its label: cameras lag, so some frames show the tip before or during the move.
+The finished fraction of the move is therefore estimated from each frame.
 
-The functions `simulate_…` are work for other processes: everything comes in their argument, and the simulators are kept,
-because a mesh takes its time.
+The functions `simulate_…` run in other processes: they get everything as one argument, and they keep their simulators,
+because meshing is slow.
 """
 
 from collections.abc import Sequence
@@ -22,11 +22,11 @@ from tactip_twin.tactip_model.optics import Lens
 from tactip_twin.tactip_model.pins import PinReader
 
 MOVE_FRACTIONS = np.linspace(0, 1, 6)
-"""Fractions of a move at which a contact is simulated; between them, pins are taken to move in straight lines."""
+"""Fractions of a move at which a contact is simulated; in between, pins are interpolated linearly."""
 
 LOAD_CELL_N = {1e-3: 0.21, 2e-3: 0.8, 3e-3: 1.85}
-"""Normal force, N, of a TacTip pressed by so many m on the flat [R: a load cell under an aerial TacTip]. Images give the
-ratio of two moduli but not their size; this does."""
+"""Normal force, N, of a TacTip on a flat surface by depth, m [R: a load cell under an aerial TacTip]. Images determine the
+ratio of the two moduli but not their magnitude; forces do."""
 
 Commands = Sequence[tuple[np.ndarray, np.ndarray]]
 """Pairs of pose and move, (6,) each, m and rad, in the rig's frame."""
@@ -38,7 +38,7 @@ def _simulator(design: Design, fidelity: str) -> ContactSimulator:
 
 
 def _mechanical(design: Design) -> Design:
-    """Return a design with nothing but what the mechanics depend on, so simulators are shared."""
+    """Return a design reduced to what the mechanics depend on, so simulators can be shared."""
     return Design(design.name, shape=design.shape, materials=design.materials)
 
 
@@ -86,7 +86,8 @@ def simulate_forces(job: tuple[Design, str]) -> np.ndarray:
 
 
 def pin_pixels(design: Design, fidelity: str, skins: np.ndarray) -> np.ndarray:
-    """Return where a design's pins appear, (..., p, 2) px of 256, given skins (..., s, 3) m of the mesh of a fidelity."""
+    """Return the image positions (..., p, 2), px of 256, of a design's pins, given skins (..., s, 3) m of the mesh of a
+    fidelity."""
     lens = Lens(design)
     tips, _ = PinReader(design, build_mesh(design.shape, fidelity_named(fidelity).mesh)).read(skins)
     return reference_pixels(lens.project(tips), lens.width)
@@ -98,15 +99,15 @@ def distances(predicted: np.ndarray, seen: np.ndarray) -> np.ndarray:
 
 
 def best_fraction(along: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the fraction of each move at which simulated pins come nearest to detected ones.
+    """Return the fraction of each move at which simulated pins are nearest to detected ones.
 
     Args:
         along: (n, MOVE_FRACTIONS, p, 2) px, simulated pins at each fraction of each move.
         seen: (n, p, 2) px, detected pins; NaN where one is not detected.
 
     Returns:
-        The fractions (n,), the simulated pins there (n, p, 2) px, and their change with the fraction (n, p, 2) px: none
-        where the fraction is at one of its ends, and cannot give way.
+        The fractions (n,), the simulated pins there (n, p, 2) px, and their derivative by the fraction (n, p, 2) px, which
+        is 0 where the fraction is at an end of its range.
     """
     fine = np.linspace(0, 1, 51)
     left = np.minimum((fine * (len(MOVE_FRACTIONS) - 1)).astype(int), len(MOVE_FRACTIONS) - 2)

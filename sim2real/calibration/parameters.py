@@ -1,4 +1,4 @@
-"""The parameters of a calibration: numbers of a sensor and of its rig that frames determine."""
+"""The parameters of a calibration: quantities of a sensor and its rig that frames determine."""
 
 from dataclasses import dataclass, replace
 from functools import partial
@@ -22,18 +22,18 @@ class SensorOnRig:
 
 @dataclass(frozen=True)
 class Parameter:
-    """A number that is fitted."""
+    """A fitted quantity."""
 
     name: str
     """Name in reports and in the state of a run."""
     unit: str
-    """Of its value: m, Pa, deg, widths (of the image), or - for none."""
+    """Unit of its value: m, Pa, deg, widths (of the image), or - if dimensionless."""
     low: float
-    """Min. value, in its unit."""
+    """Minimum, in its unit."""
     high: float
-    """Max. value, in its unit."""
+    """Maximum, in its unit."""
     step: float
-    """Change for the difference quotients; of the value's logarithm if `logarithmic`."""
+    """Step of the finite differences; of the value's logarithm if `logarithmic`."""
     prior: tuple[float, float] | None
     """Mean and standard deviation before any frame is used (the latter of the logarithm if `logarithmic`), or None."""
     part: Literal["rig", "optics", "pins", "materials"]
@@ -43,11 +43,12 @@ class Parameter:
     item: int | None = None
     """Index in the field, where it is a tuple."""
     logarithmic: bool = False
-    """Whether step and prior are of the value's logarithm: for what is known to a factor."""
+    """Whether step and prior apply to the value's logarithm, for quantities known to within a factor."""
     mechanical: bool = True
-    """Whether a contact must be simulated anew when it changes."""
+    """Whether contacts must be simulated again when it changes."""
     searched: bool = False
-    """Whether it is found by trying: skin sticks or slips, and a frame's fraction then jumps, so slopes mislead."""
+    """Whether it is found by search: where skin changes between sticking and slipping, a frame's fraction jumps, so
+    gradients mislead."""
 
     def read(self, twin: SensorOnRig) -> float:
         """Return its value in a SensorOnRig."""
@@ -83,7 +84,7 @@ class Parameter:
 
 
 UNKNOWN_CAMERA = np.array([1.0, 0.0, 0.0]), np.array([0.01, 0.004, 0.004])
-"""Zoom and drift (3,), and their standard deviations (3,), where reflections do not show."""
+"""Zoom and drift (3,), and their standard deviations (3,), if reflections do not show them."""
 
 
 def parameters(design: Design, camera: tuple[np.ndarray, np.ndarray] = UNKNOWN_CAMERA) -> tuple[Parameter, ...]:
@@ -93,9 +94,9 @@ def parameters(design: Design, camera: tuple[np.ndarray, np.ndarray] = UNKNOWN_C
         design: Design to start from.
         camera: Prior of zoom and drift: mean and standard deviation, (3,) each.
     """
-    # Where a frame lags, its lag explains what friction would: frames alone hardly determine the three numbers of friction.
-    # Their priors are from a load cell (0.55 to 0.7) and from the mean shifts of 25 kinds of shear of a real tip, to which a
-    # kinetic share of 0.5 to 0.6 after 1 mm comes nearest (benchmarks/learning/real_comparison.py).
+    # Lag and friction can explain the same frames, so frames alone hardly determine the three friction parameters.
+    # Their priors come from a load cell (0.55 to 0.7) and from the mean shifts under 25 shears of a real tip, which a
+    # kinetic fraction of 0.5 to 0.6 after 1 mm fits best (benchmarks/learning/real_comparison.py).
     searched = partial(Parameter, logarithmic=True, searched=True)
     zoom, x, y = zip(*camera, strict=True)
     pitch = design.pins.pitch_m

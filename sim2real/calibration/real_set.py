@@ -1,4 +1,4 @@
-"""A folder of real images with the commands of the rig that took them, read as it is published.
+"""A folder of real images with the commands of the rig that took them, in its published format.
 
 init_0.png                neutral image (any name that starts with init)
 images/*.png or *.png     binary frames
@@ -39,7 +39,7 @@ class RealSet:
     """(h, w) uint8: the undeformed tip."""
 
     def frame(self, index: int) -> np.ndarray:
-        """Return frame `index`, (h, w) uint8. Raises TactipError where it cannot be read or its size differs."""
+        """Return frame `index`, (h, w) uint8. Raises TactipError if it cannot be read or its size differs."""
         frame = read_image(self.files[index])
         if frame.shape != self.neutral.shape:
             sizes = (f"{i.shape[1]}×{i.shape[0]} px" for i in (self.neutral, frame))

@@ -1,4 +1,4 @@
-"""Report of a calibration: its errors on test frames, as tables and figures."""
+"""Report of a calibration: errors on test frames, as tables and figures."""
 
 import json
 from dataclasses import asdict
@@ -16,10 +16,10 @@ from tactip_twin.tactip_model.design_file import write_fitted_design
 from tactip_twin.tactip_model.files import remove_leftovers, write_file
 
 RINGS = 8
-"""Number of rings of equally many pins, by their distance from the middle of the neutral image."""
+"""Number of rings with equal numbers of pins, by their distance from the middle of the neutral image."""
 
 UPRIGHT_RAD = np.radians(8)
-"""Max. commanded tilt of a frame that counts as upright, rad."""
+"""Maximum commanded tilt of a frame that counts as upright, rad."""
 
 _DISPLAY = {"m": (1e3, "mm"), "Pa": (1e-3, "kPa"), "deg": (1.0, "°"), "-": (1.0, ""), "widths": (256.0, "px of 256")}
 

@@ -1,7 +1,7 @@
 """Conversion of a laboratory rig's commanded poses and moves to poses and shears in the contact frame.
 
-A rig commands its tool (TCP) in a work frame of its own, presses along one of its axes and turns about a point that need not
-be the tip's apex. Conventions differ between laboratories; only this module knows them.
+A rig commands its tool centre point (TCP) in its own work frame, presses along one of its axes and turns about a point that
+need not be the tip's apex. Conventions differ between laboratories; only this module handles them.
 """
 
 from dataclasses import dataclass
@@ -15,16 +15,17 @@ from tactip_twin.tactip_model.bounds import check, within
 
 @dataclass(frozen=True)
 class Rig:
-    """Geometry of a rig. The defaults are a perfect rig; a calibration fits them."""
+    """Geometry of a rig. The defaults describe a perfect rig; a calibration fits them."""
 
     press_axis: tuple[float, float, float] = within(-1, 1, default=(0.0, 0.0, -1.0))
     """Direction of the press in the work frame, a unit vector: into the object."""
     azimuth_deg: float = within(-720, 720, default=0.0)
-    """Turn of the work frame about the surface's normal, seen from the image's x axis, degrees: how the camera sits."""
+    """Rotation of the work frame about the surface's normal relative to the image's x axis, degrees: how the camera is
+    mounted."""
     depth_zero_m: float = within(-5e-3, 5e-3, default=0.0)
-    """Depth beyond the commanded one, m: the surface is never exactly where the rig has it."""
+    """Depth beyond the commanded one, m, because the rig does not know the surface's exact height."""
     tcp_behind_apex_m: float = within(-0.1, 0.1, default=0.0)
-    """Distance of the point that the rig turns about behind the tip's apex, m."""
+    """Distance from the tip's apex back to the point about which the rig rotates, m."""
     tilt_zero_deg: tuple[float, float] = within(-20, 20, default=(0.0, 0.0))
     """Tilt of the tip when none is commanded, rotation vector about x and y before the azimuth, degrees."""
 
@@ -33,7 +34,7 @@ class Rig:
 
 
 class RigMotion:
-    """Contacts made by a rig's commands."""
+    """Conversion of a rig's commands to contacts."""
 
     def __init__(self, rig: Rig) -> None:
         self.rig = rig
@@ -62,7 +63,7 @@ class RigMotion:
             pose: (6,), m and rad in the work frame, commanded pose before the tap.
             move: (6,), m and rad in the work frame, motion in contact.
             tap: (6,), m and rad in the work frame, the tap that makes contact; only its translation is used.
-            fraction: Finished fraction of the move when the image is taken, 0 to 1; the rest makes no shear.
+            fraction: Finished fraction of the move when the image is taken, 0 to 1; the rest causes no shear.
         """
         pose, move = np.asarray(pose, float), np.asarray(move, float)
         pressed = np.concatenate([np.asarray(tap, float)[:3], np.zeros(3)])

@@ -1,6 +1,5 @@
-"""Rounds of a calibration: Gauss and Newton's method on the distance between detected and simulated pins.
-
-Every contact is simulated anew for each parameter that the mechanics depend on.
+"""Rounds of a calibration: the Gauss-Newton method on the distance between detected and simulated pins. For each parameter
+that the mechanics depend on, every contact is simulated again.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -32,22 +31,23 @@ _PIXEL_SPREAD = 0.5
 """Residual of a good fit, px of 256."""
 
 _INDEPENDENT = 10
-"""Pins of a frame err together: it counts for so many independent numbers."""
+"""Number of independent measurements that a frame counts for, because errors of its pins are correlated."""
 
 _OUTLIER_PX = 1.0
-"""A frame farther off than this, px of 256, is not explained by the model: it pulls no harder than one at this distance."""
+"""Distance, px of 256, beyond which a frame's influence on the fit no longer grows, because the model does not explain
+it."""
 
 _AZIMUTHS = 12
-"""Azimuths that are tried first."""
+"""Azimuths to start from."""
 
 _DAMPING = 0.01
-"""Levenberg's fraction of the diagonal."""
+"""Levenberg's damping, as a fraction of the diagonal."""
 
 _Job = TypeVar("_Job")
 
 
 def robust_cost(rms: np.ndarray) -> float:
-    """Return Huber's cost of frames' rms distances (n,) px: squares up to _OUTLIER_PX, straight beyond."""
+    """Return the Huber cost of frames' rms distances (n,) px: quadratic up to _OUTLIER_PX, linear beyond."""
     return float(np.where(rms < _OUTLIER_PX, rms**2, _OUTLIER_PX * (2 * rms - _OUTLIER_PX)).mean())
 
 
@@ -73,7 +73,8 @@ class Calibrator:
         return pin_pixels(twin.design, fidelity, skins)
 
     def misfit(self, twin: SensorOnRig, fidelity: str, count: int = 12) -> float:
-        """Return the median distance, px, of the `count` frames with most tilt and move, before or after their move."""
+        """Return the median distance, px, of the `count` frames with the largest tilt and move, before or after their
+        move."""
         commands = self._frames.commands
         motion = [np.linalg.norm(pose[3:]) + np.linalg.norm(move[:3]) / LEVER_M for pose, move in commands]
         chosen = np.argsort(motion)[-count:]
@@ -96,17 +97,15 @@ class Calibrator:
         return frames + float((residuals**2).sum()) * 2 * _PIXEL_SPREAD**2 / (_INDEPENDENT * len(along)), along
 
     def _force_residuals(self, twin: SensorOnRig, fidelity: str) -> np.ndarray:
-        """Return how far (3,), in standard deviations, forces are from LOAD_CELL_N."""
+        """Return the deviations (3,) of forces from LOAD_CELL_N, in standard deviations."""
         return np.log(self.forces(twin, fidelity) / list(LOAD_CELL_N.values())) / _FORCE_SPREAD
 
     def round(
         self, twin: SensorOnRig, chosen: Sequence[Parameter], fidelity: str
     ) -> tuple[SensorOnRig, np.ndarray, dict[str, Any]]:
-        """Take one step of Gauss and Newton.
-
-        Parameters that are searched stay, with the deviations of their priors. The fraction of its move belongs to each
-        frame alone: it is taken out of residuals and slopes (variable projection), so no parameter is moved for what a
-        fraction explains as well. A step that does not lower the cost is halved.
+        """Take one Gauss-Newton step. Searched parameters keep their values, with the deviations of their priors. Each frame
+        has its own fraction of the move, which is projected out of residuals and derivatives (variable projection), so no
+        parameter changes for what a fraction explains as well. A step that does not lower the cost is halved.
 
         Args:
             twin: Sensor and rig before the step.
@@ -155,7 +154,7 @@ class Calibrator:
         curvature = np.einsum("kni,lni->kl", slopes, slopes) + force_slopes @ force_slopes.T + np.diag(prior_slopes**2)
         gradient = by_frame.sum(0) + force_slopes @ force_residuals + prior_slopes * prior_residuals
         change = -np.linalg.solve(curvature + _DAMPING * np.diag(np.diag(curvature)), gradient)
-        # Frames, not pins, are independent: deviations by the spread of the frames' gradients.
+        # Frames are independent, pins are not: deviations come from the spread of the frames' gradients.
         inverse = np.linalg.inv(curvature)
         spread = by_frame.T @ by_frame + force_slopes @ force_slopes.T + np.diag(prior_slopes**2)
         found = dict(zip([p.name for p in smooth], np.sqrt(np.diag(inverse @ spread @ inverse)), strict=True))
@@ -183,7 +182,7 @@ class Calibrator:
     def search(
         self, twin: SensorOnRig, chosen: Sequence[Parameter], deviations: np.ndarray, fidelity: str
     ) -> tuple[SensorOnRig, np.ndarray, dict[str, Any]]:
-        """Try each searched parameter of `chosen` a step up and down, and keep what lowers the cost.
+        """Try each searched parameter of `chosen` one step up and down, and keep what lowers the cost.
 
         Args:
             twin: Sensor and rig before the search.
@@ -192,7 +191,7 @@ class Calibrator:
             fidelity: Fidelity of the simulations.
 
         Returns:
-            The new SensorOnRig, the deviations (k,), with those of the searched by a parabola through three costs, and
+            The new SensorOnRig, the deviations (k,), of searched parameters from a parabola through three costs, and
             figures.
         """
         before, _ = self.cost(twin, chosen, fidelity)
@@ -212,7 +211,7 @@ class Calibrator:
         return twin, deviations, {"fidelity": fidelity, "searched": True, "cost_before": before, "cost_after": here}
 
     def _rebuilt(self, twin: SensorOnRig) -> SensorOnRig:
-        """Return the SensorOnRig with its pins where the neutral image has them, as it was when that was taken."""
+        """Return the SensorOnRig with its pins at their positions in the neutral image and the camera as it was then."""
         return replace(twin, design=with_pin_offsets(twin.design, self._neutral))
 
     def _progress(self, work: Callable[[_Job], np.ndarray], jobs: Sequence[_Job], what: str) -> list[np.ndarray]:
@@ -220,7 +219,7 @@ class Calibrator:
 
 
 def first_azimuth(calibrator: Calibrator, twin: SensorOnRig, fidelity: str) -> SensorOnRig:
-    """Return the SensorOnRig with the best of _AZIMUTHS azimuths: the fit itself only finds the nearest."""
+    """Return the SensorOnRig with the best of _AZIMUTHS azimuths, because the fit itself finds the nearest optimum only."""
     azimuth = next(p for p in parameters(twin.design) if p.name == "azimuth")
     candidates = [azimuth.write(twin, 360 * k / _AZIMUTHS - 180) for k in range(_AZIMUTHS)]
     return min(candidates, key=lambda candidate: calibrator.misfit(candidate, fidelity))

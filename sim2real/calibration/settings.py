@@ -12,12 +12,12 @@ class FrameSelection:
     test_frames: int = 150
     """Number of frames to test the fit on, sampled from the other half (rows 1, 3, 5 …); at least 10."""
     seed: int = 0
-    """Seed of the choice of frames."""
+    """Seed of the selection of frames."""
 
 
 @dataclass(frozen=True)
 class Settings(FrameSelection):
-    """How a calibration is run."""
+    """Settings of a calibration run."""
 
     rounds: tuple[str, ...] = ("draft", "draft", "standard", "standard")
     """Fidelity of each round of the fit."""

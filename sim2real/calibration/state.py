@@ -47,13 +47,13 @@ def read_state(
 
     Args:
         path: The state file.
-        identity: As of `write_state`.
-        twin: Sensor and rig, for what no parameter changes.
+        identity: As for `write_state`.
+        twin: Sensor and rig, for everything that is not a parameter.
         chosen: The k parameters.
         neutral_px: (p, 2) px of 256, pins of the neutral image.
 
     Raises:
-        TactipError: Where the file cannot be read, or is of a calibration with other settings.
+        TactipError: If the file cannot be read, or belongs to a calibration with other settings.
     """
     try:
         state = read_json(path)

@@ -1,1 +1,1 @@
-"""Data sets of real sensors, published or one's own, brought into the project's format."""
+"""Import of real sensors' data sets, published or your own."""

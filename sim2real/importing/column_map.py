@@ -1,12 +1,11 @@
-"""The columns of another laboratory's table: which are the components of our labels, and in which conventions.
+"""The columns of a laboratory's table: which are the components of our labels, and in which conventions. Each of our
+components is one of their columns, times a factor, plus an offset:
 
-Each component of ours is a column of theirs, times a factor, plus an offset:
-
-    pose_z=-pose_2-5      depth was measured before a tap of 5 mm, and grew into the object
+    pose_z=-pose_2-5      depth was measured before a tap of 5 mm, positive into the object
     shear_x=move_1        the motion in contact that led to the pose
     pose_Ry=0.5           a constant where there is no column
 
-A component that is not listed is the column of its own name, or 0 where there is none. Light to import, for commands.
+A component that is not listed is the column of its own name, or 0 if there is none. Light to import, for commands.
 """
 
 import re
@@ -22,7 +21,7 @@ Task = Literal["surface", "edge"]
 """Stimulus of a set."""
 
 Angles = Literal["vector", "xyz", "xzy", "yxz", "yzx", "zxy", "zyx", "XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX"]
-"""A rotation vector, or Euler angles about fixed axes (small letters) or about turned ones (capitals)."""
+"""A rotation vector, or Euler angles about fixed axes (small letters) or rotated axes (capitals)."""
 
 _NUMBER = r"\d+\.?\d*(?:[eE][+-]?\d+)?"
 _TERM = re.compile(rf"(?P<sign>[+-]?)(?:(?P<factor>{_NUMBER})\*)?(?P<column>[A-Za-z_]\w*)(?P<offset>[+-]{_NUMBER})?")
@@ -72,10 +71,10 @@ class ColumnMap:
 
 
 def parse_column(spec: str) -> tuple[str, tuple[float, str | None, float]]:
-    """Return our component and its (factor, column or None, offset), mm or degrees, from an OURS=THEIRS.
+    """Return our component and its (factor, column or None, offset), mm or degrees, from OURS=THEIRS.
 
     Raises:
-        TactipError: Where the component is unknown, or its column is not written as the module's docstring has it.
+        TactipError: If the component is unknown, or its column is not written as the module's docstring has it.
     """
     if len(str(spec)) > _MAX_LENGTH:
         raise TactipError(f"a column must be written in at most {_MAX_LENGTH} characters, got {len(str(spec))}")

@@ -16,7 +16,7 @@ IMAGE_COLUMNS = ("sensor_image", "image_name", "image", "filename", "sensor_vide
 
 
 def image_column(column_map: ColumnMap, columns: Sequence[str]) -> str:
-    """Return which of a table's `columns` names the frames. Raises TactipError where there is none."""
+    """Return which of a table's `columns` names the frames. Raises TactipError if there is none."""
     names = (column_map.image_column,) if column_map.image_column else IMAGE_COLUMNS
     for name in names:
         if name in columns:
@@ -25,14 +25,15 @@ def image_column(column_map: ColumnMap, columns: Sequence[str]) -> str:
 
 
 def convert_labels(column_map: ColumnMap, table: Mapping[str, Sequence[str]]) -> tuple[np.ndarray, np.ndarray]:
-    """Return poses and shears (n, 6) each, mm and degrees, in the conventions of sim/pose.py; NaN where a cell is no number.
+    """Return poses and shears (n, 6) each, mm and degrees, in the conventions of sim/pose.py; NaN where a cell is not a
+    number.
 
     Args:
         column_map: Conventions of the table.
         table: Cells (n,) of each column.
 
     Raises:
-        TactipError: Where a column is missing, or none is mapped and none has the name of a component.
+        TactipError: If a column is missing, or none is mapped and none has the name of a component.
     """
     given = dict(parse_column(spec) for spec in column_map.columns)
     found = [name for name in (*LABELS, *SHEARS) if name in table]
@@ -58,7 +59,7 @@ def _pose_and_shear(column_map: ColumnMap, end: np.ndarray, start: np.ndarray) -
         return np.full(6, np.nan), np.full(6, np.nan)
     last, first = (_label(column_map, command) for command in (end, start))
     shear = shear_between(first, last)
-    # Where on it a surface is touched makes no difference, nor where along an edge.
+    # The place of contact on a surface, or along an edge, makes no difference.
     last[[0, 1] if column_map.task == "surface" else [1]] = 0.0
     return last, shear
 
@@ -70,12 +71,12 @@ def _label(column_map: ColumnMap, command: np.ndarray) -> np.ndarray:
     lever = np.array([0.0, 0.0, 1e-3 * column_map.tcp_behind_apex_mm])
     camera = matrix(np.zeros(3), Rotation.from_euler("z", column_map.camera_rotation_deg, degrees=True))
     tool = matrix(command[:3] + lever - turn.apply(lever), turn) @ camera.T
-    # A surface looks the same from all sides: its own axes are turned with the camera's.
+    # A surface looks the same from all sides, so its axes are rotated with the camera's.
     return label_of((camera if column_map.task == "surface" else np.eye(4)) @ tool @ sensor_in_contact(np.zeros(6)))
 
 
 def _column(table: Mapping[str, Sequence[str]], factor: float, column: str | None, offset: float, count: int) -> np.ndarray:
-    """Return the numbers (count,) of a column, scaled and shifted: NaN where a cell is no number."""
+    """Return the numbers (count,) of a column, scaled and shifted; NaN where a cell is not a number."""
     if column is None:
         return np.full(count, offset)
     if column not in table:
@@ -84,7 +85,7 @@ def _column(table: Mapping[str, Sequence[str]], factor: float, column: str | Non
 
 
 def _span(cells: Sequence[str]) -> str:
-    """Return the range of a column's cells as text; nothing where not all of them are numbers, or all are the same."""
+    """Return the range of a column's cells as text; empty if not all of them are numbers, or all are equal."""
     numbers = np.array([_number(cell) for cell in cells])
     return f" ({numbers.min():.3g} to {numbers.max():.3g})" if np.isfinite(numbers).all() and np.ptp(numbers) else ""
 

@@ -31,22 +31,20 @@ from tactip_twin.tactip_model.neutral_image import camera_change
 from tactip_twin.tactip_model.pin_detection import find_blobs
 
 NEUTRAL, NEUTRAL_TACTILE, REPORT, PICTURE = "neutral.png", "neutral_tactile.png", "import.json", "import.png"
-"""Files of an imported set: the binary image of the undeformed tip, or its replacement, as large as the frames have it and
-as large as its tactile images (other pixels, where frames are grey); the report, and a picture of some frames."""
+"""Files of an imported set: the binary image of the undeformed tip, or its replacement, at the size of the frames and at the
+size of the tactile images (thresholded separately if frames are grey); the report, and a picture of some frames."""
 
 _SHALLOW_FRACTION, _MIN_SHALLOW_FRAMES, PSEUDO_NEUTRAL_FRAMES = 0.05, 5, 21
-"""Without a neutral image, the median of some frames replaces it: of the shallowest 5 %, but of at least 5 frames, the least
-tilted, at most 21. (A tilted dome that hardly touches by its table may be deep in.) In two real sets, with depths from 0 and
-from 1 mm on, the fitted pins are then 0.4 and 0.2 px of 256 (rms) from their places
-(sim2real/transfer/neutral_calibration.py takes the press off), and 0.9 and 0.8 px with nothing fitted
-(benchmarks/learning/missing_neutral_image.py)."""
+"""Fraction and numbers of frames whose median replaces a missing neutral image: the least tilted, at most 21, of the
+shallowest 5 % or at least 5 frames, because a tilted dome may be deeper than its table says. docs/your-own-sensor.md has the
+errors."""
 
 _MIN_MEDIAN_PIN_FRACTION = 0.97
-"""Where that median has fewer pins than this fraction of the usual number, the frames differ too much: the shallowest one
-replaces the neutral image. An estimate [?]."""
+"""Fraction of the usual number of pins below which that median is too blurred; the shallowest frame then replaces the
+neutral image. An estimate [?]."""
 
 _MAX_LEFT_OUT_FRACTION = 0.5
-"""Max. fraction of frames left out: with more, it is not the frames that are wrong."""
+"""Maximum fraction of frames left out; above it, the layout is more likely wrong than the frames."""
 
 _KIND = "real data set"
 
@@ -64,19 +62,17 @@ def import_set(
         source: The laboratory's set.
         layout: Its conventions.
         out: Folder to write.
-        log: Called with lines for the user.
+        log: Callback for messages to the user.
         quiet: Whether to hide the progress bar.
 
     Raises:
-        TactipError: Where the folder holds something else, and where most frames do not fit.
-        Interrupted: At Ctrl-C.
+        TactipError: If the folder holds something else, or most frames do not fit.
+        Interrupted: On Ctrl-C.
     """
     out = Path(out)
     record = {"task": layout.column_map.task, "layout": layout.as_dict()}
     if layout.column_map.video_frame == ColumnMap.video_frame:
-        del record["layout"][
-            "video_frame"
-        ]  # written only where it differs from its default, so older sets keep their digest
+        del record["layout"]["video_frame"]  # written only if it differs from its default, so older sets keep their digest
     record |= {"source": {"name": source.folder.resolve().name, "targets_sha256": source.digest}}
     record["source"]["neutral_sha256"] = source.neutral and checksum(read_file(source.neutral))
     if not (out / _WORK).exists() and check_resumable(out, _KIND, _recorded(out, record), record):
@@ -100,10 +96,10 @@ _WORK = ".importing"
 
 
 def _recorded(out: Path, record: dict[str, Any]) -> dict[str, Any] | None:
-    """Return what a folder's meta.json has for the keys of `record`; None where no set was imported into it.
+    """Return what a folder's meta.json has for the keys of `record`; None if no set was imported into it.
 
     Raises:
-        TactipError: Where meta.json is damaged.
+        TactipError: If meta.json is damaged.
     """
     if not (out / "meta.json").exists():
         return None
@@ -117,7 +113,7 @@ def read_report(folder: str | Path) -> dict[str, Any] | None:
     """Return the report of an import into a folder; None if there is none.
 
     Raises:
-        TactipError: Where the file is damaged.
+        TactipError: If the file is damaged.
     """
     path = Path(folder) / REPORT
     if not path.exists():
@@ -139,7 +135,7 @@ def _import(
 ) -> dict[str, Any]:
     """Write the set into a locked folder, and return the report; see `import_set`."""
     remove_leftovers(out)
-    (out / "meta.json").unlink(missing_ok=True)  # of an earlier version's import: until the last file it is no set
+    (out / "meta.json").unlink(missing_ok=True)  # from an earlier version; not a set until meta.json exists
     shutil.rmtree(out / "images", ignore_errors=True)
     (out / "images").mkdir()
     images, pins, left_out = {}, {}, []
@@ -198,7 +194,7 @@ def _import(
 
 
 def _reader(source: Source, options: ImagePreprocessing, neutral: np.ndarray | None) -> FrameReader:
-    """Return the FrameReader of a Source, after a try on one frame. Raises TactipError where the options do not fit it."""
+    """Return the FrameReader of a Source, after trying it on one frame. Raises TactipError if the options do not fit."""
     others = [] if neutral is not None else pin_detection_frames(source)
     first = neutral if neutral is not None else next(iter(others), None)
     try:
@@ -215,11 +211,12 @@ def _reader(source: Source, options: ImagePreprocessing, neutral: np.ndarray | N
 def _pseudo_neutral(
     source: Source, kept: np.ndarray, reader: FrameReader, usual: float
 ) -> tuple[np.ndarray, dict[str, Any]]:
-    """Return a replacement for the neutral image of a Source, binary, (h, w) uint8, and figures of the frames it is made of.
+    """Return a replacement for the neutral image of a Source, binary, (h, w) uint8, and figures of the frames that it is
+    made of.
 
     Args:
         source: The set.
-        kept: (n,) int, rows that are kept.
+        kept: (n,) int, rows to keep.
         reader: Reader of its frames.
         usual: Median number of pins.
     """
@@ -239,7 +236,7 @@ def _pseudo_neutral(
 
 
 def _camera(source: Source, kept: np.ndarray, reader: FrameReader, neutral: np.ndarray) -> dict[str, Any] | None:
-    """Return zoom and drift since the neutral image, by the light at the rim; None where there is too little light."""
+    """Return zoom and drift since the neutral image, measured by the light at the rim; None if there is too little light."""
     before = reader.with_rim(neutral)
     middle = find_blobs(reader.cropped(reader.masked(neutral))).centres.mean(0)
     found = camera_change(before, (reader.with_rim(source.load(i)) for i in spread(list(kept))), middle)
@@ -250,8 +247,8 @@ def _camera(source: Source, kept: np.ndarray, reader: FrameReader, neutral: np.n
 
 
 def _ranges(values: np.ndarray, usual: Ranges) -> dict[str, list[float]]:
-    """Return the range of each component of values (n, 6), mm and degrees, under the names of Ranges; at least the usual
-    one, which scales the errors where nothing varies."""
+    """Return the range of each component of values (n, 6), mm and degrees, by the names of Ranges. A component that does not
+    vary gets its usual range, which scales its errors."""
     low, high = values.min(0), values.max(0)
     ends = usual.bounds()
     both = np.stack(

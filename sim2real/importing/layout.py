@@ -1,4 +1,4 @@
-"""A laboratory's conventions, both of its table and of its frames, as one record and as a JSON file. Light to import."""
+"""A laboratory's conventions for its table and its frames, as one record and as a JSON file. Light to import."""
 
 import json
 from collections.abc import Mapping
@@ -17,7 +17,7 @@ _FRAME_KEYS = tuple(f.name for f in fields(ImagePreprocessing))
 
 @dataclass(frozen=True)
 class Layout:
-    """How a laboratory wrote its set: its table and its frames."""
+    """Conventions of a laboratory's set: table and frames."""
 
     column_map: ColumnMap = field(default_factory=ColumnMap)
     """Columns of the table."""
@@ -30,11 +30,11 @@ class Layout:
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> "Layout":
-        """Return the Layout of flat `values`, some or all of the keys of `as_dict`; the others keep their defaults.
+        """Return the Layout of flat `values` with some or all of the keys of `as_dict`; others keep their defaults.
 
         Raises:
-            TactipError: Where a value is not allowed.
-            TypeError: Where a key is unknown.
+            TactipError: If a value is not allowed.
+            TypeError: If a key is unknown.
         """
         native: dict[str, Any] = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
         table = {name: native.pop(name) for name in _TABLE_KEYS if name in native}
@@ -45,7 +45,7 @@ def read_layout(path: str | Path) -> Layout:
     """Return the Layout in a JSON file: an object of the fields that differ from their defaults.
 
     Raises:
-        TactipError: Where the file does not exist, is not JSON, or has an unknown field or a wrong value.
+        TactipError: If the file does not exist, is not JSON, or has an unknown field or a wrong value.
     """
     content = read_json(path, f"the layout file {path}")
     known = {*_TABLE_KEYS, *_FRAME_KEYS}

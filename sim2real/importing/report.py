@@ -1,4 +1,4 @@
-"""Report of an import: figures, their text, and a picture of some frames."""
+"""Report of an import: figures, text, and a picture of some frames."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -77,7 +77,8 @@ _TILE = 240
 def picture(
     source: Source, kept: np.ndarray, pins: Mapping[int, int], reader: FrameReader, neutral: np.ndarray | None
 ) -> np.ndarray:
-    """Return the neutral image and frames over the depths, before and after masking, pins ringed: (h, w, 3) uint8.
+    """Return a picture (h, w, 3) uint8 of the neutral image and of frames by depth, before and after masking, with pins
+    ringed.
 
     Args:
         source: The set.

@@ -1,4 +1,4 @@
-"""A laboratory's set as it was published: its table, its labels and where its frames are."""
+"""A laboratory's set as it was published: table, labels and paths of the frames."""
 
 import contextlib
 import csv
@@ -18,7 +18,7 @@ from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.input_files import read_file
 
 FOLDERS = ("images", "frames", "frames_bw", "videos", "")
-"""Folders inside the set's folder in which frames are searched."""
+"""Subfolders of the set in which frames are searched."""
 
 _NEUTRALS = ("init*", "neutral*")
 
@@ -33,11 +33,11 @@ class Source:
     folder: Path
     """The folder."""
     names: tuple[str, ...]
-    """(n) names of the frames in the table."""
+    """(n) names of the frames, from the table."""
     paths: tuple[Path | None, ...]
-    """(n) their files; None where one is missing."""
+    """(n) their files; None if one is missing."""
     poses: np.ndarray
-    """(n, 6) mm and degrees, in our conventions; NaN where a cell is no number."""
+    """(n, 6) mm and degrees, in our conventions; NaN where a cell is not a number."""
     shears: np.ndarray
     """(n, 6) the same."""
     neutral: Path | None
@@ -45,10 +45,10 @@ class Source:
     digest: str
     """Checksum of the table."""
     video_frame: int = -1
-    """Frame that is used of a video (ColumnMap.video_frame)."""
+    """Frame used from each video (ColumnMap.video_frame)."""
 
     def load(self, i: int) -> np.ndarray:
-        """Return frame i, (h, w, 3) uint8. Raises TactipError where it is missing or cannot be read."""
+        """Return frame i, (h, w, 3) uint8. Raises TactipError if it is missing or cannot be read."""
         path = self.paths[i]
         if path is None:
             raise TactipError("the file does not exist")
@@ -67,7 +67,7 @@ def read_source(
         neutral: The neutral image; if None, one whose name begins with init or neutral.
 
     Raises:
-        TactipError: Where table, neutral image or all frames are missing, or the table does not fit.
+        TactipError: If table, neutral image or all frames are missing, or the table does not fit.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -97,7 +97,7 @@ def read_source(
 
 
 def _table_in(folder: Path) -> Path:
-    """Return the table in a folder: targets.csv, or its only table. Raises TactipError where there are several."""
+    """Return the table in a folder: targets.csv, or its only table. Raises TactipError if there are several."""
     tables = sorted(folder.glob("*.csv"))
     path = folder / "targets.csv"
     if path in tables or not tables:
@@ -108,7 +108,7 @@ def _table_in(folder: Path) -> Path:
 
 
 def _frame_path(folder: Path, name: str) -> Path | None:
-    """Return the file of a frame named in the table; None where there is none inside the set's folder."""
+    """Return the file of a frame named in the table; None if there is none inside the set's folder."""
     name = name.replace("\\", "/")
     if not name or Path(name).is_absolute() or ".." in Path(name).parts:
         return None
@@ -122,7 +122,8 @@ def _frame_path(folder: Path, name: str) -> Path | None:
 
 
 def pin_detection_frames(source: Source) -> list[np.ndarray]:
-    """Return PIN_DETECTION_FRAMES frames spread over a Source: those that can be read and are as large as the first."""
+    """Return up to PIN_DETECTION_FRAMES frames, evenly spread over a Source, that can be read and are as large as the
+    first."""
     frames = []
     for i in spread([i for i, path in enumerate(source.paths) if path]):
         with contextlib.suppress(TactipError):  # the import leaves it out later, and reports it

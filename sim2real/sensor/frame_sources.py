@@ -16,10 +16,10 @@ _MAX_SILENCE_S = 3.0
 
 
 class CameraFrames:
-    """Frames (h, w, 3) uint8 of a camera of this machine, the newest each time."""
+    """Frames (h, w, 3) uint8 of a camera of this machine, always the newest."""
 
     def __init__(self, device: int, max_silence_s: float = _MAX_SILENCE_S) -> None:
-        """Open a camera by its number. Raises TactipError where there is none."""
+        """Open a camera by its number. Raises TactipError if there is none."""
         self._device, self._max_silence_s = device, max_silence_s
         with silence_opencv():
             self._capture = cv2.VideoCapture(device)
@@ -27,11 +27,11 @@ class CameraFrames:
             raise TactipError(
                 f"camera {device} cannot be opened: check that it is plugged in and not used by another program"
             )
-        # A queued frame would show a touch that is over.
+        # A queued frame would be out of date.
         self._capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
 
     def __iter__(self) -> Iterator[np.ndarray]:
-        """Yield frames until it is closed. Raises TactipError where none has come for a while."""
+        """Yield frames until it is closed. Raises TactipError if no frame arrives for a while."""
         last = time.monotonic()
         while True:
             good, frame = self._capture.read()
@@ -54,7 +54,7 @@ class ImageFrames:
     """The images of a folder, in the order of the numbers in their names."""
 
     def __init__(self, folder: str | Path) -> None:
-        """List the images of a folder. Raises TactipError where there is none."""
+        """List the images of a folder. Raises TactipError if there is none."""
         folder = Path(folder)
         if not folder.is_dir():
             raise TactipError(f"{folder} is not a folder of images")

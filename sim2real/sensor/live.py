@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from tactip_twin.learning.model import Model
 
 _MIN_PINS = 20
-"""Min. number of pins in the first frame."""
+"""Minimum number of pins in the first frame."""
 
 
 @dataclass(frozen=True)
@@ -28,13 +28,13 @@ class Reading:
     time_s: float
     """Time since the first frame, s."""
     pins: int
-    """Number of detected pins; 0 where the frame does not fit."""
+    """Number of detected pins; 0 if the frame is unusable."""
     image: np.ndarray
     """(size, size) uint8, the tactile image."""
     predicted: dict[str, float]
-    """Predicted components, mm and degrees; empty without a network, and where the frame has a fault."""
+    """Predicted components, mm and degrees; empty without a network, or if the frame is unusable."""
     fault: str
-    """Fault of the frame; empty if there is none."""
+    """Why the frame is unusable; empty if it is usable."""
 
     def as_json(self) -> dict[str, Any]:
         """Return the Reading as a dict of JSON types, without its image."""
@@ -53,7 +53,7 @@ class LiveSensor:
         model: "Model | None" = None,
         neutral: np.ndarray | None = None,
     ) -> None:
-        """Prepare the readings.
+        """Prepare to read frames.
 
         Args:
             frames: Frames (h, w, 3) uint8.
@@ -62,7 +62,7 @@ class LiveSensor:
             neutral: (h, w, 3) uint8, image of the undeformed tip; the first frame if None.
 
         Raises:
-            TactipError: Where the network takes images of another size.
+            TactipError: If the network takes images of another size.
         """
         if model and model.size != options.size_px:
             raise TactipError(f"size_px must be {model.size} for this network, got {options.size_px}")
@@ -72,7 +72,7 @@ class LiveSensor:
         """Yield Readings.
 
         Raises:
-            TactipError: Where the first frame shows no tip, and where the source of the frames fails.
+            TactipError: If the first frame shows no tip, or the source of the frames fails.
         """
         reader, usual, start = None, 0, 0.0
         for number, frame in enumerate(self._frames):

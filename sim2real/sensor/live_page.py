@@ -8,15 +8,15 @@ class CameraPage:
     """A page that shows each Reading."""
 
     def __init__(self, title: str, host: str = LOCAL, port: int = 8080) -> None:
-        """Start to serve the page.
+        """Start serving the page.
 
         Args:
             title: Title of the page.
-            host: Address to serve it at.
-            port: Its port, or the next that is free.
+            host: Address at which it is served.
+            port: Its port; if it is taken, the next free one.
 
         Raises:
-            TactipError: Where it cannot be served.
+            TactipError: If it cannot be served.
         """
         self._server = serve(host, port)
         self.address = f"http://{host}:{self._server.get_port()}"

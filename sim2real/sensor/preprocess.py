@@ -1,4 +1,4 @@
-"""Preprocessing of real frames: read, mirrored, turned, thresholded, masked and cropped to binary tactile images."""
+"""Preprocessing of real frames to binary tactile images: mirror, rotate, threshold, mask and crop."""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -20,17 +20,17 @@ IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 """File endings of images."""
 
 MIN_PIN_FRACTION = 0.8
-"""A frame with fewer pins than this fraction of the usual number does not fit."""
+"""Fraction of the usual number of pins below which a frame is unusable."""
 
 _MAX_OBLONG = 0.05
-"""Max. deviation of a crop's width over its height from 1; published crops are off by 1.5 % [M]."""
+"""Maximum deviation of a crop's width over its height from 1; published crops are off by 1.5 % [M]."""
 
 _GREY, _MAX_GREY_FRACTION = (24, 232), 0.25
-"""Pixels from one value to the other are neither black nor white; a binary frame has fewer of them than this fraction, also
-one that was made smaller (3 % [M]) or kept as JPEG; an estimate between that and the 97 % of a grey one [?]."""
+"""Maximum fraction of pixels of a binary frame that are neither black nor white, allowing for scaling (3 % [M]) and JPEG;
+grey frames have 97 %. An estimate [?]."""
 
 _MARGIN = 1.28
-"""Half of the width of a frame, in distances of the outermost pins from the middle, as the presets' cameras have it."""
+"""Half the width of a frame relative to the outermost pins' distance from the middle, as in the presets' cameras."""
 
 
 def load(path: str | Path, video_frame: int = -1) -> np.ndarray:
@@ -41,7 +41,7 @@ def load(path: str | Path, video_frame: int = -1) -> np.ndarray:
         video_frame: Frame of a video: 0 is the first, -1 the last.
 
     Raises:
-        TactipError: Where it cannot be read.
+        TactipError: If it cannot be read.
     """
     if not Path(path).is_file():
         raise TactipError("it does not exist")
@@ -51,7 +51,7 @@ def load(path: str | Path, video_frame: int = -1) -> np.ndarray:
 
 
 def load_neutral(path: str | Path) -> np.ndarray:
-    """Return the neutral image (h, w, 3) uint8. Raises TactipError where it cannot be read."""
+    """Return the neutral image (h, w, 3) uint8. Raises TactipError if it cannot be read."""
     try:
         return load(path)
     except TactipError as error:
@@ -62,7 +62,7 @@ def check_frame(frame: np.ndarray, options: ImagePreprocessing) -> None:
     """Check that a frame (h, w[, 3]) uint8 is binary, or a threshold is set.
 
     Raises:
-        TactipError: Where it is grey and no threshold is set; the message names the option that helps.
+        TactipError: If it is grey and no threshold is set; the message names the option that helps.
     """
     if options.threshold is not None:
         return
@@ -77,7 +77,7 @@ def check_frame(frame: np.ndarray, options: ImagePreprocessing) -> None:
 
 
 def _crop_round_pins(binary: np.ndarray) -> str:
-    """Return a proper crop of a binary frame (h, w) as text, with numbers where pins are detected."""
+    """Return a suitable crop of a binary frame (h, w) as text, with numbers if pins are detected."""
     try:
         pins = detect_pins(binary)
     except TactipError:
@@ -92,7 +92,7 @@ def _crop_round_pins(binary: np.ndarray) -> str:
 
 
 class FrameReader:
-    """Converts real frames to binary tactile images: mirrored, turned, thresholded, masked and cropped, in this order."""
+    """Converts real frames to binary tactile images: mirrors, rotates, thresholds, masks and crops them, in this order."""
 
     def __init__(
         self, options: ImagePreprocessing, neutral: np.ndarray | None = None, others: Iterable[np.ndarray] = ()
@@ -100,21 +100,21 @@ class FrameReader:
         """Prepare the mask.
 
         Args:
-            options: What is done to each frame.
+            options: Steps of the preprocessing.
             neutral: (h, w[, 3]) uint8, image of the undeformed tip, if there is one.
-            others: Frames that locate the pins where there is no neutral image.
+            others: Frames that locate the pins if there is no neutral image.
 
         Raises:
-            TactipError: Where a mask is needed and no pins are detected.
+            TactipError: If a mask is needed and no pins are detected.
         """
         self._options = options
-        # Nothing is thresholded twice, and a crop is of the turned frame.
+        # The frame is thresholded already, and the crop applies to the rotated frame.
         self._image = TactileImage(crop=options.crop, threshold=None, size_px=options.size_px)
         self.shape = None if neutral is None else neutral.shape[:2]
         """Height and width of a frame, px; None before the first."""
         self._mask = None
         if options.mask == "pins":
-            # In pressed frames the pins have gone outward already.
+            # In pressed frames the pins have already moved outward.
             frames, margin = ([neutral], 1.0) if neutral is not None else (others, 0.5)
             self._mask = pin_area((self.binary(frame) for frame in frames), margin)
 
@@ -137,7 +137,7 @@ class FrameReader:
         return binary if self._mask is None else np.where(self._mask, binary, 0).astype(np.uint8)
 
     def read(self, frame: np.ndarray) -> np.ndarray:
-        """Return the tactile image (size, size) of a frame. Raises TactipError where the frame does not fit."""
+        """Return the tactile image (size, size) of a frame. Raises TactipError if the frame is unusable."""
         return self.shrunk(self.masked(frame))
 
     def shrunk(self, binary: np.ndarray) -> np.ndarray:
@@ -162,7 +162,7 @@ class FrameReader:
 
 
 def _turned(frame: np.ndarray, degrees: float) -> np.ndarray:
-    """Return a frame turned counter-clockwise; by quarters exactly."""
+    """Return a frame rotated counter-clockwise; multiples of 90 degrees are exact."""
     if degrees % 90 == 0:
         return np.ascontiguousarray(np.rot90(frame, round(degrees / 90)))
     height, width = frame.shape[:2]

@@ -1,4 +1,4 @@
-"""Options of a real sensor's frames: how they become binary tactile images. Light to import, for the command line."""
+"""Options that turn a real sensor's frames into binary tactile images. Light to import, for the command line."""
 
 from dataclasses import dataclass
 from typing import Literal, get_args
@@ -7,7 +7,7 @@ from tactip_twin.tactip_model.bounds import check, within
 from tactip_twin.tactip_model.errors import lookup
 
 Mask = Literal["pins", "none"]
-"""What happens to the part of a frame outside the pins."""
+"""Treatment of the part of a frame outside the pins."""
 
 
 @dataclass(frozen=True)

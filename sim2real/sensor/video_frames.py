@@ -1,4 +1,4 @@
-"""Frames of a sensor's video: all in order, or one of them."""
+"""Frames of a sensor's video: all of them in order, or one."""
 
 import contextlib
 from collections import deque
@@ -19,7 +19,7 @@ class VideoFrames:
     """Frames of a video, in order."""
 
     def __init__(self, path: str | Path) -> None:
-        """Open a video. Raises TactipError where the file is none."""
+        """Open a video. Raises TactipError if the file is not a video."""
         self._path = Path(path)
         if not self._path.is_file():
             raise TactipError(f"the video {path} does not exist")
@@ -29,7 +29,7 @@ class VideoFrames:
             raise TactipError(f"{path} cannot be read as a video")
 
     def __iter__(self) -> Iterator[np.ndarray]:
-        """Yield frames (h, w, 3) uint8. Raises TactipError where there is none."""
+        """Yield frames (h, w, 3) uint8. Raises TactipError if there is none."""
         count = 0
         while True:
             good, frame = self._capture.read()
@@ -46,14 +46,14 @@ class VideoFrames:
 
 
 def frame_of(path: str | Path, index: int) -> np.ndarray:
-    """Return one frame (h, w, 3) uint8 of a video, read in order, because jumps miss where a video restarts inside.
+    """Return one frame (h, w, 3) uint8 of a video. It is read in order, because seeking is unreliable between key frames.
 
     Args:
         path: The video.
         index: Frame: 0 is the first and -1 the last.
 
     Raises:
-        TactipError: Where the video cannot be read or has no such frame.
+        TactipError: If the video cannot be read or has no such frame.
     """
     video = VideoFrames(path)
     try:

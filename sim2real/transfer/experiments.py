@@ -3,7 +3,7 @@
     a real set ── neutral image ──► design ── contacts under varied mechanics ──► network ──► real test frames
                └─ some frames with labels ──────────────────────────────────► fine-tuned ──┘
 
-Every step is kept in OUT and is not repeated: an interrupted command resumes where it was.
+Each finished step is kept in OUT and not repeated, so an interrupted command resumes.
 """
 
 import json
@@ -46,16 +46,16 @@ from tactip_twin.tactip_model.presets import load_design
 RESULTS = "results.json"
 
 VAL_FRAMES = 200
-"""Validation frames of a training on real frames alone, taken from its frames."""
+"""Number of validation frames of a training on real frames alone, taken from its frames."""
 
 _MAX_VAL_FRACTION = 0.2
-"""Max. fraction of its frames that are validation frames."""
+"""Maximum fraction of its frames that are validation frames."""
 
 _TRAIN_FRAMES, _MAX_TRAIN_FRACTION, _MIN_TRAIN_FRAMES = 1500, 0.6, 20
-"""Default number of real frames to learn from, its max. fraction of the set, and its minimum."""
+"""Default number of real training frames, its maximum as a fraction of the set, and its minimum."""
 
 _MIN_SPREAD = 0.02
-"""Min. standard deviation of a label that varies, as a fraction of its max. value."""
+"""Minimum standard deviation of a label that varies, as a fraction of its maximum."""
 
 
 @dataclass(frozen=True)
@@ -65,11 +65,11 @@ class RealSplit:
     known: Samples
     """Frames whose labels may be used."""
     test: Samples
-    """Frames that are only tested on."""
+    """Frames for testing only."""
 
 
 def split_of(samples: Samples, settings: TransferSettings) -> RealSplit:
-    """Return the RealSplit of a real set's samples. Raises TactipError where the set is too small."""
+    """Return the RealSplit of a real set's samples. Raises TactipError if the set is too small."""
     known = settings.real_train_frames
     if known is None:
         known = min(_TRAIN_FRAMES, round(_MAX_TRAIN_FRACTION * len(samples)))
@@ -89,7 +89,7 @@ def split_of(samples: Samples, settings: TransferSettings) -> RealSplit:
 
 @dataclass(frozen=True)
 class Variant:
-    """Choices for a network that is trained on simulation; None: as in the settings."""
+    """Choices for a network trained in simulation; None: as in the settings."""
 
     name: str = "sim"
     """Part of its folder's name."""
@@ -102,9 +102,9 @@ class Variant:
     randomize_mechanics: str | None = None
     """none or real."""
     noise: bool = True
-    """Whether pins are jittered, resized or missing, and there is light where no pin is."""
+    """Whether images have noise: jittered, resized or missing pins, and specks of light."""
     augmented_fraction: float | None = None
-    """Fraction of the images under random optics."""
+    """Fraction of the images with randomized optics."""
 
 
 ABLATIONS = {
@@ -119,7 +119,7 @@ ABLATIONS = {
 
 
 class Predictor(Protocol):
-    """Anything that predicts components from tactile images, as a Model does."""
+    """Anything that predicts components from tactile images, such as a Model."""
 
     def predict(self, images: np.ndarray) -> np.ndarray:
         """Return components (n, k), mm and degrees, from images (n, size, size)."""
@@ -143,13 +143,13 @@ class Experiment:
         Args:
             real: Folder of an imported set.
             out: Folder of simulated sets, networks and results.
-            settings: How the experiments are made.
+            settings: Settings of the experiments.
             workers: Number of worker processes, or auto for one per core.
             device: Device to train on.
-            log: Called with lines for the user.
+            log: Callback for messages to the user.
 
         Raises:
-            TactipError: Where the set cannot be used, or a name in the settings is unknown.
+            TactipError: If the set cannot be used, or a name in the settings is unknown.
         """
         self.real, self.out, self.settings = Path(real), Path(out), settings
         self._device: DeviceName = device
@@ -164,7 +164,7 @@ class Experiment:
                 f"the median pose_z of {self.real} must be negative (into the object), got {depth:g} mm: import the set "
                 "again with --columns pose_z=-COLUMN"
             )
-        # Unknown names are reported before anything is made.
+        # Unknown names are reported before any work starts.
         fidelity_named(settings.fidelity)
         self.recipe()
         self._given_design = load_design(settings.design) if settings.design else None
@@ -189,7 +189,7 @@ class Experiment:
         return recipe if least is None else replace(recipe, settings=replace(recipe.settings, min_steps=least))
 
     def optics(self, variant: Variant = Variant()) -> str:
-        """Return the name of the OpticsRanges of a variant's images; if uncalibrated, of an unknown camera."""
+        """Return the name of the OpticsRanges of a variant's images; without calibration, those of an unknown camera."""
         measured = variant.calibrated and camera_of(self.real)
         name = self.settings.optics_ranges
         if name == AUTO:
@@ -197,7 +197,7 @@ class Experiment:
         return name if variant.noise else noiseless(name)
 
     def design(self) -> Design:
-        """Return the sensor's design: as given, or fitted to the neutral image."""
+        """Return the sensor's design: the given one, or one fitted to the neutral image."""
         if self._given_design:
             design = with_camera_drift(self._given_design, camera_of(self.real))
             return replace(design, image=replace(design.image, size_px=self.samples.size))
@@ -244,8 +244,7 @@ class Experiment:
         return Job(configuration, self.out / variant.contacts / split)
 
     def _poses(self) -> Ranges:
-        """Return the ranges of poses: those of the rig. In the surface task every tilt is as wide as the widest, and the tip
-        touches."""
+        """Return the rig's ranges of poses. In the surface task all tilts get the widest range, and every pose touches."""
         ranges = {k: tuple(v) for k, v in self.samples.dataset.meta["configuration"]["pose"].items()}
         low, high = ranges["depth_mm"]
         ranges["depth_mm"] = (low, min(high, 0.0))
@@ -302,7 +301,7 @@ def score(model: Predictor, samples: Samples) -> dict[str, Any]:
     """Return the errors of a network on samples of a real set: mae, rmse, bias, and mae without the depth's offset.
 
     A rig's depth has an offset of some tenths of a millimetre: for the depth only, the median error is also taken out
-    (`mae_zeroed`). The set gives no errors of components that do not vary in it: `varies` says which do.
+    (`mae_zeroed`). A set gives no errors of components that do not vary in it; `varies` tells which do.
     """
     errors = model.predict(samples.images) - samples.targets
     names = samples.labels.names
@@ -324,7 +323,7 @@ def score(model: Predictor, samples: Samples) -> dict[str, Any]:
 
 
 def zero_shot(experiment: Experiment) -> dict[str, Any]:
-    """Return results of simulation only on real frames, beside a network trained on real frames."""
+    """Return the errors on real frames of a network trained in simulation only, and of one trained on real frames."""
     return {
         "simulation": experiment.score(experiment.network()),
         "real": experiment.score(experiment.real_network(len(experiment.split.known))),
@@ -332,7 +331,7 @@ def zero_shot(experiment: Experiment) -> dict[str, Any]:
 
 
 def few_shot(experiment: Experiment) -> dict[str, Any]:
-    """Return results of fine-tuning with some real frames, against training on them only, and on all."""
+    """Return the errors after fine-tuning with some real frames, after training on these only, and on all."""
     known = len(experiment.split.known)
     counts = [n for n in experiment.settings.shots if n <= known]
     out = {"0": {"fine_tuned": experiment.score(experiment.network())}}
@@ -344,15 +343,15 @@ def few_shot(experiment: Experiment) -> dict[str, Any]:
 
 
 def ablate(experiment: Experiment) -> dict[str, Any]:
-    """Return results of networks that were made without one part of the simulation each."""
+    """Return the errors of networks that were trained without one part of the simulation each."""
     return {what: experiment.score(experiment.network(variant)) for what, variant in ABLATIONS.items()}
 
 
 def sim_to_real_gap_experiment(experiment: Experiment) -> dict[str, Any]:
-    """Return distances of pins and images of real frames from simulated ones at the same pose and shear."""
+    """Return the distances between real and simulated pins and images at the same pose and shear."""
     s = experiment.settings
     figures, arrays = sim_to_real_gap(experiment.split.test, experiment.design(), s.fidelity, s.gap_frames, s.seed)
-    experiment.out.mkdir(parents=True, exist_ok=True)  # no design was written there if one was given
+    experiment.out.mkdir(parents=True, exist_ok=True)  # no design was written if one was given
     plot_gap(arrays, f"Distance of simulated from real pins, {experiment.real.name}", experiment.out / GAP)
     return figures
 

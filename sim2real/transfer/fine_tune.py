@@ -1,6 +1,7 @@
 """Fine-tuning of a simulation-trained network on a mix of real and simulated frames, to avoid forgetting.
 
-Half of every batch is real, shifted by up to a pixel; half is simulated under random optics. Few steps, a small rate.
+Half of every batch is real, shifted by up to a pixel; the other half is simulated with randomized optics. It takes few steps
+at a low learning rate.
 """
 
 import hashlib
@@ -29,18 +30,18 @@ from tactip_twin.tactip_model.files import remove_leftovers
 
 @dataclass(frozen=True)
 class FineTuning:
-    """How a network is fine-tuned."""
+    """Settings of a fine-tuning."""
 
     seed: int = within(0, 2**31, default=0)
     """Seed of the batches."""
     steps: int = within(1, 10**6, default=800)
     """Number of steps."""
     learning_rate: float = within(1e-7, 1, default=5e-4)
-    """Max. learning rate of Adam."""
+    """Maximum learning rate of Adam."""
     batch: int = within(2, 4096, default=32)
     """Images per step, half of them real."""
     shift_px: int = within(0, 8, default=1)
-    """Max. shift of a real image, to any side, px."""
+    """Maximum shift of a real image in any direction, px."""
     optics_ranges: str = "real"
     """Name of the ranges of optics of the simulated images (learning/optics_ranges.py)."""
 
@@ -58,7 +59,7 @@ def fine_tune(
     device: DeviceName = "auto",
     log: Callable[[str], object] = print,
 ) -> None:
-    """Fine-tune a network and write it to a folder. A network that is there already is left as it is.
+    """Fine-tune a network and write it to a folder. An existing network is kept.
 
     Args:
         model: Network to start from, left unchanged.
@@ -67,11 +68,11 @@ def fine_tune(
         settings: Settings of the fine-tuning.
         folder: Folder to write.
         device: Device to compute on.
-        log: Called with lines for the user.
+        log: Callback for messages to the user.
 
     Raises:
-        TactipError: Where the folder holds something else, or there are no real samples.
-        Interrupted: At Ctrl-C; the same command begins it anew.
+        TactipError: If the folder holds something else, or there are no real samples.
+        Interrupted: On Ctrl-C; the same command then starts over.
     """
     folder = Path(folder)
     chosen = hashlib.sha256(real.rows.astype("<i8").tobytes()).hexdigest()
@@ -81,7 +82,7 @@ def fine_tune(
         "simulated": simulated.dataset.meta["digest"],
         "fine_tuning": json.loads(json.dumps(asdict(settings))),
     }
-    # Weights without a description are what an interruption leaves.
+    # An interruption leaves weights without a description.
     if check_resumable(folder, "fine-tuned network", _recorded(folder, record), record, own=(WEIGHTS,)):
         log(f"{folder} already holds this network")
         return
@@ -138,7 +139,7 @@ def _steps(model: Model, simulated: Samples, real: Samples, settings: FineTuning
 
 
 def _shifted(images: torch.Tensor, max_px: int) -> torch.Tensor:
-    """Return images (m, n, n), each shifted at random by up to `max_px` to any side, filled with black."""
+    """Return images (m, n, n), each shifted at random by up to `max_px` in any direction and filled with black."""
     if not max_px:
         return images
     size = images.shape[-1]

@@ -1,7 +1,7 @@
-"""A design of a real sensor from its neutral image: lens, camera and pins are fitted, the rest is nominal.
+"""Design of a real sensor from its neutral image: lens, camera and pins are fitted, the rest is nominal.
 
-No label is needed, except where pressed frames replace that image: their press, by the depth in the table, is simulated and
-taken off. Changes of the camera since that image are measured by the light at the rim of unlabelled frames, where there is
+No label is needed, unless pressed frames replace that image: their press is then simulated at the depth in the table and
+subtracted. Changes of the camera since that image are measured by the light at the rim of unlabelled frames, if there is
 some. The mechanics, which neither shows, are randomized instead (sim/dataset/mechanics_randomization.py).
 """
 
@@ -29,18 +29,16 @@ from tactip_twin.tactip_model.raster_renderer import Raster
 from tactip_twin.tactip_model.tactile_image import tactile_image
 
 _ROUNDS = 4
-"""Number of corrections of the pins' sizes."""
+"""Number of iterations that correct the pins' sizes."""
 
 _PRESS_FRACTION = 0.75
-"""Fraction of the depth in the table whose press is taken off frames that replace a neutral image. Of two real sets,
-the pins come nearest to their places at all of it (0.44 mm, 127 pins) and at 0.6 of it (1.07 mm, 331 pins): a tip may touch
-later than its table says, and gives way as the twin does only when the twin is calibrated. Taken off whole, the pins of the
-331-pin tip are 0.40 px of 256 off in place of 0.24, and a network that has seen no label errs by 0.34 mm of depth in place
-of 0.29."""
+"""Fraction of the depth in the table whose press is subtracted from frames that replace a neutral image. In two real sets,
+the pins' errors were smallest at 1.0 (0.44 mm, 127 pins) and 0.6 (1.07 mm, 331 pins), because a tip may touch later than its
+table says. Subtracting all of it raises the pin error of the 331-pin tip from 0.24 to 0.40 px of 256 [M]."""
 
 _MAX_PRESS_MM = 3.0
-"""Max. press that is taken off frames that replace a neutral image, mm: where the table has more, its depth more likely has
-an offset. An estimate [?]."""
+"""Maximum press that is subtracted from frames that replace a neutral image, mm. If the table has more, its depth more
+likely has an offset. An estimate [?]."""
 
 
 def fit_design_to_neutral_image(folder: Path, size_px: int) -> tuple[Design, dict[str, Any]]:
@@ -51,7 +49,7 @@ def fit_design_to_neutral_image(folder: Path, size_px: int) -> tuple[Design, dic
         size_px: Width of its tactile images, px.
 
     Raises:
-        TactipError: Where there is no neutral image, and where its pins are of no known layout.
+        TactipError: If there is no neutral image, or its pins have no known layout.
     """
     image, tactile = (read_image(folder / name) if (folder / name).exists() else None for name in (NEUTRAL, NEUTRAL_TACTILE))
     if image is None:
@@ -67,7 +65,7 @@ def fit_design_to_neutral_image(folder: Path, size_px: int) -> tuple[Design, dic
     pressed_mm = _pressed_mm(folder)
     pressed = _contact(design, pressed_mm)
     if pressed:
-        # Of a tip that is fitted a little off, the motion under a press is nearly that of the right one.
+        # A small error of the fit hardly changes the motion under a press.
         moved = _positions_px(design, pressed) - neutral_px(design)
         design, _ = fit_pins(design, fit.pins_px - moved)
     design = replace(design, image=replace(design.image, size_px=size_px))
@@ -79,9 +77,8 @@ def fit_design_to_neutral_image(folder: Path, size_px: int) -> tuple[Design, dic
 
 
 def _pressed_mm(folder: Path) -> float:
-    """Return the depth, mm, of the tip in an imported set's neutral image; 0 if at rest, and over an edge.
-
-    The median of frames that are tilted and sheared to all sides is near an upright press.
+    """Return the depth, mm, of the tip in an imported set's neutral image; 0 if at rest, or on an edge. The median of frames
+    with tilts and shears in all directions is close to an upright press.
     """
     report = read_report(folder)
     if report is None or report["neutral_image"] or read_meta(folder)["configuration"]["task"] != "surface":
@@ -90,7 +87,7 @@ def _pressed_mm(folder: Path) -> float:
 
 
 def _contact(design: Design, depth_mm: float) -> Contact | None:
-    """Return the contact of a design pressed upright on a flat surface; None where it is not pressed."""
+    """Return the contact of a design pressed upright on a flat surface; None if it is not pressed."""
     if not depth_mm:
         return None
     return ContactSimulator(design, "surface", fidelity_named("draft")).simulate(
@@ -99,20 +96,20 @@ def _contact(design: Design, depth_mm: float) -> Contact | None:
 
 
 def _positions_px(design: Design, contact: Contact) -> np.ndarray:
-    """Return where a design's pins appear in a contact, (p, 2) px of a 256 px image."""
+    """Return the positions (p, 2), px of a 256 px image, of a design's pins in a contact."""
     lens = Lens(design)
     return reference_pixels(lens.project(contact.pin_tips), lens.width)
 
 
 def camera_of(folder: Path) -> dict[str, Any] | None:
     """Return the change of an imported set's camera since its neutral image: zoom (-), drift (2,) in image widths, and
-    their deviations by one frame (`of_one_frame`); None where there is too little light at the rim."""
+    their deviations by one frame (`of_one_frame`); None if there is too little light at the rim."""
     report = read_report(folder)
     return report.get("camera") if report else None  # a simulated set has no report
 
 
 def with_camera_drift(design: Design, camera: dict[str, Any] | None) -> Design:
-    """Return a design that was fitted to a neutral image with the later change of its camera, as `camera_of` has it."""
+    """Return a design that was fitted to a neutral image with the later change of its camera, from `camera_of`."""
     if not camera:
         return design
     return replace(design, optics=replace(design.optics, zoom=camera["zoom"], drift=tuple(camera["drift"])))
@@ -131,7 +128,7 @@ def _nearest(pins: float) -> str:
 
 
 def with_pin_sizes(design: Design, image: np.ndarray, pins: tuple[np.ndarray, np.ndarray] | None = None) -> Design:
-    """Return the design with pins as large as in a tactile image, in the middle and at the rim.
+    """Return the design with the pin sizes of a tactile image, in the middle and at the rim.
 
     Args:
         design: The design.
@@ -144,7 +141,7 @@ def with_pin_sizes(design: Design, image: np.ndarray, pins: tuple[np.ndarray, np
     for _ in range(_ROUNDS):
         rendered = tactile_image(Raster(design).render(*(pins or neutral_pins(design))), design.image) > 127
         inner, outer = (np.sqrt(max(image[part].sum(), 1) / max(rendered[part].sum(), 1)) for part in (middle, ~middle))
-        # Half of the pins are outside of the middle, most of them near the rim.
+        # Half of the pins lie outside the middle, most of them near the rim.
         sized = replace(
             design.pins,
             diameter_m=float(np.clip(design.pins.diameter_m * inner, 0.1e-3, design.pins.pitch_m)),

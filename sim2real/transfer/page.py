@@ -56,7 +56,7 @@ def sections(record: Mapping[str, Any], task: str, figure: str = GAP) -> list[st
 
 
 def _gap(figures: Mapping[str, Any], figure: str) -> list[str]:
-    """Return a table, a sentence and a figure on the distance of real and simulated pins."""
+    """Return a table, a sentence and a figure on the distance between real and simulated pins."""
     rows = {
         "with the labels of the set": figures["labelled"],
         "at the best fraction of the motion": figures["best_fraction"],

@@ -1,6 +1,5 @@
-"""A pseudo-real sensor: a second simulated tip with hidden parameters, published as a laboratory would publish its set.
-
-Everything that is done with a real set can so be done, and tested, without one. The hidden parameters are sampled from a
+"""A pseudo-real sensor: a second simulated tip with hidden parameters, whose set has the format in which a laboratory would
+publish it. Every step with a real set can thus be tried and tested without one. The hidden parameters are sampled from a
 seed: mechanics (sim/dataset/mechanics_randomization.py), camera, pins, light at the rim; frames are larger than tactile
 images, with specks.
 """
@@ -50,7 +49,7 @@ _COLUMNS = {
 
 
 def hidden_design(name: str, seed: int) -> Design:
-    """Return the design of a hidden sensor near a preset."""
+    """Return the design of a hidden sensor similar to a preset."""
     rng = np.random.default_rng((seed, 77))
     plain = MECHANICS_RANDOMIZATIONS["real"].sample(design_named(name), rng)
     o, p = plain.optics, plain.pins
@@ -86,15 +85,15 @@ def make_pseudo_real(
     Args:
         folder: Folder of both; an interrupted run resumes there.
         task: Task of the set.
-        name: Preset that the hidden sensor is near.
+        name: Preset that the hidden sensor is similar to.
         frames: Number of frames.
         seed: Seed of sensor and contacts.
         workers: Number of worker processes.
-        log: Called with lines for the user.
+        log: Callback for messages to the user.
 
     Raises:
-        TactipError: Where the folder holds something else, or a contact fails.
-        Interrupted: At Ctrl-C.
+        TactipError: If the folder holds something else, or a contact fails.
+        Interrupted: On Ctrl-C.
     """
     folder = Path(folder)
     design = hidden_design(name, seed)
@@ -119,7 +118,7 @@ def make_pseudo_real(
 
 
 def _publish(contacts: Path, design: Design, lab: Path, seed: int) -> None:
-    """Write frames and table as a laboratory does, table last."""
+    """Write frames and table as a laboratory does, the table last."""
     (lab / "images").mkdir(parents=True, exist_ok=True)
     for place in (lab, lab / "images"):
         remove_leftovers(place)

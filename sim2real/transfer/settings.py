@@ -8,7 +8,7 @@ from tactip_twin.tactip_model.bounds import check, within
 from tactip_twin.tactip_model.errors import lookup
 
 AUTO = "auto"
-"""Name of the optics that are chosen by the set."""
+"""Name for optics chosen by the set."""
 
 GAP = "gap.png"
 """Figure of the sim-to-real gap."""
@@ -17,13 +17,13 @@ Mechanics = Literal["none", "real"]
 """Names of the randomizations of mechanics (mechanics_randomization.MECHANICS_RANDOMIZATIONS)."""
 
 OpticsChoice = Literal["auto", OpticsName]
-"""Names of the ranges of optics (optics_ranges.OPTICS), or the choice by the set."""
+"""Names of the ranges of optics (optics_ranges.OPTICS), or `auto`, a choice by the set."""
 
 FidelityName = Literal["draft", "standard", "reference"]
 """Names of the fidelities (fidelity.FIDELITIES)."""
 
 PseudoKind = Literal["nominal-127", "nominal-331"]
-"""Names of the presets that a pseudo-real sensor may be near."""
+"""Names of the presets that a pseudo-real sensor may be similar to."""
 
 
 @dataclass(frozen=True)

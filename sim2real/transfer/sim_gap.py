@@ -1,7 +1,7 @@
-"""The sim-to-real gap: pins and images of real frames beside simulated ones at the same pose and shear.
+"""The sim-to-real gap: pins and images of real frames compared with simulated ones at the same pose and shear.
 
-An analysis, which uses real labels. A frame that was taken before its move was over, as frames of slow cameras are, shows
-another contact than its row says: distances are given at the labels, and at the best-fitting fraction of the move.
+This analysis uses real labels. A frame taken before its move was finished, as by slow cameras, shows another contact than
+its row states. Distances are therefore given at the labels and at the best-fitting fraction of the move.
 """
 
 import sys
@@ -28,13 +28,13 @@ from tactip_twin.tactip_model.raster_renderer import Raster
 from tactip_twin.tactip_model.tactile_image import tactile_image
 
 _BINS = 4
-"""Number of bins of a label, of equally many frames."""
+"""Number of bins of a label, with equal numbers of frames."""
 
 _MIN_RANGE = 0.5
-"""Min. range, mm or degrees, of a label that varies."""
+"""Minimum range, mm or degrees, of a label that varies."""
 
 _MIN_PIN_FRACTION = 0.6
-"""Min. fraction of the pins that are identified in a frame; otherwise it is left out and counted."""
+"""Minimum fraction of identified pins in a frame; frames below it are left out and counted."""
 
 
 def sim_to_real_gap(
@@ -50,7 +50,7 @@ def sim_to_real_gap(
         seed: Seed of that choice.
 
     Raises:
-        TactipError: Where no frame's pins are those of the design.
+        TactipError: If no frame's pins are those of the design.
     """
     order = np.random.default_rng(seed).permutation(len(samples))[:frames]
     chosen = samples.take(np.sort(order))
@@ -66,7 +66,7 @@ def sim_to_real_gap(
     simulated, images = _simulated(chosen.take(good), design, fidelity)
     real, chosen = real[good], chosen.take(good)
     fractions, fitted, _ = best_fraction(simulated, real)
-    # In a frame that is off by half of the distance between pins, pins were taken for their neighbours.
+    # In a frame whose error is half the distance between pins, pins were confused with their neighbours.
     between = np.median(cKDTree(neutral).query(neutral, 2)[0][:, 1])
     right = np.nanmedian(np.linalg.norm(fitted - real, axis=-1), 1) < between / 2
     if not right.any():
@@ -117,7 +117,7 @@ def _spread(rms: np.ndarray) -> dict[str, float]:
 
 
 def _binned(values: np.ndarray, errors: np.ndarray) -> list[dict[str, float]]:
-    """Return the median error in bins of equally many."""
+    """Return the median error in bins of equal size."""
     parts = np.array_split(np.argsort(values, kind="stable"), _BINS)
     return [
         {"from": float(values[p].min()), "to": float(values[p].max()), "median": float(np.median(errors[p]))}
@@ -127,7 +127,8 @@ def _binned(values: np.ndarray, errors: np.ndarray) -> list[dict[str, float]]:
 
 
 def _likeness(real: np.ndarray, simulated: np.ndarray) -> dict[str, float]:
-    """Return how alike images (n, size, size) are: fraction of white pixels with white of the other within a pixel."""
+    """Return the similarity of images (n, size, size): the fraction of white pixels within a pixel of a white pixel of the
+    other."""
     near = np.ones((3, 3), np.uint8)
     fractions = []
     for a, b in zip(real, simulated, strict=True):

@@ -19,7 +19,7 @@ from websockets.sync.client import connect
 T = TypeVar("T")
 
 PROGRAM = shutil.which("chromium")
-"""Path of Chromium; None where it is not installed."""
+"""Path of Chromium; None if it is not installed."""
 
 _BUTTON = """(() => {{
   const all = [...document.querySelectorAll('button, label')].filter(b => b.innerText.trim() === {text});
