@@ -78,7 +78,7 @@ class ImageEstimator:
 
         Args:
             predict: Function from image to label.
-            components: Components of the label that the function may be limited to, of COMPONENTS.
+            components: Components, of COMPONENTS, that the function may return instead of all six.
             design: Design of the sensor.
             renderer: Renderer of the pins.
             noise_grey: Standard deviation of the camera's noise, of 255.

@@ -28,17 +28,16 @@ class Settings:
     """Tangential step, mm [P]."""
     slowdown_angle_deg: float | None = within(0, 90, default=None)
     """Predicted tilt at which the tangential step would reach zero, degrees. The step shrinks linearly with the tilt,
-    down to 20 %. 0 disables this, as in the paper. Default: 2 on surfaces (docs/servo.md has gain and cost), 0 along
-    edges."""
+    down to 20 %. 0 disables this, as in the paper. Default: 2 on surfaces (effect: docs/servo.md), 0 along edges."""
     contact_threshold: float = within(0.01, 0.99, default=0.12)
-    """Difference of an image from that of the undeformed tip above which it counts as contact, 0 to 1 [?]. Presses of
+    """Difference between an image and that of the undeformed tip, 0 to 1, above which the tip is in contact [?]. Presses of
     0.5 mm on a ball and a rim gave 0.1, presses of 1 mm 0.2."""
     search_mm: float = within(0, 50, default=12.0)
     """Distance along the sensor's axis over which contact is searched for, mm."""
     search_step_mm: float = within(0.05, 2, default=0.5)
     """Step of the search for contact, mm."""
     alignment_steps: int = within(1, 100, default=12)
-    """Steps on the spot after contact, in which the controller aligns the sensor."""
+    """Number of steps in place after contact, in which the controller aligns the sensor."""
     range_margin: float = within(0, 10, default=0.5)
     """Distance beyond the trained label range at which an estimate is rejected, as a fraction of the range's half
     width."""
@@ -48,7 +47,7 @@ class Settings:
     retract_mm: float = within(0.1, 20, default=2.0)
     """Distance of a retraction along the sensor's axis, mm."""
     max_recoveries: int = within(0, 1000, default=5)
-    """Maximum number of successive recoveries with fewer than three good steps between them."""
+    """Maximum number of recoveries in a row with fewer than three good steps between them."""
     max_steps: int = within(1, 1000000, default=20000)
     """Maximum number of steps of a run."""
 
@@ -64,7 +63,7 @@ class RouteOptions:
     """Route over a surface: serpentine, straight, or geodesic, which keeps its heading relative to the surface as
     estimated by touch."""
     middle_mm: tuple[float, float] | None = None
-    """Centre of the region in the base frame, x and y, mm. Default: the centre of the object, of the bust its face."""
+    """Centre of the region in the base frame, x and y, mm. Default: the centre of the object, or of the bust's face."""
     length_mm: float = within(1, 1000, default=60.0)
     """Length of a pass over a surface, mm."""
     width_mm: float = within(0, 1000, default=40.0)
@@ -100,7 +99,7 @@ class ServoOptions:
     scale: float = within(1e-6, 1e6, default=1.0)
     """Scale factor applied to the mesh."""
     position_mm: tuple[float, float, float] | None = within(-1e4, 1e4, default=None)
-    """Position of the middle of the object's underside in the base frame, mm. Default: in front of the arm."""
+    """Position of the centre of the object's underside in the base frame, mm. Default: in front of the arm."""
     rotation_deg: tuple[float, float, float] | None = None
     """Rotation of the object, as a rotation vector in degrees. Default: none."""
     model: str = ""
@@ -129,7 +128,7 @@ class ServoOptions:
     video: bool = False
     """Write a video of the run."""
     settle_steps: int | None = within(1, 1000, default=None)
-    """Time steps at rest before each image. Default: half of the fidelity's on surfaces, a quarter along edges."""
+    """Number of time steps at rest before each image. Default: half the fidelity's on surfaces, a quarter along edges."""
     speed_scale: float = within(0.1, 4, default=1.0)
     """Factor on the distance that the tip moves per time step."""
     route: RouteOptions = field(default_factory=RouteOptions)

@@ -52,7 +52,7 @@ class ServoSetup:
     estimator: Estimator
     """Estimator of the label."""
     network: Model | None
-    """The network, where it is the estimator."""
+    """The network, if it is the estimator."""
     controller: Controller
     """Controller of the sensor's pose."""
     depth_mm: float
@@ -95,8 +95,8 @@ def prepare(
     model = load_network(_network_name(options, needed=estimator is None))
     if model.labels.task != options.task:
         raise TactipError(
-            f"the network {options.network} was trained for the task {model.labels.task}, and --task is {options.task}: "
-            "give another --model"
+            f"the network {options.network} was trained for the task {model.labels.task}, but --task is {options.task}: "
+            "choose another --model"
         )
     chosen = _estimator(estimator, options, model, design, truth, scene_object)
     settle_steps = _settle_steps(options, fidelity.motion)
@@ -147,7 +147,7 @@ def _network_name(options: ServoOptions, needed: bool) -> str:
         return options.network
     if options.model == "oracle" or not needed:
         return dataclasses.replace(options, design=_SHIPPED_DESIGN).network
-    raise TactipError(f"no {options.task} network is shipped for the design {options.design!r}: give --model")
+    raise TactipError(f"no {options.task} network is shipped for the design {options.design!r}: choose one with --model")
 
 
 def _with_overrides(design: Design, options: ServoOptions) -> Design:
@@ -166,7 +166,7 @@ def _with_overrides(design: Design, options: ServoOptions) -> Design:
 def _settle_steps(options: ServoOptions, motion: Motion) -> int:
     """Return the number of time steps at rest before an image.
 
-    Along an edge it is half of that over a surface: faster, at a small cost in accuracy [M] (docs/servo.md).
+    Along an edge it is half as many as on a surface, which is faster at a small cost in accuracy [M] (docs/servo.md).
     """
     if options.settle_steps is not None:
         return options.settle_steps

@@ -15,7 +15,7 @@ from tactip_twin.tactip_model.files import write_file
 
 _WIDTH, _HEIGHT = 1200, 900
 _FIELD_DEG = 20.0
-"""Field of view of the picture, degrees: narrow, for little distortion."""
+"""Field of view of the figure, degrees: narrow, for little distortion."""
 
 
 def write_figure(
@@ -25,7 +25,7 @@ def write_figure(
     task: Task,
     towards: tuple[float, float, float] = (0.55, -0.6, 0.75),
 ) -> None:
-    """Write a picture of a recorded path on its object.
+    """Render a recorded path on its object to a file.
 
     Args:
         path: File to write, .png.

@@ -47,7 +47,7 @@ def check_choice(kind: str, value: object, choices: Any) -> None:
 
 @dataclass(frozen=True)
 class PoseNetConfig:
-    """Hyperparameters of a network and its training that the paper's search chooses. Defaults: its best for the
+    """Hyperparameters of a network and its training that the paper's search chooses. The defaults are its best for the
     surface."""
 
     conv_layers: int = within(1, 8, default=5)
@@ -88,7 +88,7 @@ class PoseNetConfig:
     l2: float = within(0, 1, default=0.064)
     """Weight of the L2 penalty on dense and output layers; 1e-4 to 1e-1 [P]."""
     batch_size: int = within(1, 4096, default=32)
-    """Images per training step; 16, 32, 64 or 128 [P]."""
+    """Number of images per training step; 16, 32, 64 or 128 [P]."""
 
     def __post_init__(self) -> None:
         check(self)
@@ -140,7 +140,7 @@ class TrainSettings:
     min_steps: int = within(0, 10**8, default=0)
     """Minimum number of training steps: small sets are repeated for more than `epochs` epochs to reach it; 0 [P]."""
     patience: int = within(1, 100000, default=10)
-    """Epochs without a lower validation error after which training ends [P]."""
+    """Number of epochs without a lower validation error after which training ends [P]."""
     learning_rate: float = within(1e-7, 1, default=1e-4)
     """Learning rate of Adam [P]."""
     muon_learning_rate: float = within(0, 1, default=0.0)
@@ -153,8 +153,8 @@ class TrainSettings:
     """Precision of the convolutions. auto: bfloat16 where it is faster (on a GPU, and on a CPU with AMX), else
     float32."""
     augmented_fraction: float = within(0, 1, default=0.0)
-    """Fraction of the images that are rendered anew at every step, with randomized optics (learning/augmentation.py); 0
-    uses the images of the set alone [P]."""
+    """Fraction of the images that are rendered again at every step with randomized optics (learning/augmentation.py); 0 uses
+    only the images of the set [P]."""
     augmentation_strength: float = within(0, 4, default=1.0)
     """Factor on the ranges of `optics_ranges`."""
     optics_ranges: OpticsName = "lens"
@@ -209,7 +209,7 @@ class TuneSettings:
     seed: int = within(0, 2**31, default=0)
     """Seed of the search; every training uses the seed of `training`."""
     prune: bool = False
-    """End a trial early if it is worse than half of the earlier trials after as many epochs; the paper does not."""
+    """End a trial early if half of the earlier trials were better after the same number of epochs; the paper does not."""
     min_epochs: int = within(1, 1000, default=5)
     """Minimum number of epochs before a trial is pruned."""
     space: SearchSpace = field(default_factory=SearchSpace)

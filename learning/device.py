@@ -51,7 +51,7 @@ def set_threads(count: int | None) -> None:
 def one_thread() -> Iterator[None]:
     """Limit torch to one thread in a `with` block.
 
-    This is faster for a single image, above all on busy cores: 4 instead of 176 ms on two of them.
+    This is faster for a single image, especially on busy cores: 4 instead of 176 ms on two of them.
     """
     threads = torch.get_num_threads()
     torch.set_num_threads(1)

@@ -47,8 +47,8 @@ def check_same_pins(model: Model, samples: Samples) -> None:
     shown = _pin_count(samples.dataset.meta["configuration"]) or _detected_pins(samples)
     if learned and abs(shown - learned) > _MAX_PIN_DIFFERENCE * learned:
         raise TactipError(
-            f"the images in {samples.folder} show {shown} pins, but the network was trained on images of {learned}: its "
-            "predictions mean nothing there; evaluate it all the same with --any-sensor"
+            f"the images in {samples.folder} show {shown} pins, but the network was trained on images of {learned}, so its "
+            "predictions are meaningless; add --any-sensor to evaluate it anyway"
         )
 
 
@@ -73,7 +73,7 @@ def _detected_pins(samples: Samples) -> int:
 
 
 MAX_OUTSIDE_FRACTION = 0.05
-"""Fraction of predictions far outside the learned range above which a network does not fit a set. An estimate [?]."""
+"""Fraction of predictions far outside the learned range above which a network does not suit a set. An estimate [?]."""
 
 _FAR = 0.25
 """Distance from the learned range, as a fraction of its width, beyond which a prediction is far outside [?]."""

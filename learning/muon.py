@@ -1,7 +1,7 @@
 """Muon: an optimizer that orthogonalizes its step, so a weight matrix changes equally in all directions of its input.
 
 From Jordan et al., "Muon: An optimizer for hidden layers in neural networks" (2024). Two poses of an edge differ in a small
-part of the pins' motion, and Adam learns small parts last. The Muon of torch takes matrices only; here the weights of a
+part of the pins' motion, and Adam learns small parts last. Torch's Muon accepts matrices only; here the weights of a
 convolution are treated as a matrix with one row per filter.
 """
 

@@ -13,7 +13,7 @@ PinLayout = Literal["hexagonal", "circular"]
 """hexagonal: a hexagon of a triangular lattice; circular: rings of 6k pins. Both surround a centre pin [R]."""
 
 MAX_LAYOUT_RADIUS = 0.95
-"""Largest distance of the outermost pins from the axis, in radii of the dome: farther out there is no skin to hold a pin."""
+"""Maximum distance of the outermost pins from the axis, in dome radii; farther out there is no skin to hold a pin."""
 
 MAX_SKIN_TO_GEL_RATIO = 500.0
 """Largest ratio of the skin's modulus to the gel's, -; the sensor's is about 30. At 500 every depth up to 8 mm and every

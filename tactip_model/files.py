@@ -68,7 +68,7 @@ def _is_alive(process: int) -> bool:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Bring the names of a folder's files to the disk, where the system can open folders."""
+    """Sync the names of a folder's files to the disk, if the system can open folders."""
     if os.name != "posix":
         return
     descriptor = os.open(folder, os.O_RDONLY)
@@ -79,6 +79,6 @@ def _sync_folder(folder: Path) -> None:
 
 
 def sync_all() -> None:
-    """Bring everything that was written before to the disk, where the system can."""
+    """Sync everything written so far to the disk, if the system can."""
     if os.name == "posix":
         os.sync()

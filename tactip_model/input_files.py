@@ -1,4 +1,4 @@
-"""Reading files that may be damaged or made to do harm: type, size and depth are checked before the content is believed.
+"""Reading files that may be damaged or malicious: type, size and depth are checked before the content is used.
 
 Every function raises TactipError, with one sentence that names the file, and uses bounded memory whatever the file holds.
 """
@@ -27,7 +27,7 @@ _MAX_DEPTH = 32
 """Maximum nesting of JSON; the files of this project have up to 6 levels."""
 
 _MAX_INTEGER = 2**63
-"""Magnitude from which an integer of a JSON file is refused, because no field needs it."""
+"""Magnitude at which an integer in a JSON file is refused, because no field needs it."""
 
 
 def read_file(path: str | Path, max_bytes: int = MAX_BYTES) -> bytes:
@@ -40,7 +40,7 @@ def read_file(path: str | Path, max_bytes: int = MAX_BYTES) -> bytes:
         if status.st_size > max_bytes:
             raise TactipError(f"{path} must have at most {max_bytes / 2**20:.0f} MiB, got {status.st_size / 2**20:.0f} MiB")
         with path.open("rb") as file:
-            data = file.read(status.st_size + 1)  # a file may lie about its size, those of /proc have none
+            data = file.read(status.st_size + 1)  # the reported size may be wrong: files in /proc have none
     except FileNotFoundError:
         raise TactipError(f"{path} does not exist") from None
     except (OSError, ValueError) as error:  # ValueError: a NUL in the path
@@ -61,7 +61,7 @@ def read_json(path: str | Path, name: str = "") -> Any:
 
 
 def _named(path: str | Path, name: str) -> bytes:
-    """Return the content of a file, with its name instead of its path in an error."""
+    """Return the content of a file; errors state its name instead of its path."""
     try:
         return read_file(path)
     except TactipError as error:
@@ -116,7 +116,7 @@ def parse_arrays(data: bytes, name: str) -> dict[str, np.ndarray]:
                 raise TactipError(f"{name} must unpack to at most {MAX_UNPACKED_BYTES / 2**20:.0f} MiB")
             for member in members:
                 if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) or member.flag_bits & 1:
-                    raise ValueError(f"{member.filename!r} is packed by a method that numpy does not use")
+                    raise ValueError(f"{member.filename!r} uses a compression method that numpy does not use")
             return {member.filename.removesuffix(".npy"): _array(archive.read(member)) for member in members}
     except _NPZ_ERRORS as error:
         raise TactipError(f"{name} cannot be read as arrays: {error}") from error
@@ -136,7 +136,7 @@ def _array(data: bytes) -> np.ndarray:
         raise ValueError(f"an array of shape {shape} has {len(data) - file.tell()} bytes")
     if not math.prod(shape):
         return np.zeros(shape, dtype)
-    values = np.frombuffer(data, dtype, offset=file.tell()).copy()  # writable, as compiled libraries want it
+    values = np.frombuffer(data, dtype, offset=file.tell()).copy()  # writable, because compiled libraries require it
     return values.reshape(shape, order="F" if in_fortran_order else "C")
 
 

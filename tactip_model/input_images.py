@@ -1,4 +1,4 @@
-"""Reading images that may be damaged or made to do harm: their format and size are checked before they are decoded."""
+"""Reading images that may be damaged or malicious: format and size are checked before decoding."""
 
 import io
 import warnings
@@ -30,7 +30,7 @@ def decode_image(data: bytes, name: str, color: bool = False) -> np.ndarray:
             width, height = Image.open(io.BytesIO(data), formats=_IMAGE_FORMATS).size
     except Image.DecompressionBombError:
         raise TactipError(f"{name} must have at most {MAX_PIXELS} pixels") from None
-    except Exception as error:  # Pillow has no error of its own for a damaged header
+    except Exception as error:  # Pillow has no specific error for a damaged header
         raise TactipError(f"{name} cannot be read as an image") from error
     if width * height > MAX_PIXELS:
         raise TactipError(f"{name} must have at most {MAX_PIXELS} pixels, got {width} by {height}")

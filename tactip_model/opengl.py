@@ -17,7 +17,7 @@ def choose_platform() -> None:
     if sys.platform != "linux":
         return
     os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
-    # Every job imports MuJoCo, whether it renders or not, so MuJoCo must not look for a missing EGL.
+    # Every job imports MuJoCo, even if it renders nothing, so MuJoCo must not search for a missing EGL.
     os.environ.setdefault("MUJOCO_GL", "egl" if _egl_loads() else "disable")
 
 

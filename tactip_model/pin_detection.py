@@ -1,7 +1,7 @@
 """Detection of pins in a binary image and their identification.
 
 A pressed and sheared tip moves its pins by more than their spacing, so the blob nearest to a pin's rest position is often
-another pin's. But neighbours move alike: starting from one identified pin, an affine map of the pins identified so far
+another pin's. Neighbours, however, move alike: starting from one identified pin, an affine map of the pins identified so far
 predicts their neighbours, and the whole hexagon or disc fits in one way only. Every blob near the middle is tried as the
 first pin.
 """

@@ -34,7 +34,7 @@ has no affinity of its own, so it never collides with itself."""
 
 
 _REFERENCE = Materials()
-"""The materials for which the contact model's numbers are chosen."""
+"""The materials for which the contact model's parameters were chosen."""
 
 _SKIN_FORCE_RATIO = 0.46
 """Ratio of the default skin's force to the default gel's at a depth of 3 mm, -."""

@@ -18,7 +18,7 @@ EXAMPLES = Path(__file__).parents[1] / "examples"
 
 
 def run(script, *options, **variables):
-    """What a script prints."""
+    """Return what a script prints."""
     command = [sys.executable, str(script), *map(str, options)]
     variables = {**os.environ, "MPLBACKEND": "Agg", "PYTHONPATH": str(EXAMPLES.parent), **variables}
     done = subprocess.run(command, capture_output=True, text=True, env=variables, timeout=300)
@@ -88,7 +88,7 @@ def test_own_controller_follows_a_sphere(tmp_path):
 
 
 def test_notebook_example(followed, tmp_path):
-    """Its cells, one after another, as a script."""
+    """Return its cells, one after another, as a script."""
     folder, _ = followed
     cells = json.loads((EXAMPLES / "replay.ipynb").read_text())["cells"]
     script = tmp_path / "cells.py"

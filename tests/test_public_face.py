@@ -1,4 +1,4 @@
-"""The public face: what it exports, and that no press comes out of it that cannot be trusted."""
+"""The public interface: its exports, and that it never returns an untrusted contact."""
 
 import subprocess
 import sys
@@ -21,7 +21,7 @@ def tip():
 
 
 def ring():
-    """A flat ring, m: 16 to 24 mm across, 6 mm high."""
+    """Return a flat ring, m: 16 to 24 mm across, 6 mm high."""
     return trimesh.creation.annulus(8e-3, 12e-3, 6e-3)
 
 
@@ -58,7 +58,7 @@ def test_untouched_tip_is_where_the_design_has_it(tip):
 
 
 def test_press_on_a_mesh_is_that_on_its_shape(tip):
-    """A block as a mesh, pressed on its top, gives the flat surface's contact, wherever the block stands."""
+    """A press on the top of a block's mesh gives the flat surface's contact, wherever the block stands."""
     block = trimesh.creation.box((80e-3, 80e-3, 20e-3))
     block.apply_translation([0.3, -0.1, 0.2])
     on_mesh, flat = tip.press(block, depth_mm=2), tip.press("surface", depth_mm=2)
@@ -82,14 +82,14 @@ def test_press_on_a_file_and_an_object(tip, tmp_path):
     mesh.export(tmp_path / "ring.stl")
     from_file = tip.press(tmp_path / "ring.stl", depth_mm=2, at_mm=(0, 10))
     assert np.abs(from_file.pins_mm - tip.press(ring(), depth_mm=2, at_mm=(0, 10)).pins_mm).max() < 0.02
-    # A file that changes is read anew.
+    # A changed file is read again.
     trimesh.creation.box((80, 80, 20)).export(tmp_path / "ring.stl")
     assert tip.press(tmp_path / "ring.stl", depth_mm=2, at_mm=(0, 10)).force_N[2] > 1.1 * from_file.force_N[2]
     assert tip.press(tt.load_object("sphere"), depth_mm=2).force_N[2] > 0.2
 
 
 def test_record_that_fails_its_checks_is_repeated_and_passes():
-    """On a ring, where the plain simulator's record has more penetration than is allowed."""
+    """On a ring, where the plain simulator's record exceeds the allowed penetration."""
     limits = QualityLimits()
     tip = tt.TacTip("tactip-127", fidelity="draft", renderer="raster")
     contacts = [tip.press(ring(), depth_mm=depth, at_mm=(0, 10)) for depth in (2.0, 3.0, 4.0)]

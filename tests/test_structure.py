@@ -1,4 +1,4 @@
-"""The house: folders import along the flow, each file is one thing, and no setting is made at import."""
+"""Architecture: folders import along the data flow, each file has one concept, and imports have no side effects."""
 
 import ast
 import re
@@ -16,7 +16,7 @@ OTHERS = sorted(p for folder in ("examples", "scripts", "tests") for p in (ROOT 
 
 
 def imported(path):
-    """Modules (dotted names) that a file imports, early or late."""
+    """Return the modules (dotted names) that a file imports, early or late."""
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
@@ -42,7 +42,7 @@ def test_our_folders_are_imported_as_tactip_twin(path):
 
 
 def names_of(path):
-    """Names that a module has, or that another takes from it."""
+    """Return the names that a module defines, or that another imports from it."""
     names = set()
     for node in ast.parse(path.read_text()).body:
         if isinstance(node, ast.FunctionDef | ast.ClassDef):
@@ -80,7 +80,7 @@ def test_public_things_say_what_they_are(path):
 
 
 def fields_without_a_line(tree):
-    """Fields ("Class.field") of public dataclasses under which no docstring stands, and how many fields there are."""
+    """Return the fields ("Class.field") of public dataclasses without a docstring, and the number of all fields."""
     bare, count = set(), 0
     for node in (n for n in ast.walk(tree) if isinstance(n, ast.ClassDef) and not n.name.startswith("_")):
         if not any("dataclass" in ast.unparse(decorator) for decorator in node.decorator_list):
@@ -112,4 +112,4 @@ def test_no_pickle_or_eval():
         text = path.read_text()
         words = ("import pickle", "allow_pickle=True", "weights_only=False", "shell=True")
         assert not any(word in text for word in words), path
-        assert not re.search(r"(?<![\w.])eval\(", text), path  # a network's own eval() is another thing
+        assert not re.search(r"(?<![\w.])eval\(", text), path  # a network's eval() method is something else

@@ -1,4 +1,4 @@
-"""The tutorial, as a newcomer follows it: its commands, one after the other, and what it says that they leave."""
+"""The tutorial's commands, run one after the other, and the results that it promises."""
 
 import csv
 import json
@@ -15,12 +15,9 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 TUTORIAL = ROOT / "docs" / "tutorial.md"
 
-_MOST_S = 30 * 60
-"""What it may take on two cores, by its own words."""
-
 
 def commands():
-    """The commands of the tutorial, each a list of words."""
+    """Return the commands of the tutorial, each as a list of words."""
     blocks = re.findall(r"^```sh\n(.*?)^```", TUTORIAL.read_text().replace("\\\n", " "), re.DOTALL | re.MULTILINE)
     return [shlex.split(line) for block in blocks for line in block.splitlines()]
 
@@ -35,12 +32,12 @@ def test_tutorial_reaches_its_results(tmp_path):
     home = {**os.environ, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
     begun = time.monotonic()
     for words in commands():
-        # make is told to leave its sets here, and not in the checkout.
+        # make writes its sets here instead of into the checkout.
         there = [*words, "-C", str(ROOT), f"OUT={tmp_path / 'data'}"] if words[0] == "make" else words
         ended = subprocess.run(there, cwd=tmp_path, env=home, capture_output=True, text=True)
         assert ended.returncode == 0, f"{shlex.join(words)}\n{ended.stdout[-2000:]}\n{ended.stderr[-4000:]}"
         print(f"{time.monotonic() - begun:6.0f} s  {shlex.join(words)}")
-    # Not a timed test: machines differ, and share their cores. What it took is printed.
+    # Machines differ and share their cores, so the time is printed, not tested.
     runs = tmp_path / "runs" / "tutorial"
     assert (runs / "sheet.png").exists() and (runs / "sphere.gif").exists()
     for name in ("sphere", "rim"):

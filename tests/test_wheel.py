@@ -1,4 +1,4 @@
-"""The wheel, with all that it needs in it: installed into a clean environment, on every Python that there is here."""
+"""The wheel is complete: it works in a clean environment, on every installed Python."""
 
 import json
 import shutil
@@ -21,7 +21,7 @@ def interpreter(version):
     output = found and subprocess.run([found, "--version"], capture_output=True, text=True)
     if output and output.returncode == 0 and output.stdout.startswith(f"Python {version}."):
         return found
-    # pyenv's are beside the one that runs this.
+    # pyenv installs them beside the running one.
     beside = sorted(Path(sys.base_prefix).parent.glob(f"{version}.*/bin/python"))
     return str(beside[0]) if beside else None
 

@@ -8,7 +8,7 @@ import numpy as np
 from tactip_twin.sim.contact.signed_distance import SignedDistanceMesh
 
 HALF_WIDTH_M = 30e-3
-"""Half the width of the piece of surface, m: more than the tip reaches."""
+"""Half the width of the piece of surface, m, which is more than the tip reaches."""
 
 MAX_CURVATURE_PER_M = 100.0
 """Maximum curvature, 1/m: a radius of 10 mm."""

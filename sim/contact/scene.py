@@ -1,6 +1,6 @@
 """The MuJoCo scene of one contact: a tip fixed in the world, a stimulus that moves, and nothing else.
 
-The world frame is the sensor frame. There is no arm, because a tip on an arm costs two to six times as much per step.
+The world frame is the sensor frame. There is no arm, because steps of a tip on an arm cost two to six times more.
 """
 
 import functools

@@ -1,8 +1,8 @@
 """Stimuli: rigid objects to press the tip on, each in its own contact frame (sim/pose.py).
 
-`surface` and `edge` are the paper's. The others test the model: round, pointed, sharp, cornered and hollow ones. Each has
-its highest point at z = 0 and a signed distance to its true shape, against which MuJoCo's contacts are checked. A new named
-stimulus needs a class, a line in STIMULI and one in StimulusName.
+`surface` and `edge` are the paper's. The others test the model with round, pointed, sharp, cornered and hollow shapes. Each
+has its highest point at z = 0 and a signed distance to its true shape, against which MuJoCo's contacts are checked. A new
+named stimulus needs a class, a line in STIMULI and one in StimulusName.
 """
 
 from abc import ABC, abstractmethod

@@ -11,23 +11,23 @@ class DatasetOptions:
     """Size, seed, randomization and renderer of a data set."""
 
     samples: int = 200
-    """Number of samples of each set: contacts, times the symmetries and the images of each; the paper has 2000."""
+    """Number of samples of each set: contacts times symmetries times images per contact; the paper has 2000."""
     seed: int = 0
     """Seed of the set; each contact spawns its own random generator from it."""
     renderer: RendererName = "pyrender"
     """Renderer of the pins; raster renders the same image without OpenGL."""
     augment_symmetry: bool = False
-    """Also make a sample for every symmetry of each contact: 8 per contact on the surface, 2 per contact on the edge."""
+    """Make a sample for every symmetry of each contact: 8 per contact on the surface, 2 on the edge."""
     curvature_per_m: tuple[float, float] = (0.0, 0.0)
-    """Range of both principal curvatures of the surface, 1/m, sampled for each contact; positive is convex, 0 is flat. Not a
-    label."""
+    """Range of both principal curvatures of the surface, 1/m, sampled for each contact: positive is convex, 0 is flat.
+    Curvature is not a label."""
     varying_curvature_fraction: float = 0.0
-    """Fraction of the contacts, 0 to 1, whose curvature varies along the surface within its range. Not a label."""
+    """Fraction of the contacts, 0 to 1, whose curvature varies along the surface within its range."""
     shard_samples: int = 10_000
     """Maximum number of samples per shard: a larger set is a folder of shards, which every command reads as one set."""
     snapshots_per_contact: int = 1
-    """Images per contact: one at its pose, then one after each stride of a sliding path, as in servoing. An image costs less
-    than a contact."""
+    """Number of images per contact: one at its pose, then one after each stride of a sliding path, as in servoing. An image
+    costs less than a contact."""
     pose: Ranges = POSE_RANGES["surface"]
     """Ranges of the labelled poses, low and high of each component. On the command line, the defaults are those of the task
     in the paper (Table 1)."""

@@ -27,17 +27,17 @@ class Ranges:
     """A uniform range (low, high) for each component of a pose or shear; mm and degrees, axes of sim/pose.py."""
 
     x_mm: tuple[float, float] = (0.0, 0.0)
-    """Horizontal, square to the edge; positive off the object."""
+    """Horizontal position perpendicular to the edge, mm; positive off the object."""
     y_mm: tuple[float, float] = (0.0, 0.0)
-    """Horizontal, along the edge."""
+    """Horizontal position along the edge, mm."""
     depth_mm: tuple[float, float] = (0.0, 0.0)
-    """Along the outward normal; negative into the object."""
+    """Position along the outward normal, mm; negative into the object."""
     roll_deg: tuple[float, float] = (0.0, 0.0)
-    """Rotation vector about x."""
+    """Rotation vector's x component, degrees."""
     pitch_deg: tuple[float, float] = (0.0, 0.0)
-    """Rotation vector about y."""
+    """Rotation vector's y component, degrees."""
     yaw_deg: tuple[float, float] = (0.0, 0.0)
-    """Rotation vector about the outward normal."""
+    """Rotation vector's component along the outward normal, degrees."""
 
     def bounds(self) -> np.ndarray:
         """Return the low and high of each component, (6, 2), mm and degrees."""

@@ -29,7 +29,7 @@ _ROUNDING = 1e-6
 
 
 def verify(folder: str | Path) -> list[str]:
-    """Return what is wrong with a finished set, as sentences. Raises TactipError if there is no set to check."""
+    """Return the problems of a finished set, as sentences. Raises TactipError if there is no set to check."""
     folder = Path(folder)
     try:
         meta = read_meta(folder)
@@ -122,7 +122,7 @@ def _images(folder: Path, meta: dict[str, Any], rows: list[dict[str, str]]) -> l
 
 
 def _damage(data: bytes, size: int | None) -> str:
-    """Return what is wrong with an image that does not match its checksum. size: expected width, px, if it is known."""
+    """Return the problem of an image that does not match its checksum. size: expected width, px, if it is known."""
     try:
         image = decode_image(data, "the image")
     except TactipError:

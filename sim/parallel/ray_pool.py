@@ -1,8 +1,8 @@
 """A worker pool on the machines of a Ray cluster.
 
 Needs the extra `cluster`. The folders of the sets must be visible to every machine under the same path, as on a shared disk,
-and the package must be installed there. A worker gets about a second's work at a time, so few messages keep many workers
-busy and little is lost with one; the tasks of a lost worker are done again by another.
+and the package must be installed there. A worker gets about a second of work at a time, so few messages keep many workers
+busy, and little is lost if one fails; another worker repeats its tasks.
 """
 
 import contextlib

@@ -1,7 +1,7 @@
 """A pool of worker processes: each does one task at a time, and is replaced when it dies.
 
-Each worker has a pipe of its own. The death of a worker closes its pipe, and its task goes to another; the death of the
-parent closes the other end, and the worker ends. Only the parent answers Ctrl-C: it lets workers finish their tasks.
+Each worker has a pipe of its own. If a worker dies, its pipe closes and another worker gets its task; if the parent dies,
+the other end closes and the worker ends. Only the parent answers Ctrl-C: it lets workers finish their tasks.
 """
 
 import contextlib
@@ -35,7 +35,7 @@ RESUME_HINT = "finished work is kept, and the same command resumes it"
 """End of messages about interrupted work."""
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "LP_NUM_THREADS", "IGL_NUM_THREADS")
-"""Environment variables that set the number of threads of numerics and software OpenGL."""
+"""Environment variables that set the number of threads of numerical libraries and software OpenGL."""
 
 
 def worker_count(requested: str | int) -> int:
@@ -114,7 +114,7 @@ class WorkerPool(Generic[Task]):
             TactipError: A task cannot be done.
             Interrupted: Ctrl-C.
         """
-        # A terminal's bar is redrawn often; a log file gets a line now and then.
+        # A terminal's bar is redrawn often; a log file gets an occasional line.
         interval = 0.5 if sys.stderr.isatty() else 15
         with tqdm(total=self._count, unit=self._unit, file=sys.stderr, mininterval=interval) as bar:
             try:
@@ -240,7 +240,7 @@ def _serve(
     while True:
         try:
             task = pipe.recv()
-        except (EOFError, ConnectionError):  # the latter where the last reply was never read
+        except (EOFError, ConnectionError):  # the latter if the last reply was never read
             return
         reply = attempt(do, task)
         try:
@@ -295,6 +295,6 @@ def _child_environment() -> Iterator[None]:
 
 
 def _duration(seconds: float) -> str:
-    """Return a duration as text for people."""
+    """Return a duration as readable text."""
     minutes, rest = divmod(round(seconds), 60)
     return f"{minutes // 60} h {minutes % 60} min" if minutes >= 60 else f"{minutes} min {rest} s"

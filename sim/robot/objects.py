@@ -76,12 +76,11 @@ class SceneObject:
 
 
 _ROTATIONS = {"bust": Rotation.from_matrix(np.array([[0, 0, -1], [0, 1, 0], [1, 0, 0]], float))}
-"""Default rotations of the project's own objects, where there is one: the bust lies on its back, face up, with its crown
-towards the arm."""
+"""Default rotations of the project's own objects: the bust lies on its back, face up, with its crown towards the arm."""
 
 
 _MIDDLES_M = {"bust": (80e-3, 0.0, 55e-3)}
-"""Middle of a route where it is not the middle of the object, in the object's frame, m: the bust's face."""
+"""Middle of a route, if not the middle of the object, in the object's frame, m: the bust's face."""
 
 
 def object_names() -> list[str]:
@@ -141,7 +140,7 @@ def load_object(
 
 
 def validate_mesh(mesh: trimesh.Trimesh, name: str) -> tuple[trimesh.Trimesh, list[str]]:
-    """Repair a mesh where that is safe, and check that it bounds a volume.
+    """Repair a mesh if that is safe, and check that it bounds a volume.
 
     Args:
         mesh: The mesh, in m. It is not changed.

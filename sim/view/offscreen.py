@@ -20,7 +20,7 @@ _NEAR_M, _FAR_M = 0.02, 6.0
 
 
 class SceneRenderer:
-    """A camera in a scene of meshes. It is slow to build and fast to use."""
+    """A camera in a scene of meshes, slow to build and fast to use."""
 
     def __init__(self, width: int, height: int, static: Sequence[ColoredMesh]) -> None:
         """Build the scene.

@@ -1,8 +1,8 @@
 """Helpers for browser pages made with viser: serving them, and showing meshes, pins and images.
 
 A page is served to this machine only unless another address is given. Requests must name the address that is served as their
-Host, and connections must come from a page of that address: a browser that shows another site's page is refused, also if the
-site's name leads to this machine, and so is a program that is no browser.
+Host, and connections must come from a page of that address: requests from another site's page are refused, even if the
+site's name resolves to this machine, and so are programs other than browsers.
 """
 
 import contextlib
@@ -48,11 +48,11 @@ def serve(host: str, port: int) -> viser.ViserServer:
     Raises:
         TactipError: If the address cannot be served at.
     """
-    # An empty address would be every address of this machine.
+    # An empty address would mean every address of this machine.
     require(host != "", "the address of the page", repr(host), "one of this machine, such as 127.0.0.1")
     require(1 <= port <= _MAX_PORT, "the port", port, f"a number from 1 to {_MAX_PORT}")
     try:
-        # viser waits for ever for an address that is not this machine's.
+        # viser waits forever for an address that is not this machine's.
         with socket.create_server((host, 0)):
             pass
     except OSError as error:
@@ -62,7 +62,7 @@ def serve(host: str, port: int) -> viser.ViserServer:
     def restricted(
         *arguments: Any, process_request: Callable[[ServerConnection, Request], Response | None], **options: Any
     ) -> Any:
-        """Return the server that viser asks for, which answers other sites and programs by a refusal."""
+        """Return viser's server, which refuses requests from other sites and programs."""
 
         def check(connection: ServerConnection, request: Request) -> Response | None:
             problem = _refusal(request.headers, host)

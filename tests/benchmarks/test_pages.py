@@ -1,4 +1,4 @@
-"""Pages in docs/ show what their JSON holds."""
+"""Tables in docs/ agree with the JSON beside them."""
 
 import json
 from importlib import import_module
@@ -23,7 +23,7 @@ PAGES = {
     "scale": "scale.scale",
     "servo": "servo.servo",
 }
-"""Page, and the module with its tables, which are written anew from the page's JSON."""
+"""Page, and the module that makes its tables from the page's JSON."""
 
 
 @pytest.mark.parametrize("name", PAGES)

@@ -1,4 +1,4 @@
-"""Output that cannot be written: a reader that has ended, a full disk, a terminal without letters."""
+"""Output that cannot be written: a closed pipe, a full disk, a terminal that lacks characters."""
 
 import ctypes
 import os

@@ -35,7 +35,7 @@ def sets_of(tmp_path, *options):
 
 
 def refusal(capsys, *arguments):
-    """The exit status of a refused command line, and what was printed."""
+    """Return the exit status of a refused command line, and what it printed."""
     with pytest.raises(SystemExit) as ended:
         tactip.main(list(arguments))
     return ended.value.code, capsys.readouterr().err
@@ -70,7 +70,7 @@ def test_train_defaults_follow_the_task_of_the_set(tmp_path):
     assert command.training == RECIPES["laptop"]["edge"].settings
     (folder / "pins.npz").unlink()
     command = Train.parse(["--data", str(tmp_path), "--out", "none"], "tactip train")
-    assert command.training.augmented_fraction == 0  # nothing can be rendered anew without pins
+    assert command.training.augmented_fraction == 0  # without pins, images cannot be rendered again
 
 
 def test_train_defaults_are_those_of_a_file_or_of_the_initial_network(tmp_path):

@@ -1,4 +1,4 @@
-"""What takes long says what it does, and what fails at once says one thing."""
+"""Slow steps print what they do; a command that fails at once prints its error only."""
 
 import time
 from importlib.metadata import version
@@ -28,7 +28,7 @@ def test_version_is_printed(capsys):
 
 @pytest.mark.parametrize("late", [False, True])
 def test_interruption_before_start_prints_one_line(capsys, monkeypatch, late):
-    """Also where it meets a library of compiled code, which then says that it cannot be loaded."""
+    """Also during the import of a compiled library, which then reports a failure to load."""
 
     def stopped(_):
         try:
@@ -53,7 +53,7 @@ def test_missing_library_is_not_an_interruption(monkeypatch):
 
 
 def test_error_is_one_line(tmp_path, capsys):
-    """Once libraries are loaded, as they are at the second time."""
+    """With the libraries loaded already, as in a second call."""
     for command in (["train", "--data"], ["evaluate", "--model", "surface-tactip-127", "--data"]):
         options = [*command, str(tmp_path / "none"), *(["--out", str(tmp_path / "out")] if "train" in command else [])]
         for _ in range(2):

@@ -36,7 +36,7 @@ def sections(reference):
 
 
 def written(page):
-    """The tactip commands in a page's blocks and code, each a list of words; lines that go on are joined."""
+    """Return the tactip commands in a page's code, each as a list of words; continued lines are joined."""
     text = page.read_text().replace("\\\n", " ")
     blocks = re.findall(r"^```\w*\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
     lines = [line.split(" #")[0] for block in blocks for line in block.splitlines()]
@@ -45,7 +45,7 @@ def written(page):
 
 
 def test_help_flows():
-    """A line of help ends where the terminal does, and not where the source's does."""
+    """Help is wrapped at the terminal's width, not where the source's lines end."""
     words = [sys.executable, "-m", "tactip_twin.commands.main", "servo", "--help"]
     output = subprocess.run(words, check=True, capture_output=True, text=True, env={**os.environ, "COLUMNS": "400"}).stdout
     lines = [line.strip("│ ") for line in output.splitlines() if line.startswith("│")]

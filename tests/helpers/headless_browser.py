@@ -80,7 +80,7 @@ class Chromium:
         return self.do("Runtime.evaluate", expression=expression, returnByValue=True)["result"].get("value")
 
     def frames(self, count: int = 3) -> None:
-        """Wait for some rendered frames: what the page received is then where it is shown, and can be clicked."""
+        """Wait for some rendered frames, so what the page received is in place and can be clicked."""
         wait = (
             f"(async () => {{ for (let i = 0; i < {count}; i++) await new Promise(requestAnimationFrame); return true; }})()"
         )
@@ -91,7 +91,7 @@ class Chromium:
         return self.evaluate("document.body ? document.body.innerText : ''") or ""
 
     def until(self, holds: Callable[[], T], seconds: float = 60.0) -> T:
-        """Wait until holds() is true and return its value. Raises AssertionError after some seconds."""
+        """Wait until holds() is true, and return its value. Raises AssertionError after some seconds."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
             value = holds()

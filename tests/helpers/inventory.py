@@ -1,4 +1,4 @@
-"""What a compiled scene contains, against what its job needs."""
+"""Contents of a compiled scene, compared with what its job needs."""
 
 import mujoco
 

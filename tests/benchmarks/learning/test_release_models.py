@@ -1,4 +1,4 @@
-"""Shipped networks are what their cards log, and read contacts that are made here and now."""
+"""Shipped networks agree with their cards, and predict newly simulated contacts."""
 
 import json
 import re

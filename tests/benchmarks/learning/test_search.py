@@ -1,4 +1,4 @@
-"""The page of the search: what was tried, what was cut of the paper's; more trials are added to those that are there."""
+"""The page of the search: trials, and differences from the paper's search; later trials are added to earlier ones."""
 
 import dataclasses
 import json

@@ -1,4 +1,4 @@
-"""Fidelity: presets in order, errors within bounds, their worth in the label, and scenes that hold what they need."""
+"""Fidelity: order of the presets, bounds of errors, label errors, and contents of scenes."""
 
 import json
 from dataclasses import replace
@@ -51,7 +51,7 @@ def test_standards_steps_cost_little_error(cache):
     mean, _, greatest = spread(*tips)
     assert mean < 0.012
     assert greatest < 0.05
-    # The bound can fail: a jerk of few steps is worse.
+    # The bound can fail: a motion of few, jerky steps is worse.
     jerk = replace(STANDARD.fidelity, motion=Motion(press_step_m=3.5e-3, shear_step_m=1e-3, min_steps=1, settle_limit=4))
     assert spread([cache(case, Variant(jerk)).pin_tips for case in CHEAP], tips[1])[0] > 2 * mean
 
@@ -148,7 +148,7 @@ def test_cases_are_named_once_and_within_the_papers_ranges():
 
 @pytest.fixture
 def small(monkeypatch, tmp_path):
-    """Options of a measurement of seconds: one task, one case, coarse presets, one sweep."""
+    """Options of a measurement that takes seconds: one task, one case, coarse presets, one sweep."""
     draft = FIDELITIES["draft"]
     hasty = replace(draft, motion=replace(draft.motion, settle_limit=3))
     fine = replace(draft, mesh=replace(draft.mesh, surface_m=2.9e-3))

@@ -1,4 +1,4 @@
-"""Gel and skin against the closed forms of their laws; the same tetrahedra in other codes."""
+"""Gel and skin against closed forms; the same tetrahedra in other codes."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ SKIN = Materials()
 
 @pytest.mark.parametrize("law", LAWS)
 def test_single_element_has_the_stress_of_its_law(law):
-    """At random gradients, one that turns the element inside out among them."""
+    """At random gradients, including one that turns the element inside out."""
     vertices = 1e-2 * np.array([[0, 0, 0], [1.1, 0.1, 0], [0.2, 0.9, 0.1], [0.1, 0.2, 1.0]])
     edges = (vertices[1:] - vertices[0]).T
     specimen = Specimen(vertices, np.array([[0, 1, 2, 3]]), materials.gel(0.45, law), np.ones((4, 3), bool))
@@ -64,7 +64,7 @@ def test_strip_of_skin():
 
 
 def test_skin_bent_to_a_cylinder_has_the_rigidity_of_a_plate():
-    """And what the triangles' hinges do not know, Poisson's ratio: half the moment bends to a dome (docs/materials.md)."""
+    """The triangles' hinges ignore Poisson's ratio, so half the moment bends the skin to a dome (docs/materials.md)."""
     ratios = materials.curving_ratios(SKIN, 1e-3, "equilateral")
     assert ratios["cylinder"] == pytest.approx(1, abs=0.03)
     assert ratios["sphere"] == pytest.approx((4 / 3) / (2 * (1 + SKIN.skin_poisson)), rel=0.05)

@@ -1,4 +1,4 @@
-"""MuJoCo's GPU engine with the soft tip, and its refusal where it is missing."""
+"""MuJoCo's GPU engine with the soft tip, and the message if it is missing."""
 
 import pytest
 
@@ -17,7 +17,7 @@ def test_without_it_a_sentence(monkeypatch, tmp_path):
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_mujoco_warp_agrees_with_mujoco():
-    """Single precision and a looser solver are worth a hundredth of a millimetre."""
+    """Single precision and a looser tolerance change vertices by a hundredth of a millimetre."""
     pytest.importorskip("mujoco_warp", reason="the extra gpu is not installed")
     rows = gpu_engine.rows()
     assert rows[0]["deviation, µm max"] == 0

@@ -1,4 +1,4 @@
-"""The page of costs: every group is measured and kept, and its rates are of what it says."""
+"""The page of costs: each group is measured and kept, and rates are computed as described."""
 
 import json
 from dataclasses import replace
@@ -28,7 +28,7 @@ def test_page_keeps_results_of_other_groups(tmp_path, monkeypatch):
 
 
 def test_set_rate_is_marginal(monkeypatch):
-    """A set that takes 3 s and half a second a contact of each worker: what is paid once are the 3 s."""
+    """A set takes 3 s and half a second per contact and worker, so the fixed cost is 3 s."""
     monkeypatch.setattr(speed, "set_seconds", lambda n, workers, **case: (3.0 + n / (2.0 * workers), 500))
     for row in speed._samples(PerformanceOptions(contacts=10)):
         assert row["contacts/s"] == pytest.approx(2.0 * row["workers"])
@@ -40,14 +40,14 @@ def test_set_rate_is_marginal(monkeypatch):
 
 
 def _scripted(monkeypatch, seconds):
-    """What sets take, one after the other, s; returns what is left of it."""
+    """Let sets take these times, s, one after the other; return the list of times not used yet."""
     left = list(seconds)
     monkeypatch.setattr(speed, "set_seconds", lambda n, workers, **case: (left.pop(0), 500))
     return left
 
 
 def test_impossible_rate_is_measured_again(monkeypatch):
-    """A larger set that takes no longer; one that takes so much longer that nothing was paid once; one that can be."""
+    """First the larger set takes no longer, then so much longer that the fixed cost is negative, then a possible time."""
     left = _scripted(monkeypatch, [5, 5, 5, 60, 5, 25])
     assert speed._rate(4, 40, 1) == (2.0, 3.0, 500)
     assert not left

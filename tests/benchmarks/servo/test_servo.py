@@ -1,4 +1,4 @@
-"""The page of the servo: every run is made once, kept and written; what cannot be made is a sentence on it."""
+"""The page of the servo: each run is made once and kept, and the page gives the reason for a refused one."""
 
 import json
 import re
@@ -64,7 +64,7 @@ def test_runs_are_made_once_and_stand_on_the_page(options):
 
 
 def test_groups_keep_the_machine_that_made_them(options, monkeypatch):
-    """And the number of runs at a time."""
+    """They also keep the number of runs at a time."""
     monkeypatch.setattr(followed, "machine", lambda: {"processor": "old"})
     followed.run(replace(options, groups=("objects", "fidelity"), workers="1"))
     monkeypatch.setattr(followed, "machine", lambda: {"processor": "new"})
@@ -77,7 +77,7 @@ def test_groups_keep_the_machine_that_made_them(options, monkeypatch):
 
 
 def test_run_without_contact_has_no_patch(options, monkeypatch):
-    """One that could not be made, and one that ended before it followed."""
+    """One run is refused, and one ends before it follows anything."""
     away, deep = followed.cases(options)[1:3]
     lost = [replace(deep, options=replace(deep.options, task="edge")), replace(deep, options=away.options)]
     lost[1] = replace(lost[1], name="bust, 3 mm deep")
@@ -123,7 +123,7 @@ def test_unknown_group_is_refused():
 
 
 def test_other_networks_training_set_is_recorded(options):
-    """Also on a page that is written again without it."""
+    """It stays on a page that is written again without it."""
     record = followed.run(replace(options, groups=("robust",), other_surface="surface-curved-tactip-127"))
     output = record["others"]["surface"]
     assert "images of a set of seed 0; training of seed 0, with initial weights of another network" in output

@@ -135,7 +135,7 @@ def test_facets_weaken_like_vertices(design, standard):
 
 
 def test_contacts_stored_as_sliding_are_at_friction_limit(design, standard):
-    """At every step, and no others are: forces decide here, the solver's states in SlipWeakening."""
+    """At every step, and no others: this test decides by forces, SlipWeakening by the solver's states."""
     simulator = ContactSimulator(weakened(design, 0.6), "surface", standard)
     scene, records, step = simulator.scene, [], simulator.scene.step
 
@@ -156,7 +156,7 @@ def test_contacts_stored_as_sliding_are_at_friction_limit(design, standard):
 
 
 def test_sliding_distances_are_reset_when_tip_leaves(design, standard):
-    """As for single parts: skin that returns sticks like fresh skin."""
+    """Skin that touches again sticks like fresh skin, as for single parts."""
     simulator = ContactSimulator(weakened(design, 0.5), "surface", standard)
     scene = simulator.scene
     simulator.simulate(from_mm_deg([0, 0, -2, 0, 0, 0]), from_mm_deg([5, 0, 0, 0, 0, 0]))

@@ -52,7 +52,7 @@ def test_pitch_presses_the_right_side_of_the_image(on_surface):
 
 
 def test_x_moves_the_edge_to_the_left(on_edge):
-    """The object lies to the left of its edge: the farther the sensor is off it, the farther left it is pressed."""
+    """The object lies to the left of its edge, so the farther the sensor is off it, the farther left the contact is."""
     positions = [pressed_position(on_edge([x, 0, -3, 0, 0, 0]), on_edge)[0] for x in (-4, 0, 4)]
     assert (np.diff(positions) < -5).all()
 

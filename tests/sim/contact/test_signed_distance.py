@@ -106,7 +106,7 @@ def test_rim_edge_is_that_of_block(name):
 
 
 def test_first_hit_does_not_pass_between_triangles():
-    """Three of a hundred of libigl's rays did on the bust, and hit its far side."""
+    """On the bust, three in a hundred of libigl's rays missed and hit its far side."""
     solid = load_object("bust").solid
     rng = np.random.default_rng(0)
     faces = solid.triangles[rng.integers(0, len(solid.triangles), 400)]

@@ -1,4 +1,4 @@
-"""Sets after a kill, a full disk or a lost worker: they are resumed, and grow, to the same bytes."""
+"""Sets after a kill, a full disk or a lost worker can be resumed and extended to the same bytes."""
 
 import os
 import signal
@@ -158,7 +158,7 @@ def test_make_second_command_on_one_set_is_refused(tmp_path):
 
 @pytest.mark.parametrize("leftover", [".partial", ".partial/lock", ".targets.csv.7.tmp"])
 def test_make_kill_during_first_or_last_write_is_resumed(whole, tmp_path, leftover):
-    """There are only the folders, or the lock too, or half of a table."""
+    """Only the folders exist, or also the lock, or half of a table."""
     folder = tmp_path / "started"
     (folder / ".partial").mkdir(parents=True)
     if leftover != ".partial":

@@ -1,4 +1,4 @@
-"""Contents of a set: the same bytes from any number of workers, sampled labels, images of its pins; and refused options."""
+"""Contents of a set: the same bytes from any number of workers, labels in range, images of its pins; and refused options."""
 
 import json
 import subprocess

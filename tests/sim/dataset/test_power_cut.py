@@ -1,4 +1,4 @@
-"""Files that a power cut or a flipped byte damaged: an unfinished set makes them anew, and a finished one does not grow."""
+"""Files damaged by a power cut or a flipped byte: an unfinished set makes them again, and a finished one refuses to grow."""
 
 import json
 import shutil
@@ -35,7 +35,7 @@ def finished(whole, tmp_path):
 
 @pytest.fixture
 def unfinished(finished):
-    """The state after a kill behind the last contact."""
+    """The state after a kill that follows the last contact."""
     identity = {key: json.loads((finished / "meta.json").read_text())[key] for key in ("configuration", "versions")}
     (finished / PARTIAL).mkdir()
     unpack_finished_set(finished)

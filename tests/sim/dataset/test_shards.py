@@ -1,4 +1,4 @@
-"""Sets of shards: the samples of a set in one folder, whatever happens on the way, and one set to all who read them."""
+"""Sets of shards have the samples of a set in one folder, even after interruptions, and are read as one set."""
 
 import json
 import shutil
@@ -93,7 +93,7 @@ def test_eight_copies_of_a_contact_stay_in_one_shard(tmp_path, capsys):
 
 
 def test_unevenly_filled_shard_can_grow(tmp_path):
-    """Of 20 samples, two contacts' 16 go into a shard: a set of 20 is of shards already, and grows by shards."""
+    """A shard holds the 16 samples of two contacts, so a set of 20 samples has shards already, and grows by shards."""
     for samples in (20, 40):
         assert tactip.main(options(tmp_path / "set", "--augment-symmetry", samples=samples, shard=20)) == 0
         assert tactip.main(["dataset", "verify", str(tmp_path / "set")]) == 0
@@ -101,7 +101,7 @@ def test_unevenly_filled_shard_can_grow(tmp_path):
 
 
 def test_closing_a_shard_twice_is_harmless(copy, whole):
-    """As after a worker that was lost with the task, before its end or after it."""
+    """As after the loss of a worker before or after the end of its task."""
     shard = copy / "shard-00001"
     configuration = read_configuration(read_meta(copy), copy)
     (shard / PARTIAL).mkdir()
@@ -186,7 +186,7 @@ def test_fewer_samples_than_there_are_are_refused(copy, capsys):
 
 
 def test_large_set_of_one_folder_is_unchanged(tmp_path, capsys):
-    """As they were made before there were shards."""
+    """Made as before shards were introduced."""
     folder = tmp_path / "set"
     assert tactip.main(options(folder, samples=3)) == 0
     meta = json.loads((folder / "meta.json").read_text())

@@ -22,7 +22,7 @@ RADIUS_M = 30e-3
 
 
 def strides(task, solid=None, count=300, seed=0):
-    """Poses in the stimulus' frame and labels, (n, 6) each, of a walk."""
+    """Return poses in the stimulus's frame and labels, (n, 6) each, of a sliding path."""
     draw = np.random.default_rng(seed)
     walk = SlidingPath(task, solid, POSE_RANGES[task], from_mm_deg([0, 0, -3, 5, -5, 0]), draw)
     both = [(walk.stride(), walk.label()) for _ in range(count)]
@@ -35,15 +35,15 @@ def test_sequence_stays_within_ranges(task):
     low, high = POSE_RANGES[task].bounds().T
     assert (to_mm_deg(labels) >= low - 1e-9).all() and (to_mm_deg(labels) <= high + 1e-9).all()
     gone = np.linalg.norm(np.diff(poses[:, :2] - (0 if task == "surface" else labels[:, :2]), axis=0), axis=1)
-    assert gone.min() > 0.19e-3 and gone.max() < 2.5e-3  # the apex, too, sways where it leans
+    assert gone.min() > 0.19e-3 and gone.max() < 2.5e-3  # a tilted tip's apex moves, too
     assert 12e-3 < np.abs(poses[:, :2]).max() < 20e-3
-    # It goes about in the ranges, and not only where it began.
+    # It covers the ranges, and does not stay near its start.
     assert (to_mm_deg(np.ptp(labels, axis=0)) >= 0.6 * (high - low))[high > low].all()
 
 
 @pytest.mark.parametrize("task", POSE_RANGES)
 def test_start_of_a_sequence_is_independent_of_its_steps(task):
-    """What a pose has of it is gone through once, and not at every stride again."""
+    """Components without a label are passed through once, not again at every stride."""
     ranges = replace(POSE_RANGES[task], x_mm=(-5, 5), y_mm=(-5, 5), yaw_deg=(-20, 20))
     walk = SlidingPath(task, None, ranges, from_mm_deg([4, 4, -3, 0, 0, 15]), np.random.default_rng(0))
     poses = np.array([walk.stride() for _ in range(100)])
@@ -55,7 +55,7 @@ def test_start_of_a_sequence_is_independent_of_its_steps(task):
 
 @pytest.mark.parametrize("task", POSE_RANGES)
 def test_on_the_flat_and_the_edge_labels_are_the_poses_but_for_where(task):
-    """A plane is the same all over, and turned; an edge along itself."""
+    """A plane is the same everywhere and rotated; an edge is the same along itself."""
     poses, labels = strides(task, count=50)
     turned = np.array([sensor_in_contact(p)[:3, :3] for p in poses])
     ours = np.array([sensor_in_contact(label)[:3, :3] for label in labels])
@@ -66,11 +66,11 @@ def test_on_the_flat_and_the_edge_labels_are_the_poses_but_for_where(task):
 
 
 def test_on_a_ball_labels_are_those_of_its_radius_and_middle():
-    """Closed form: depth and tilt by the ball's middle; the surface is of triangles 1 mm wide, 4 µm off."""
+    """Closed form: depth and tilt relative to the ball's centre; the surface has triangles 1 mm wide, 4 µm off."""
     poses, labels = strides("surface", curved_surface(1 / RADIUS_M, 1 / RADIUS_M, 0.0), count=80)
     apexes = np.array([sensor_in_contact(p)[:3, 3] for p in poses])
     axes = np.array([sensor_in_contact(p)[:3, 2] for p in poses])
-    # The surface is a paraboloid: a ball where it is level, which it is to 0.1 mm within 6 mm.
+    # The surface is a paraboloid, which equals a ball to 0.1 mm within 6 mm of its level point.
     near = np.linalg.norm(apexes[:, :2], axis=1) < 5e-3
     assert near.sum() > 5
     away = apexes[near] + [0, 0, RADIUS_M]
@@ -82,8 +82,8 @@ def test_on_a_ball_labels_are_those_of_its_radius_and_middle():
 
 
 def test_sliding_on_is_what_one_long_shear_is(design, standard):
-    """A contact that is sheared half the way and then slides the rest ends where one shear ends, to what rest makes of
-    it."""
+    """A contact sheared half the distance that then slides the rest ends as after one shear, up to the effect of the
+    pause."""
     simulator = ContactSimulator(design, "surface", standard)
     pose, shear = from_mm_deg([0, 0, -3, 5, 0, 0]), from_mm_deg([4, 0, 0, 0, 0, 0])
     whole = simulator.simulate(pose, shear)
@@ -110,7 +110,7 @@ def made(folder, design, workers=1, **changes):
 
 
 def test_set_of_snapshots_is_independent_of_workers(design, tmp_path):
-    """One worker, two, and grown from a smaller one that ends within a contact."""
+    """From one worker, from two, and extended from a smaller set that ends within a contact."""
     made(tmp_path / "a", design)
     made(tmp_path / "b", design, workers=2)
     made(tmp_path / "c", design, samples=6)
@@ -149,7 +149,7 @@ def test_looks_turn_and_mirror_as_contacts_do(design, tmp_path):
 
 
 def test_failing_snapshot_is_left_out_and_listed(design, tmp_path):
-    """And the set is whole, can be read, and grows."""
+    """The set is complete, can be read, and can be extended."""
     strict = QualityLimits(volume_ratio=0.8)
     _, result = made(tmp_path / "set", design, samples=24, snapshots_per_contact=12, seed=3, bounds=strict)
     meta = json.loads((tmp_path / "set/meta.json").read_text())
@@ -184,7 +184,7 @@ def test_unsupported_combinations_are_refused(design, tmp_path, changes, sentenc
 
 
 def test_sequence_on_a_solid_uses_only_its_surface():
-    """Also of one that is nowhere level."""
+    """Also if it is level nowhere."""
     corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]]) * 60e-3 - 15e-3
     solid = SignedDistanceMesh(corners, np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]))
     poses, labels = strides("surface", solid, count=20)

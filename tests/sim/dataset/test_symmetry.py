@@ -1,4 +1,4 @@
-"""A contact turned or mirrored is a contact: what is read of its skin is what playing it gives."""
+"""A rotated or mirrored contact equals the simulation of the rotated or mirrored motion."""
 
 import numpy as np
 import pytest
@@ -38,7 +38,7 @@ def test_symmetries_form_a_group(task):
 
 @pytest.mark.parametrize("task", SYMMETRIES)
 def test_labels_go_as_motions_do(task):
-    """Before the shear or after it: turned and mirrored motions are motions of the turned and mirrored."""
+    """Rotating or mirroring commutes with motions, before and after the shear."""
     for s in SYMMETRIES[task]:
         assert np.allclose(s.label(before_shear(POSE, SHEAR)), before_shear(s.label(POSE), s.label(SHEAR)))
 
@@ -51,7 +51,7 @@ def test_symmetries_preserve_the_paper_ranges(task):
 
 
 def test_mirrored_contact_equals_simulation_of_mirrored_pose(design, standard):
-    """On the edge; to what two meshes differ by, for the mesh is not its own mirror image."""
+    """On the edge, up to the difference between two meshes, because the mesh is not its own mirror image."""
     simulator = ContactSimulator(design, "edge", standard)
     same, mirrored = contacts_of(simulator, "edge")
     assert np.allclose(same.pin_tips, simulator.simulate(POSE, SHEAR).pin_tips, atol=1e-12)
@@ -72,7 +72,7 @@ def test_rotated_contact_equals_simulation_of_rotated_pose(on_surface, index):
 
 
 def test_directions_are_units_and_pins_as_built_stay_where_they_are(standard):
-    """A fitted tip has no symmetry of its own: at the lightest touch its pins are all but where they were built."""
+    """A fitted tip has no symmetry: at the lightest touch its pins are almost where they were built."""
     design = design_named("tactip-127")
     simulator = ContactSimulator(design, "surface", standard)
     neutral, _ = neutral_pins(design)

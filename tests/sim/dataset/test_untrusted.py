@@ -23,7 +23,7 @@ from tactip_twin.tactip_model.errors import TactipError
 
 
 def test_failing_contact_is_repeated_then_listed(design, tmp_path):
-    """No contact keeps a penetration bound of a nanometre: all are tried again, left out, and named with the reason."""
+    """No contact meets a penetration limit of a nanometre: all are repeated, left out, and listed with the reason."""
     job = Job(configuration(design, bounds=QualityLimits(penetration_m=1e-9)), tmp_path / "failed")
     (result,) = generation.make([job], workers=1, log=lambda line: None)
     assert result["kept"] == 0
@@ -35,7 +35,8 @@ def test_failing_contact_is_repeated_then_listed(design, tmp_path):
 
 
 def test_second_attempt_has_finer_steps(design):
-    """A bound between the penetrations of the two tries: the contact is good, and says that it took two."""
+    """With a limit between the penetrations of the two tries, the contact passes, and its row says that it took two
+    tries."""
     draft = fidelity_named("draft")
     pose, shear = from_mm_deg([0, 0, -5, 10, 0, 0]), np.zeros(6)
     coarse, fine = (
@@ -60,8 +61,8 @@ def warn():
 
 
 def test_warnings_are_those_of_the_thread_that_counts_them():
-    """Two threads count at a time, and the one that began first ends first: each hears its own, and what heard them before
-    hears them again."""
+    """Two threads count at the same time, and the first to begin ends first: each gets its own warnings, and the previous
+    handler is restored."""
     others, theirs, both, ours_over = [], [], threading.Barrier(2, timeout=60), threading.Event()
 
     def count():
@@ -121,7 +122,8 @@ def test_diverged_state_is_a_violation(on_surface):
 
 
 def test_exploding_state_is_detected(design, monkeypatch):
-    """Not a number in one vertex in mid-press: the record must say so, not start again from the undeformed tip."""
+    """A NaN in one vertex during a press must appear in the record; the simulation must not restart from the undeformed
+    tip."""
     simulator = RetryingSimulator(design, "surface", fidelity_named("draft"), QualityLimits())
     scene = simulator._simulators[0].scene
     place, steps = scene.place, []
@@ -139,8 +141,8 @@ def test_exploding_state_is_detected(design, monkeypatch):
 
 
 def test_too_steep_motion_is_sampled_again(design):
-    """±20 degrees two ways and what the shear adds to them leave the cone of 30 degrees in the corners alone: what is
-    inside is as it was drawn, so that a set of gentler ranges is the same as ever."""
+    """±20 degrees about both axes and the shear exceed the cone of 30 degrees in the corners only; samples inside it are
+    unchanged, so sets with narrower ranges keep their bytes."""
     wide = Ranges(depth_mm=(-5, -1), roll_deg=(-20, 20), pitch_deg=(-20, 20))
     c = configuration(design, pose=wide)
     again = 0

@@ -1,4 +1,4 @@
-"""`tactip dataset verify` finds what is missing, altered or mixed, and says it in a sentence."""
+"""`tactip dataset verify` finds what is missing, altered or mixed, and reports it in a sentence."""
 
 import csv
 import json

@@ -1,4 +1,4 @@
-"""Output folders: which may be resumed, and what the refusal of others says."""
+"""Output folders that may be resumed, and the messages that refuse others."""
 
 import pytest
 
@@ -30,7 +30,7 @@ def test_check_resumable_same_settings_can_be_resumed(tmp_path):
 
 @pytest.mark.parametrize("recorded", [{}, [], 0, ""])
 def test_check_resumable_empty_settings_are_settings(tmp_path, recorded):
-    """A folder of work without a setting is not an empty one."""
+    """A folder with work without any settings is not empty."""
     (tmp_path / "file").write_text("")
     assert check_resumable(tmp_path, "training", recorded, recorded) is True
 

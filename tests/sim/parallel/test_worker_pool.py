@@ -18,7 +18,7 @@ from tactip_twin.tactip_model.errors import TactipError
 
 
 def test_serve_last_reply_unread_ends_without_error():
-    """As at Ctrl-C: the parent closes its end with the reply unread, which a socket reports as a reset."""
+    """As on Ctrl-C: the parent closes its end with the reply unread, which a socket reports as a reset."""
     ours, theirs = multiprocessing.Pipe()
     done = []
     with ThreadPoolExecutor(1) as pool:

@@ -29,7 +29,7 @@ def arm():
 
 
 def chain(angles):
-    """T_base_tcp by the table of joints alone: origins and axes of ABB's data."""
+    """Return T_base_tcp from the table of joints alone: origins and axes from ABB's data."""
     origins = [[0, 0, 0], [0, 0, 0.29], [0, 0, 0.27], [0, 0, 0.07], [0.302, 0, 0], [0.072, 0, 0]]
     T = np.eye(4)
     for origin, axis, angle in zip(origins, "zyyxyx", angles, strict=True):
@@ -72,7 +72,7 @@ def test_inverse_kinematics_converge_from_any_start(arm):
 
 @pytest.mark.parametrize("wrist_deg", [-180, 0, 180])
 def test_joint_6_begins_where_it_has_room_to_turn(arm, wrist_deg):
-    """The loop of a rim takes it once round: from within half a turn of where it is asked to be, and in its limits."""
+    """A loop around a rim turns it once: it starts within half a turn of the desired angle and stays within its limits."""
     for yaw in np.radians([0, 100, 179, -90]):
         T = matrix([0.38, 0, 0.1], DOWN * Rotation.from_euler("z", yaw))
         found = arm.solve(T, np.radians(wrist_deg))
@@ -101,7 +101,7 @@ def test_singular_poses_are_refused(arm):
 
 
 def test_joints_keep_their_speeds(arm):
-    """Past a singular wrist a small motion is a large one of the joints: it is given the time."""
+    """Near a singular wrist a small motion needs large joint motions, so it takes more time."""
     model = KinematicArm()
     model._set_angles(np.radians([0.0, 30, 10, 0, 12, 0]))
     T = model.pose @ matrix([0, 0, 0], Rotation.from_rotvec([0.15, 0, 0]))
@@ -126,7 +126,7 @@ def test_every_arm_model_ends_at_its_target(name):
 
 
 def test_dynamic_arm_deflects_by_its_stiffness():
-    """At rest, joints turn by torque over stiffness: the sensor moves by J K^-1 J^T F. Gravity is made up for."""
+    """At rest, joints turn by torque over stiffness, so the sensor moves by J K^-1 J^T F. Gravity is compensated."""
     model = DynamicArm()
     T = matrix([0.38, 0, 0.1], DOWN)
     model.reset_to(T)
@@ -144,7 +144,7 @@ def test_dynamic_arm_deflects_by_its_stiffness():
 
 
 def test_arm_centres_of_mass_lie_in_their_links(arm):
-    """Masses and centres are from another source than the shapes: each centre must be within the link's own solids."""
+    """Masses and centres come from another source than the shapes, so each centre must lie within the link's own solids."""
     data = mujoco.MjData(arm.model)
     mujoco.mj_kinematics(arm.model, data)
     mujoco.mj_comPos(arm.model, data)

@@ -1,4 +1,4 @@
-"""Meshes from files: repaired where that is safe, refused with the reason where it is not."""
+"""Meshes from files: repaired if that is safe, otherwise refused with the reason."""
 
 import numpy as np
 import pytest
@@ -59,7 +59,7 @@ def test_unsafe_defects_are_refused_with_a_reason(tmp_path, ball):
     torn.update_faces(np.random.default_rng(0).random(len(torn.faces)) > 0.02)
     bowl = ball.copy()
     x, _, z = bowl.triangles_center.T
-    bowl.update_faces(~((z > 5) & (x > -10)))  # a hole that goes over a corner
+    bowl.update_faces(~((z > 5) & (x > -10)))  # a hole across a corner
     fin = trimesh.Trimesh(
         np.concatenate([ball.vertices, [[0, 0, 90]]]),
         np.concatenate([ball.faces, [[*ball.faces[0, :2], len(ball.vertices)]]]),
@@ -115,7 +115,7 @@ def test_mesh_in_memory_is_in_metres_and_unchanged(ball):
 
 
 def test_object_of_flat_triangles_is_refused(tmp_path):
-    """Three points on a line: nothing is left once triangles without an area are removed."""
+    """Three points on a line: nothing is left after triangles without area are removed."""
     mesh = trimesh.Trimesh([[0, 0, 0], [10, 0, 0], [20, 0, 0]], [[0, 1, 2]], process=False)
     mesh.export(tmp_path / "line.ply")
     with pytest.raises(TactipError, match="has no triangles of an area above 0"):

@@ -1,4 +1,4 @@
-"""A recording is read back as it was made, whole or cut short; everything else is refused by a sentence."""
+"""A recording is read back as it was made, complete or cut short; anything else is refused in a sentence."""
 
 import json
 import os
@@ -78,7 +78,7 @@ def test_recording_without_steps_is_read(tmp_path):
 
 
 def test_kill_leaves_all_complete_steps(tmp_path):
-    """By kill -9 of the process that records, between two steps."""
+    """The recording process is killed (kill -9) between two steps."""
     code = (
         "import sys, os, signal; sys.path[:0] = sys.argv[2:];"
         "from test_recording import _record; _record(sys.argv[1], 4, finish=False); os.kill(os.getpid(), signal.SIGKILL)"
@@ -91,7 +91,7 @@ def test_kill_leaves_all_complete_steps(tmp_path):
     assert not record["complete"] and record["steps"] == 4
     assert [e["kind"] for e in record["events"]] == ["force"]
     _check(arrays, 4)
-    # The same command begins anew in the same folder.
+    # The same command starts over in the same folder.
     _record(folder, 2)
     _check(read_recording(folder)[1], 2)
 
@@ -105,7 +105,7 @@ def test_truncated_recording_is_read_to_its_last_complete_step(tmp_path, cut):
     record, arrays = read_recording(tmp_path / "run")
     assert record["steps"] == 5 if cut < 4000 else record["steps"] < 6
     _check(arrays, record["steps"])
-    path.write_bytes(whole[:-cut] + b"\xff" * cut)  # as a disk does that wrote the length and not the data
+    path.write_bytes(whole[:-cut] + b"\xff" * cut)  # as by a disk that wrote the length but not the data
     again, arrays = read_recording(tmp_path / "run")
     assert again["steps"] == record["steps"]
 
@@ -154,7 +154,7 @@ def test_missing_file_is_reported(tmp_path):
 
 
 def test_triangles_of_missing_vertices_are_refused(tmp_path):
-    """What draws triangles does not check their indices, and would end the program."""
+    """Libraries that draw triangles do not check their indices, and would crash."""
     _record(tmp_path / "run", 2)
     path = tmp_path / "run" / "scenery.npz"
     with np.load(path) as file:

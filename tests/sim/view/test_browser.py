@@ -1,4 +1,4 @@
-"""The pages in a real browser: headless Chromium draws them, and a mouse moves what is on them."""
+"""The pages in a real browser: headless Chromium renders them, and a simulated mouse operates them."""
 
 import re
 
@@ -18,7 +18,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.skipif(PROGRAM is None, reason="ther
 
 
 def _drag(browser, start, end, pieces=6):
-    """Drag from a place to another, (2,) px each."""
+    """Drag the mouse from one place to another, (2,) px each."""
     browser.mouse("mouseMoved", start)
     browser.frames(1)
     browser.mouse("mousePressed", start)
@@ -28,11 +28,11 @@ def _drag(browser, start, end, pieces=6):
 
 
 class PageSession:
-    """A page that is served in this process while a test goes on, by turns: nothing here is in a hurry."""
+    """A page served in the test's process, alternating with the test."""
 
     def __init__(self, page):
         self.page, self.browser = page, Chromium(page.address)
-        # viser counts a browser as there when it has told its camera: what is clicked before is not heeded.
+        # viser ignores clicks until the browser has sent its camera.
         self.until(page._server.get_clients)
 
     def until(self, holds, seconds=60.0):
@@ -43,7 +43,7 @@ class PageSession:
         return self.browser.until(turn, seconds)
 
     def text(self, pattern):
-        """Wait until a pattern is on the page; returns the match."""
+        """Wait until a pattern is on the page, and return the match."""
         return self.until(lambda: re.search(pattern, self.browser.text()))
 
     def close(self):
@@ -65,7 +65,7 @@ def test_replay_is_drawn(replay):
     def drawn():
         scene = replay.browser.screenshot()[:, :800].astype(int)
         grey = np.ptp(scene, axis=2) < 30
-        # The skin is nearly black, the object nearly white, and what lies behind them is neither alone.
+        # The skin is nearly black, the object nearly white, and the background is neither.
         return (grey & (scene.max(2) < 80)).mean() > 0.004 and len(np.unique(scene.reshape(-1, 3), axis=0)) > 100
 
     replay.until(drawn)
@@ -132,7 +132,8 @@ def test_typed_number_moves_the_stimulus(live):
 
 
 def _on_screen(point, camera, browser):
-    """Where a point of the world, m, is on the page, px: a pinhole in the middle of the canvas, fov from top to bottom."""
+    """Return the page position, px, of a point of the world, m, by a pinhole camera in the middle of the canvas with a
+    vertical fov."""
     forward = np.subtract(camera.look_at, camera.position)
     forward /= np.linalg.norm(forward)
     right = np.cross(forward, camera.up_direction)
@@ -145,7 +146,7 @@ def _on_screen(point, camera, browser):
 
 
 def test_stimulus_follows_the_dragged_handle(live):
-    """Along the arrow of the handle's own x: the stimulus goes where the mouse goes, as far as it goes."""
+    """Dragging the arrow of the handle's x axis moves the stimulus as far as the mouse."""
     live.browser.click("reset")
     live.until(lambda: abs(live.page._contact.label[0]) < 1e-9)
     live.text("at rest")

@@ -1,4 +1,4 @@
-"""What is shown of a run: meshes stand where arm and sensor are, pictures show what is in front, videos hold every frame."""
+"""Display of a run: meshes are placed at arm and sensor, images show what is in front, videos contain every frame."""
 
 import av
 import numpy as np
@@ -31,7 +31,7 @@ def _skin():
 
 
 def test_sensor_is_at_the_end_of_the_arm(geometry):
-    """Its housing, which is put where the tip is, meets the flange of an arm that is put where its angles say."""
+    """The housing, placed by the tip's pose, meets the flange of the arm, placed by its joint angles."""
     arm, skin = Arm(), _skin()
     for turn in (0.0, 0.4, -0.7):
         angles = READY_RAD + turn * np.array([1, 0.2, -0.3, 0.5, 0.4, 1])
@@ -78,7 +78,7 @@ def test_image_shows_the_nearest_object():
         middle = image[45, 60].astype(int)
         assert middle[channel] > 20 and middle[[c for c in range(3) if c != channel]].max() == 0
         assert tuple(image[0, 0]) == BACKGROUND
-    # What moves is gone from the next picture.
+    # Moving meshes are absent from the next image.
     assert renderer.render([], [-1, 0, 0], [0.2, 0, 0])[45, 60, 0] == 0
 
 

@@ -103,7 +103,7 @@ def test_every_stimulus_has_a_look_and_ranges(name):
 
     meshes = body_meshes(Scene(design_named("nominal-127"), name, fidelity_named("draft")).model, "stimulus", OBJECT_COLOR)
     assert meshes
-    # What is drawn is where the stimulus is: its surface is at no distance.
+    # The mesh is shown at the stimulus: its vertices lie on the true surface.
     stimulus = STIMULI[name]
     for mesh in meshes:
         near = mesh.vertices[np.linalg.norm(mesh.vertices, axis=1) < 5e-3]

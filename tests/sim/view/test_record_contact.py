@@ -1,4 +1,4 @@
-"""A recorded contact of a data set ends as the set has it."""
+"""A recorded contact of a data set ends in the state that the set contains."""
 
 import numpy as np
 import pytest
@@ -64,7 +64,7 @@ def test_recorded_contact_phases_are_in_order(sets, tmp_path):
 
 
 def test_stimulus_is_below_the_tip(sets, tmp_path):
-    """The skin that is pressed lies on what is shown, and not in it."""
+    """The pressed skin lies on the shown object, not inside it."""
     for kind in ("surface", "edge", "bent"):
         _, arrays = record_contact(sets / kind, 0, tmp_path / kind)
         scenery = read_recorded_scene(tmp_path / kind)

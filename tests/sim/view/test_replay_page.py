@@ -1,4 +1,4 @@
-"""The page of a replay: what is shown is the step that is asked for; who may see it is this machine alone."""
+"""The page of a replay shows the requested step, to this machine only."""
 
 import asyncio
 import http.client
@@ -83,7 +83,7 @@ def test_page_is_served_locally_only(page):
     ],
 )
 def test_other_sites_are_not_let_in(page, host, origin, let_in):
-    """As browsers have it: a page of any site may open a socket to this machine, and says from where it is."""
+    """Browsers let any site's page open a socket to this machine, with its Origin."""
 
     async def knock():
         address, kind = f"ws://{host}", f"viser-v{viser.__version__}"
@@ -100,7 +100,7 @@ def test_other_sites_are_not_let_in(page, host, origin, let_in):
 
 @pytest.mark.parametrize(("host", "status"), [("127.0.0.1:8431", 200), ("evil.example:8431", 403)])
 def test_page_is_served_under_its_own_name_only(page, host, status):
-    """A site may have its name lead to this machine, so that a browser takes this page for one of the site's."""
+    """A site's name may resolve to this machine, so a browser takes this page for one of the site's."""
     connection = http.client.HTTPConnection("127.0.0.1", page._server.get_port(), timeout=20)
     connection.request("GET", "/", headers={"Host": host})
     assert connection.getresponse().status == status

@@ -72,7 +72,7 @@ def test_robust_cost_of_outliers_is_linear():
 
 
 def test_calibrate_rounds_lower_cost_and_resume(real, tmp_path):
-    """Two frames of each kind suffice to see that the slopes point the right way."""
+    """Two frames of each kind suffice to check the signs of the derivatives."""
     log = []
     settings = Settings(fit_frames=10, test_frames=10, rounds=("draft", "draft"), test_fidelity="draft")
     result = calibrate(real, start(), settings, tmp_path / "state.json", log.append)
@@ -81,7 +81,7 @@ def test_calibrate_rounds_lower_cost_and_resume(real, tmp_path):
         assert figures["cost_after"] <= figures["cost_before"]
         assert figures["search"]["cost_after"] <= figures["search"]["cost_before"] <= figures["cost_after"] * (1 + 1e-9)
     assert abs((result.twin.rig.azimuth_deg - RIG.azimuth_deg + 180) % 360 - 180) < 4
-    # Stopped after the first round and begun again, it ends in the same place.
+    # Interrupted after the first round and resumed, it gives the same result.
     state = json.loads((tmp_path / "state.json").read_text())
     again = []
     same = calibrate(real, start(), settings, tmp_path / "state.json", again.append)
@@ -99,7 +99,7 @@ def test_calibrate_rounds_lower_cost_and_resume(real, tmp_path):
 
 @pytest.mark.slow
 def test_calibrate_recovers_hidden_sensor(real, tmp_path):
-    """What mechanics can be seen, from frames half of which were taken before they say."""
+    """It finds the mechanics from frames of which half were taken before the end of their move."""
     settings = Settings(fit_frames=24, test_frames=24, rounds=("draft",) * 4, test_fidelity="draft")
     result = calibrate(real, start(), settings, tmp_path / "state.json", print)
     found, hidden = result.twin, hidden_twin()

@@ -16,7 +16,7 @@ TAP = from_mm_deg([0, 5, 0, 0, 0, 0])
 
 
 def test_rig_perfect_contact_equals_command():
-    """Pressing along y with x to the side: the work frame's x, z, -y are the contact frame's x, y, z."""
+    """For a press along y, the work frame's x, z and -y are the contact frame's x, y and z."""
     motion = RigMotion(Rig(press_axis=(0.0, 1.0, 0.0)))
     pose, shear = motion.contact(from_mm_deg([0, -2, 0, 0, 0, 12]), from_mm_deg([3, 0, 0, 0, 0, 4]), TAP)
     assert np.allclose(pose, from_mm_deg([0, 0, -3, 0, 12, 0]))
@@ -43,7 +43,7 @@ def test_rig_lever_lifts_and_moves_rotated_tip():
 
 
 def test_rig_azimuth_rotates_pose_and_shear():
-    """The same commands with the camera turned are the same contact seen turned."""
+    """With a rotated camera, the same commands give the same contact, seen rotated."""
     command, move = from_mm_deg([0, 0, 1, 3, 8, 0]), from_mm_deg([2, 1, 0, 1, -2, 0])
     tap = from_mm_deg([0, 0, -4, 0, 0, 0])
     plain = RigMotion(Rig(tcp_behind_apex_m=5e-3, tilt_zero_deg=(1.0, -2.0))).contact(command, move, tap)
@@ -64,7 +64,7 @@ def test_shear_between_is_the_inverse_of_before_shear():
 
 @pytest.fixture
 def folder(tmp_path):
-    """A real set of two frames, as rigs write it."""
+    """A real set of two frames in the format that rigs write."""
     (tmp_path / "images").mkdir()
     for name in ("init_0.png", "images/frame_0.png", "images/frame_1.png"):
         cv2.imwrite(str(tmp_path / name), np.zeros((64, 64), np.uint8))

@@ -1,4 +1,4 @@
-"""Other laboratories' conventions: what their columns log, held against a rig that knows nothing of them."""
+"""Other laboratories' conventions, compared with a rig that is computed independently."""
 
 import json
 
@@ -43,13 +43,13 @@ def test_convert_labels_press_along_y_equals_rig():
 def test_convert_labels_own_names_need_no_map():
     poses, shears = convert_labels(ColumnMap(), table_of(pose_z=-3, pose_Rx=7, pose_Ry=-2, shear_x=1.5, shear_Rz=4))
     assert np.allclose(poses, [[0, 0, -3, 7, -2, 0]])
-    # A turn about the normal turns the tilt with it: it is the motion that is spec, and the pose at its end.
+    # A rotation about the normal rotates the tilt, too: the columns give the motion and the pose at its end.
     assert np.allclose(shears[0, :3], [1.5, 0, 0])
     assert np.isclose(np.linalg.norm(shears[0, 3:]), 4, atol=0.1)
 
 
 def test_convert_labels_edge_keeps_its_axes():
-    """The camera is turned against the labels: the edge lies as it did, and the tip's yaw differs by the turn."""
+    """With a rotated camera the edge is unchanged, and the tip's yaw differs by the rotation."""
     column_map = ColumnMap(task="edge", columns=("pose_x=x", "pose_z=-d", "pose_Rz=yaw"), camera_rotation_deg=20.0)
     poses, _ = convert_labels(column_map, table_of(x=3.0, d=2.0, yaw=-10.0))
     assert np.allclose(poses, [[3, 0, -2, 0, 0, -30]])

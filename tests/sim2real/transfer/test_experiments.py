@@ -1,4 +1,4 @@
-"""Transfer, on a sensor that is real to the network alone: a second simulated tip with other rubber, lens and light."""
+"""Transfer to a sensor that only the network takes for real: a second simulated tip with other rubber, lens and light."""
 
 import csv
 import json
@@ -41,7 +41,7 @@ TINY = Recipe(
 
 
 def hidden(design):
-    """A sensor that nobody has described: its camera sits elsewhere, its pins are thicker, its rubber is other."""
+    """A sensor without a known design: another camera position, thicker pins, other rubber."""
     return replace(
         design,
         materials=replace(design.materials, friction=0.4, gel_young_pa=1.5e4),
@@ -51,7 +51,7 @@ def hidden(design):
 
 
 def photo(design, tips, directions):
-    """A frame: pins, and light at the rim."""
+    """Return a frame with pins and light at the rim."""
     image = tactile_image(Raster(design).render(tips, directions), replace(design.image, size_px=SIZE))
     cv2.ellipse(image, (SIZE // 2, SIZE // 2), (126, 126), 0, 100, 150, 255, 4)
     return image
@@ -91,7 +91,7 @@ def test_fit_design_recovers_hidden_pins(lab):
     assert figures["pins"] == 127 and figures["layout"] == "nominal-127"
     assert design.pins.rotation_deg == pytest.approx(24.0, abs=0.5)
     assert np.abs(neutral_px(design) - neutral_px(true)).max() < 0.6  # a tenth of a spacing, by blobs of whole pixels
-    # Its images are as white as the sensor's own, though another pipeline made these.
+    # Its images have as many white pixels as the sensor's, although another pipeline made those.
     seen = cv2.imread(str(lab / "neutral_tactile.png"), 0) > 127
     drawn = tactile_image(Raster(design).render(*neutral_pins(design)), design.image) > 127
     assert drawn.sum() == pytest.approx(seen.sum(), rel=0.03)
@@ -118,7 +118,7 @@ def test_zero_and_few_shot_from_the_command_line(lab, tiny, tmp_path, capsys):
     assert record["few-shot"]["30"]["alone"] == record["zero-shot"]["real"]
     page = (tmp_path / "out" / "results.md").read_text()
     assert "| trained in simulation |" in page and "pose_Rx" not in page
-    # Nothing that is there is made again.
+    # Existing results are not made again.
     made = {p: p.stat().st_mtime_ns for p in (tmp_path / "out").rglob("*") if p.name in ("model.pt", "pins.npz")}
     assert tactip.main(["transfer", "few-shot", *command]) == 0
     assert made == {p: p.stat().st_mtime_ns for p in made}
@@ -141,7 +141,7 @@ def test_experiment_optics_follow_camera_measurement(lab, tmp_path):
     assert names(lab) == ["real", "real", "real-clean"]
     assert names(known) == ["steady", "real", "steady-clean"]
     assert names(known, optics_ranges="rim") == ["rim", "rim", "rim-clean"]
-    (known / "import.json").unlink()  # as of a simulated set, in the place of a real one
+    (known / "import.json").unlink()  # as of a simulated set given instead of a real one
     assert names(known, design="tactip-127") == ["real", "real", "real-clean"]
     (known / "import.json").write_text(json.dumps(report))
     output = Experiment(known, tmp_path / "out", replace(settings, design="tactip-127")).design()
@@ -175,7 +175,7 @@ def test_split_train_and_test_are_disjoint(lab):
 
 
 class Constant:
-    """A model that is off by the same everywhere, and by a little more at random in the depth."""
+    """A model with a constant error, and a small random one in the depth."""
 
     def __init__(self, samples):
         draw = np.random.default_rng(0)
@@ -219,7 +219,7 @@ def test_fine_tune_learns_real_frames_and_keeps_base(lab, tiny, tmp_path):
 
 
 def test_gap_is_small_with_right_design(lab, tmp_path, capsys):
-    """The hidden sensor's own design explains its frames; what is fitted to the neutral image alone, nearly."""
+    """The hidden sensor's own design explains its frames; a design fitted to the neutral image alone nearly does."""
     command = ["transfer", "gap", "--real", str(lab), "--out", str(tmp_path / "out"), "--real-train-frames", "20"]
     assert tactip.main([*command, "--gap-frames", "20", "--fidelity", "draft", "--json"]) == 0
     output = json.loads(capsys.readouterr().out)
@@ -228,7 +228,7 @@ def test_gap_is_small_with_right_design(lab, tmp_path, capsys):
     assert output["best_fraction"]["median"] < 0.4 * output["pins_move"]
     assert (tmp_path / "out" / "gap.png").stat().st_size > 10_000
     assert {"pose_z", "pose_Ry", "shear_mm"} <= set(output["against"])
-    # The same with a design that is told, into a folder that is not there yet.
+    # The same with a given design, into a new folder.
     output = [*command[:-3], str(tmp_path / "other"), *command[-2:], "--design", "nominal-127", "--gap-frames", "8"]
     assert tactip.main([*output, "--fidelity", "draft"]) == 0
     assert (tmp_path / "other" / "gap.png").exists()
@@ -329,7 +329,7 @@ def test_transfer_unknown_experiment_or_missing_neutral_image(lab, tmp_path, cap
 
 
 def test_transfer_page_shows_targets(lab, tmp_path, monkeypatch):
-    """Errors are held to what is asked and to those of real training; what was made before stays on the page."""
+    """Errors are compared with targets and with real training; earlier results stay on the page."""
 
     def figures(depth, tilt):
         values = {"pose_z": depth, "pose_Rx": 0.0, "pose_Ry": tilt}
