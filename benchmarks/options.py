@@ -105,7 +105,7 @@ class LearningOptions:
     """Measure the benefit of each step of training, of shear, and error against run time of networks. Rerun to resume."""
 
     task: Task = "surface"
-    """surface or edge."""
+    """Task."""
     contacts: int = 2000
     """Number of training contacts of most rows, as in the paper."""
     large_contacts: int = 8000
@@ -137,7 +137,7 @@ class SearchOptions:
     """Run the paper's hyperparameter search with fewer trials, and write its page. Rerun to resume."""
 
     task: Task = "surface"
-    """surface or edge."""
+    """Task."""
     trials: int = 60
     """Number of trainings."""
     jobs: int = 2
@@ -181,7 +181,7 @@ class ReleaseModelsOptions:
     """Copy a network of `tactip bench learning` into the package, with its evaluation and its card."""
 
     task: Task = "surface"
-    """surface or edge."""
+    """Task."""
     row: str = "laptop-large"
     """Row of `tactip bench learning`."""
     data: Path = Path("data/learning")
@@ -219,7 +219,7 @@ class RealComparisonOptions:
     real: Path | None = None
     """Folder with the real neutral frame init_0.png, to show it. Default: draw the neutral image from measurements."""
     fidelity: FidelityName = "standard"
-    """draft, standard or reference."""
+    """Fidelity of the contact simulation."""
 
 
 @dataclass(frozen=True)

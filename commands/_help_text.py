@@ -11,7 +11,8 @@ import textwrap
 from collections.abc import Collection, Iterable
 from functools import cache
 from itertools import pairwise
-from typing import Annotated, Any, get_type_hints
+from types import NoneType, UnionType
+from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import tyro
 from tyro.constructors import ConstructorRegistry, StructConstructorSpec, StructFieldSpec, StructTypeInfo
@@ -45,7 +46,12 @@ def registry(shown: Collection[tuple[type, str]] | None = None) -> ConstructorRe
                 and not dataclasses.is_dataclass(getattr(hint, "__origin__", hint))
             ):
                 hint = tyro.conf.Suppress[hint]
-            specs.append(StructFieldSpec(f.name, hint, _default(f, info), helptext=texts.get(f.name)))
+            default = _default(f, info)
+            if default is None or default in ("", ()):
+                # The docstring says what happens without the option; "default: None" would not.
+                metavar = None if default == () else _metavar(hint)
+                hint = Annotated[hint, tyro.conf.arg(help_behavior_hint="", metavar=metavar)]
+            specs.append(StructFieldSpec(f.name, hint, default, helptext=texts.get(f.name)))
         return StructConstructorSpec(instantiate=info.type, fields=tuple(specs))
 
     return rules
@@ -72,6 +78,16 @@ def _default(f: dataclasses.Field, info: StructTypeInfo) -> Any:
     if f.default is not dataclasses.MISSING:
         return f.default
     return tyro.MISSING if f.default_factory is dataclasses.MISSING else f.default_factory()
+
+
+def _metavar(hint: Any) -> str:
+    """Return the placeholder of an option's value, such as `FLOAT FLOAT`, without the choice of None."""
+    if get_origin(hint) in (Annotated, UnionType, Union):
+        first, *others = [h for h in get_args(hint) if isinstance(h, type) or get_origin(h)]
+        return _metavar(first) + "".join(f"|{_metavar(h)}" for h in others if h is not NoneType)
+    if get_origin(hint) is tuple:
+        return " ".join(map(_metavar, get_args(hint)))
+    return "{" + ",".join(get_args(hint)) + "}" if get_origin(hint) is Literal else hint.__name__.upper()
 
 
 @cache

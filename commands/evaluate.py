@@ -48,8 +48,8 @@ class Evaluate(Command):
         figures = evaluation.figures
         if figures["outside_fraction"] > MAX_OUTSIDE_FRACTION:
             print(
-                f"{figures['outside_fraction']:.0%} of the predictions are far outside the range of its training, "
-                "so it does not suit these images",
+                f"{figures['outside_fraction']:.0%} of the predictions are far outside the range that the network learned: "
+                "it does not suit these images",
                 file=sys.stderr,
             )
         if self.json:

@@ -67,10 +67,7 @@ class Train(Command):
             and not self.training.augmented_fraction
             and not train_samples.dataset.simulated
         ):
-            to_stderr(
-                f"{train_samples.folder} has no pins, so its images cannot be rendered with other optics "
-                "and are used as they are"
-            )
+            to_stderr(f"{train_samples.folder} has no pins: its images are taken as they are, without randomized optics")
         train(train_samples, val_samples, self.network, self.training, self.out, self.device, to_stderr, init_from=start)
         print(f"{self.out / 'model.json'} written")
         return 0

@@ -77,7 +77,7 @@ def check_unaltered(folder: Path, meta: dict[str, Any]) -> None:
         if not path.exists() or checksum(read_file(path)) != value:
             problem = "does not match its checksum in meta.json" if path.exists() else "is missing"
             raise TactipError(
-                f"the set in {folder} cannot be extended because {name} {problem}: restore the file, or make another set"
+                f"the set in {folder} cannot grow because {name} {problem}: restore the file, or make another set"
             )
 
 

@@ -24,7 +24,7 @@ class ImagePreprocessing:
     crop: tuple[int, int, int, int] | None = within(0, 65536, default=None)
     """Crop of the frame: left, top, right, bottom, px. Default: the whole frame."""
     threshold: tuple[int, float] | None = within((3, -255), (65535, 255), default=None)
-    """Block size and constant of the adaptive threshold of grey frames. Default: none, for frames that are binary."""
+    """Block size (px) and constant of the adaptive threshold of grey frames; None for binary frames."""
     size_px: int = within(8, 4096, default=128)
     """Width of the tactile images, px."""
     mask: Mask = "pins"

@@ -147,12 +147,12 @@ def test_servo_ctrl_c_keeps_the_recorded_steps(tmp_path, monkeypatch, capsys):
     ("options", "words"),
     [
         (["--object", "cup"], "unknown object 'cup': choose one of bust"),
-        (["--design", "tactip-331"], "no surface network is shipped for the design 'tactip-331': give --model"),
+        (["--design", "tactip-331"], "no surface network is shipped for the design 'tactip-331': choose one with --model"),
         (["--model", "none"], "neither a folder nor a shipped model"),
         (["--task", "edge"], "the edge of plate is unknown: the edge task needs one of edge, rim-round"),
         (
             ["--task", "surface", "--model", "edge-tactip-127"],
-            "was trained for the task edge, and --task is surface: give another --model",
+            "was trained for the task edge, but --task is surface: choose another --model",
         ),
         (["--route.middle-mm", "900", "0"], "must be above the object"),
         (["--settings.step-mm", "99"], "step_mm must be a finite number from 0.05 to 10, got 99.0"),
@@ -304,8 +304,8 @@ def test_servo_video_shows_every_step(tmp_path):
     ("options", "words"),
     [
         ([], "there is no recording in"),
-        (["--video", "a.gif"], "the name a.gif does not end in .mp4"),
-        (["--gif", "a.gif", "--stride", "0"], "both must be at least 1"),
+        (["--video", "a.gif"], "the file name must end in .mp4, got a.gif"),
+        (["--gif", "a.gif", "--stride", "0"], "--stride and --fps must be at least 1, got 0 and 25"),
         (["--gif", "a.gif"], "there is no recording in"),
     ],
 )

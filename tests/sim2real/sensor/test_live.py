@@ -172,7 +172,7 @@ def test_camera_page_stays_after_last_frame_until_interrupt(video):
         assert process.poll() is None
         process.send_signal(signal.SIGINT)
         assert process.wait(30) == 0
-        assert "12 frames, 0 with a fault" in process.stderr.read()
+        assert "12 frames, 0 unusable" in process.stderr.read()
 
 
 @pytest.mark.parametrize(

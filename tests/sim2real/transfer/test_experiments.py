@@ -314,7 +314,7 @@ def test_hidden_design_depends_on_seed_only(tmp_path, capsys):
     assert tactip.main(["transfer", "pseudo-real", "--out", str(tmp_path / "out"), "--real", "x"]) == 1
     assert "pseudo-real makes its own set" in capsys.readouterr().err
     assert tactip.main(["transfer", "gap", "--out", str(tmp_path / "none")]) == 1
-    assert "gap needs the folder of an imported set: give --real" in capsys.readouterr().err
+    assert "gap needs the folder of an imported set: add --real FOLDER" in capsys.readouterr().err
 
 
 def test_transfer_unknown_experiment_or_missing_neutral_image(lab, tmp_path, capsys):
