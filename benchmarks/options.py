@@ -18,7 +18,7 @@ ExperimentName = Literal["zero-shot", "ablate", "few-shot", "gap"]
 ServoGroup = Literal["objects", "oracle", "arm", "fidelity", "robust", "starts"]
 """Groups of servo runs (benchmarks/servo/servo.py)."""
 
-PerformanceGroup = Literal["samples", "growth", "images", "learning", "servo", "faces", "shared-cores", "gpu-engine"]
+PerformanceGroup = Literal["samples", "images", "learning", "servo", "shared-cores", "gpu-engine"]
 """Groups of rates (benchmarks/scale/performance.py)."""
 
 
@@ -34,8 +34,6 @@ class FidelityOptions:
     """Number of contacts per task for settings changed one at a time."""
     cache: Path = Path("build/fidelity")
     """Folder for the contacts simulated so far; removed at the end."""
-    redraw: bool = False
-    """Rewrite page and figure from an existing fidelity.json without measuring."""
 
 
 @dataclass(frozen=True)

@@ -1,10 +1,13 @@
 """Pages in docs/: prose written by hand, with measured tables between markers."""
 
+import json
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from tactip_twin.tactip_model.errors import TactipError
+from tactip_twin.tactip_model.files import write_file
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 
@@ -32,6 +35,13 @@ def fill(page: str, tables: Mapping[str, str]) -> str:
     return _BLOCK.sub(lambda found: f"{found[1]}\n{tables[found['name']].strip()}\n\n{found[3]}", page)
 
 
-def write_page(name: str, tables: Mapping[str, str], out: Path) -> None:
-    """Write out/NAME.md: the prose of docs/NAME.md with these tables. Raises as `fill` does."""
-    (out / f"{name}.md").write_text(fill((DOCS / f"{name}.md").read_text(), tables))
+def write_results(name: str, result: Mapping[str, Any], tables: Mapping[str, str], out: Path) -> None:
+    """Write out/NAME.json, and out/NAME.md: the prose of docs/NAME.md with these tables. Raises as `fill` does."""
+    out.mkdir(parents=True, exist_ok=True)
+    write_file(out / f"{name}.json", (json.dumps(result, indent=1) + "\n").encode())
+    write_file(out / f"{name}.md", fill((DOCS / f"{name}.md").read_text(), tables).encode())
+
+
+def read_results(path: Path) -> dict[str, Any]:
+    """Return the results in a JSON file of an earlier measurement; empty if there is none."""
+    return json.loads(path.read_text()) if path.exists() else {}

@@ -5,7 +5,6 @@ learning.json, learning.md and learning.png. Rerun it after an interruption to r
 used if there is one.
 """
 
-import json
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
@@ -16,7 +15,7 @@ import numpy as np
 
 from tactip_twin.benchmarks.hardware import machine, machine_text
 from tactip_twin.benchmarks.options import LearningOptions
-from tactip_twin.benchmarks.report import write_page
+from tactip_twin.benchmarks.report import read_results, table, write_results
 from tactip_twin.learning.configuration import Recipe
 from tactip_twin.learning.data import Samples, read_samples, read_splits
 from tactip_twin.learning.evaluate import evaluate
@@ -33,7 +32,6 @@ from tactip_twin.sim.labels import Task
 from tactip_twin.sim.parallel.worker_pool import worker_count
 from tactip_twin.sim.view.plot import COLORS, figure_of, log_axis, save_figure
 from tactip_twin.tactip_model.errors import TactipError, lookup
-from tactip_twin.tactip_model.files import write_file
 from tactip_twin.tactip_model.presets import load_design
 
 PAPER = {
@@ -251,8 +249,7 @@ def run(options: LearningOptions, log: Callable[[str], None] = print) -> dict[st
 
 def _other_rows(options: LearningOptions) -> list[dict[str, Any]]:
     """Return the rows of learning.json that this version measured on as many test contacts."""
-    path = options.out / "learning.json"
-    record = json.loads(path.read_text()).get(options.task, {}) if path.exists() else {}
+    record = read_results(options.out / "learning.json").get(options.task, {})
     if record.get("test_contacts") != options.test_contacts:
         return []
     return [row for row in record["rows"] if row["version"] == version("tactip-twin")]
@@ -260,13 +257,9 @@ def _other_rows(options: LearningOptions) -> list[dict[str, Any]]:
 
 def _write(options: LearningOptions, record: dict[str, Any]) -> None:
     """Put the results of a task into learning.json, and write page and figure."""
-    options.out.mkdir(parents=True, exist_ok=True)
-    path = options.out / "learning.json"
-    whole = json.loads(path.read_text()) if path.exists() else {}
-    whole[options.task] = record
+    whole = read_results(options.out / "learning.json") | {options.task: record}
     whole = {task: whole[task] for task in PAPER if task in whole}
-    write_file(path, (json.dumps(whole, indent=1) + "\n").encode())
-    write_page("learning", tables(whole), options.out)
+    write_results("learning", whole, tables(whole), options.out)
     plot(whole, options.out / "learning.png")
 
 
@@ -281,17 +274,14 @@ def tables(whole: Mapping[str, Any]) -> dict[str, str]:
 
 def _networks(task: str, rows: Sequence[Mapping[str, Any]]) -> str:
     names, machines = list(PAPER[task]), dict.fromkeys(machine_text(row["machine"]) for row in rows)
-    lines = [
-        "| network | images | epochs | minutes | parameters | ms per image | " + " | ".join(names) + " |",
-        "|" + "---|" * (6 + len(names)),
-        "| *the paper, real sensor* | 2000 | | | | | " + " | ".join(f"{PAPER[task][n]:g}" for n in names) + " |",
-        "| *target* | | | | | 5 | " + " | ".join(f"{TARGETS[task][n]:g}" for n in names) + " |",
-    ]
+    head = ["network", "images", "epochs", "minutes", "parameters", "ms per image", *names]
+    lines = [["*the paper, real sensor*", 2000, "", "", "", "", *(f"{PAPER[task][n]:g}" for n in names)]]
+    lines += [["*target*", "", "", "", "", 5, *(f"{TARGETS[task][n]:g}" for n in names)]]
     for row in rows:
         cells = [f"`{row['name']}`: {row['what']}", row["images"], row["epochs"], f"{row['seconds'] / 60:.0f}"]
-        cells += [row["parameters"], f"{row['latency_ms']:.2f}", *(f"{row['mae']['sheared'][n]:.3f}" for n in names)]
-        lines.append("| " + " | ".join(map(str, cells)) + " |")
-    return "\n".join([*lines, "", *(f"Machine: {text}." for text in machines)])
+        cells += [row["parameters"], f"{row['latency_ms']:.2f}"]
+        lines.append([*cells, *(f"{row['mae']['sheared'][n]:.3f}" for n in names)])
+    return "\n".join([table(head, lines), "", *(f"Machine: {text}." for text in machines)])
 
 
 def _cross_test(task: str, rows: Sequence[Mapping[str, Any]], trained: Sequence[str], tested: Sequence[str]) -> str:
@@ -299,12 +289,16 @@ def _cross_test(task: str, rows: Sequence[Mapping[str, Any]], trained: Sequence[
     names, by_name = list(PAPER[task]), {row["name"]: row for row in rows}
     if not all(name in by_name and set(tested) <= set(by_name[name]["mae"]) for name in trained):
         return ""
-    lines = ["| trained on | tested on | " + " | ".join(names) + " |", "|" + "---|" * (2 + len(names))]
-    for name, kind in zip(trained, tested, strict=True):
-        for test in tested:
-            cells = " | ".join(f"{by_name[name]['mae'][test][n]:.3f}" for n in names)
-            lines.append(f"| {task} contacts, {_KINDS[kind]} (`{name}`) | {_KINDS[test]} | {cells} |")
-    return "\n".join(lines)
+    cells = [
+        [
+            f"{task} contacts, {_KINDS[kind]} (`{name}`)",
+            _KINDS[test],
+            *(f"{by_name[name]['mae'][test][n]:.3f}" for n in names),
+        ]
+        for name, kind in zip(trained, tested, strict=True)
+        for test in tested
+    ]
+    return table(["trained on", "tested on", *names], cells)
 
 
 def relative_error(row: Mapping[str, Any], task: str) -> float:

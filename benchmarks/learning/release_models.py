@@ -1,7 +1,7 @@
 """Release of networks of `tactip bench learning`: copied into assets/models, each with its evaluation and its card.
 
-`tactip bench release-models --task surface` releases one network. With --again, the released network is evaluated again, on
-test contacts of the tip as it is fitted now.
+`tactip bench release-models --task surface` releases one network. With
+--evaluate-only, the released network is evaluated again on test contacts of the current tip, and keeps its weights.
 """
 
 import json
@@ -55,9 +55,9 @@ def release_model(options: ReleaseModelsOptions, log: Callable[[str], None] = pr
     size = (source / WEIGHTS).stat().st_size if (source / WEIGHTS).exists() else 0
     model = load_model(source)
     if size >= MAX_BYTES:
-        raise TactipError(f"the weights in {source} have {size} bytes: a network is shipped with fewer than {MAX_BYTES}")
+        raise TactipError(f"the weights in {source} have {size} bytes: a shipped network must have fewer than {MAX_BYTES}")
     if not model.provenance["outcome"]["finished"]:
-        raise TactipError(f"the training in {source} is unfinished: let it come to its end before it is shipped")
+        raise TactipError(f"the training in {source} is unfinished: rerun it to the end before shipping the network")
     where = options.data / ("curved" if _is_curved(model) else "plain") / options.task / "test"
     if options.evaluate_only:
         sets = jobs(LearningOptions(task=options.task, data=options.data, test_contacts=options.test_contacts), ())

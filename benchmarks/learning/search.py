@@ -5,7 +5,6 @@ figure per task. After an interruption it resumes; a larger number of trials add
 """
 
 import dataclasses
-import json
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
@@ -14,7 +13,7 @@ from typing import Any
 from tactip_twin.benchmarks.hardware import machine, machine_text
 from tactip_twin.benchmarks.learning import learning
 from tactip_twin.benchmarks.options import LearningOptions, SearchOptions
-from tactip_twin.benchmarks.report import write_page
+from tactip_twin.benchmarks.report import read_results, table, write_results
 from tactip_twin.learning.checkpoint import with_new_defaults
 from tactip_twin.learning.configuration import SearchSpace, TrainSettings, TuneSettings
 from tactip_twin.learning.tune import tune
@@ -22,7 +21,6 @@ from tactip_twin.learning.tune_figure import PARAMETERS, plot_search
 from tactip_twin.sim.dataset.generate import Job, make
 from tactip_twin.sim.parallel.worker_pool import worker_count
 from tactip_twin.tactip_model.errors import lookup
-from tactip_twin.tactip_model.files import write_file
 
 LAPTOP = TuneSettings(
     trials=60,
@@ -61,13 +59,9 @@ def run(options: SearchOptions, log: Callable[[str], None] = print) -> dict[str,
         "machine": machine(),
         "trials": [{k: r.get(k) for k in ("trial", "status", "loss", "network", "why")} for r in results],
     }
-    options.out.mkdir(parents=True, exist_ok=True)
-    path = options.out / "search.json"
-    whole = json.loads(path.read_text()) if path.exists() else {}
-    whole[options.task] = record
+    whole = read_results(options.out / "search.json") | {options.task: record}
     whole = {task: whole[task] for task in learning.PAPER if task in whole}
-    write_file(path, (json.dumps(whole, indent=1) + "\n").encode())
-    write_page("search", tables(whole), options.out)
+    write_results("search", whole, tables(whole), options.out)
     plot_search(results, options.out / f"search_{options.task}.png", settings.random_trials)
     return record
 
@@ -79,18 +73,21 @@ def tables(whole: Mapping[str, Any]) -> dict[str, str]:
     for task, record in whole.items():
         ended = Counter(t["status"] for t in record["trials"])
         good = sorted((t for t in record["trials"] if t["status"] == "ok"), key=lambda t: t["loss"])
-        lines = ["| trial | loss | " + " | ".join(names) + " |", "|" + "---|" * (2 + len(names))]
-        for trial in good[:BEST]:
-            cells = (f"{v:.2g}" if isinstance(v, float) else str(v) for v in (trial["network"][name] for name in names))
-            lines.append(f"| {trial['trial']} | {trial['loss']:.4g} | " + " | ".join(cells) + " |")
-        lines += [
-            "",
+        rows = [
+            [
+                t["trial"],
+                f"{t['loss']:.4g}",
+                *(f"{v:.2g}" if isinstance(v, float) else v for v in map(t["network"].get, names)),
+            ]
+            for t in good[:BEST]
+        ]
+        made = (
             f"{len(record['trials'])} trials ({', '.join(f'{n} {status}' for status, n in sorted(ended.items()))}); "
             f"{record['contacts']} contacts for training, {record['val_contacts']} for validation. Machine: "
             f"{machine_text(record['machine'])}. Differences from the paper: "
-            f"{', '.join(differences(record['settings'])) or 'none'}.",
-        ]
-        out[task] = "\n".join(lines)
+            f"{', '.join(differences(record['settings'])) or 'none'}."
+        )
+        out[task] = f"{table(['trial', 'loss', *names], rows)}\n\n{made}"
     return out
 
 

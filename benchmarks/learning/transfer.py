@@ -4,21 +4,18 @@
 docs/transfer.md, transfer.json and a figure of each gap. It takes some hours per set. After an interruption it resumes.
 """
 
-import json
 import shutil
 from collections.abc import Callable, Mapping
 from importlib.metadata import version
 from typing import Any
 
-from tactip_twin.benchmarks import report
 from tactip_twin.benchmarks.hardware import machine, machine_text
 from tactip_twin.benchmarks.options import TransferOptions
-from tactip_twin.benchmarks.report import table
+from tactip_twin.benchmarks.report import read_results, table, write_results
 from tactip_twin.sim2real.transfer.experiments import EXPERIMENTS, Experiment
 from tactip_twin.sim2real.transfer.page import sections, write_page
 from tactip_twin.sim2real.transfer.settings import GAP
 from tactip_twin.tactip_model.errors import TactipError, lookup
-from tactip_twin.tactip_model.files import write_file
 
 MAX_MM, MAX_DEG = 0.3, 2.0
 """Target errors of simulation-trained networks: of depth without its offset, and of each tilt that varies."""
@@ -36,8 +33,7 @@ def run(options: TransferOptions, log: Callable[[str], None] = print) -> dict[st
     if not options.real:
         raise TactipError("--real must name one or more folders of imported sets")
     names = [lookup("experiment", name, dict(zip(EXPERIMENTS, EXPERIMENTS, strict=True))) for name in options.experiments]
-    path = options.out / "transfer.json"
-    whole = json.loads(path.read_text()) if path.exists() else {}
+    whole = read_results(options.out / "transfer.json")
     options.out.mkdir(parents=True, exist_ok=True)
     for real in options.real:
         experiment = Experiment(real, options.runs / real.name, options.settings, options.workers, log=log)
@@ -49,8 +45,7 @@ def run(options: TransferOptions, log: Callable[[str], None] = print) -> dict[st
                 shutil.copyfile(experiment.out / GAP, options.out / gap_figure(real.name))
             state = {"task": experiment.task, "version": version("tactip-twin"), "machine": machine()}
             whole[real.name] = {**state, **record}
-            write_file(path, (json.dumps(whole, indent=1) + "\n").encode())
-            report.write_page("transfer", tables(whole), options.out)
+            write_results("transfer", whole, tables(whole), options.out)
     return whole
 
 

@@ -5,7 +5,6 @@ CalculiX. The vertices that touch the plate are fixed at the simulator's height;
 the surface, mm, and the force. Writes docs/fem_cross_check.md and docs/fem_cross_check.json.
 """
 
-import json
 import shutil
 import subprocess
 import tempfile
@@ -19,12 +18,11 @@ import numpy as np
 from tactip_twin.benchmarks.options import FemCrossCheckOptions
 from tactip_twin.benchmarks.physics.fem_tetrahedra import Solid, lame
 from tactip_twin.benchmarks.physics.materials import Specimen, gel
-from tactip_twin.benchmarks.report import table, write_page
+from tactip_twin.benchmarks.report import table, write_results
 from tactip_twin.sim.contact.fidelity import FIDELITIES
 from tactip_twin.sim.contact.simulator import ContactSimulator
 from tactip_twin.sim.labels import FidelityName
 from tactip_twin.sim.pose import from_mm_deg
-from tactip_twin.tactip_model.files import write_file
 from tactip_twin.tactip_model.mesh import Mesh
 from tactip_twin.tactip_model.presets import design_named
 from tactip_twin.tactip_model.soft_body import gel_attributes
@@ -180,9 +178,7 @@ def run(options: FemCrossCheckOptions, log: Callable[[str], None] = print) -> di
             with tempfile.TemporaryDirectory() as folder:
                 rows += compare_codes(depth, law, Path(folder))
     result = {"rows": rows}
-    options.out.mkdir(parents=True, exist_ok=True)
-    write_file(options.out / "fem_cross_check.json", (json.dumps(result, indent=1) + "\n").encode())
-    write_page("fem_cross_check", tables(result), options.out)
+    write_results("fem_cross_check", result, tables(result), options.out)
     return result
 
 

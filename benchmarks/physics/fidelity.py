@@ -6,7 +6,6 @@ and the change of the label that they are worth; costs are CPU times relative to
 interrupted measurement resumes. Writes docs/fidelity.json, .md and .png.
 """
 
-import json
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -25,12 +24,11 @@ from tactip_twin.benchmarks.physics.contact_cases import CASES, CONVERGING, Case
 from tactip_twin.benchmarks.physics.fidelity_page import plot, tables
 from tactip_twin.benchmarks.physics.parameter_sweeps import refined_meshes, refined_steps, small_steps, sweeps
 from tactip_twin.benchmarks.physics.pose_sensitivity import ImagePins, PoseSensitivity, moved_about
-from tactip_twin.benchmarks.report import write_page
+from tactip_twin.benchmarks.report import write_results
 from tactip_twin.sim.contact.fidelity import FIDELITIES, finer
 from tactip_twin.sim.labels import TASKS, FidelityName
 from tactip_twin.tactip_model.design import TactileImage
 from tactip_twin.tactip_model.errors import TactipError
-from tactip_twin.tactip_model.files import write_file
 from tactip_twin.tactip_model.pin_detection import find_blobs
 from tactip_twin.tactip_model.presets import design_named
 from tactip_twin.tactip_model.pyrender_renderer import PinCamera
@@ -276,26 +274,17 @@ def run(options: FidelityOptions) -> dict[str, Any]:
 
     After Ctrl-C the contacts simulated so far are kept. Raises TactipError and OSError.
     """
-    known, cache = options.out / "fidelity.json", None
-    if options.redraw:
-        if not known.exists():
-            raise TactipError(f"{known} does not exist: measure without --redraw first")
-        result = json.loads(known.read_text())
-    else:
-        if not 1 <= options.sweep_contacts <= options.contacts:
-            allowed = f"between 1 and --contacts, {options.contacts}"
-            raise TactipError(f"--sweep-contacts must be {allowed}, got {options.sweep_contacts}")
-        wanted = jobs(options)
-        with tqdm(total=len(wanted), unit="contact", file=sys.stderr, smoothing=0.05) as bar:
-            cache = ContactCache(options.cache, bar.set_postfix_str)
-            for case, variant in wanted:
-                cache(case, variant)
-                bar.update()
-        result = Measurement(options, cache).result()
-        options.out.mkdir(parents=True, exist_ok=True)
-        write_file(known, (json.dumps(result, indent=1) + "\n").encode())
+    if not 1 <= options.sweep_contacts <= options.contacts:
+        allowed = f"between 1 and --contacts, {options.contacts}"
+        raise TactipError(f"--sweep-contacts must be {allowed}, got {options.sweep_contacts}")
+    wanted = jobs(options)
+    with tqdm(total=len(wanted), unit="contact", file=sys.stderr, smoothing=0.05) as bar:
+        cache = ContactCache(options.cache, bar.set_postfix_str)
+        for case, variant in wanted:
+            cache(case, variant)
+            bar.update()
+    result = Measurement(options, cache).result()
+    write_results("fidelity", result, tables(result), options.out)
     plot(result, options.out / "fidelity.png")
-    write_page("fidelity", tables(result), options.out)
-    if cache:
-        cache.forget()
+    cache.forget()
     return result

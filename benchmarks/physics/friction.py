@@ -5,7 +5,6 @@ reached in different orders, loading and unloading, and work over closed cycles,
 docs/friction.md, docs/friction.json and docs/friction.png.
 """
 
-import json
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -14,13 +13,12 @@ from typing import Any
 import numpy as np
 
 from tactip_twin.benchmarks.options import FrictionOptions
-from tactip_twin.benchmarks.report import table, write_page
+from tactip_twin.benchmarks.report import table, write_results
 from tactip_twin.sim.contact.fidelity import FIDELITIES, Fidelity
 from tactip_twin.sim.contact.record import Contact
 from tactip_twin.sim.contact.simulator import ContactSimulator, motion_fractions
 from tactip_twin.sim.pose import from_mm_deg, path
 from tactip_twin.sim.view.plot import COLORS, figure_of, save_figure
-from tactip_twin.tactip_model.files import write_file
 from tactip_twin.tactip_model.presets import design_named
 
 DEPTHS_MM = (2.0, 3.0, 4.0)
@@ -251,8 +249,7 @@ def run(options: FrictionOptions) -> dict[str, Any]:
     plot(result, options.out / "friction.png")
     for row in result["slides"]:
         del row["trace"]
-    write_file(options.out / "friction.json", (json.dumps(result, indent=1) + "\n").encode())
-    write_page("friction", tables(result), options.out)
+    write_results("friction", result, tables(result), options.out)
     return result
 
 

@@ -5,7 +5,6 @@ in tension and compression; for the skin a strip, plates and the tip's own dome.
 docs/materials.json.
 """
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import permutations
@@ -18,10 +17,9 @@ from scipy.spatial import Delaunay
 
 from tactip_twin.benchmarks.options import MaterialsOptions
 from tactip_twin.benchmarks.physics.fem_tetrahedra import lame
-from tactip_twin.benchmarks.report import table, write_page
+from tactip_twin.benchmarks.report import table, write_results
 from tactip_twin.sim.contact.fidelity import FIDELITIES
 from tactip_twin.tactip_model.design import Materials, TipGeometry
-from tactip_twin.tactip_model.files import write_file
 from tactip_twin.tactip_model.mesh import GOLDEN_ANGLE, Resolution, build_mesh
 from tactip_twin.tactip_model.soft_body import STABLE_NEO_HOOKEAN, gel_attributes, skin_attributes
 
@@ -427,9 +425,7 @@ def measure() -> dict[str, Any]:
 def run(options: MaterialsOptions) -> dict[str, Any]:
     """Measure, write materials.json and materials.md, and return the results."""
     result = measure()
-    options.out.mkdir(parents=True, exist_ok=True)
-    write_file(options.out / "materials.json", (json.dumps(result, indent=1) + "\n").encode())
-    write_page("materials", tables(result), options.out)
+    write_results("materials", result, tables(result), options.out)
     return result
 
 

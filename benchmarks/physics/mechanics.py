@@ -15,14 +15,13 @@ import numpy as np
 
 from tactip_twin.benchmarks.options import MechanicsOptions
 from tactip_twin.benchmarks.physics.fem_axisymmetric import Dome, Layer
-from tactip_twin.benchmarks.report import table, write_page
+from tactip_twin.benchmarks.report import table, write_results
 from tactip_twin.sim.contact.fidelity import FIDELITIES, Fidelity
 from tactip_twin.sim.contact.record import Contact
 from tactip_twin.sim.contact.scene import Scene
 from tactip_twin.sim.contact.simulator import ContactSimulator
 from tactip_twin.sim.pose import from_mm_deg
 from tactip_twin.tactip_model.design import Design
-from tactip_twin.tactip_model.files import write_file
 from tactip_twin.tactip_model.mesh import CONTACT_RADIUS_M, tetrahedron_volumes
 from tactip_twin.tactip_model.presets import design_named
 
@@ -209,9 +208,7 @@ def run(options: MechanicsOptions, log: Callable[[str], None] = print) -> dict[s
         "bending": bending(expected["sensor"], log),
         "ripple": ripple(),
     }
-    options.out.mkdir(parents=True, exist_ok=True)
-    write_file(options.out / "mechanics.json", (json.dumps(result, indent=1) + "\n").encode())
-    write_page("mechanics", tables(result), options.out)
+    write_results("mechanics", result, tables(result), options.out)
     return result
 
 

@@ -5,7 +5,6 @@ flexes, signed distances, and contact proxies that follow the skin. It takes som
 .json.
 """
 
-import json
 import time
 from collections.abc import Callable, Sequence
 from typing import Any, Literal
@@ -17,7 +16,7 @@ import trimesh
 from tactip_twin.assets.meshes.rims import block
 from tactip_twin.benchmarks.hardware import machine, machine_text
 from tactip_twin.benchmarks.options import MeshContactOptions
-from tactip_twin.benchmarks.report import table, write_page
+from tactip_twin.benchmarks.report import table, write_results
 from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.contact.record import Contact
 from tactip_twin.sim.contact.signed_distance import SignedDistanceMesh
@@ -26,7 +25,6 @@ from tactip_twin.sim.contact.solid_stimulus import SolidStimulus
 from tactip_twin.sim.contact.stimuli import EDGE_RADIUS_M, SPHERE_RADIUS_M, ContactAttributes, Stimulus, stimulus_named
 from tactip_twin.sim.pose import from_mm_deg
 from tactip_twin.tactip_model.errors import TactipError
-from tactip_twin.tactip_model.files import write_file
 from tactip_twin.tactip_model.presets import load_design
 from tactip_twin.tactip_model.soft_body import TOUCHES_FACETS, TOUCHES_VERTICES
 
@@ -197,7 +195,5 @@ def tables(record: dict[str, Any]) -> dict[str, str]:
 def run(options: MeshContactOptions, log: Callable[[str], None] = print) -> dict[str, Any]:
     """Measure, write mesh_contact.json and mesh_contact.md, and return the results. Progress goes to `log`."""
     record = measure(log)
-    options.out.mkdir(parents=True, exist_ok=True)
-    write_file(options.out / "mesh_contact.json", (json.dumps(record, indent=1) + "\n").encode())
-    write_page("mesh_contact", tables(record), options.out)
+    write_results("mesh_contact", record, tables(record), options.out)
     return record

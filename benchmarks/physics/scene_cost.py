@@ -5,11 +5,10 @@ time that this saves, and its effect on the pins. Also measures the time of a co
 a sample besides its contact. Writes docs/scene_cost.md and docs/scene_cost.json.
 """
 
-import json
 import sys
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Any, TypeVar
 from unittest import mock
@@ -23,18 +22,13 @@ from tactip_twin.benchmarks.hardware import machine, machine_text
 from tactip_twin.benchmarks.options import SceneCostOptions
 from tactip_twin.benchmarks.physics.contact_cache import DESIGN, STANDARD, UncorrectedSimulator, timed
 from tactip_twin.benchmarks.physics.contact_cases import Case, training
-from tactip_twin.benchmarks.report import table, write_page
+from tactip_twin.benchmarks.report import table, write_results
 from tactip_twin.sim.contact.record import Contact
 from tactip_twin.sim.contact.simulator import ContactSimulator
-from tactip_twin.sim.dataset.format import encode_image
 from tactip_twin.sim.labels import TASKS
 from tactip_twin.tactip_model import soft_body as body
-from tactip_twin.tactip_model.files import write_file
 from tactip_twin.tactip_model.presets import design_named
-from tactip_twin.tactip_model.pyrender_renderer import PinCamera
-from tactip_twin.tactip_model.raster_renderer import Raster
 from tactip_twin.tactip_model.soft_body import TOUCHES_VERTICES, skin_attributes
-from tactip_twin.tactip_model.tactile_image import tactile_image
 
 T = TypeVar("T")
 
@@ -194,77 +188,22 @@ def time_fractions(task: str, count: int) -> dict[str, float]:
     return fractions | {"other (path, step control, Python)": 1 - sum(fractions.values())}
 
 
-def position_stage(task: str) -> dict[str, float]:
-    """Return the parts of mj_fwdPosition, CPU ms per call, in the state of the task's first contact.
-
-    With explicit steps MuJoCo leaves out only the matrix of the implicit step, so the difference is the matrix's.
-    """
-    simulator = _simulator(task)
-    simulator.simulate(*training(task, 1)[0].si())
-    model, data = simulator.scene.model, simulator.scene.data
-
-    def milliseconds(function: Callable[[mujoco.MjModel, mujoco.MjData], object]) -> float:
-        took = []
-        for _ in range(20):
-            start = time.process_time()
-            function(model, data)
-            took.append(1e3 * (time.process_time() - start))
-        return float(np.median(took))
-
-    whole = milliseconds(mujoco.mj_fwdPosition)
-    collisions, rows = milliseconds(mujoco.mj_collision), milliseconds(mujoco.mj_makeConstraint)
-    model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
-    explicit = milliseconds(mujoco.mj_fwdPosition)
-    return {
-        "stiffness matrices of gel and skin": whole - explicit,
-        "collisions": collisions,
-        "contact rows": rows,
-        "vertices and other": explicit - collisions - rows,
-    }
-
-
-def sample_costs(task: str, count: int) -> dict[str, float]:
-    """Return the median CPU times of a sample, ms: of its contact, and of everything besides it."""
-    design, simulator = design_named(DESIGN), _simulator(task)
-    renderers = {"image by pyrender": PinCamera(design), "image by raster": Raster(design)}
-    out: dict[str, list[float]] = {"contact": []}
-
-    def measured(what: str, function: Callable[[], T]) -> T:
-        start = time.process_time()
-        result = function()
-        out.setdefault(what, []).append(1e3 * (time.process_time() - start))
-        return result
-
-    for case in training(task, count):
-        contact = measured("contact", lambda case=case: simulator.simulate(*case.si()))
-        frames = [measured(what, lambda r=r, c=contact: r.render(c.pin_tips, c.directions)) for what, r in renderers.items()]
-        image = measured("binary image", lambda f=frames[-1]: tactile_image(f, design.image))
-        measured("PNG", lambda i=image: encode_image(i))
-    return {what: float(np.median(ms[1:])) for what, ms in out.items()}  # the first of each warms up
-
-
 def run(options: SceneCostOptions) -> dict[str, Any]:
     """Measure, write scene_cost.json and scene_cost.md, and return the results. Raises TactipError and OSError."""
-    with tqdm(total=len(TASKS) * (len(PARTS) + 2) + 1, unit="part", file=sys.stderr) as bar:
+    with tqdm(total=len(TASKS) * (len(PARTS) + 1) + 1, unit="part", file=sys.stderr) as bar:
         result = {
             "contacts_per_task": options.contacts,
             "machine": machine(),
             "parts": [],
             "split": {},
-            "stage": {},
-            "beside": {},
         }
         for task in TASKS:
             result["parts"] += parts(task, options.contacts, bar.update)
             result["split"][task] = time_fractions(task, options.contacts)
-            result["stage"][task] = position_stage(task)
-            result["beside"][task] = sample_costs(task, options.contacts)
-            bar.update(2)
+            bar.update()
         result["edge"] = edge_against_plane(options.contacts)
         bar.update()
-    options.out.mkdir(parents=True, exist_ok=True)
-    write_file(options.out / "scene_cost.json", (json.dumps(result, indent=1) + "\n").encode())
-    write_page("scene_cost", tables(result), options.out)
+    write_results("scene_cost", result, tables(result), options.out)
     return result
 
 
@@ -279,6 +218,9 @@ def tables(result: dict[str, Any]) -> dict[str, str]:
     state = (
         f"Machine: {machine_text(result['machine'])}. Settings: first {result['contacts_per_task']} contacts of each task."
     )
+    split = result["split"]
+    largest_first = sorted(split["surface"], key=lambda part: split["surface"][part], reverse=True)
+    times = [[part, *(f"{100 * split[t].get(part, 0.0):.1f} %" for t in TASKS)] for part in largest_first]
     block = [
         ["away from the edge", f"{edge['on_top']:.2f}", f"{edge['on_top_pins_mm']:.4f}"],
         ["at the edge", f"{edge['at_its_edge']:.2f}", ""],
@@ -286,13 +228,5 @@ def tables(result: dict[str, Any]) -> dict[str, str]:
     return {
         "parts": table(head, rows) + "\n\n" + state,
         "block": table(["contacts on the edge's block", "cost relative to the flat surface", "change of pins, mm"], block),
-        "time": _by_task(result["split"], "part of a contact", lambda fraction: f"{100 * fraction:.1f} %"),
-        "stage": _by_task(result["stage"], "part of the first row, ms per step", lambda ms: f"{ms:.2f}"),
-        "sample": _by_task(result["beside"], "part of a sample, ms", lambda ms: f"{ms:.1f}"),
+        "time": table(["part of a contact", *TASKS], times),
     }
-
-
-def _by_task(values: Mapping[str, Mapping[str, float]], what: str, text: Callable[[float], str]) -> str:
-    """Return a table of values by part and task, the largest first."""
-    names = sorted(values["surface"], key=lambda name: values["surface"][name], reverse=True)
-    return table([what, *TASKS], [[name, *(text(values[t].get(name, 0.0)) for t in TASKS)] for name in names])

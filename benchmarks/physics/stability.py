@@ -18,7 +18,7 @@ import numpy as np
 from tactip_twin.benchmarks.hardware import machine, machine_text
 from tactip_twin.benchmarks.options import StabilityOptions
 from tactip_twin.benchmarks.physics.stability_map import Cell, cells
-from tactip_twin.benchmarks.report import table, write_page
+from tactip_twin.benchmarks.report import table, write_results
 from tactip_twin.sim.contact.fidelity import Fidelity, fidelity_named, finer
 from tactip_twin.sim.contact.record import Contact, QualityLimits
 from tactip_twin.sim.contact.simulator import UNCONFIRMED, ContactSimulator, RetryingSimulator
@@ -188,18 +188,14 @@ def run(options: StabilityOptions, log: Callable[[str], None] = print) -> dict[s
     todo = [i for i, cell in enumerate(chosen) if _done(folder, i, cell) is None]
     start = time.perf_counter()
 
-    def report(*_: object) -> None:
-        """Write the JSON so far at every fiftieth cell."""
-        records = [r for i, cell in enumerate(chosen) if (r := _done(folder, i, cell))]
-        if len(records) % 50 == 0:
-            _write_json(out, records, len(chosen), fidelity)
-
     if todo:
-        WorkerPool(_Judge, (str(folder), fidelity, quick), todo, "cell", log).work(min(workers, len(todo)), report)
+        WorkerPool(_Judge, (str(folder), fidelity, quick), todo, "cell", log).work(
+            min(workers, len(todo)), lambda *done: None
+        )
     records = [r for i, cell in enumerate(chosen) if (r := _done(folder, i, cell))]
-    result = _write_json(out, records, len(chosen), fidelity)
+    result = _result(records, len(chosen), fidelity)
+    write_results("stability", result, tables(result), out)
     plot(result, out / "stability.png")
-    write_page("stability", tables(result), out)
     for path in folder.iterdir():
         path.unlink()
     folder.rmdir()
@@ -207,9 +203,9 @@ def run(options: StabilityOptions, log: Callable[[str], None] = print) -> dict[s
     return result
 
 
-def _write_json(out: Path, records: list[dict[str, Any]], count: int, fidelity: Fidelity) -> dict[str, Any]:
-    """Write stability.json, and return its content."""
-    result = {
+def _result(records: list[dict[str, Any]], count: int, fidelity: Fidelity) -> dict[str, Any]:
+    """Return the content of stability.json."""
+    return {
         "design": DESIGN,
         "fidelity": fidelity.name,
         "cells": count,
@@ -218,8 +214,6 @@ def _write_json(out: Path, records: list[dict[str, Any]], count: int, fidelity: 
         "counts": _counts(records),
         "map": records,
     }
-    write_file(out / "stability.json", (json.dumps(result, indent=1) + "\n").encode())
-    return result
 
 
 def _counts(records: Iterable[dict[str, Any]]) -> dict[str, int]:

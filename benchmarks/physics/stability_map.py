@@ -41,7 +41,7 @@ class Cell:
 
 def cells() -> list[Cell]:
     """Return the map."""
-    return [*_materials(), *_numerics(), *_contacts(), *_objects(), *_beyond()]
+    return [*_materials(), *_numerics(), *_contacts(), *_objects()]
 
 
 def _materials() -> Iterator[Cell]:
@@ -138,30 +138,3 @@ def _objects() -> Iterator[Cell]:
             yield Cell(panel, name, f"{depth:g}", stimulus=name, depth_mm=depth, approach=False)
         for variant, changes in variants.items():
             yield replace(Cell("stimulus | at 3 mm, with", name, variant, stimulus=name, slide_mm=3), **changes)
-
-
-def _beyond() -> Iterator[Cell]:
-    """Yield cells that are out of bounds."""
-    panel = "beyond bounds"
-    for name, low, high in (
-        ("gel_young_pa", 999.0, 1.1e6),
-        ("skin_young_pa", -1.0, 1.1e8),
-        ("gel_poisson", -0.01, 0.5),
-        ("skin_poisson", -0.01, 0.5),
-        ("friction", -0.1, 2.1),
-        ("density_kg_m3", 100.0, 11000.0),
-        ("damping_s", 0.0, float("inf")),
-    ):
-        for column, value in (("below", low), ("above", high)):
-            yield Cell(panel, name, column, materials={name: value})
-    yield Cell(panel, "step_s", "below", motion={"step_s": 1e-5})
-    yield Cell(panel, "step_s", "above", motion={"step_s": 21e-3})
-    yield Cell(panel, "press_step_m", "above", motion={"press_step_m": 0.6 * _STANDARD.step_s})
-    yield Cell(panel, "shear_step_m", "above", motion={"shear_step_m": 0.16 * _STANDARD.step_s})
-    yield Cell(panel, "iterations", "below", solver={"iterations": 30})
-    yield Cell(panel, "tolerance", "above", solver={"tolerance": 1e-4})
-    yield Cell(panel, "depth", "above", depth_mm=8.1)
-    yield Cell(panel, "slide", "above", slide_mm=20.1)
-    yield Cell(panel, "tilt", "above", tilt_deg=31)
-    yield Cell(panel, "radius_m", "below", shape={"radius_m": 9e-3})
-    yield Cell(panel, "radius_m", "above", shape={"radius_m": 41e-3})

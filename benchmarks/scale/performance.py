@@ -16,11 +16,9 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from tactip_twin.benchmarks.hardware import machine, machine_text
 from tactip_twin.benchmarks.options import PerformanceOptions
-from tactip_twin.benchmarks.report import write_page
+from tactip_twin.benchmarks.report import read_results, table, write_results
 from tactip_twin.benchmarks.scale import mujoco_warp as gpu_engine
 from tactip_twin.benchmarks.scale import shared_cores
 from tactip_twin.sim.contact.fidelity import fidelity_named
@@ -31,7 +29,6 @@ from tactip_twin.sim.dataset.symmetry import SYMMETRIES
 from tactip_twin.sim.labels import Task
 from tactip_twin.tactip_model.bounds import require
 from tactip_twin.tactip_model.errors import TactipError, lookup
-from tactip_twin.tactip_model.files import write_file
 from tactip_twin.tactip_model.presets import load_design
 from tactip_twin.tactip_model.renderer import RendererName
 
@@ -45,7 +42,13 @@ _REPEATS = 5
 """Repetitions of short measurements, of which the median is taken."""
 
 _MIN_STEPS = 4
-"""Minimum number of steps of a servo run. A slide over an object has one step for this many."""
+"""Minimum number of steps of a servo run."""
+
+PLAIN: dict[str, Any] = {
+    "task": "surface", "fidelity": "standard", "renderer": "raster", "augment_symmetry": False, "design": "tactip-127",
+}  # fmt: skip
+QUICK = PLAIN | {"fidelity": "draft", "augment_symmetry": True}
+"""Options of made_set: a data set as usual, and one that is made quickly."""
 
 _TRIES = 3
 """Maximum number of measurements of a rate, where the result is impossible."""
@@ -62,10 +65,8 @@ def run(options: PerformanceOptions, log: Callable[[str], None] = print) -> dict
     names = [lookup("group", name, dict(zip(GROUPS, GROUPS, strict=True))) for name in options.groups or GROUPS]
     for name, value, minimum in (("contacts", options.contacts, 1), ("steps", options.steps, _MIN_STEPS)):
         require(value >= minimum, f"--{name}", value, f"at least {minimum}")
-    path = options.out / "performance.json"
-    record: dict[str, Any] = json.loads(path.read_text()) if path.exists() else {"groups": {}}
+    record: dict[str, Any] = read_results(options.out / "performance.json") or {"groups": {}}
     groups = record["groups"]
-    options.out.mkdir(parents=True, exist_ok=True)
     for name in names:
         if name == "gpu-engine" and (lacking := gpu_engine.missing()):
             if name in options.groups:
@@ -75,8 +76,7 @@ def run(options: PerformanceOptions, log: Callable[[str], None] = print) -> dict
         log(f"{name}: {GROUPS[name][0]}")
         groups[name] = {"machine": machine(), "rows": GROUPS[name][1](options)}
         record = {"groups": {g: groups[g] for g in GROUPS if g in groups}}
-        write_file(path, (json.dumps(record, indent=1) + "\n").encode())
-        write_page("performance", tables(record), options.out)
+        write_results("performance", record, tables(record), options.out)
     return record
 
 
@@ -146,30 +146,23 @@ def _samples_per_contact(case: dict[str, Any]) -> int:
 
 def _samples(options: PerformanceOptions) -> list[dict[str, Any]]:
     """Return contacts and samples per second of whole sets: contact, image, record and file."""
-    plain: dict[str, Any] = {
-        "task": "surface",
-        "fidelity": "standard",
-        "renderer": "raster",
-        "augment_symmetry": False,
-        "design": "tactip-127",
-    }
     cores = int(machine()["cores"])
-    cases = [(plain, workers) for workers in sorted({1, cores})]
+    cases = [(PLAIN, workers) for workers in sorted({1, cores})]
     changes: tuple[dict[str, Any], ...] = (
         {"augment_symmetry": True},
         {"renderer": "pyrender"},
         {"fidelity": "draft"},
         {"fidelity": "reference"},
     )
-    cases += [(plain | change, cores) for change in (*changes, {"design": "nominal-331"}, {"task": "edge"})]
-    cases += [(plain | {"task": "edge", "augment_symmetry": True}, cores)]
-    cases += [(plain | {"task": task, "snapshots_per_contact": _SNAPSHOTS}, cores) for task in ("surface", "edge")]
+    cases += [(PLAIN | change, cores) for change in (*changes, {"design": "nominal-331"}, {"task": "edge"})]
+    cases += [(PLAIN | {"task": "edge", "augment_symmetry": True}, cores)]
+    cases += [(PLAIN | {"task": task, "snapshots_per_contact": _SNAPSHOTS}, cores) for task in ("surface", "edge")]
     rows = []
     for case, workers in cases:
         more = max(cores, options.contacts // case.get("snapshots_per_contact", 1))
         rate, once, peak = _rate(_FEW * workers, more, workers, **case)
         rows.append({
-            "what": _name(case, plain), "workers": workers, "contacts/s": rate,
+            "what": _name(case), "workers": workers, "contacts/s": rate,
             "samples/s": rate * _samples_per_contact(case), "fixed cost, s": once, "memory per worker, MiB": peak,
         })  # fmt: skip
     return rows
@@ -200,30 +193,10 @@ def _rate(few: int, more: int, workers: int, **case: Any) -> tuple[float, float,
     )
 
 
-def _growth(options: PerformanceOptions) -> list[dict[str, Any]]:
-    """Return times of sets of more and more contacts, and the cost of one contact more."""
-    case: dict[str, Any] = {
-        "task": "surface",
-        "fidelity": "draft",
-        "renderer": "raster",
-        "augment_symmetry": True,
-        "design": "tactip-127",
-    }
-    cores, rows = int(machine()["cores"]), []
-    for contacts in (options.contacts * 4**k for k in range(3)):
-        seconds, peak = set_seconds(contacts, cores, **case)
-        more = (seconds - rows[-1]["s"]) / (contacts - rows[-1]["contacts"]) if rows else None
-        rows.append({
-            "contacts": contacts, "samples": contacts * _samples_per_contact(case), "s": seconds,
-            "s per further contact": more, "memory per worker, MiB": peak,
-        })  # fmt: skip
-    return rows
-
-
-def _name(case: dict[str, Any], plain: dict[str, Any]) -> str:
+def _name(case: dict[str, Any]) -> str:
     """Return the description of a set in the table."""
     words = [case["task"], case["fidelity"], case["renderer"], case["design"]]
-    words += ["with symmetries"] * (case["augment_symmetry"] != plain["augment_symmetry"])
+    words += ["with symmetries"] * case["augment_symmetry"]
     return ", ".join(
         words + [f"{count} snapshots per contact" for count in [case.get("snapshots_per_contact", 1)] if count > 1]
     )
@@ -254,7 +227,7 @@ def _images(options: PerformanceOptions) -> list[dict[str, Any]]:
                 "tactile images/s": 1 / _median(lambda f=frame, d=design: tactile_image(f, d.image), 20),
             })  # fmt: skip
         with tempfile.TemporaryDirectory() as folder:
-            case = {"task": "surface", "fidelity": "draft", "renderer": "raster", "augment_symmetry": True, "design": name}
+            case: dict[str, Any] = QUICK | {"design": name}
             samples = read_samples(made_set(folder, _BATCH, 1, **case))
             chosen = torch.arange(len(samples))
             for varied in ("lens", "real"):
@@ -278,14 +251,7 @@ def _learning(options: PerformanceOptions) -> list[dict[str, Any]]:
 
     rows = []
     with tempfile.TemporaryDirectory() as folder:
-        case = {
-            "task": "surface",
-            "fidelity": "draft",
-            "renderer": "raster",
-            "augment_symmetry": True,
-            "design": "tactip-127",
-        }
-        samples = read_samples(made_set(folder, _BATCH, 1, **case))
+        samples = read_samples(made_set(folder, _BATCH, 1, **QUICK))
         for recipe in ("laptop", "paper"):
             its = recipe_named(recipe, "surface")
             settings = replace(its.settings, augmented_fraction=0.0)
@@ -326,59 +292,16 @@ def _servo(options: PerformanceOptions) -> list[dict[str, Any]]:
                     )  # fmt: skip
                     score = run_servo(run_options, log=lambda line: None)
                 what = f"{thing}, arm {arm}, {fidelity}"
-                rows.append({"what": what, "steps/s": score["steps_per_s"], **_split(score["ms_a_step"])})
-    return rows
-
-
-def _split(milliseconds: dict[str, float]) -> dict[str, float]:
-    return {f"ms, {name}": value for name, value in milliseconds.items()}
-
-
-def _faces(options: PerformanceOptions) -> list[dict[str, Any]]:
-    """Return the time of a step on an object by its number of triangles: a ball, pressed 3 mm deep and slid over."""
-    import trimesh
-
-    from tactip_twin.sim.contact.signed_distance import SignedDistanceMesh
-    from tactip_twin.sim.robot.arm_models import arm_model_named
-    from tactip_twin.sim.robot.mounted_tip import MountedTip
-
-    rows = []
-    for subdivisions in (3, 5, 7):
-        ball = trimesh.creation.icosphere(subdivisions=subdivisions, radius=0.04)
-        start = time.perf_counter()
-        solid = SignedDistanceMesh(np.asarray(ball.vertices), np.asarray(ball.faces))
-        built = time.perf_counter() - start
-        finger = MountedTip(
-            load_design("tactip-127"), solid, fidelity_named("standard"), arm_model_named("none"), np.eye(4)
-        )  # fmt: skip
-        facing = np.diag([1.0, -1, -1, 1])
-        pose = facing.copy()
-        pose[2, 3] = 0.05
-        finger.reset_to(pose)
-        pose = pose.copy()
-        pose[2, 3] = 0.037
-        finger.go(pose)
-        seconds = []
-        for k in range(options.steps // _MIN_STEPS):
-            turn = (k + 1) * 1e-3 / 0.04
-            c, s = np.cos(turn), np.sin(turn)
-            round_it = np.array([[c, 0, s, 0], [0, 1, 0, 0], [-s, 0, c, 0], [0, 0, 0, 1]])
-            start = time.perf_counter()
-            finger.go(round_it @ pose)
-            seconds.append(time.perf_counter() - start)
-        rows.append({
-            "triangles": len(ball.faces), "ms per mm of path": 1e3 * statistics.median(seconds), "build time, s": built,
-        })  # fmt: skip
+                parts = {f"ms, {part}": value for part, value in score["ms_a_step"].items()}
+                rows.append({"what": what, "steps/s": score["steps_per_s"], **parts})
     return rows
 
 
 GROUPS: dict[str, tuple[str, Callable[[PerformanceOptions], list[dict[str, Any]]]]] = {
     "samples": ("rates of data sets", _samples),
-    "growth": ("data sets of increasing size", _growth),
     "images": ("rates of rendering", _images),
     "learning": ("training and prediction", _learning),
     "servo": ("rates of servo steps", _servo),
-    "faces": ("objects with increasing numbers of triangles", _faces),
     "shared-cores": ("two jobs side by side", lambda options: shared_cores.rows()),
     "gpu-engine": ("MuJoCo Warp", lambda options: gpu_engine.rows()),
 }
@@ -394,9 +317,8 @@ def tables(record: dict[str, Any]) -> dict[str, str]:
             continue
         group = record["groups"][name]
         columns = list(dict.fromkeys(key for row in group["rows"] for key in row))
-        lines = ["| " + " | ".join(columns) + " |", "|" + "---|" * len(columns)]
-        lines += ["| " + " | ".join(_cell(row.get(key)) for key in columns) + " |" for row in group["rows"]]
-        out[name] = "\n".join([*lines, "", f"Machine: {machine_text(group['machine'])}."])
+        rows = table(columns, [[_cell(row.get(key)) for key in columns] for row in group["rows"]])
+        out[name] = f"{rows}\n\nMachine: {machine_text(group['machine'])}."
     return out
 
 

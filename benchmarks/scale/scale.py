@@ -4,7 +4,6 @@ They are the time of a contact on a core, the size of a sample on the disk, the 
 out a task, and a reader's time.
 """
 
-import json
 import tempfile
 import time
 from collections.abc import Callable
@@ -14,8 +13,8 @@ from typing import Any
 
 from tactip_twin.benchmarks.hardware import machine, machine_text
 from tactip_twin.benchmarks.options import ScaleOptions
-from tactip_twin.benchmarks.report import write_page
-from tactip_twin.benchmarks.scale.performance import made_set, set_seconds
+from tactip_twin.benchmarks.report import table, write_results
+from tactip_twin.benchmarks.scale.performance import PLAIN, made_set, set_seconds
 from tactip_twin.learning.data import read_samples
 from tactip_twin.sim.dataset.configuration import Configuration
 from tactip_twin.sim.dataset.format import PARTIAL, checksum, read_configuration, read_meta
@@ -26,7 +25,6 @@ from tactip_twin.sim.dataset.verify import verify
 from tactip_twin.sim.parallel.ray_pool import RayPool, joined
 from tactip_twin.sim.parallel.worker_pool import WorkerPool
 from tactip_twin.tactip_model.bounds import require
-from tactip_twin.tactip_model.files import write_file
 
 _MIN = {"contacts": 1, "warm_up_contacts": 1, "messages": 10}
 """Minimum of each option. The first tenth of the messages is left out, because workers start up then."""
@@ -40,7 +38,6 @@ def run(options: ScaleOptions, log: Callable[[str], None] = print) -> dict[str, 
     for name, minimum in _MIN.items():
         value = getattr(options, name)
         require(value >= minimum, f"--{name.replace('_', '-')}", value, f"at least {minimum}")
-    options.out.mkdir(parents=True, exist_ok=True)
     sizes = f"{options.contacts} contacts after {options.warm_up_contacts}, {options.messages} messages"
     settings = f"{sizes}, one worker, seed 0"
     record: dict[str, Any] = {"machine": machine(), "settings": settings, "tasks": {}, "dispatch": {}}
@@ -49,14 +46,13 @@ def run(options: ScaleOptions, log: Callable[[str], None] = print) -> dict[str, 
         record["tasks"][task] = _task(task, options)
     log("messages")
     record["dispatch"] = _dispatch(options)
-    write_file(options.out / "scale.json", (json.dumps(record, indent=1) + "\n").encode())
-    write_page("scale", tables(record), options.out)
+    write_results("scale", record, tables(record), options.out)
     return record
 
 
 def _task(task: str, options: ScaleOptions) -> dict[str, float]:
     """Return the rates and sizes of a set of a task."""
-    case = {"task": task, "fidelity": "standard", "renderer": "raster", "augment_symmetry": True, "design": "tactip-127"}
+    case = PLAIN | {"task": task, "augment_symmetry": True}
     few, _ = set_seconds(options.warm_up_contacts, 1, **case)
     many, peak = set_seconds(options.warm_up_contacts + options.contacts, 1, **case)
     with tempfile.TemporaryDirectory() as place:
@@ -133,20 +129,23 @@ def _rate(pool: Callable[[], WorkerPool], options: ScaleOptions) -> float:
 
 def tables(record: dict[str, Any]) -> dict[str, str]:
     """Return the tables of docs/scale.md from scale.json."""
-    lines = ["| measured | " + " | ".join(record["tasks"]) + " |", "|" + "---|" * (1 + len(record["tasks"]))]
-    for key, what, factor in (
-        ("contact_s", "time per contact with its samples, s of one core", 1),
-        ("worker_mib", "memory of a worker, MiB", 1),
-        ("samples_a_contact", "samples per contact", 1),
-        ("bytes_a_sample", "disk space per sample, kB", 1e-3),
-        ("image_bytes", "disk space of its image, kB", 1e-3),
-        ("close_s_a_sample", "closing of a shard by a worker, ms per sample", 1e3),
-        ("note_s_a_sample", "bookkeeping by the driver, ms per sample", 1e3),
-        ("verify_s_a_sample", "`tactip dataset verify`, ms per sample", 1e3),
-        ("read_s_a_sample", "reading of images and labels, ms per sample", 1e3),
-    ):
-        lines.append(f"| {what} | " + " | ".join(f"{factor * t[key]:.3g}" for t in record["tasks"].values()) + " |")
-    tasks = ["| worker pool | tasks per second |", "|---|---|"]
-    tasks += [f"| {name} | {rate:,.0f} |" for name, rate in record["dispatch"].items()]
+    rows = [
+        [what, *(f"{factor * t[key]:.3g}" for t in record["tasks"].values())]
+        for key, what, factor in (
+            ("contact_s", "time per contact with its samples, s of one core", 1),
+            ("worker_mib", "memory of a worker, MiB", 1),
+            ("samples_a_contact", "samples per contact", 1),
+            ("bytes_a_sample", "disk space per sample, kB", 1e-3),
+            ("image_bytes", "disk space of its image, kB", 1e-3),
+            ("close_s_a_sample", "closing of a shard by a worker, ms per sample", 1e3),
+            ("note_s_a_sample", "bookkeeping by the driver, ms per sample", 1e3),
+            ("verify_s_a_sample", "`tactip dataset verify`, ms per sample", 1e3),
+            ("read_s_a_sample", "reading of images and labels, ms per sample", 1e3),
+        )
+    ]
+    tasks = [[name, f"{rate:,.0f}"] for name, rate in record["dispatch"].items()]
     state = f"Machine: {machine_text(record['machine'])}. Settings: {record['settings']}."
-    return {"rates": "\n".join([*lines, "", state]), "dispatch": "\n".join(tasks)}
+    return {
+        "rates": f"{table(['measured', *record['tasks']], rows)}\n\n{state}",
+        "dispatch": table(["worker pool", "tasks per second"], tasks),
+    }

@@ -32,12 +32,11 @@ _WAITING = {
 
 def rows() -> list[dict[str, Any]]:
     """Return a row for each job and way to wait: its rate alone, and the lower of two rates side by side."""
-    from tactip_twin.benchmarks.scale.performance import made_set
+    from tactip_twin.benchmarks.scale.performance import QUICK, made_set
 
     found = []
     with tempfile.TemporaryDirectory() as folder:
-        case = {"task": "surface", "fidelity": "draft", "renderer": "raster", "augment_symmetry": True}
-        data = made_set(folder, 64, 2, **case, design="tactip-127")
+        data = made_set(folder, 64, 2, **QUICK)
         for job, unit in (("train", "images/s"), ("evaluate", "images/s"), ("servo", "steps/s")):
             for words, variables in _WAITING.items():
                 if job == "servo" and not words.endswith("here"):

@@ -20,7 +20,7 @@ import numpy as np
 
 from tactip_twin.benchmarks.hardware import machine, machine_text
 from tactip_twin.benchmarks.options import ServoBenchOptions
-from tactip_twin.benchmarks.report import table, write_page
+from tactip_twin.benchmarks.report import read_results, table, write_results
 from tactip_twin.benchmarks.servo.contact_patch import RADII_MM, contact_patch_normal
 from tactip_twin.control.options import RouteOptions, ServoOptions, Settings
 from tactip_twin.control.servo_run import SCORE, run_servo
@@ -177,12 +177,11 @@ def run(options: ServoBenchOptions, log: Callable[[str], None] = print) -> dict[
     if todo:
         pool = WorkerPool(_Runner, (str(options.runs), options), todo, "run", log, lambda run: f"run {run[1]!r} of {run[0]}")
         pool.work(workers, lambda *done: None)
-    path = options.out / "servo.json"
-    before = _before(path)
+    before = read_results(options.out / "servo.json") or {"groups": {}, "made": {}}
     rows = before["groups"] | {c.group: [_row(options.runs, one) for one in chosen if one.group == c.group] for c in chosen}
     rows = {g: rows[g] for g in GROUPS if g in rows}
     # A group whose runs all existed already keeps the description of how they were made.
-    new, now = {group for group, _ in todo}, _made(machine(), workers)
+    new, now = {group for group, _ in todo}, {"machine": machine(), "workers": workers}
     made = {g: now if g in new else before["made"].get(g, now) for g in rows}
     record = {"groups": rows, "made": made}
     deep = [case for case in chosen if case.name in _ON_THE_BUST and case.group == "robust"]
@@ -195,22 +194,10 @@ def run(options: ServoBenchOptions, log: Callable[[str], None] = print) -> dict[
         {task: _training_of(name) for task, name in names.items() if name} if "robust" in groups else before.get("others")
     )
     record |= {"others": others} if others else {}
-    options.out.mkdir(parents=True, exist_ok=True)
-    write_file(path, (json.dumps(record, indent=1) + "\n").encode())
-    write_page("servo", tables(record), options.out)
+    write_results("servo", record, tables(record), options.out)
     if "fidelity" in record["groups"]:
         plot(record["groups"]["fidelity"], options.out / "servo.png")
     return record
-
-
-def _before(path: Path) -> dict[str, Any]:
-    """Return the earlier results of servo.json, without groups if there are none."""
-    return json.loads(path.read_text()) if path.exists() else {"groups": {}, "made": {}}
-
-
-def _made(machine: dict[str, str], workers: int) -> dict[str, Any]:
-    """Return the description of how a group was made: the machine, and the number of runs at a time."""
-    return {"machine": machine, "workers": workers}
 
 
 def _training_of(name: str) -> str:
@@ -264,7 +251,7 @@ _ERRORS = {
 def tables(record: dict[str, Any]) -> dict[str, str]:
     """Return the tables of docs/servo.md from servo.json."""
     groups = record["groups"]
-    out = dict.fromkeys(("objects", "arm", "fidelity", "robust", "patches", "starts"), "Not measured.")
+    out: dict[str, str] = dict.fromkeys(("objects", "arm", "fidelity", "robust", "patches", "starts"), "Not measured.")
     for group in {"arm", "fidelity", "robust"} & set(groups):
         out[group] = _short_runs(groups[group], speed=group == "fidelity")
     if "objects" in groups:
@@ -292,17 +279,9 @@ def _objects(rows: Sequence[dict[str, Any]], oracles: Sequence[dict[str, Any]]) 
     with_true_pose = [("depth_mae_mm", "{:.2f}"), ("lateral_mae_mm", "{:.2f}"), ("angle_mean_deg", "{:.2f}")]
     columns = [*with_true_pose, ("angle_p95_deg", "{:.1f}")]
     columns += [("force_max_n", "{:.1f}"), ("steps", "{}"), ("steps_per_s", "{:.1f}")]
-    head = [
-        "object",
-        "depth, mm",
-        "lateral, mm",
-        "angle, °",
-        "angle, 95th percentile, °",
-        "max force, N",
-        "steps",
-        "steps/s",
-    ]
-    head += [f"true pose: {name}" for name in head[1:4]]
+    errors = ["depth, mm", "lateral, mm", "angle, °"]
+    head = ["object", *errors, "angle, 95th percentile, °", "max force, N", "steps", "steps/s"]
+    head += [f"true pose: {name}" for name in errors]
     cells = [
         [row["name"], *(_cell(row, *c) for c in columns), *(_cell(true_pose.get(row["name"]), *c) for c in with_true_pose)]
         for row in rows
@@ -312,19 +291,13 @@ def _objects(rows: Sequence[dict[str, Any]], oracles: Sequence[dict[str, Any]]) 
 
 def _short_runs(rows: Sequence[dict[str, Any]], speed: bool) -> str:
     """Return the table of runs over bust and rim, a row per setting, with or without their speed."""
-    runs = {tuple(row["name"].split(", ", 1)): row for row in rows}
+    runs = {row["name"]: row for row in rows}
     columns = [(name, title, key) for name, errors in _ERRORS.items() for title, key in errors.items()]
     columns += [(name, "steps/s", "steps_per_s") for name in _ERRORS if speed]
-    settings = dict.fromkeys(row["name"].partition(", ")[2] for row in rows)
+    forms = ["{:.1f}" if key == "steps_per_s" else "{:.2f}" for _, _, key in columns]
     cells = [
-        [
-            setting,
-            *(
-                _cell(runs.get((name, setting)), key, "{:.1f}" if key == "steps_per_s" else "{:.2f}")
-                for name, _, key in columns
-            ),
-        ]
-        for setting in settings
+        [what, *(_cell(runs.get(f"{c[0]}, {what}"), c[2], form) for c, form in zip(columns, forms, strict=True))]
+        for what in dict.fromkeys(row["name"].partition(", ")[2] for row in rows)
     ]
     return table(["setting", *(f"{name}: {title}" for name, title, _ in columns)], cells) + _notes(rows)
 

@@ -188,15 +188,12 @@ def test_interrupted_measurement_resumes_to_the_same_result(small, monkeypatch):
     second = fidelity.run(small)
     assert simulated == wanted[len(wanted) // 2 :]
     assert without_timings(first) == without_timings(second)
-    fidelity.run(replace(small, redraw=True))
     assert json.loads((small.out / "fidelity.json").read_text())["sweeps"]
     assert known["fidelity.png"][:4] == b"\x89PNG"
     assert fill(known["fidelity.md"].decode(), tables(first)) == known["fidelity.md"].decode()
 
 
-def test_redraw_without_results_is_refused(tmp_path):
-    with pytest.raises(TactipError, match="without --redraw"):
-        fidelity.run(FidelityOptions(out=tmp_path, redraw=True))
+def test_more_sweep_contacts_than_contacts_are_refused(tmp_path):
     with pytest.raises(TactipError, match="between 1 and"):
         fidelity.run(FidelityOptions(out=tmp_path, sweep_contacts=0))
 

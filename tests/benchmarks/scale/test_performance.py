@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import pytest
 
+from tactip_twin.benchmarks import report
 from tactip_twin.benchmarks.options import PerformanceOptions
 from tactip_twin.benchmarks.scale import performance as speed
 from tactip_twin.tactip_model.errors import TactipError
@@ -12,18 +13,18 @@ from tactip_twin.tactip_model.errors import TactipError
 
 def test_page_keeps_results_of_other_groups(tmp_path, monkeypatch):
     measured = {
-        "faces": ("Objects", lambda o: [{"triangles": 20, "ms": 1.234}]),
+        "images": ("Images", lambda o: [{"triangles": 20, "ms": 1.234}]),
         "servo": ("Servo", lambda o: [{"s": None}]),
     }
     monkeypatch.setattr(speed, "GROUPS", measured)
-    monkeypatch.setattr(speed, "write_page", lambda name, tables, out: None)
-    options = PerformanceOptions(("faces",), out=tmp_path)
+    monkeypatch.setattr(report, "fill", lambda page, tables: page)
+    options = PerformanceOptions(("images",), out=tmp_path)
     speed.run(options, log=lambda line: None)
     speed.run(replace(options, groups=("servo",)), log=lambda line: None)
-    page = speed.tables(json.loads((tmp_path / "performance.json").read_text()))["faces"]
+    page = speed.tables(json.loads((tmp_path / "performance.json").read_text()))["images"]
     assert "| triangles | ms |" in page and "| 20 | 1.23 |" in page
-    assert list(json.loads((tmp_path / "performance.json").read_text())["groups"]) == ["faces", "servo"]
-    with pytest.raises(TactipError, match="unknown group 'mesh': choose one of faces, servo"):
+    assert list(json.loads((tmp_path / "performance.json").read_text())["groups"]) == ["images", "servo"]
+    with pytest.raises(TactipError, match="unknown group 'mesh': choose one of images, servo"):
         speed.run(replace(options, groups=("mesh",)))
 
 
@@ -66,15 +67,7 @@ def test_busy_machine_is_reported(monkeypatch):
 )
 def test_too_few_are_refused(tmp_path, options, words):
     with pytest.raises(TactipError, match=words):
-        speed.run(PerformanceOptions(("faces",), out=tmp_path, **options))
-
-
-def test_sets_grow_by_fours(monkeypatch):
-    monkeypatch.setattr(speed, "set_seconds", lambda n, workers, **case: (3.0 + n / 2, 500))
-    rows = speed._growth(PerformanceOptions(contacts=10))
-    assert [row["contacts"] for row in rows] == [10, 40, 160]
-    assert [row["s"] for row in rows] == [8.0, 23.0, 83.0]
-    assert [row["s per further contact"] for row in rows][1:] == [0.5, 0.5]
+        speed.run(PerformanceOptions(("images",), out=tmp_path, **options))
 
 
 def test_median_excludes_first_call():
