@@ -57,7 +57,7 @@ def _materials() -> Iterator[Cell]:
     for skin in (0.0, 0.2, 0.45, 0.499):
         for gel in (0.0, 0.2, 0.4, 0.45, 0.47, 0.48, 0.49, 0.499):
             ratios = {"skin_poisson": skin, "gel_poisson": gel}
-            yield Cell("Poisson's ratio: skin | gel", f"{skin:g}", f"{gel:g}", slide_mm=2, materials=ratios)
+            yield Cell("skin Poisson's ratio | gel Poisson's ratio", f"{skin:g}", f"{gel:g}", slide_mm=2, materials=ratios)
     for density in (105.0, 350.0, 1050.0, 3500.0, 10500.0):
         for damping in (0.5e-3, 2e-3, 5e-3, 20e-3, 50e-3):
             changes = {"density_kg_m3": density, "damping_s": damping}
@@ -87,7 +87,9 @@ def _numerics() -> Iterator[Cell]:
     for iterations in (100, 200, 500, 1000):
         for tolerance in (1e-5, 1e-6, 1e-7, 1e-8):
             solver = {"iterations": iterations, "tolerance": tolerance, "settle_tolerance": tolerance / 100}
-            yield Cell("iterations | tolerance", f"{iterations}", f"{tolerance:.0e}", slide_mm=2, solver=solver)
+            yield Cell(
+                "solver iterations | solver tolerance", f"{iterations}", f"{tolerance:.0e}", slide_mm=2, solver=solver
+            )
 
 
 def _paced(step: float) -> dict[str, float]:
@@ -134,7 +136,9 @@ def _objects() -> Iterator[Cell]:
             panel = "stimulus, slid 3 mm | depth, mm"
             yield Cell(panel, name, f"{depth:g}", stimulus=name, depth_mm=depth, slide_mm=3)
         for depth in (0.5, 1.0, 3.0, 5.0):
-            panel = "stimulus that starts inside | depth, mm"
+            panel = "stimulus, starts inside | depth, mm"
             yield Cell(panel, name, f"{depth:g}", stimulus=name, depth_mm=depth, approach=False)
         for variant, changes in variants.items():
-            yield replace(Cell("stimulus | at 3 mm, with", name, variant, stimulus=name, slide_mm=3), **changes)
+            yield replace(
+                Cell("stimulus, 3 mm deep and slid 3 mm | variation", name, variant, stimulus=name, slide_mm=3), **changes
+            )

@@ -230,7 +230,7 @@ def _plot_pins(result: Result, path: Path) -> None:
 
 
 def plot_curves(figures: dict[str, Any], path: Path) -> None:
-    """Plot depth and shear response, real (dots) and simulated (lines), from the figures of a report."""
+    """Plot depth and shear response, real (dots) and simulated (lines, crosses), from the figures of a report."""
     from matplotlib import colormaps
 
     figure, axes = figure_of(1, 2, (11, 5.2))
@@ -243,9 +243,9 @@ def plot_curves(figures: dict[str, Any], path: Path) -> None:
             else:
                 x, text = row["shear_mm"], "{:.0f}–{:.0f} mm deep".format(*row["depth_mm"])
             axis.plot(x, row["real_px"], "o", color=color, ms=4)
-            axis.plot(x, row["simulated_px"], "-", color=color, label=text)
+            axis.plot(x, row["simulated_px"], "-" if axis is axes[0] else "x", color=color, label=text)
         axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=3)
     axes[0].set(xlabel="ring of pins, inner to outer", ylabel="outward motion, px of 256", title="Upright presses")
     axes[1].set(xlabel="commanded motion, mm", ylabel="mean shift of the pins, px of 256", title="Motions in contact")
-    figure.suptitle("dots: real, lines: simulated", fontsize=9)
+    figure.suptitle("dots: real; lines and crosses: simulated", fontsize=9)
     save_figure(figure, path)
