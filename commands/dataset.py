@@ -162,7 +162,7 @@ class Verify(Command):
 
 @dataclass(frozen=True)
 class Show(Command):
-    """Write a contact sheet of a set: tactile images above their labels (x y depth, roll pitch yaw)."""
+    """Write a contact sheet of a set: tactile images above their labels."""
 
     folder: tyro.conf.Positional[Path]
     """Folder of the set."""

@@ -10,7 +10,7 @@ from tactip_twin.learning.data import Samples
 from tactip_twin.learning.evaluate import Evaluation, tables
 from tactip_twin.learning.labels import Labels
 from tactip_twin.learning.model import Model
-from tactip_twin.sim.view.plot import pyplot
+from tactip_twin.sim.view.plot import COLORS, figure_of, save_figure
 from tactip_twin.tactip_model.files import write_file
 
 _SMOOTHING = 0.08
@@ -80,45 +80,37 @@ def _smoothed(values: np.ndarray, errors: np.ndarray, at: np.ndarray, width: flo
 
 def _plot_errors(evaluation: Evaluation, samples: Samples, labels: Labels, path: Path) -> None:
     """Plot predictions by label and errors by shear."""
-    plt = pyplot()
     k = len(labels.names)
-    figure, axes = plt.subplots(2, k, figsize=(3.6 * k, 6.6), squeeze=False)
+    figure, axes = figure_of(2, k, (3.6 * k, 6.6))
     translation = np.linalg.norm(samples.shears[:, :3], axis=1)
     for i, (name, unit) in enumerate(zip(labels.names, labels.units, strict=True)):
         target, error = samples.targets[:, i], evaluation.errors[:, i]
         at = np.linspace(target.min(), target.max(), 60)
         mean, deviation = _smoothed(target, error, at, _SMOOTHING * max(np.ptp(target), 1e-9))
-        axes[0, i].plot(target, target + error, ".", color="0.7", ms=2)
-        axes[0, i].fill_between(at, at + mean - deviation, at + mean + deviation, color="C0", alpha=0.4, lw=0)
-        axes[0, i].plot(at, at + mean, color="C0", lw=1.2)
-        axes[0, i].plot(at, at, color="k", lw=0.6)
-        axes[0, i].set(xlabel=f"{name}, {unit}", ylabel="prediction", title=f"MAE {np.abs(error).mean():.3f} {unit}")
+        axes[i].plot(target, target + error, ".", color="0.7", ms=2)
+        axes[i].fill_between(at, at + mean - deviation, at + mean + deviation, color=COLORS[0], alpha=0.4, lw=0)
+        axes[i].plot(at, at + mean, color=COLORS[0], lw=1.2)
+        axes[i].plot(at, at, color="k", lw=0.6)
+        axes[i].set(xlabel=f"{name}, {unit}", ylabel=f"prediction, {unit}", title=f"MAE {np.abs(error).mean():.3f} {unit}")
         at = np.linspace(translation.min(), translation.max(), 60)
         mean, _ = _smoothed(translation, np.abs(error), at, _SMOOTHING * max(np.ptp(translation), 1e-9))
-        axes[1, i].plot(translation, np.abs(error), ".", color="0.7", ms=2)
-        axes[1, i].plot(at, mean, color="C3", lw=1.5)
-        axes[1, i].set(
+        axes[k + i].plot(translation, np.abs(error), ".", color="0.7", ms=2)
+        axes[k + i].plot(at, mean, color=COLORS[1], lw=1.5)
+        axes[k + i].set(
             xlabel="shear translation, mm", ylabel=f"absolute error, {unit}", ylim=(0, np.quantile(np.abs(error), 0.99))
         )
-    for axis in axes.ravel():
-        axis.spines[["top", "right"]].set_visible(False)
-    figure.tight_layout()
-    figure.savefig(path, dpi=80, metadata={"Software": None})
-    plt.close(figure)
+    save_figure(figure, path)
 
 
 def _plot_worst(evaluation: Evaluation, samples: Samples, labels: Labels, path: Path) -> None:
     """Plot the worst samples, with label and prediction."""
-    plt = pyplot()
     worst = np.argsort(-((evaluation.errors / labels.scale) ** 2).sum(1))[:8]
-    figure, axes = plt.subplots(2, 4, figsize=(12, 6.6))
-    for axis in axes.ravel():
+    figure, axes = figure_of(2, 4, (12, 6.6))
+    for axis in axes:
         axis.axis("off")
-    for axis, i in zip(axes.ravel(), worst, strict=False):
+    for axis, i in zip(axes, worst, strict=False):
         axis.imshow(samples.images[i], cmap="gray", interpolation="nearest")
         label = " ".join(f"{x:.1f}" for x in samples.targets[i])
         prediction = " ".join(f"{x:.1f}" for x in evaluation.predictions[i])
-        axis.set_title(f"{label}\n{prediction}", fontsize=8)
-    figure.tight_layout()
-    figure.savefig(path, dpi=80, metadata={"Software": None})
-    plt.close(figure)
+        axis.set_title(f"label {label}\npredicted {prediction}", fontsize=8)
+    save_figure(figure, path)
