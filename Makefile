@@ -1,4 +1,4 @@
-# Everything sets itself up first. `make` alone says what there is.
+# Every target runs the setup first. `make` alone lists the targets.
 
 TASK ?= all
 SAMPLES ?= 200
@@ -22,16 +22,16 @@ help:
 	@echo "make train         a PoseNet on OUT/TASK  [TASK=surface] [OUT=data] [RECIPE=laptop|paper]; into runs/TASK, with its evaluation"
 	@echo "make tune          search for a network  [TASK=surface] [OUT=data] [TRIALS=300] [FILTERS=64, the paper's 512 on a GPU]; into runs/tune-TASK"
 	@echo "make servo         follow a bust or a rim by touch  [TASK=bust|rim] [OBJECT=...]; into runs/servo-OBJECT"
-	@echo "make demo          a pass over the bust and once round a rim, with films (two minutes); into runs/demo"
+	@echo "make demo          a pass over the bust and once round a rim, with videos (two minutes); into runs/demo"
 	@echo "make replay        a servo run in a browser  [RUN=runs/servo-bust]"
 	@echo "make view          the live scene in a browser: drag the stimulus  [TASK=surface|edge]"
 	@echo "make transfer      simulation against a real set  [REAL=data/real] [EXPERIMENT=zero-shot|ablate|few-shot|gap|pseudo-real]"
 	@echo "make report        measure errors and costs (45 min); write docs/*.md and the README's picture"
-	@echo "make reference     write docs/commands.md anew from what the commands say of themselves"
-	@echo "make test          all tests but the slow ones    make test-all   those too"
+	@echo "make reference     rewrite docs/commands.md from the commands' help texts"
+	@echo "make test          all tests except the slow ones; make test-all runs those, too"
 	@echo "make lint          ruff and pyright"
-	@echo "make lock          write requirements.lock anew"
-	@echo "make clean         remove .venv and caches; data stay"
+	@echo "make lock          rewrite requirements.lock"
+	@echo "make clean         remove .venv and caches, keep data"
 
 setup: $(READY)
 
@@ -77,7 +77,7 @@ transfer: $(READY)
 	@$(BIN)/tactip transfer "$(EXPERIMENT)" --out "runs/transfer-$(notdir $(REAL))" \
 		$(if $(filter pseudo-real,$(EXPERIMENT)),,--real "$(REAL)")
 
-# A test process a core, and one thread in each: what they do in threads, they do beside each other.
+# One test process per core, with one thread each.
 test: $(READY)
 	@OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses auto --dist loadscope
 

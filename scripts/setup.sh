@@ -1,5 +1,5 @@
 #!/bin/sh
-# Makes .venv with the versions of requirements.lock, and sees to OpenGL. Run by `make setup`, from the project's root.
+# Create .venv with the versions of requirements.lock, and install OpenGL if it is missing. `make setup` runs this from the root.
 set -eu
 
 as_root_with_apt() { [ "$(id -u)" = 0 ] && command -v apt-get >/dev/null 2>&1; }
@@ -19,7 +19,7 @@ if [ -z "$python" ]; then
     done
 fi
 if [ -z "$python" ]; then
-    echo "setup: Python 3.11, 3.12 or 3.13 is needed and not here: install it, or name it by make PYTHON=/path/to/python3.11" >&2
+    echo "setup: Python 3.11, 3.12 or 3.13 was not found: install it, or run make PYTHON=/path/to/python3.11" >&2
     exit 1
 fi
 
@@ -27,7 +27,7 @@ if ! "$python" -c 'import venv, ensurepip' 2>/dev/null; then
     if as_root_with_apt; then
         install_debian python3-venv
     else
-        echo "setup: $python cannot make virtual environments: run 'sudo apt-get install -y python3-venv' and make again" >&2
+        echo "setup: $python cannot create virtual environments: run 'sudo apt-get install -y python3-venv', then make again" >&2
         exit 1
     fi
 fi
@@ -38,12 +38,12 @@ if ! .venv/bin/python -m tactip_twin.tactip_model.pyrender_renderer >/dev/null 2
     packages=$(.venv/bin/python -c 'from tactip_twin.tactip_model.opengl import DEBIAN_PACKAGES as p; print(*p)')
     if as_root_with_apt; then
         echo "setup: installing OpenGL: $packages"
-        # shellcheck disable=SC2086 # the list is to be split
+        # shellcheck disable=SC2086 # the list must be split
         install_debian $packages
         .venv/bin/python -m tactip_twin.tactip_model.pyrender_renderer
     else
         .venv/bin/python -m tactip_twin.tactip_model.pyrender_renderer >&2 || true
-        echo "setup: to draw with OpenGL run 'sudo apt-get install -y $packages' and make again" >&2
+        echo "setup: OpenGL is missing: run 'sudo apt-get install -y $packages', then make again" >&2
         exit 1
     fi
 fi
