@@ -1,4 +1,4 @@
-"""A servo run with a controller of your own: proportional control, in place of the paper's proportional-integral one."""
+"""A servo run with a controller of your own: proportional control instead of the paper's proportional-integral control."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""A servo run with an estimator of your own: a linear map from the tactile image to the pose, in place of the network."""
+"""A servo run with an estimator of your own: a linear map from the tactile image to the pose instead of the network."""
 
 from pathlib import Path
 

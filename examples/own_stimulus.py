@@ -1,4 +1,4 @@
-"""A stimulus of one's own: a pipe, given by its signed distance and by the geoms that MuJoCo makes contacts with."""
+"""A stimulus of your own: a pipe, defined by its signed distance and by the geoms that MuJoCo collides."""
 
 from dataclasses import dataclass
 

@@ -15,7 +15,7 @@ def main(data: Path, out: Path = Path("runs/example"), epochs: int = 20, filters
     """data: folder of the sets. out: folder of the training. epochs: at least. filters: of the first layer."""
     train_samples, val_samples = read_splits(data)
     recipe = recipe_named("laptop", train_samples.labels.task)
-    # Images can be rendered anew during training, as the recipe does, where the pins are known.
+    # If the pins are known, images can be rendered again during training, as the recipe does.
     fraction = recipe.settings.augmented_fraction if train_samples.dataset.simulated else 0.0
     settings = replace(recipe.settings, epochs=epochs, min_steps=0, augmented_fraction=fraction)
     train(train_samples, val_samples, replace(recipe.network, filters=filters), settings, out)

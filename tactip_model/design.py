@@ -62,7 +62,7 @@ class Materials:
     real tip [M]; no effect if the ratio is 1."""
     damping_s: float = within(0.5e-3, 50e-3, default=0.005)
     """Stiffness-proportional Rayleigh damping of gel and skin, s: stress per strain rate over stiffness. Motions are
-    quasi-static, so it sets how fast the tip comes to rest and not where."""
+    quasi-static, so it affects how fast the tip settles, but not where."""
 
     def __post_init__(self) -> None:
         check(self)

@@ -63,7 +63,7 @@ class ContactModel:
     with the vertices' tiny masses and lets objects through the skin. Ten times the stiffness costs a third more iterations
     for the same pins; a tenth of the damping lets a sticking skin creep."""
     resting: tuple[float, float] = within((1e4, 1e2), _MAX_CONTACT, default=(3e7, 1e5))
-    """Direct `solref` while the tip comes to rest: stiff enough for a penetration below 0.05 mm."""
+    """Direct `solref` while the tip settles: stiff enough for a penetration below 0.05 mm."""
     margin_m: float = within(0, 2e-3, default=0.4e-3)
     """Gap at which a vertex becomes a row of the solver, m; its force still begins at the surface (scene.Scene.step).
     Without it, the solver misses a vertex that friction has lifted off at the next step, and sliding chatters."""
@@ -71,7 +71,7 @@ class ContactModel:
     """`solimp`: constant impedance, -."""
     vertex_mass_kg: float = within(1e-7, 1e-2, default=3e-5)
     """Mass of a skin vertex, kg. Contact acts on it: half the mass doubles the penetration, twice the mass costs more
-    iterations. Motions are quasi-static, so the mass does not change where the tip comes to rest."""
+    iterations. Motions are quasi-static, so the mass does not affect where the tip settles."""
 
     def __post_init__(self) -> None:
         check(self)

@@ -1,9 +1,9 @@
 """Error against run time of simulated contacts: `tactip bench fidelity`.
 
 It measures the fidelity presets on named cases and on the first contacts of the training sets, `standard` with one number
-changed at a time, the refined reference, and the raster renderer against pyrender. Errors are those of pins and of force,
-and the change of the label that they are worth; costs are CPU times relative to `standard`, measured side by side. An
-interrupted measurement resumes. Writes docs/fidelity.json, .md and .png.
+changed at a time, the refined reference, and the raster renderer against pyrender. Errors are those of pins and force, and
+the equivalent change of the label; costs are CPU times relative to `standard`, measured side by side. An interrupted
+measurement resumes. Writes docs/fidelity.json, .md and .png.
 """
 
 import sys
@@ -125,7 +125,7 @@ class Measurement:
     def _label(
         self, cases: Sequence[Case], contacts: Sequence[CachedContact], best: Sequence[CachedContact]
     ) -> dict[str, float]:
-        """Return what the pins' errors are worth in the label, over contacts that determine their pose."""
+        """Return the label errors equivalent to the pins' errors, over contacts that determine their pose."""
         worths = []
         for case, p, b in zip(cases, contacts, best, strict=True):
             sensitivity = self._sensitivity(case)

@@ -54,7 +54,7 @@ class PathSimulator(ContactSimulator):
         self.steps, self._label = [], from_mm_deg([*position_mm, 0, 0, 0])
 
     def move_to(self, position_mm: Position) -> None:
-        """Move to a position at the fidelity's speed, without coming to rest."""
+        """Move to a position at the fidelity's speed, without settling there."""
         goal, motion = from_mm_deg([*position_mm, 0, 0, 0]), self.scene.fidelity.motion
         motion_m = goal - self._label
         step = motion.press_step_m if np.hypot(*motion_m[:2]) < abs(motion_m[2]) else motion.shear_step_m
@@ -62,17 +62,17 @@ class PathSimulator(ContactSimulator):
         self._label = goal
 
     def rest(self) -> Contact:
-        """Come to rest here, and return the contact."""
+        """Settle here, and return the contact."""
         self._settle(self._label)
         return self._record(self._label, np.zeros(6), 0)
 
     def rest_at(self, position_mm: Position) -> Contact:
-        """Move to a position, come to rest, and return the contact."""
+        """Move to a position, settle, and return the contact."""
         self.move_to(position_mm)
         return self.rest()
 
     def visit(self, positions_mm: Iterable[Position]) -> tuple[np.ndarray, np.ndarray]:
-        """Move to each position in turn, and come to rest at each.
+        """Move to each position in turn, and settle at each.
 
         Returns:
             Forces (n, 3), N, on the tip and positions (n, 3), m, of the stimulus at rest, including the start.
@@ -116,7 +116,7 @@ def slide(friction: float, depth_mm: float, fidelity: Fidelity = FIDELITIES["sta
 
 
 def slide_at_rest(friction: float, depth_mm: float) -> Slide:
-    """Slide by SLIDE_MM in moves of 0.5 mm, each of which comes to rest; return the states at rest."""
+    """Slide by SLIDE_MM in moves of 0.5 mm, and settle after each; return the states at rest."""
     simulator = PathSimulator(friction)
     simulator.begin()
     simulator.rest_at((0, 0, -depth_mm))
@@ -135,7 +135,7 @@ def chatter(travel: np.ndarray, normal: np.ndarray, tangential: np.ndarray) -> d
 
     Returns:
         `deviation`, the standard deviation of the normal force over its mean; `tangential_over_normal` and `greatest`, the
-        mean and the maximum of tangential over normal force where there is any.
+        mean and the maximum of tangential over normal force where the latter is not zero.
     """
     steady = (travel > SLIDE_MM / 2) & (normal > 1e-6)
     ratio = tangential[steady] / normal[steady]

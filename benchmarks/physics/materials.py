@@ -99,7 +99,7 @@ class Specimen:
     def rest(
         self, positions: np.ndarray, load: np.ndarray | None = None, steps: int = 400, within: float = 1e-6
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Let the free coordinates come to rest.
+        """Simulate until the free coordinates are at rest.
 
         Args:
             positions: (n, 3), m: the fixed coordinates, and the start of the free ones.
@@ -130,7 +130,7 @@ class Specimen:
                 if balance < within * (np.abs(load).max() or np.abs(force).max()):
                     return now, force
                 self.data.qvel[:] = velocity
-        raise ArithmeticError("a specimen did not come to rest")
+        raise ArithmeticError("a specimen did not settle")
 
 
 def bar_stress(law: str, young: float, poisson: float, stretch: float) -> tuple[float, float]:

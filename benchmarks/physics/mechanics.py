@@ -1,8 +1,8 @@
 """The pressed tip against an independent finite-element code: `tactip bench mechanics`.
 
 A centred press on the flat without friction. It compares the force with that of benchmarks/physics/fem_axisymmetric.py,
-which does not lock and whose skin is solid, for the gel alone and for the whole sensor; force and shape over Poisson's ratio
-and mesh, with and without what mesh.Resolution does about locking; the effect of the skin's bending; the ripple of the
+which does not lock and whose skin is solid, for the gel alone and for the whole sensor; force and shape by Poisson's ratio
+and mesh, with and without the correction of locking (mesh.Resolution); the effect of the skin's bending; the ripple of the
 force–depth curve; the loss of volume. Writes docs/mechanics.md and docs/mechanics.json.
 """
 

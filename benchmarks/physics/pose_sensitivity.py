@@ -1,8 +1,8 @@
-"""Change of pose that an error of the pins is worth: the one that moves the pins alike, by least squares.
+"""Change of pose equivalent to an error of the pins: the one that moves the pins in the same way, by least squares.
 
-The pins' positions in the tactile image are taken as linear in the pose about a contact. It is a plain estimator that
-attributes as much of an error as possible to a change of pose. It so bounds the effect on an estimator that also knows
-shear and the ranges of poses.
+The pins' positions in the tactile image are taken as linear in the pose near a contact. This simple estimator attributes as
+much of an error as possible to a change of pose, so it bounds the effect on an estimator that also knows shear and the
+ranges of poses.
 """
 
 from collections.abc import Callable, Sequence
@@ -56,7 +56,7 @@ class PoseSensitivity:
         steps = np.array([STEP[c] for c in self.components])
         weakest = np.linalg.svd(self._jacobian.reshape(-1, len(steps)) * steps, compute_uv=False)[-1]
         self.is_determined = bool(weakest >= MIN_CHANGE_PX)
-        """Whether the contact determines all components; one that hardly touches does not."""
+        """Whether the contact determines all components; a very light contact does not."""
 
     @classmethod
     def about(cls, case: Case, contact_of: Callable[[Case, Variant], CachedContact], pins: ImagePins) -> "PoseSensitivity":
@@ -73,7 +73,8 @@ class PoseSensitivity:
         return cls(components, np.stack([(up - down) / (2 * STEP[name]) for name, up, down in pairs], -1))
 
     def __call__(self, error: ArrayLike) -> dict[str, float]:
-        """Return the pose, mm or degrees by component, that an error (p, 2) px is worth. Pins that are NaN do not count."""
+        """Return the change of pose, mm or degrees by component, equivalent to an error (p, 2) px. Pins that are NaN are
+        ignored."""
         error = np.asarray(error, float)
         seen = np.isfinite(error).all(-1)
         matrix = self._jacobian[seen].reshape(-1, len(self.components))

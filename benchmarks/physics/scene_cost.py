@@ -1,8 +1,8 @@
 """Cost of each part of the data-set scene: `tactip bench scene-cost`.
 
-Simulates the first contacts of the training sets at `standard`, and right after each the same contact without one part: the
-time that this saves, and its effect on the pins. Also measures the time of a contact by MuJoCo's functions, and the cost of
-a sample besides its contact. Writes docs/scene_cost.md and docs/scene_cost.json.
+Simulates the first contacts of the training sets at `standard`, and right after each the same contact without one part, to
+measure the time saved and the effect on the pins. Also measures the time of a contact by MuJoCo function. Writes
+docs/scene_cost.md and docs/scene_cost.json.
 """
 
 import sys
@@ -101,7 +101,7 @@ def side_by_side(
 
 
 def parts(task: str, count: int, step: Callable[[], object]) -> list[dict[str, Any]]:
-    """Return what leaving out each of PARTS saves.
+    """Return the savings from leaving out each of PARTS.
 
     Args:
         task: Task of the contacts.

@@ -2,8 +2,8 @@
 
 Every cell of a map over materials, friction, steps, depths, speeds and stimuli is one contact, simulated as for data sets.
 It is repeated with finer steps if its record fails the checks, and refused with a reason if that does not help or if its
-configuration is out of bounds. A contact that is not refused is simulated once more with half the step, and must come out
-the same. An interrupted measurement resumes. Writes docs/stability.md, .json and .png.
+configuration is out of bounds. A contact that is not refused is simulated once more with half the step, and must give the
+same result. An interrupted measurement resumes. Writes docs/stability.md, .json and .png.
 """
 
 import json

@@ -1,8 +1,8 @@
 """MuJoCo's GPU engine on the soft tip, compared with MuJoCo itself: `tactip bench performance --groups gpu-engine`.
 
 A flat is pressed 3 mm into the tip at `standard`'s steps, by mj_step in double precision and by MuJoCo Warp in single
-precision at its tightest tolerance. Without a GPU, Warp runs on the processor, which shows whether it is right but not how
-fast it is. Neither includes what our own step adds to MuJoCo's (sim/contact/scene.py).
+precision at its tightest tolerance. Without a GPU, Warp runs on the CPU, which shows whether it is correct but not how fast
+it is. Neither includes what our own step adds to MuJoCo's (sim/contact/scene.py).
 """
 
 import time
@@ -33,7 +33,7 @@ _WORLDS = {"cpu": (1, 4), "cuda": (1, 64, 1024)}
 
 
 def missing() -> str | None:
-    """Return a message on what is not installed, or None."""
+    """Return a message if MuJoCo Warp is not installed, or None."""
     if find_spec("mujoco_warp"):
         return None
     return "MuJoCo's GPU engine is not installed: pip install 'tactip-twin[gpu]'"

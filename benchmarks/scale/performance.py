@@ -33,7 +33,7 @@ from tactip_twin.tactip_model.presets import load_design
 from tactip_twin.tactip_model.renderer import RendererName
 
 _SNAPSHOTS = 20
-"""Sequence images of a contact, where there is more than one."""
+"""Number of images per contact in sets with a sliding path."""
 
 _FEW = 4
 """Contacts per worker of the smaller of two sets."""

@@ -1,7 +1,7 @@
 """Rates that decide what a large data set costs: `tactip bench scale` writes docs/scale.md and scale.json.
 
-They are the time of a contact on a core, the size of a sample on the disk, the driver's time to close a shard and to hand
-out a task, and a reader's time.
+They are a contact's time on one core, a sample's size on disk, the driver's time to close a shard and to hand out a task,
+and a reader's time.
 """
 
 import tempfile

@@ -51,7 +51,7 @@ def rows() -> list[dict[str, Any]]:
 
 
 def _rates(job: str, data: Path, variables: dict[str, str], count: int) -> list[float]:
-    """Return the rates of a number of equal jobs that begin at once, each in a process of its own."""
+    """Return the rates of a number of equal jobs that start together, each in its own process."""
     context = get_context("spawn")
     with _environment(variables), context.Manager() as manager:
         barrier = manager.Barrier(count)
@@ -61,7 +61,7 @@ def _rates(job: str, data: Path, variables: dict[str, str], count: int) -> list[
 
 @contextlib.contextmanager
 def _environment(variables: dict[str, str]) -> Iterator[None]:
-    """Set OpenMP's variables of processes that start in a `with` block; others of OpenMP are absent."""
+    """Set OpenMP's variables for processes that start in a `with` block; all others of OpenMP are removed."""
     before = dict(os.environ)
     for name in before:
         if name.startswith(("OMP_", "GOMP_")):
@@ -76,7 +76,7 @@ def _environment(variables: dict[str, str]) -> Iterator[None]:
 
 
 def _rate(job: str, data: Path, barrier: Barrier) -> float:
-    """Return the rate of a job in this process, measured from when all have come to the barrier."""
+    """Return the rate of a job in this process, measured from when all jobs have reached the barrier."""
     from tactip_twin.control.options import RouteOptions, ServoOptions
     from tactip_twin.control.servo_run import run_servo
     from tactip_twin.learning.data import read_samples

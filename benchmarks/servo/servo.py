@@ -1,4 +1,4 @@
-"""Servo accuracy over objects, arms and fidelities, and its robustness; scores beside run times, on one page.
+"""Servo accuracy over objects, arms and fidelities, and its robustness, with scores and run times on one page.
 
 `tactip bench servo` follows each object with the shipped networks, with each arm and at each fidelity, under other friction,
 stiffness, noise and step, and from random starts, and writes docs/servo.md, servo.json and servo.png. It takes some hours.
@@ -131,7 +131,7 @@ def _random_start(run: ServoOptions, seed: int, middle_m: np.ndarray) -> ServoOp
 
 
 class _Runner:
-    """Function of a worker that makes runs."""
+    """Worker task that makes runs."""
 
     def __init__(self, runs: str, options: ServoBenchOptions) -> None:
         self._runs, self._cases = Path(runs), {(c.group, c.name): c for c in cases(options)}

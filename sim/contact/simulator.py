@@ -143,7 +143,7 @@ class ContactSimulator:
         return self._record(self._pose, shear_between(self._start, self._pose), len(messages), label)
 
     def simulate_partial_shears(self, pose: ArrayLike, shear: ArrayLike, fractions: ArrayLike) -> Iterator[Contact]:
-        """Simulate one contact and let it come to rest at several fractions of its shear.
+        """Simulate one contact and let it settle at several fractions of its shear.
 
         Args:
             pose: (6,), m and rad.

@@ -1,7 +1,7 @@
 """Any solid as a stimulus, with its true shape instead of a convex hull or facets on which the skin could snag.
 
-MuJoCo collides convex pieces, or triangles one by one. A rigid flex makes so many contacts with the skin's facets, with so
-many normals, that a slide over an edge is less accurate and slower the finer the mesh is (docs/mesh_contact.md). Here,
+MuJoCo collides convex pieces, or triangles one by one. A rigid flex makes many contacts with the skin's facets, with many
+normals, so a slide over an edge becomes less accurate and slower as the mesh gets finer (docs/mesh_contact.md). Here,
 contact proxies, spheres on the solid's surface, follow the skin instead. At every step each vertex of the skin gets a sphere
 that touches the surface at its nearest point, with the surface normal: the contact is that of the true surface, to first
 order in the motion of the vertex per step. Where the solid is higher in the middle of a facet than at its corners, as on an

@@ -67,7 +67,7 @@ def read_record(path: Path) -> dict[str, Any] | None:
 
 
 def check_unaltered(folder: Path, meta: dict[str, Any]) -> None:
-    """Raise TactipError if a table or an image does not match its checksum in meta.json; missing images are made anew."""
+    """Raise TactipError if a table or an image does not match its checksum in meta.json; missing images are made again."""
     images = {f"images/{name}": value for name, value in meta.get("images", {}).items()}  # a set of shards has none
     expected = meta["files"] | images
     for name, value in expected.items():

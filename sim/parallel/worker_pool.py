@@ -1,6 +1,6 @@
 """A pool of worker processes: each does one task at a time, and is replaced when it dies.
 
-Each worker has a pipe of its own. If a worker dies, its pipe closes and another worker gets its task; if the parent dies,
+Each worker has its own pipe. If a worker dies, its pipe closes and another worker gets its task; if the parent dies,
 the other end closes and the worker ends. Only the parent answers Ctrl-C: it lets workers finish their tasks.
 """
 

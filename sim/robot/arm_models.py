@@ -2,8 +2,8 @@
 
 Each moves from pose to pose, a time step at a time, and returns the sensor's pose. `none` follows the commanded path
 exactly. `kinematic` moves the joints along straight lines in joint space, within their limits and speeds. `dynamic` adds
-motors, masses and the contact force: a MuJoCo model of the arm alone, with time steps of its own, which takes the force on
-the tip from the contact model and returns the tip's pose. The two models are coupled once per time step, so the coupling is
+motors, masses and the contact force: a MuJoCo model of the arm alone, with its own time steps, which takes the force on the
+tip from the contact model and returns the tip's pose. The two models are coupled once per time step, so the coupling is
 exact up to the arm's motion in one step.
 """
 

@@ -200,7 +200,7 @@ def housing_points(radius_m: float = 20e-3, rings: int = 4, sides: int = 24) -> 
 def arm_spec(radius_m: float = 20e-3) -> mujoco.MjSpec:
     """Return the spec of the arm with the sensor's housing on its flange and the site `tcp` at the apex.
 
-    The housing is for rendering and for its mass; the soft tip is in a model of its own (sim/contact/scene.py).
+    The housing is for rendering and for its mass; the soft tip has its own model (sim/contact/scene.py).
 
     Args:
         radius_m: Radius of the tip, m.

@@ -91,7 +91,7 @@ class MountedTip:
         return float(min(self._solid.distance(centre[None])[0], self._solid.distance(back).min()) - self._radius)
 
     def go(self, T_base_tcp: np.ndarray) -> TipState:
-        """Move to a pose at the fidelity's pace, in contact or not, and come to rest there.
+        """Move to a pose at the fidelity's pace, in contact or not, and settle there.
 
         Args:
             T_base_tcp: (4, 4).

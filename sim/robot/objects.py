@@ -242,7 +242,7 @@ def _read(path: Path) -> trimesh.Trimesh:
         raise TactipError(f"a mesh file must end in one of {', '.join(FORMATS)}, got {path}")
     data = read_file(path, _MAX_FILE_BYTES)
     try:
-        # trimesh has no error of its own for a damaged file: what it raises depends on the format. Without the file's
+        # trimesh has no specific error for a damaged file; what it raises depends on the format. Without the file's
         # folder it opens no materials or textures that the file names.
         mesh = trimesh.load(io.BytesIO(data), file_type=path.suffix.lower().lstrip("."), force="mesh", process=False)
     except Exception as error:

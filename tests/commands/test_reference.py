@@ -20,7 +20,7 @@ def reference(tmp_path_factory):
 
 
 def test_reference_agrees_with_commands(reference):
-    assert reference == (ROOT / "docs" / "commands.md").read_text(), "make reference writes it anew"
+    assert reference == (ROOT / "docs" / "commands.md").read_text(), "run make reference"
 
 
 def test_reference_holds_no_path_of_the_machine(reference):

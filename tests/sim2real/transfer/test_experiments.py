@@ -157,7 +157,7 @@ def test_ablate_leaves_out_one_part_each(lab, tiny, tmp_path):
     assert list(record["ablate"]) == list(ABLATIONS)
     assert record["ablate"]["all of it"] == record["zero-shot"]["simulation"]
     others = [tuple(part["mae"].values()) for part in record["ablate"].values()]
-    assert len(set(others)) == len(ABLATIONS)  # each is a network of its own
+    assert len(set(others)) == len(ABLATIONS)  # each is another network
     flat = read_samples(tmp_path / "out" / "unsheared" / "train")
     assert not flat.shears.any() and read_samples(tmp_path / "out" / "sim" / "train").shears.any()
 
