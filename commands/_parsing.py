@@ -19,7 +19,7 @@ class Command(ABC):
     common: ClassVar[tuple[str, ...]] = ()
     """Dotted names of the options that --help shows, where --help-all shows the others too; empty: --help shows all."""
     example: ClassVar[str] = ""
-    """Command line that --help shows, where it does not show all options."""
+    """Command line that --help shows."""
 
     @classmethod
     def parse(cls, arguments: Sequence[str], prog: str) -> "Command":
@@ -61,12 +61,11 @@ def parse_options(options: type[T], arguments: Sequence[str], prog: str, default
     shown = None
     if "--help-all" in arguments:
         arguments = ["--help"]
-    elif {"-h", "--help"} & set(arguments) and issubclass(options, Command) and options.common:
-        shown = fields_named(options, options.common)
-        given["description"] = (
-            f"{inspect.getdoc(options)}\n\nExample: {options.example}\n\nThese are the common options; "
-            f"{prog} --help-all lists all."
-        )
+    elif {"-h", "--help"} & set(arguments) and issubclass(options, Command) and options.example:
+        given["description"] = f"{inspect.getdoc(options)}\n\nExample: {options.example}"
+        if options.common:
+            shown = fields_named(options, options.common)
+            given["description"] += f"\n\nThese are the common options; {prog} --help-all lists all."
     return tyro.cli(options, args=arguments, prog=prog, registry=registry(shown), **given)
 
 

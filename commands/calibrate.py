@@ -16,6 +16,8 @@ from tactip_twin.tactip_model.errors import TactipError
 class Calibrate(Command):
     """Fit the sensor to real frames: lens, pins, materials, friction, rig. Rerun to resume."""
 
+    example = "tactip calibrate lab/set --design nominal-127 --out mine.json"
+
     real: tyro.conf.Positional[Path]
     """Folder of the real set: a neutral image init*.png, frames, targets.csv and meta.json
     (sim2real/calibration/real_set.py)."""

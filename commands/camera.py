@@ -22,6 +22,9 @@ class Camera(Command):
     """Read a real sensor live: print pins, predicted pose and contact as one JSON line per frame. The first frame should
     show the undeformed tip."""
 
+    common = ("device", "video", "images", "model", "neutral", "browser", "preprocessing.crop", "preprocessing.threshold")
+    example = "tactip camera --device 0 --crop 150 40 510 400 --browser"
+
     device: int | None = within(0, 1000, default=None)
     """Number of a camera of this machine: 0, 1, … Give this, --video or --images."""
     video: Path | None = None

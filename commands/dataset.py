@@ -84,7 +84,7 @@ class Make(Command):
         failed = 0
         for r in results:
             failed += r["failed"]
-            made = f"{r['made']} tried now" if r["made"] else "complete already"
+            made = f"{r['made']} made now" if r["made"] else "complete already"
             print(f"{r['folder']}: {r['kept']} of {r['asked']} samples, {made}; {r['failed']} failed")
         made, seconds = sum(r["made"] for r in results), max(r["seconds"] for r in results)
         if made:
@@ -135,6 +135,8 @@ class _MakeTasks(Command):
 class Verify(Command):
     """Check that a set is complete and undamaged: images, rows, pins, checksums, configuration."""
 
+    example = "tactip dataset verify data/surface/train"
+
     folder: tyro.conf.Positional[Path]
     """Folder of the set."""
     json: bool = False
@@ -164,6 +166,8 @@ class Verify(Command):
 class Show(Command):
     """Write a contact sheet of a set: tactile images above their labels."""
 
+    example = "tactip dataset show data/surface/train --out sheet.png"
+
     folder: tyro.conf.Positional[Path]
     """Folder of the set."""
     out: Path = Path("sheet.png")
@@ -184,6 +188,8 @@ class Show(Command):
 @dataclass(frozen=True)
 class Record(Command):
     """Simulate the contact of a sample again and record every time step, for `tactip replay`."""
+
+    example = "tactip dataset record data/edge/train --sample 7 --out runs/contact"
 
     folder: tyro.conf.Positional[Path]
     """Folder of the set."""

@@ -13,6 +13,8 @@ from tactip_twin.learning.configuration import DeviceName
 class Evaluate(Command):
     """Evaluate a network on unseen data: errors by component, label and shear, worst cases, latency."""
 
+    example = "tactip evaluate --model surface-tactip-127 --data data/surface/test --out runs/evaluation"
+
     model: Path
     """Shipped network, or folder of a training."""
     data: Path

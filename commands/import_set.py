@@ -17,6 +17,10 @@ from tactip_twin.sim2real.sensor.preprocessing_options import ImagePreprocessing
 class Import(Command):
     """Import a published or your own data set of a real sensor. A picture shows the result."""
 
+    common = ("source", "out", "neutral", "layout", "column_map.columns", "column_map.camera_rotation_deg",
+              "column_map.tcp_behind_apex_mm", "preprocessing.crop", "preprocessing.threshold")  # fmt: skip
+    example = "tactip import lab/set --out data/real --columns pose_z=-depth pose_Rx=roll pose_Ry=pitch"
+
     source: tyro.conf.Positional[Path]
     """Folder of the set: a table, frames or videos (here or in images/, frames/ or videos/), and if there is one, a neutral
     image init* or neutral*."""

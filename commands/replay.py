@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 class Replay(Command):
     """Show a recording in a browser, or write a video or GIF of it. Nothing is simulated again."""
 
+    example = "tactip replay runs/servo-bust --video bust.mp4"
+
     run_: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(name="run")]
     """Folder of a servo run."""
     video: Path | None = None

@@ -14,6 +14,8 @@ from tactip_twin.tactip_model.renderer import RendererName
 class View(Command):
     """Show a live contact in a browser: drag the stimulus or move it by sliders, and see pins, image and predicted pose."""
 
+    example = "tactip view --task edge"
+
     task: Literal["surface", "edge", "sphere", "point", "needle", "knife", "corner", "hole"] = "surface"
     """Stimulus."""
     design: str = "tactip-127"

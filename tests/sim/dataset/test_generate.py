@@ -75,7 +75,7 @@ def test_make_symmetric_samples_are_mirrored_and_resumed(tmp_path):
     whole, killed = tmp_path / "whole", tmp_path / "killed"
     result = run(make(whole, "--augment-symmetry", samples=5, workers=1))
     assert result.returncode == 0, result.stderr
-    assert "5 of 5 samples, 5 tried now" in result.stdout
+    assert "5 of 5 samples, 5 made now" in result.stdout
     assert verify(whole) == []
     dataset, rows = read_dataset(whole), table(whole)
     assert [row["seed"] for row in rows] == [f"0:edge:train:{k}" for k in (0, 0, 1, 1, 2)]
