@@ -274,7 +274,7 @@ class Measurement(NamedTuple):
     options: type
     """Dataclass of its options."""
     page: str
-    """File that it writes into the folder `options.out`; empty where it writes no page."""
+    """File that it writes into the folder `options.out`; empty if it writes no page."""
 
 
 MEASUREMENTS = {

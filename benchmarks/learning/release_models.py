@@ -31,7 +31,7 @@ _COUNT_OPTIONS = {
     "laptop-fine-tuned": "large_contacts",
     "laptop-curved": "curved_contacts",
 }
-"""Option of `tactip bench learning` for the number of contacts of a row, where it is not `contacts`."""
+"""Option of `tactip bench learning` for the number of contacts of a row, if it is not `contacts`."""
 
 EVALUATION, CARD = "evaluation.json", "card.md"
 

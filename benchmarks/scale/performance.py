@@ -51,7 +51,7 @@ QUICK = PLAIN | {"fidelity": "draft", "augment_symmetry": True}
 """Options of made_set: a data set as usual, and one that is made quickly."""
 
 _TRIES = 3
-"""Maximum number of measurements of a rate, where the result is impossible."""
+"""Maximum number of measurements of a rate while its result is impossible."""
 
 _BATCH = 64
 """Images of a batch, in rendering, training and evaluation."""

@@ -159,7 +159,7 @@ def run_folder(runs: str | PathLike[str], group: str, name: str) -> Path:
 
 
 def identity(case: Case) -> str:
-    """Return options, checksum of the network's weights, and version as JSON: a run is made again where they change."""
+    """Return options, checksum of the network's weights, and version as JSON: a run is made again if they change."""
     run = case.options
     options = json.loads(json.dumps(dataclasses.asdict(run), default=str))
     return json.dumps([options, weights_sha256(run.network), version("tactip-twin")])

@@ -35,7 +35,7 @@ class Configuration(DatasetOptions):
     bounds: QualityLimits = field(default_factory=QualityLimits)
     """Limits that a simulated contact must meet to become a sample."""
     first: int = 0
-    """Index of the first sample, where the set is a shard of a larger one."""
+    """Index of the first sample, if the set is a shard of a larger one."""
     mechanics_randomization: MechanicsRandomization = field(default_factory=MechanicsRandomization)
     """Randomization of the tip's mechanics by contact (sim/dataset/mechanics_randomization.py); the optics stay the same."""
 

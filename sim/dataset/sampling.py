@@ -44,7 +44,7 @@ class Ranges:
         return np.array([self.x_mm, self.y_mm, self.depth_mm, self.roll_deg, self.pitch_deg, self.yaw_deg], float)
 
     def check(self, name: str) -> None:
-        """Raise TactipError where a low is above its high or not finite. name: name of the ranges in messages."""
+        """Raise TactipError if a low is above its high or not finite. name: name of the ranges in messages."""
         for component, (low, high) in vars(self).items():
             possible = max(abs(low), abs(high)) <= MAX_LABEL  # False for NaN
             require(possible, f"{name}.{component}", (low, high), f"two numbers from -{MAX_LABEL:g} to {MAX_LABEL:g}")

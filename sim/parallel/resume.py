@@ -9,7 +9,7 @@ from tactip_twin.tactip_model.files import is_leftover
 
 
 def check_resumable(folder: Path, kind: str, recorded: Any, requested: Any, own: tuple[str, ...] = ()) -> bool:
-    """Return whether `folder` holds the requested work, unfinished or finished; False where it is empty or missing.
+    """Return whether `folder` holds the requested work, unfinished or finished; False if it is empty or missing.
 
     Args:
         folder: Output folder, which need not exist.

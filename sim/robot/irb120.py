@@ -79,7 +79,7 @@ class Arm:
         return out
 
     def min_singular_value(self, angles: ArrayLike) -> float:
-        """Return the Jacobian's smallest singular value, lengths in units of LEVER_M; 0 where the arm is singular."""
+        """Return the Jacobian's smallest singular value, lengths in units of LEVER_M; 0 if the arm is singular."""
         jacobian = self.jacobian(angles)
         jacobian[:3] /= LEVER_M
         return float(np.linalg.svd(jacobian, compute_uv=False)[-1])

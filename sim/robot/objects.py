@@ -191,13 +191,13 @@ def validate_mesh(mesh: trimesh.Trimesh, name: str) -> tuple[trimesh.Trimesh, li
 
 
 def _volume(mesh: trimesh.Trimesh) -> float:
-    """Return the volume, m^3, inside a closed mesh; negative where it is inside out."""
+    """Return the volume, m^3, inside a closed mesh; negative if it is inside out."""
     a, b, c = (mesh.vertices - mesh.vertices.mean(0))[mesh.faces].transpose(1, 0, 2)
     return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
 
 
 def _fill_holes(mesh: trimesh.Trimesh, name: str) -> list[str]:
-    """Fill the flat holes of a mesh, in place. Returns notes; raises TactipError where a hole is not flat."""
+    """Fill the flat holes of a mesh, in place. Returns notes; raises TactipError if a hole is not flat."""
     sides = mesh.edges_sorted
     order = np.lexsort(sides.T)
     _, first, count = np.unique(sides[order], axis=0, return_index=True, return_counts=True)

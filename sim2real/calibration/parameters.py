@@ -41,7 +41,7 @@ class Parameter:
     attribute: str
     """Field of that part."""
     item: int | None = None
-    """Index in the field, where it is a tuple."""
+    """Index in the field, if it is a tuple."""
     logarithmic: bool = False
     """Whether step and prior apply to the value's logarithm, for quantities known to within a factor."""
     mechanical: bool = True
