@@ -1,6 +1,6 @@
 """Transfer from simulation to a real sensor: without any real label, and with a few.
 
-    a real set ── neutral image ──► design ── contacts under varied mechanics ──► network ──► real test frames
+    a real set ── neutral image ──► design ── contacts, randomized mechanics ──► network ──► real test frames
                └─ some frames with labels ──────────────────────────────────► fine-tuned ──┘
 
 Each finished step is kept in OUT and not repeated, so an interrupted command resumes.
@@ -108,11 +108,11 @@ class Variant:
 
 
 ABLATIONS = {
-    "all of it": Variant(),
+    "complete simulation": Variant(),
     "without calibration": Variant("uncalibrated", "uncalibrated", calibrated=False),
     "without shear": Variant("unsheared", "unsheared", sheared=False),
-    "without varied optics": Variant("one-camera", augmented_fraction=0.0),
-    "without varied mechanics": Variant("one-tip", "one-tip", randomize_mechanics="none"),
+    "without optics randomization": Variant("one-camera", augmented_fraction=0.0),
+    "without mechanics randomization": Variant("one-tip", "one-tip", randomize_mechanics="none"),
     "without image noise": Variant("noiseless", noise=False),
 }
 """Variants by the part that is left out, one at a time."""

@@ -132,7 +132,7 @@ def test_experiment_optics_follow_camera_measurement(lab, tmp_path):
     report["camera"] = {"zoom": 1.01, "drift": [0.001, 0.0], "of_one_frame": {"zoom": 1e-3, "drift": [1e-3, 1e-3]}}
     (known / "import.json").write_text(json.dumps(report))
     settings = TransferSettings(real_train_frames=30)
-    variants = [ABLATIONS[what] for what in ("all of it", "without calibration", "without image noise")]
+    variants = [ABLATIONS[what] for what in ("complete simulation", "without calibration", "without image noise")]
 
     def names(folder, **changed):
         experiment = Experiment(folder, tmp_path / "out", replace(settings, **changed))
@@ -155,7 +155,7 @@ def test_ablate_leaves_out_one_part_each(lab, tiny, tmp_path):
     assert tactip.main(["transfer", "ablate", *command]) == 0
     record = json.loads((tmp_path / "out" / "results.json").read_text())
     assert list(record["ablate"]) == list(ABLATIONS)
-    assert record["ablate"]["all of it"] == record["zero-shot"]["simulation"]
+    assert record["ablate"]["complete simulation"] == record["zero-shot"]["simulation"]
     others = [tuple(part["mae"].values()) for part in record["ablate"].values()]
     assert len(set(others)) == len(ABLATIONS)  # each is another network
     flat = read_samples(tmp_path / "out" / "unsheared" / "train")
