@@ -22,7 +22,7 @@ from tactip_twin.learning.checkpoint import read_metrics
 from tactip_twin.learning.configuration import PoseNetConfig, Recipe, TrainSettings
 from tactip_twin.learning.data import read_samples, read_splits
 from tactip_twin.learning.evaluate import binned, evaluate, tables
-from tactip_twin.learning.model import description_sha256, load_model, net_sha256, save_model, to_input
+from tactip_twin.learning.model import load_model, net_sha256, save_model, to_input
 from tactip_twin.learning.muon import Muon, inner_weights
 from tactip_twin.learning.recipes import read_recipe, recipe_json
 from tactip_twin.learning.train import train
@@ -30,6 +30,7 @@ from tactip_twin.learning.training import Training, TrainingDiverged
 from tactip_twin.sim.dataset.format import encode_image, read_dataset
 from tactip_twin.sim.dataset.sampling import POSE_RANGES
 from tactip_twin.tactip_model.errors import Interrupted, TactipError
+from tactip_twin.tactip_model.input_files import with_checksum
 from tactip_twin.tactip_model.presets import design_named
 
 NET = PoseNetConfig(conv_layers=2, filters=6, dense_units=24, dropout=0.1, l1=0, l2=1e-5, batch_size=8)
@@ -246,10 +247,10 @@ def test_train_record_without_new_fields_is_recognized(splits, tmp_path):
         description["provenance"]["network"]["pixel_unshuffle"],
         description["provenance"]["settings"]["augmentation_strength"],
     )
-    path.write_text(json.dumps(description | {"sha256": description_sha256(description)}))
+    path.write_text(json.dumps(with_checksum(description)))
     assert quiet(*splits, NET, QUICK, tmp_path / "run") == history
     description["provenance"]["network"]["filters"] += 1
-    path.write_text(json.dumps(description | {"sha256": description_sha256(description)}))
+    path.write_text(json.dumps(with_checksum(description)))
     with pytest.raises(TactipError, match=r"holds a training with other settings \(network.filters is 7 there, 6 here\)"):
         quiet(*splits, NET, QUICK, tmp_path / "run")
 
@@ -427,7 +428,7 @@ def test_load_model_damaged_raises(splits, tmp_path):
     path.write_text(json.dumps(description))
     with pytest.raises(TactipError, match="was altered: it does not match its own checksum"):
         load_model(tmp_path / "run")
-    path.write_text(json.dumps(description | {"sha256": description_sha256(description)}))
+    path.write_text(json.dumps(with_checksum(description)))
     with pytest.raises(TactipError, match="unknown task 'ceiling': choose one of surface, edge"):
         load_model(tmp_path / "run")
     path.write_text("{")
@@ -462,7 +463,7 @@ def test_load_model_hostile_weights_raise(splits, tmp_path, monkeypatch, change,
     torch.save(change(torch.load(weights, weights_only=True)), weights)
     description = json.loads(path.read_text())
     description["weights"]["sha256"] = hashlib.sha256(weights.read_bytes()).hexdigest()
-    path.write_text(json.dumps(description | {"sha256": description_sha256(description)}))
+    path.write_text(json.dumps(with_checksum(description)))
     with pytest.raises(TactipError, match=message):
         load_model(tmp_path / "run")
     assert not (tmp_path / "payload-ran").exists()
@@ -474,7 +475,7 @@ def test_load_model_weights_outside_of_folder_raise(splits, tmp_path):
     description = json.loads(path.read_text())
     for file in ("../model.pt", "/dev/zero"):
         description["weights"]["file"] = file
-        path.write_text(json.dumps(description | {"sha256": description_sha256(description)}))
+        path.write_text(json.dumps(with_checksum(description)))
         with pytest.raises(TactipError, match=r"weights must have the file model\.pt"):
             load_model(tmp_path / "run")
 
