@@ -6,6 +6,7 @@ targets.csv               image_name or sensor_image; pose_1 … pose_6 and move
 meta.json                 tap_move: the tap that makes contact, after the commanded pose, mm and degrees
 """
 
+import contextlib
 import csv
 import io
 from dataclasses import dataclass
@@ -96,9 +97,10 @@ def _rows(path: Path) -> list[dict[str, str]]:
 
 def _found(folder: Path, name: str) -> Path:
     for path in (folder / "images" / name, folder / name):
-        if path.is_file():
-            return path
-    raise TactipError(f"the frame {name} does not exist in {folder} or its folder images")
+        with contextlib.suppress(OSError):  # a name that is too long for a file
+            if path.is_file():
+                return path
+    raise TactipError(f"the frame {name:.100} does not exist in {folder} or its folder images")
 
 
 def _tap(path: Path) -> np.ndarray:

@@ -116,8 +116,9 @@ def _frame_path(folder: Path, name: str) -> Path | None:
         for tail in dict.fromkeys((name, Path(name).name)):
             for suffix in ("", ".png", ".jpg", *VIDEOS):
                 path = folder / place / f"{tail}{suffix}"
-                if path.is_file():
-                    return path
+                with contextlib.suppress(OSError):  # a name that is too long for a file
+                    if path.is_file():
+                        return path
     return None
 
 
