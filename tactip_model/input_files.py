@@ -8,6 +8,7 @@ import io
 import json
 import math
 import stat
+import tokenize
 import zipfile
 import zlib
 from pathlib import Path
@@ -130,6 +131,7 @@ _NPZ_ERRORS = (
     NotImplementedError,
     zipfile.BadZipFile,
     zlib.error,
+    tokenize.TokenError,
 )
 """What zipfile and numpy raise for damaged files."""
 

@@ -275,6 +275,8 @@ def _read_edge(path: Path, scale: float) -> Edge | None:
         raise TactipError(f"{path} is damaged: its cells must be numbers, six in each row: {error}") from error
     if rows.shape[1:] != (_EDGE_COLUMNS,) or len(rows) < _MIN_EDGE_POINTS or not np.isfinite(rows).all():
         raise TactipError(f"{path} is damaged: it must have at least {_MIN_EDGE_POINTS} rows of six finite numbers")
+    if np.abs(rows).max() > 1e3 * MAX_SIZE_M:
+        raise TactipError(f"{path} is damaged: its numbers must be from -{1e3 * MAX_SIZE_M:g} to {1e3 * MAX_SIZE_M:g}")
     if np.abs(np.linalg.norm(rows[:, 3:], axis=1) - 1).max() > _MAX_NORMAL_ERROR:
         raise TactipError(f"{path} is damaged: its normals must have the length 1")
     points = scale * rows[:, :3] / 1e3

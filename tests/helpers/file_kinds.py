@@ -105,7 +105,7 @@ def write_shards(folder, root):
     write_fake_set(folder.parent / "whole", samples=6, shard_samples=3)
     meta = read_meta(folder.parent / "whole")
     configuration, sums = read_configuration(meta, folder), {}
-    for name, part in shards_of(configuration).items():
+    for name, part in shards_of(configuration):
         write_fake_set(folder / name, samples=3, shard_samples=3)
         own = json.loads((folder / name / "meta.json").read_text())
         (folder / name / "meta.json").write_text(json.dumps(own | {"configuration": part.as_json()}))
@@ -113,7 +113,8 @@ def write_shards(folder, root):
         mend_checksums(folder / name)
         sums[f"{name}/meta.json"] = checksum((folder / name / "meta.json").read_bytes())
     counts = {"asked": 6, "kept": 6, "failed": 0}
-    (folder / "meta.json").write_bytes(meta_json(configuration, counts, sums, {"shards": list(shards_of(configuration))}))
+    shards = [name for name, _ in shards_of(configuration)]
+    (folder / "meta.json").write_bytes(meta_json(configuration, counts, sums, {"shards": shards}))
 
 
 def read_shards(folder, root):
