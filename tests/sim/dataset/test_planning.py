@@ -12,8 +12,8 @@ from tactip_twin.sim.parallel.worker_pool import TaskQueue
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.input_files import MAX_JSON_BYTES
 
-MAX_MIB = 6
-"""The contacts of a shard take 1 MiB; those of ten million samples took 1.9 GiB."""
+MAX_MIB = 8
+"""The contacts of a shard take 2 MiB; those of ten million samples took 1.9 GiB."""
 
 MAX_SHARD = 87725
 """Largest allowed number of samples of a shard, for 127 pins."""
