@@ -3,6 +3,7 @@
 Every function raises TactipError, with one sentence that names the file, and uses bounded memory whatever the file holds.
 """
 
+import csv
 import hashlib
 import io
 import json
@@ -22,8 +23,11 @@ from tactip_twin.tactip_model.errors import TactipError
 MAX_BYTES = 2**28
 """Maximum size of a file, bytes. The tables of a shard of 10,000 samples of 331 pins have 80 MB."""
 
-MAX_JSON_BYTES = 2**25
+MAX_JSON_BYTES = 2**24
 """Maximum size of a JSON file, bytes: its values may take 20 times as much memory. meta.json has 95 bytes per image."""
+
+_MAX_TABLE_BYTES, _MAX_COLUMNS, _MAX_CELLS = 2**25, 1000, 4_000_000
+"""Maximum size of a table: bytes, columns and cells. A shard's table has at most 2 million cells."""
 
 MAX_UNPACKED_BYTES = 2**29
 """Maximum size of the content of a compressed file, bytes."""
@@ -120,6 +124,35 @@ def parse_json(data: bytes | str, name: str) -> Any:
 
 def _items(value: "dict[str, Any] | list[Any]") -> Any:
     return value.values() if isinstance(value, dict) else value
+
+
+def parse_table(data: bytes, name: str) -> tuple[list[str], list[dict[str, Any]]]:
+    """Return columns and rows of a table of comma-separated values in UTF-8, of at most 4 million cells.
+
+    Args:
+        data: Content of the file.
+        name: Its name, for messages.
+
+    Returns:
+        The columns, and the cells of each row by column: None where a row ends before a column; further cells of a row
+        that is too long are a list under the key None.
+    """
+    if len(data) > _MAX_TABLE_BYTES:
+        raise TactipError(f"{name} must have at most {_MAX_TABLE_BYTES / 2**20:.0f} MiB, got {len(data) / 2**20:.0f} MiB")
+    rows, cells = [], 0
+    try:
+        reader = csv.DictReader(io.StringIO(data.decode("utf-8-sig"), newline=""))
+        columns = list(reader.fieldnames or [])
+        if len(columns) > _MAX_COLUMNS:
+            raise TactipError(f"{name} must have at most {_MAX_COLUMNS} columns, got {len(columns)}")
+        for row in reader:
+            rows.append(row)
+            cells += len(columns) + len(row.get(None, ()))
+            if cells > _MAX_CELLS:
+                raise TactipError(f"{name} must have at most {_MAX_CELLS} cells")
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise TactipError(f"{name} cannot be read: {error}") from error
+    return columns, rows
 
 
 _NPZ_ERRORS = (

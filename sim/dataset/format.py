@@ -34,7 +34,7 @@ from tactip_twin.sim.pose import to_mm_deg
 from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.design_file import from_dict
 from tactip_twin.tactip_model.errors import TactipError
-from tactip_twin.tactip_model.input_files import MAX_BYTES, MAX_JSON_BYTES, parse_arrays, parse_json, read_file
+from tactip_twin.tactip_model.input_files import MAX_BYTES, MAX_JSON_BYTES, parse_arrays, parse_json, parse_table, read_file
 from tactip_twin.tactip_model.input_images import decode_image
 from tactip_twin.tactip_model.pins import neutral_pins
 
@@ -244,12 +244,7 @@ def read_targets(folder: str | Path) -> list[dict[str, str]]:
 
 
 def _parse_targets(data: bytes, path: Path) -> list[dict[str, str]]:
-    try:
-        reader = csv.DictReader(io.StringIO(data.decode(), newline=""))
-        rows = list(reader)
-        columns = reader.fieldnames or []
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise TactipError(f"{path} cannot be read: {error}") from error
+    columns, rows = parse_table(data, str(path))
     missing = [c for c in COLUMNS[:13] if c not in columns]
     if missing:
         raise TactipError(f"{path} lacks the columns {', '.join(missing)}")

@@ -7,8 +7,6 @@ meta.json                 tap_move: the tap that makes contact, after the comman
 """
 
 import contextlib
-import csv
-import io
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,7 +14,7 @@ import numpy as np
 
 from tactip_twin.sim.pose import from_mm_deg
 from tactip_twin.tactip_model.errors import TactipError
-from tactip_twin.tactip_model.input_files import read_file, read_json
+from tactip_twin.tactip_model.input_files import parse_table, read_file, read_json
 from tactip_twin.tactip_model.input_images import read_image
 
 _NAMES = ("image_name", "sensor_image")
@@ -86,10 +84,7 @@ def read_real_set(folder: str | Path) -> RealSet:
 def _rows(path: Path) -> list[dict[str, str]]:
     if not path.exists():
         raise TactipError(f"{path} does not exist: it must name the frames and their poses")
-    try:
-        rows = list(csv.DictReader(io.StringIO(read_file(path).decode("utf-8-sig"), newline="")))
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise TactipError(f"{path} cannot be read as a table in UTF-8: {error}") from error
+    _, rows = parse_table(read_file(path), str(path))
     if not rows:
         raise TactipError(f"{path} has no rows")
     return rows
