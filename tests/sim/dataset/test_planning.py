@@ -13,7 +13,7 @@ from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.input_files import MAX_JSON_BYTES
 
 MAX_MIB = 8
-"""The contacts of a shard take 2 MiB; those of ten million samples took 1.9 GiB."""
+"""The contacts of a shard take 2 MiB; lists of ten million samples would take 1.9 GiB (19 MiB for 100,000)."""
 
 MAX_SHARD = 87725
 """Largest allowed number of samples of a shard, for 127 pins."""
