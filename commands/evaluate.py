@@ -38,6 +38,7 @@ class Evaluate(Command):
             from tactip_twin.learning.device import device_named, set_threads
             from tactip_twin.learning.evaluate import MAX_OUTSIDE_FRACTION, check_same_pins, evaluate
             from tactip_twin.learning.evaluation_page import write_evaluation
+            from tactip_twin.learning.image_check import MAX_UNLIKE_FRACTION
             from tactip_twin.learning.model import load_network
 
             set_threads(self.threads)
@@ -52,6 +53,12 @@ class Evaluate(Command):
             print(
                 f"{figures['outside_fraction']:.0%} of the predictions are far outside the range that the network learned: "
                 "it does not suit these images",
+                file=sys.stderr,
+            )
+        if (figures["unlike_image_fraction"] or 0) > MAX_UNLIKE_FRACTION:
+            print(
+                f"{figures['unlike_image_fraction']:.0%} of the images are unlike those that the network learned, most "
+                f"of them in {figures['unlike_in']}: check sensor, light, threshold and crop",
                 file=sys.stderr,
             )
         if self.json:

@@ -17,7 +17,7 @@ from tactip_twin.control.servo import Controller, reference_mm_deg
 from tactip_twin.control.servo_setup import ServoSetup, prepare
 from tactip_twin.control.trajectory_figure import write_figure
 from tactip_twin.sim.pose import inverse
-from tactip_twin.sim.robot.recording import RecordedScene, Recorder
+from tactip_twin.sim.robot.recording import RecordedScene, Recorder, RecordingFullError
 from tactip_twin.sim.view.replay_video import render_frames
 from tactip_twin.sim.view.video import write_video
 from tactip_twin.tactip_model.errors import Interrupted
@@ -77,6 +77,8 @@ def run_servo(
         follower.run(setup.T_start, setup.route)
     except KeyboardInterrupt:
         interrupted, follower.stopped_because = True, "interrupted by Ctrl-C"
+    except RecordingFullError as full:
+        follower.stopped_because = str(full)
     outcome = {
         "closed": setup.route.closed,
         "stopped_because": follower.stopped_because,

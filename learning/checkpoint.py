@@ -28,7 +28,7 @@ from tactip_twin.sim.dataset.format import labels_sha256
 from tactip_twin.sim.parallel.resume import check_resumable
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.files import write_file
-from tactip_twin.tactip_model.input_files import parse_json, read_file
+from tactip_twin.tactip_model.input_files import parse_json, read_file, read_json_lines
 
 CHECKPOINT, METRICS, LOCK, TENSORBOARD = "checkpoint.pt", "metrics.jsonl", ".lock", "tensorboard"
 
@@ -96,6 +96,7 @@ def load_checkpoint(folder: Path, record: dict[str, Any]) -> dict[str, Any] | Li
         try:
             state = tensors_from_bytes(read_file(checkpoint))
             recorded = parse_json(state["of"], f"the settings in {checkpoint}")
+            _check_history(parse_json(state["history"], f"the history in {checkpoint}"), str(checkpoint))
         except (ValueError, KeyError, TypeError) as error:
             raise TactipError(f"cannot read {checkpoint} ({error}): delete it to restart the training") from error
     elif description.exists():
@@ -121,5 +122,20 @@ def with_new_defaults(recorded: Any, defaults: Any) -> Any:
 
 
 def read_metrics(folder: Path) -> list[dict[str, float]]:
-    """Return the figures of each epoch of the training in a folder."""
-    return [json.loads(line) for line in (Path(folder) / METRICS).read_text().splitlines()]
+    """Return the figures of each epoch of the training in a folder. Raises TactipError where they cannot be read."""
+    path = Path(folder) / METRICS
+    return _check_history(read_json_lines(path), str(path))
+
+
+_FIGURES = ("epoch", "loss", "val_loss", "seconds")
+
+
+def _check_history(history: Any, name: str) -> list[dict[str, float]]:
+    """Return a JSON value. Raises TactipError unless it has the figures of each epoch. name: its file, for the message."""
+    if not isinstance(history, list):
+        raise TactipError(f"{name} is damaged: the history must be a list of epochs")
+    for epoch, figures in enumerate(history, 1):
+        good = isinstance(figures, dict) and all(type(figures.get(key)) in (int, float) for key in _FIGURES)
+        if not good or figures["epoch"] != epoch:
+            raise TactipError(f"{name} is damaged: epoch {epoch} must have the numbers {', '.join(_FIGURES)}")
+    return history

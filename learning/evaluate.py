@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from tactip_twin.learning.data import Samples, check_compatible
+from tactip_twin.learning.image_check import image_check
 from tactip_twin.learning.labels import Labels
 from tactip_twin.learning.model import Model
 from tactip_twin.learning.posenet import parameter_count
@@ -90,6 +91,8 @@ def evaluate(model: Model, samples: Samples) -> Evaluation:
     """Evaluate a model on samples. Raises TactipError if their tasks or image sizes differ."""
     check_compatible(samples, model.labels.task, model.size, "the model")
     predictions = model.predict(samples.images)
+    check = image_check(model)
+    unlike = check.of(samples.images) if check else (None, "")
     errors = predictions - samples.targets
     names = model.labels.names
 
@@ -107,6 +110,8 @@ def evaluate(model: Model, samples: Samples) -> Evaluation:
         "greatest": by_name(np.abs(errors).max(0)),
         "loss": float(((errors / model.labels.scale) ** 2).sum(1).mean()),
         "outside_fraction": _outside_fraction(predictions, model.labels),
+        "unlike_image_fraction": unlike[0],
+        "unlike_in": unlike[1],
         "latency_ms": latency_ms(model),
         "parameters": parameter_count(model.net),
     }

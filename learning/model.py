@@ -6,6 +6,7 @@ import hashlib
 import io
 import json
 import zipfile
+import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,7 +24,7 @@ from tactip_twin.learning.posenet import PoseNet
 from tactip_twin.tactip_model.design_file import from_dict
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.files import write_file
-from tactip_twin.tactip_model.input_files import MAX_UNPACKED_BYTES, read_file, read_json
+from tactip_twin.tactip_model.input_files import MAX_UNPACKED_BYTES, has_checksum, read_file, read_json, with_checksum
 
 FORMAT = "tactip-twin PoseNet"
 VERSION = 2
@@ -100,8 +101,11 @@ def tensors_from_bytes(data: bytes) -> dict[str, Any]:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             if sum(member.file_size for member in archive.infolist()) > MAX_UNPACKED_BYTES:
                 raise ValueError(f"it unpacks to more than {MAX_UNPACKED_BYTES / 2**20:.0f} MiB")
-    except (zipfile.BadZipFile, NotImplementedError) as error:
+            damaged = archive.testzip()
+    except (zipfile.BadZipFile, zlib.error, NotImplementedError, EOFError, OSError, RuntimeError) as error:
         raise ValueError("truncated, or not a file of tensors") from error
+    if damaged:
+        raise ValueError(f"its part {damaged!r:.60} does not match its checksum")
     try:
         state = torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
     except Exception as error:  # what torch raises for a damaged file depends on the damage; its advice is not for users
@@ -143,16 +147,9 @@ def save_model(
         "weights": {"file": WEIGHTS, "sha256": hashlib.sha256(data).hexdigest()},
         "provenance": provenance,
     }
-    description["sha256"] = description_sha256(description)
     # The description contains the weights' checksum, so the reader detects a kill between the two writes.
     write_file(folder / WEIGHTS, data)
-    write_file(folder / DESCRIPTION, (json.dumps(description, indent=1) + "\n").encode())
-
-
-def description_sha256(description: dict[str, Any]) -> str:
-    """Return a checksum (hex) of a description, which contains its own checksum or does not."""
-    rest = {key: value for key, value in description.items() if key != "sha256"}
-    return hashlib.sha256(json.dumps(rest, sort_keys=True).encode()).hexdigest()
+    write_file(folder / DESCRIPTION, (json.dumps(with_checksum(description), indent=1) + "\n").encode())
 
 
 def net_sha256(net: PoseNet) -> str:
@@ -214,7 +211,7 @@ def read_description(folder: Path) -> dict[str, Any]:
     description = read_json(path)
     if not isinstance(description, dict) or description.get("format") != FORMAT or description.get("version") != VERSION:
         raise TactipError(f"{path} must have the format {FORMAT!r}, version {VERSION}: train the model again")
-    if description.get("sha256") != description_sha256(description):
+    if not has_checksum(description):
         raise TactipError(f"{path} was altered: it does not match its own checksum; train again, or copy the model again")
     weights = description.get("weights")
     if not isinstance(weights, dict) or weights.get("file") != WEIGHTS or not isinstance(weights.get("sha256"), str):

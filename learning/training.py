@@ -218,11 +218,28 @@ class Training:
         }
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Restore what `state` returned."""
-        self.net.load_state_dict(state["net"])
-        for (optimizer, _), saved in zip(self._optimizers, state["optimizers"], strict=True):
-            optimizer.load_state_dict(saved)
-        self.best, self.epoch, self.history = state["best"], state["epoch"], json.loads(state["history"])
+        """Restore what `state` returned. Raises TactipError where it is not the state of a training of this network."""
+        try:
+            self.net.load_state_dict(state["net"])
+            for (optimizer, _), saved in zip(self._optimizers, state["optimizers"], strict=True):
+                optimizer.load_state_dict(saved)
+                # torch does not compare the shapes.
+                for parameter, values in optimizer.state.items():
+                    if any(value.shape not in ((), parameter.shape) for value in values.values()):
+                        raise ValueError("an optimizer's state has another shape than its parameter")
+            self.best, self.epoch, self.history = state["best"], state["epoch"], json.loads(state["history"])
+            if _shapes(self.best) != _shapes(self.net.state_dict()) or self.epoch != len(self.history):
+                raise ValueError("the best network or the history does not belong to it")
+        except (KeyError, IndexError, TypeError, ValueError, AttributeError, RuntimeError) as error:
+            reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+            raise TactipError(
+                f"the checkpoint does not fit this training ({reason}): delete checkpoint.pt to restart the training"
+            ) from error
+
+
+def _shapes(state: dict[str, torch.Tensor]) -> dict[str, torch.Size]:
+    """Return the shapes of the tensors of a state dict."""
+    return {name: tensor.shape for name, tensor in state.items()}
 
 
 def initial_state(init_from: Model, config: PoseNetConfig, samples: Samples) -> dict[str, torch.Tensor]:

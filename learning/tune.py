@@ -28,17 +28,18 @@ from hyperopt.base import JOB_STATE_DONE, Domain
 from tqdm import tqdm
 
 from tactip_twin.learning.checkpoint import METRICS, read_metrics, with_new_defaults
-from tactip_twin.learning.configuration import DeviceName, TuneSettings
+from tactip_twin.learning.configuration import DeviceName, PoseNetConfig, SearchSpace, TuneSettings
 from tactip_twin.learning.data import read_splits
-from tactip_twin.learning.search_space import expressions, network_of_values
+from tactip_twin.learning.search_space import check_values, expressions, network_of_values
 from tactip_twin.learning.train import Pruned, ShouldPrune, train
 from tactip_twin.learning.tune_figure import plot_search
 from tactip_twin.sim.parallel.file_lock import locked
 from tactip_twin.sim.parallel.parent_watch import end_with_parent
 from tactip_twin.sim.parallel.resume import check_resumable
+from tactip_twin.tactip_model.design_file import from_dict
 from tactip_twin.tactip_model.errors import Interrupted, TactipError
 from tactip_twin.tactip_model.files import remove_leftovers, write_file
-from tactip_twin.tactip_model.input_files import read_json
+from tactip_twin.tactip_model.input_files import read_json, read_json_lines
 
 TRIAL, RESULTS, BEST, LOCK = "trial.json", "results.jsonl", "best.json", ".lock"
 
@@ -131,13 +132,14 @@ def _tune(
             while todo or running:
                 while todo and len(running) < jobs:
                     index = todo.pop(0)
-                    values = _recorded_values(folder, index) or suggest(settings, index, results)
+                    values = _recorded_values(folder, index, settings.space) or suggest(settings, index, results)
                     record_start(folder, index, {"trial": index, "values": values})
                     running[index] = _start(data, folder, index, settings, device, threads)
                 for index in _ended(running):
                     process = running.pop(index)
                     process.join()
-                    results.append(read_result(folder, index, _missing_result(folder, index, process.exitcode)))
+                    why = _missing_result(folder, index, process.exitcode)
+                    results.append(read_result(folder, index, settings.space, why))
                     write_results(folder, results, settings)
                     bar.update()
                     bar.set_postfix(best=_best_loss(results))
@@ -169,6 +171,8 @@ def prepare_folder(folder: Path, data: str | Path, settings: TuneSettings) -> No
     recorded = None
     if path.exists():
         recorded = read_json(path)
+        if not isinstance(recorded, dict):
+            raise TactipError(f"{path} must have the settings of a search, got {recorded!r:.60}")
         recorded = recorded | {"settings": with_new_defaults(recorded.get("settings"), _identity(TuneSettings()))}
     if not check_resumable(folder, "search", recorded, requested):
         folder.mkdir(parents=True, exist_ok=True)
@@ -194,23 +198,72 @@ def record_start(folder: Path, index: int, record: Result) -> None:
     write_file(place.with_suffix(".json"), (json.dumps(record) + "\n").encode())
 
 
-def _recorded_values(folder: Path, index: int) -> dict[str, Any] | None:
+def _recorded_values(folder: Path, index: int, space: SearchSpace) -> dict[str, Any] | None:
     """Return the values of an interrupted trial, or None if it has not started."""
+    return _read_start(folder, index, space)["values"] if trial_folder(folder, index).with_suffix(".json").exists() else None
+
+
+def _read_start(folder: str | Path, index: int, space: SearchSpace) -> Result:
+    """Return what `record_start` wrote. Raises TactipError where it cannot be read."""
     path = trial_folder(folder, index).with_suffix(".json")
-    return read_json(path)["values"] if path.exists() else None
+    return _check_start(read_json(path), index, space, f"{path}: delete it to repeat the trial, because it is damaged")
 
 
-def read_results(folder: str | Path) -> list[Result]:
-    """Return the results of the trials that have ended, in the order in which they ended."""
+def _check_start(record: Any, index: int | None, space: SearchSpace, name: str) -> Result:
+    """Return a JSON value. Raises TactipError unless it has the number and the values of a trial.
+
+    Args:
+        record: The value.
+        index: Number of the trial; None for any.
+        space: Space of the search.
+        name: Name of the file, for messages.
+    """
+    trial = record.get("trial") if isinstance(record, dict) else None
+    if type(trial) is not int or trial < 0 or (index is not None and trial != index):
+        raise TactipError(f"{name}: it must be an object with the number of the trial, got {record!r:.60}")
+    check_values(space, record.get("values"), name)
+    return record
+
+
+def _check_result(result: Any, index: int | None, space: SearchSpace, name: str) -> Result:
+    """Return a JSON value. Raises TactipError unless it is the result of a trial. Arguments as of `_check_start`."""
+    _check_start(result, index, space, name)
+    status, loss = result.get("status"), result.get("loss")
+    if status not in ("ok", "pruned", "failed") or (status == "ok" and type(loss) not in (int, float)):
+        raise TactipError(f"{name}: status must be ok, pruned or failed, and the loss of ok a number, got {status!r:.60}")
+    if status == "ok":
+        from_dict(PoseNetConfig, result.get("network"), f"{name}: network")
+    elif status == "failed" and not isinstance(result.get("why"), str):
+        raise TactipError(f"{name}: why must be a sentence, got {result.get('why')!r:.60}")
+    return result
+
+
+def read_results(folder: str | Path, space: SearchSpace) -> list[Result]:
+    """Return the results of the trials that have ended, in the order in which they ended.
+
+    Args:
+        folder: Folder of the search.
+        space: Space of the search.
+
+    Raises:
+        TactipError: If the file cannot be read, or has anything but results of trials with values of the space.
+    """
     path = Path(folder) / RESULTS
-    return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+    if not path.exists():
+        return []
+    results = read_json_lines(path)
+    for number, result in enumerate(results, 1):
+        _check_result(result, None, space, f"{path}, line {number}")
+    if len({result["trial"] for result in results}) < len(results):
+        raise TactipError(f"{path} must have one result per trial, but it has the same trial twice")
+    return results
 
 
 def resumed_results(folder: Path, settings: TuneSettings) -> list[Result]:
     """Return the results so far of a search that resumes, after mending what a kill may have left in its locked folder."""
     remove_leftovers(folder)
     remove_leftovers(folder / "trials")
-    results = read_results(folder)
+    results = read_results(folder, settings.space)
     if results:
         write_results(folder, results, settings)  # a kill may have come between its two files
     return results
@@ -266,12 +319,12 @@ def run_trial(data: str, folder: str, index: int, settings: TuneSettings, device
     """
     torch.set_num_threads(threads)
     place = trial_folder(folder, index)
-    record = read_json(place.with_suffix(".json"))
+    record = _read_start(folder, index, settings.space)
     result = record | {"status": "failed", "loss": None, "network": None}
     try:
         network = network_of_values(settings.space, record["values"])
         result["network"] = dataclasses.asdict(network)
-        prune = _should_prune(read_results(folder), folder, settings.min_epochs) if settings.prune else None
+        prune = _should_prune(read_results(folder, settings.space), folder, settings.min_epochs) if settings.prune else None
         history = train(*read_splits(data), network, settings.training, place, device, lambda line: None, prune, quiet=True)
         result |= {"status": "ok", "loss": min(h["val_loss"] for h in history), "epochs": len(history)}
         result["seconds"] = sum(h["seconds"] for h in history)
@@ -329,10 +382,20 @@ def _missing_result(folder: Path, index: int, exit_code: int | None) -> str:
     return f"the process was killed by {signal.Signals(-exit_code).name}; the machine may be out of memory"
 
 
-def read_result(folder: str | Path, index: int, why: str) -> Result:
-    """Read the result of a trial that has ended. why: reason of its failure, for a trial that wrote no result."""
+def read_result(folder: str | Path, index: int, space: SearchSpace, why: str) -> Result:
+    """Read the result of a trial that has ended.
+
+    Args:
+        folder: Folder of the search.
+        index: Number of the trial.
+        space: Space of the search.
+        why: Reason of its failure, for a trial that wrote no result.
+
+    Raises:
+        TactipError: If a file of the trial cannot be read.
+    """
     path = trial_folder(folder, index) / TRIAL
     if path.exists():
-        return read_json(path)
-    record = read_json(trial_folder(folder, index).with_suffix(".json"))
+        return _check_result(read_json(path), index, space, f"{path}: delete it to repeat the trial, because it is damaged")
+    record = _read_start(folder, index, space)
     return record | {"status": "failed", "loss": None, "network": None, "why": why}

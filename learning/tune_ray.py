@@ -94,7 +94,7 @@ def _tune(
         """Train one trial on any machine of the cluster."""
         record_start(folder, point["trial"], {"trial": point["trial"], "values": point["values"]})
         run_trial(str(data), str(folder), point["trial"], settings, device, threads=_CORES)
-        result = read_result(folder, point["trial"], "the trial wrote no result")
+        result = read_result(folder, point["trial"], settings.space, "the trial wrote no result")
         if result["status"] != "ok":
             raise TactipError(result["why"])
         ray_tune.report({"loss": result["loss"]})
@@ -163,7 +163,7 @@ def _result_writer(folder: Path, results: list[Result], settings: TuneSettings, 
 
         def _write(self, trial: Any, why: str) -> None:
             """Write the result of a trial. why: reason of its failure, for a trial that wrote no result."""
-            results.append(read_result(folder, trial.config["trial"], why))
+            results.append(read_result(folder, trial.config["trial"], settings.space, why))
             write_results(folder, results, settings)
             bar.update()
 

@@ -3,10 +3,13 @@
 Every function raises TactipError, with one sentence that names the file, and uses bounded memory whatever the file holds.
 """
 
+import csv
+import hashlib
 import io
 import json
 import math
 import stat
+import tokenize
 import zipfile
 import zlib
 from pathlib import Path
@@ -19,6 +22,12 @@ from tactip_twin.tactip_model.errors import TactipError
 
 MAX_BYTES = 2**28
 """Maximum size of a file, bytes. The tables of a shard of 10,000 samples of 331 pins have 80 MB."""
+
+MAX_JSON_BYTES = 2**24
+"""Maximum size of a JSON file, bytes: its values may take 20 times as much memory. meta.json has 95 bytes per image."""
+
+_MAX_TABLE_BYTES, _MAX_COLUMNS, _MAX_CELLS = 2**25, 1000, 4_000_000
+"""Maximum size of a table: bytes, columns and cells. A shard's table has at most 2 million cells."""
 
 MAX_UNPACKED_BYTES = 2**29
 """Maximum size of the content of a compressed file, bytes."""
@@ -60,10 +69,33 @@ def read_json(path: str | Path, name: str = "") -> Any:
     return parse_json(_named(path, name), name or str(path))
 
 
+def read_json_lines(path: str | Path) -> list[dict[str, Any]]:
+    """Return the JSON objects in a file that has one per line."""
+    lines = read_file(path, MAX_JSON_BYTES).split(b"\n")
+    if lines.pop():
+        raise TactipError(f"{path} is damaged: its last line has no end")
+    values = [parse_json(line, f"{path}, line {number}") for number, line in enumerate(lines, 1)]
+    for number, value in enumerate(values, 1):
+        if not isinstance(value, dict):
+            raise TactipError(f"{path}, line {number} must be an object, got {value!r:.60}")
+    return values
+
+
+def with_checksum(value: "dict[str, Any]") -> dict[str, Any]:
+    """Return a JSON object with a checksum of itself under the key `sha256`, in place of an earlier one."""
+    rest = {key: item for key, item in value.items() if key != "sha256"}
+    return rest | {"sha256": hashlib.sha256(json.dumps(rest, sort_keys=True).encode()).hexdigest()}
+
+
+def has_checksum(value: "dict[str, Any]") -> bool:
+    """Return whether a JSON object matches the checksum of itself that it has under the key `sha256`."""
+    return value.get("sha256") == with_checksum(value)["sha256"]
+
+
 def _named(path: str | Path, name: str) -> bytes:
-    """Return the content of a file; errors state its name instead of its path."""
+    """Return the content of a JSON file; errors state its name instead of its path."""
     try:
-        return read_file(path)
+        return read_file(path, MAX_JSON_BYTES)
     except TactipError as error:
         raise TactipError(str(error).replace(str(path), name or str(path), 1)) from error
 
@@ -94,6 +126,35 @@ def _items(value: "dict[str, Any] | list[Any]") -> Any:
     return value.values() if isinstance(value, dict) else value
 
 
+def parse_table(data: bytes, name: str) -> tuple[list[str], list[dict[str, Any]]]:
+    """Return columns and rows of a table of comma-separated values in UTF-8, of at most 4 million cells.
+
+    Args:
+        data: Content of the file.
+        name: Its name, for messages.
+
+    Returns:
+        The columns, and the cells of each row by column: None where a row ends before a column; further cells of a row
+        that is too long are a list under the key None.
+    """
+    if len(data) > _MAX_TABLE_BYTES:
+        raise TactipError(f"{name} must have at most {_MAX_TABLE_BYTES / 2**20:.0f} MiB, got {len(data) / 2**20:.0f} MiB")
+    rows, cells = [], 0
+    try:
+        reader = csv.DictReader(io.StringIO(data.decode("utf-8-sig"), newline=""))
+        columns = list(reader.fieldnames or [])
+        if len(columns) > _MAX_COLUMNS:
+            raise TactipError(f"{name} must have at most {_MAX_COLUMNS} columns, got {len(columns)}")
+        for row in reader:
+            rows.append(row)
+            cells += len(columns) + len(row.get(None, ()))
+            if cells > _MAX_CELLS:
+                raise TactipError(f"{name} must have at most {_MAX_CELLS} cells")
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise TactipError(f"{name} cannot be read: {error}") from error
+    return columns, rows
+
+
 _NPZ_ERRORS = (
     ValueError,
     TypeError,
@@ -103,6 +164,7 @@ _NPZ_ERRORS = (
     NotImplementedError,
     zipfile.BadZipFile,
     zlib.error,
+    tokenize.TokenError,
 )
 """What zipfile and numpy raise for damaged files."""
 
@@ -117,29 +179,36 @@ def parse_arrays(data: bytes, name: str) -> dict[str, np.ndarray]:
             for member in members:
                 if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) or member.flag_bits & 1:
                     raise ValueError(f"{member.filename!r} uses a compression method that numpy does not use")
-            return {member.filename.removesuffix(".npy"): _array(archive.read(member)) for member in members}
+            return {member.filename.removesuffix(".npy"): _read_array(archive, member) for member in members}
     except _NPZ_ERRORS as error:
         raise TactipError(f"{name} cannot be read as arrays: {error}") from error
 
 
-def _array(data: bytes) -> np.ndarray:
-    """Return the array in the bytes of an .npy file. Raises ValueError if its header and its size differ."""
-    file = io.BytesIO(data)
-    version = npy.read_magic(file)
-    if version not in ((1, 0), (2, 0)):
-        raise ValueError(f"version {version} of the array format is unknown")
-    header = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
-    shape, in_fortran_order, dtype = header(file)
-    if dtype.kind not in "biufU" or any(n < 0 for n in shape):
-        raise ValueError(f"an array has the type {dtype} and the shape {shape}: numbers and texts are allowed")
-    if math.prod(shape) * dtype.itemsize != len(data) - file.tell():
-        raise ValueError(f"an array of shape {shape} has {len(data) - file.tell()} bytes")
-    if not math.prod(shape):
-        return np.zeros(shape, dtype)
-    values = np.frombuffer(data, dtype, offset=file.tell()).copy()  # writable, because compiled libraries require it
-    return values.reshape(shape, order="F" if in_fortran_order else "C")
+def _read_array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray:
+    """Return the array in a member of an archive, unpacked in place. Raises ValueError if its header and its size differ."""
+    with archive.open(member) as file:
+        version = npy.read_magic(file)
+        if version not in ((1, 0), (2, 0)):
+            raise ValueError(f"version {version} of the array format is unknown")
+        header = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
+        shape, in_fortran_order, dtype = header(file)
+        if dtype.kind not in "biufU" or any(n < 0 for n in shape):
+            raise ValueError(f"an array has the type {dtype} and the shape {shape}: numbers and texts are allowed")
+        size = math.prod(shape) * dtype.itemsize
+        if size != member.file_size - file.tell():
+            raise ValueError(f"an array of shape {shape} has {member.file_size - file.tell()} bytes")
+        data, filled = np.empty(size, np.uint8), 0  # writable, as compiled libraries want it
+        while chunk := file.read(_CHUNK_BYTES):  # the last read compares the checksum
+            data[filled : filled + len(chunk)] = np.frombuffer(chunk, np.uint8)
+            filled += len(chunk)
+    if filled < size:
+        raise EOFError("an array ends too soon")
+    return data.view(dtype).reshape(shape, order="F" if in_fortran_order else "C") if size else np.zeros(shape, dtype)
 
 
-def read_arrays(path: str | Path) -> dict[str, np.ndarray]:
-    """Return the arrays in an .npz file, by name."""
-    return parse_arrays(read_file(path), str(path))
+_CHUNK_BYTES = 2**20
+
+
+def read_arrays(path: str | Path, max_bytes: int = MAX_BYTES) -> dict[str, np.ndarray]:
+    """Return the arrays in an .npz file of at most `max_bytes`, by name."""
+    return parse_arrays(read_file(path, max_bytes), str(path))

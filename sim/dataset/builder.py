@@ -6,6 +6,8 @@ import json
 import os
 import platform
 import shutil
+from collections import deque
+from collections.abc import Iterable
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -37,6 +39,28 @@ _KIND = "data set"
 _SAMPLES = "configuration.samples"
 
 
+class _Costs:
+    """Costs of the contacts made by this command."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        """Number of contacts."""
+        self.seconds: deque[float] = deque(maxlen=_MAX_COSTS)
+        """Seconds of each of the last ones."""
+        self.peak_mib = 0.0
+        """Peak memory of a worker, MiB."""
+
+    def add(self, seconds: float, peak_mib: float) -> None:
+        """Add a contact: its seconds, and the peak memory of its worker in MiB."""
+        self.count += 1
+        self.seconds.append(seconds)
+        self.peak_mib = max(self.peak_mib, peak_mib)
+
+
+_MAX_COSTS = 10_000
+"""Number of contacts whose seconds are kept for the median: a set may have millions."""
+
+
 class DatasetBuilder:
     """The folder of a data set while it is made. In its `with` block no other command can make this set."""
 
@@ -51,11 +75,11 @@ class DatasetBuilder:
         self._configuration, self._path, self._alone = configuration, path, alone
         self._partial = path / PARTIAL
         self._open_contexts = contextlib.ExitStack()
-        self._missing: set[int] = set()
+        self._missing: set[int] | None = None
+        """Numbers of the contacts that are still to be made; None until they are looked for."""
         self._samples: dict[str, int] | None = None
         """The counts in meta.json, once there is one."""
-        self.costs: list[tuple[float, float]] = []
-        """Seconds, and peak memory of the worker in MiB, of each contact made by this command."""
+        self._costs = _Costs()
 
     def __enter__(self) -> Self:
         with contextlib.ExitStack() as stack:
@@ -147,11 +171,28 @@ class DatasetBuilder:
                 )
         check_resumable(self._path, _KIND, recorded, requested)
 
-    def missing(self) -> list[int]:
-        """Return the numbers of the contacts that are still to be made."""
-        if not self.finished:
-            self._missing = {n for n in contact_numbers(self._configuration) if not self._is_done(n)}
+    def plan(self) -> tuple[int, int]:
+        """Return the numbers of contacts and of samples that are still to be made."""
+        numbers = list(self.missing())
+        return len(numbers), sum(len(sample_indices(self._configuration, number)) for number in numbers)
+
+    def missing(self) -> Iterable[int]:
+        """Return the numbers of the contacts that are still to be made, as they were when this was first called."""
+        if self._missing is None:
+            self._missing = set() if self.finished else self._find_missing()
         return sorted(self._missing)
+
+    def set_missing(self, numbers: Iterable[int]) -> None:
+        """Set the numbers of the contacts that are still to be made, where they are known."""
+        self._missing = {int(number) for number in numbers}
+
+    def _find_missing(self) -> set[int]:
+        recorded = {path.name for path in self._partial.glob("*.npz")}
+        return {
+            number
+            for number in contact_numbers(self._configuration)
+            if record_path(self._path, number).name not in recorded or not self._is_done(number)
+        }
 
     def done(self, number: int, cost: tuple[float, float], workers: int, seconds: float) -> "list[ShardFinalizer]":
         """Note that a contact is made, and finish the set if it was the last.
@@ -171,13 +212,10 @@ class DatasetBuilder:
 
     def last(self, number: int, cost: tuple[float, float], workers: int, seconds: float) -> bytes | None:
         """Note that a contact is made, as `done` does; return the bytes of run.json if it was the last, else None."""
-        self.costs.append(cost)
-        self._missing.discard(number)
-        return None if self._missing else self._run_json(workers, seconds)
-
-    def mark_finished(self) -> None:
-        """Note that a worker has finished the set."""
-        self._samples = read_meta(self._path)["samples"]
+        self._costs.add(*cost)
+        missing = self._missing or set()
+        missing.discard(number)
+        return None if missing else self._run_json(workers, seconds)
 
     @property
     def finished(self) -> bool:
@@ -215,7 +253,7 @@ class DatasetBuilder:
 
     def _made(self) -> int:
         """Return the number of samples made by this command; the last contact of a set may make fewer than the others."""
-        return min(len(self.costs) * self._configuration.samples_per_contact, self._configuration.samples)
+        return min(self._costs.count * self._configuration.samples_per_contact, self._configuration.samples)
 
     def assemble(self, run_json: bytes) -> dict[str, int]:
         """Write the tables of the set and meta.json, from the records.
@@ -272,9 +310,9 @@ class DatasetBuilder:
             "samples_made_by_the_last_command": self._made(),
             "seconds_from_the_commands_start": round(seconds, 3),
         }
-        if self.costs:  # none if a kill came just before the end
-            run["seconds_a_contact_and_worker_median"] = round(float(np.median([c[0] for c in self.costs])), 4)
-            run["peak_memory_of_a_worker_MiB"] = round(max(c[1] for c in self.costs))
+        if self._costs.count:  # none if a kill came just before the end
+            run["seconds_a_contact_and_worker_median"] = round(float(np.median(self._costs.seconds)), 4)
+            run["peak_memory_of_a_worker_MiB"] = round(self._costs.peak_mib)
         return (json.dumps(run, indent=1) + "\n").encode()
 
 

@@ -31,10 +31,12 @@ from tactip_twin.sim.dataset.configuration import REQUIRED_KEYS, Configuration
 from tactip_twin.sim.dataset.meta_check import check_meta
 from tactip_twin.sim.labels import LABELS, SHEARS
 from tactip_twin.sim.pose import to_mm_deg
+from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.design_file import from_dict
 from tactip_twin.tactip_model.errors import TactipError
-from tactip_twin.tactip_model.input_files import parse_arrays, read_file, read_json
+from tactip_twin.tactip_model.input_files import MAX_BYTES, MAX_JSON_BYTES, parse_arrays, parse_json, parse_table, read_file
 from tactip_twin.tactip_model.input_images import decode_image
+from tactip_twin.tactip_model.pins import neutral_pins
 
 FORMAT = "tactip-twin data set"
 VERSION = 2
@@ -176,6 +178,15 @@ class Dataset:
         return decode_image(read_unaltered(path, self.checksums[i]), str(path))
 
 
+MAX_PINS_BYTES = MAX_BYTES - 2**20
+"""Maximum size of the pins of a set without shards, or of a shard, bytes, so pins.npz can be read again."""
+
+
+def pins_bytes(design: Design) -> int:
+    """Return the size of the pins of one sample in pins.npz, bytes."""
+    return 2 * neutral_pins(design)[0].size * np.dtype(np.float32).itemsize
+
+
 def read_meta(folder: str | Path) -> dict[str, Any]:
     """Return the meta.json of a finished set. Raises TactipError if there is none, or one of something else."""
     path = Path(folder) / "meta.json"
@@ -183,7 +194,12 @@ def read_meta(folder: str | Path) -> dict[str, Any]:
         if (Path(folder) / PARTIAL).exists():
             raise TactipError(f"the set in {folder} is unfinished: run the command that makes it again to resume it")
         raise TactipError(f"there is no data set in {folder}: it has no meta.json")
-    meta = read_json(path)
+    return parse_meta(read_file(path, MAX_JSON_BYTES), path)
+
+
+def parse_meta(data: bytes, path: Path) -> dict[str, Any]:
+    """Return the meta.json of a finished set from its bytes. path: the file, for messages. Raises as `read_meta` does."""
+    meta = parse_json(data, str(path))
     if not isinstance(meta, dict) or meta.get("format") != FORMAT:
         raise TactipError(f"{path} does not describe a data set of this project: its format is not {FORMAT!r}")
     if meta.get("version") != VERSION:
@@ -228,12 +244,7 @@ def read_targets(folder: str | Path) -> list[dict[str, str]]:
 
 
 def _parse_targets(data: bytes, path: Path) -> list[dict[str, str]]:
-    try:
-        reader = csv.DictReader(io.StringIO(data.decode(), newline=""))
-        rows = list(reader)
-        columns = reader.fieldnames or []
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise TactipError(f"{path} cannot be read: {error}") from error
+    columns, rows = parse_table(data, str(path))
     missing = [c for c in COLUMNS[:13] if c not in columns]
     if missing:
         raise TactipError(f"{path} lacks the columns {', '.join(missing)}")
@@ -251,8 +262,8 @@ def read_parts(folder: str | Path, meta: dict[str, Any]) -> Iterator[tuple[Path,
         yield Path(folder), meta
         return
     for part in shard_dirs(folder, meta):
-        read_unaltered(part / "meta.json", meta["files"][f"{part.name}/meta.json"])
-        own = read_meta(part)
+        path = part / "meta.json"
+        own = parse_meta(read_unaltered(path, meta["files"][f"{part.name}/meta.json"]), path)
         if "shards" in own:
             raise TactipError(f"{part} must be a shard, but it has shards itself")
         yield part, own

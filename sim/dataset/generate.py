@@ -8,7 +8,7 @@ likewise: it becomes records again, and the missing ones are made.
 
 import contextlib
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,11 +26,19 @@ from tactip_twin.sim.contact.record import Contact
 from tactip_twin.sim.contact.signed_distance import SignedDistanceMesh
 from tactip_twin.sim.contact.simulator import RetryingSimulator
 from tactip_twin.sim.contact.solid_stimulus import SolidStimulus
+from tactip_twin.sim.dataset.builder import DatasetBuilder
 from tactip_twin.sim.dataset.configuration import Configuration
-from tactip_twin.sim.dataset.format import checksum, encode_image, image_name, row_of
+from tactip_twin.sim.dataset.format import MAX_PINS_BYTES, checksum, encode_image, image_name, pins_bytes, row_of
 from tactip_twin.sim.dataset.partial_record import pack_record, record_path, sample_indices
 from tactip_twin.sim.dataset.sampling import generator, seed_text
-from tactip_twin.sim.dataset.shards import ShardFinalizer, open_builder, shard_dir
+from tactip_twin.sim.dataset.shards import (
+    MAX_SHARDS,
+    ShardedDatasetBuilder,
+    ShardFinalizer,
+    open_builder,
+    shard_count,
+    shard_dir,
+)
 from tactip_twin.sim.dataset.sliding import MAX_SNAPSHOTS, SlidingPath
 from tactip_twin.sim.dataset.symmetry import SymmetricReader, ranges_are_symmetric
 from tactip_twin.sim.parallel.ray_pool import RayPool, joined, ray_here
@@ -76,6 +84,7 @@ def check(configuration: Configuration) -> None:
     check_ranges(configuration.pose, configuration.shear)
     _sample_motion(configuration, rng)
     _check_snapshots(configuration)
+    _check_shards(configuration)
     _check_curvature(configuration)
     for name in ("pose", "shear"):
         if not ranges_are_symmetric(configuration.symmetries, getattr(configuration, name)):
@@ -83,6 +92,15 @@ def check(configuration: Configuration) -> None:
                 f"the {name} ranges are not symmetric, so samples made by symmetry would lie outside them: make the ranges "
                 "symmetric, or leave --augment-symmetry out"
             )
+
+
+def _check_shards(configuration: Configuration) -> None:
+    """Raise TactipError where the set would have more or larger shards than are read back."""
+    c = configuration
+    most = MAX_PINS_BYTES // pins_bytes(c.design)
+    require(min(c.samples, c.shard_samples) <= most, "shard_samples", c.shard_samples, f"at most {most} for these pins")
+    allowed = f"at least {-(-c.samples // MAX_SHARDS) + c.samples_per_contact - 1} for {c.samples} samples"
+    require(shard_count(c) <= MAX_SHARDS, "shard_samples", c.shard_samples, allowed)
 
 
 def _check_snapshots(configuration: Configuration) -> None:
@@ -144,18 +162,19 @@ def make(jobs: list[Job], workers: int, log: Callable[[str], None] = print, clus
         check(job.configuration)
     with contextlib.ExitStack() as stack:
         builders = [stack.enter_context(open_builder(job.configuration, job.folder)) for job in jobs]
-        contacts = [(k, number) for k, builder in enumerate(builders) for number in builder.missing()]
-        todo: list[_Task] = [*contacts]
+        plans = [builder.plan() for builder in builders]
+        count, missing = (sum(numbers) for numbers in zip(*plans, strict=True))
+        # One by one, because a large set has millions: nothing here may grow with their number.
+        todo = _tasks(builders)
         total = sum(job.configuration.samples for job in jobs)
-        missing = sum(len(sample_indices(jobs[k].configuration, number)) for k, number in contacts)
-        if todo and missing < total:
+        if count and missing < total:
             log(f"{total - missing} of {total} samples already exist")
         start = time.perf_counter()
 
         def done(task: _Task, seconds: float, peak_mib: float) -> list[_Task]:
             job, item = task
             if isinstance(item, ShardFinalizer):
-                builders[job].mark_shard_finished(item.name)
+                builders[job].mark_shard_finished(item.shard)
                 return []
             finalizers = builders[job].done(item, (seconds, peak_mib), workers, time.perf_counter() - start)
             return [(job, finalizer) for finalizer in finalizers]
@@ -167,13 +186,20 @@ def make(jobs: list[Job], workers: int, log: Callable[[str], None] = print, clus
             name = item if isinstance(item, ShardFinalizer) else f"{unit} {item}"
             return f"{name} of {jobs[job].folder}"
 
-        if todo:
+        if count:
             arguments = [job.configuration for job in jobs], [str(job.folder.resolve()) for job in jobs]
-            settings = _SampleMakers, arguments, todo, unit, log, name_of
+            settings = _SampleMakers, arguments, todo, unit, log, name_of, count
             pool = RayPool(stack.enter_context(joined(cluster)), *settings) if cluster else WorkerPool(*settings)
-            workers = min(workers or pool.places(), len(todo))
+            workers = min(workers or pool.places(), count)
             pool.work(workers, done)
         return [builder.finish(workers, time.perf_counter() - start) for builder in builders]
+
+
+def _tasks(builders: Sequence[DatasetBuilder | ShardedDatasetBuilder]) -> Iterator[_Task]:
+    """Yield the contacts that are still to be made."""
+    for k, builder in enumerate(builders):
+        for number in builder.missing():
+            yield k, number
 
 
 class _SampleMakers:

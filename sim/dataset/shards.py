@@ -10,15 +10,20 @@ Readers (sim/dataset/format.py) take shards as one set. A set that outgrows one 
 
 import contextlib
 import shutil
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from tactip_twin.sim.dataset.builder import DatasetBuilder
 from tactip_twin.sim.dataset.configuration import Configuration
-from tactip_twin.sim.dataset.format import PARTIAL, checksum, meta_json, read_meta
+from tactip_twin.sim.dataset.format import PARTIAL, checksum, meta_json, parse_meta
+from tactip_twin.sim.dataset.partial_record import contact_numbers
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.files import write_file
+from tactip_twin.tactip_model.input_files import read_file
 
 
 def is_sharded(configuration: Configuration) -> bool:
@@ -35,17 +40,32 @@ def shard_dir(configuration: Configuration, folder: Path, number: int) -> Path:
     """Return the folder of the set or shard to which contact `number` of the set in `folder` belongs."""
     if not is_sharded(configuration):
         return folder
-    return folder / _shard_name(number * configuration.samples_per_contact // _max_samples(configuration))
+    return folder / shard_name(shard_index(configuration, number))
 
 
-def shards_of(configuration: Configuration) -> dict[str, Configuration]:
-    """Return the configurations of the shards of a set, by the names of their folders."""
-    each, total = _max_samples(configuration), configuration.samples
-    starts = range(0, total, each)
-    return {
-        _shard_name(k): replace(configuration, first=first, samples=min(each, total - first))
-        for k, first in enumerate(starts)
-    }
+def shard_index(configuration: Configuration, number: int) -> int:
+    """Return the number of the shard to which contact `number` of a set belongs."""
+    return number * configuration.samples_per_contact // _max_samples(configuration)
+
+
+MAX_SHARDS = 100_000
+"""Maximum number of shards, which the manifest lists with their checksums."""
+
+
+def shard_count(configuration: Configuration) -> int:
+    """Return the number of shards of a set."""
+    return -(-configuration.samples // _max_samples(configuration))
+
+
+def shards_of(configuration: Configuration) -> Iterator[tuple[str, Configuration]]:
+    """Yield the folder and the configuration of each shard of a set."""
+    for k in range(shard_count(configuration)):
+        yield shard_name(k), _shard_configuration(configuration, k)
+
+
+def _shard_configuration(configuration: Configuration, k: int) -> Configuration:
+    each = _max_samples(configuration)
+    return replace(configuration, first=k * each, samples=min(each, configuration.samples - k * each))
 
 
 def _max_samples(configuration: Configuration) -> int:
@@ -53,7 +73,8 @@ def _max_samples(configuration: Configuration) -> int:
     return configuration.shard_samples - configuration.shard_samples % configuration.samples_per_contact
 
 
-def _shard_name(k: int) -> str:
+def shard_name(k: int) -> str:
+    """Return the folder of shard `k`, within that of the set."""
     return f"shard-{k:05d}"
 
 
@@ -61,8 +82,8 @@ def _shard_name(k: int) -> str:
 class ShardFinalizer:
     """A worker task that finishes a shard once all of its contacts are made, so the process that assigns tasks need not."""
 
-    name: str
-    """Folder of the shard, within that of the set."""
+    shard: int
+    """Number of the shard."""
     run_json: bytes
     """Content of the run.json of the shard."""
 
@@ -76,25 +97,30 @@ class ShardFinalizer:
         Raises:
             OSError: A file cannot be written.
         """
-        part = DatasetBuilder(shards_of(configuration)[self.name], folder / self.name, alone=False)
+        path = folder / shard_name(self.shard)
         # Another worker may have finished it and died before its reply.
-        if (folder / self.name / "meta.json").exists():
-            shutil.rmtree(folder / self.name / PARTIAL, ignore_errors=True)
+        if (path / "meta.json").exists():
+            shutil.rmtree(path / PARTIAL, ignore_errors=True)
         else:
-            part.assemble(self.run_json)
+            DatasetBuilder(_shard_configuration(configuration, self.shard), path, alone=False).assemble(self.run_json)
 
     def __repr__(self) -> str:
-        return f"the completion of {self.name}"
+        return f"the completion of {shard_name(self.shard)}"
 
 
 class ShardedDatasetBuilder(DatasetBuilder):
-    """The folder of a set of shards while it is made."""
+    """The folder of a set of shards while it is made. Only the shards in progress are in memory."""
 
     def __init__(self, configuration: Configuration, path: Path) -> None:
         """Prepare to make a set of this configuration in a folder; nothing is written yet."""
         super().__init__(configuration, path)
-        parts = shards_of(configuration).items()
-        self._shards = {name: DatasetBuilder(part, path / name, alone=False) for name, part in parts}
+        self._open_shards: dict[int, DatasetBuilder] = {}
+        """Shards of which contacts are being made, by number."""
+        self._partly_done: dict[int, np.ndarray] = {}
+        """Numbers of the missing contacts of shards that an earlier command began. Other shards lack all or none."""
+        self._finished_shards: set[int] = set()
+        self._all_made: list[int] = []
+        """Shards that an earlier command left with all contacts made, but unfinished."""
 
     def _existing_meta(self, identity: dict[str, Any]) -> dict[str, Any] | None:
         """Return what DatasetBuilder does. Raises TactipError also for a set larger than a shard in one folder."""
@@ -112,41 +138,82 @@ class ShardedDatasetBuilder(DatasetBuilder):
             for name in ("meta.json", "run.json"):
                 (self._path / name).unlink(missing_ok=True)
         # meta.json is moved first: after a kill the set is unfinished, and the next command moves what is left.
-        first = self._path / _shard_name(0)
+        first = self._path / shard_name(0)
         first.mkdir(exist_ok=True)
         for name in ("meta.json", "images", "targets.csv", "pins.npz", "run.json"):
             if (self._path / name).exists():
                 (self._path / name).rename(first / name)
-        for shard in self._shards.values():
-            stack.enter_context(shard)
 
-    def missing(self) -> list[int]:
-        """Return the numbers of the contacts of all shards that are still to be made."""
-        return [] if self.finished else [number for shard in self._shards.values() for number in shard.missing()]
+    def _shard(self, k: int) -> DatasetBuilder:
+        """Return the builder of shard `k`, whose folder need not be locked, because that of the set is."""
+        return DatasetBuilder(_shard_configuration(self._configuration, k), self._path / shard_name(k), alone=False)
+
+    def plan(self) -> tuple[int, int]:
+        """Return the numbers of contacts and of samples that are still to be made, in all shards.
+
+        Raises:
+            TactipError: A shard's folder cannot be written to, or holds something else.
+        """
+        contacts = samples = 0
+        for k in range(0 if self.finished else shard_count(self._configuration)):
+            part = _shard_configuration(self._configuration, k)
+            if not (self._path / shard_name(k)).exists():
+                contacts, samples = contacts + len(contact_numbers(part)), samples + part.samples
+                continue
+            with self._shard(k) as shard:
+                own = shard.plan()
+                if shard.finished:
+                    self._finished_shards.add(k)
+                elif own[0] == 0:
+                    self._all_made.append(k)
+                elif own[0] < len(contact_numbers(part)):
+                    self._partly_done[k] = np.array(shard.missing(), np.int32)
+            contacts, samples = contacts + own[0], samples + own[1]
+        return contacts, samples
+
+    def missing(self) -> Iterator[int]:
+        """Yield the numbers of the contacts of all shards that are still to be made, after `plan`.
+
+        A shard's folder is prepared when its first contact is asked for. Raises TactipError as `plan` does.
+        """
+        for k in range(0 if self.finished else shard_count(self._configuration)):
+            if k in self._finished_shards or k in self._all_made:
+                continue
+            with self._shard(k) as shard:
+                known = self._partly_done.pop(k, None)
+                shard.set_missing(contact_numbers(_shard_configuration(self._configuration, k)) if known is None else known)
+                self._open_shards[k] = shard
+                yield from shard.missing()
 
     def done(self, number: int, cost: tuple[float, float], workers: int, seconds: float) -> list[ShardFinalizer]:
         """Note that a contact is made, as DatasetBuilder does; return the end of its shard if it was the last."""
-        self.costs.append(cost)
-        name = shard_dir(self._configuration, self._path, number).name
-        run_json = self._shards[name].last(number, cost, workers, seconds)
-        return [ShardFinalizer(name, run_json)] if run_json else []
+        self._costs.add(*cost)
+        k = shard_index(self._configuration, number)
+        run_json = self._open_shards[k].last(number, cost, workers, seconds)
+        return [ShardFinalizer(k, run_json)] if run_json else []
 
-    def mark_shard_finished(self, name: str) -> None:
+    def mark_shard_finished(self, shard: int) -> None:
         """Note that a worker has finished a shard."""
-        self._shards[name].mark_finished()
+        del self._open_shards[shard]
 
     def finish(self, workers: int, seconds: float) -> dict[str, Any]:
         """Finish the set, as DatasetBuilder does, and before it the shards that an earlier command left unfinished."""
-        for shard in () if self.finished else self._shards.values():
-            shard.finish(workers, seconds)
+        for k in self._all_made:
+            with self._shard(k) as shard:
+                shard.finish(workers, seconds)
         return super().finish(workers, seconds)
 
     def assemble(self, run_json: bytes) -> dict[str, int]:
         """Write the manifest, once all shards are finished, as DatasetBuilder writes the tables; return the counts."""
-        counts = {name: read_meta(self._path / name)["samples"] for name in self._shards}
-        samples = {key: sum(count[key] for count in counts.values()) for key in ("asked", "kept", "failed")}
+        samples, sums, names = {"asked": 0, "kept": 0, "failed": 0}, {}, []
+        for k in range(shard_count(self._configuration)):
+            path = self._path / shard_name(k) / "meta.json"
+            data = read_file(path)
+            own = parse_meta(data, path)["samples"]
+            samples = {key: samples[key] + own[key] for key in samples}
+            sums[f"{shard_name(k)}/meta.json"] = checksum(data)
+            names.append(shard_name(k))
         write_file(self._path / "run.json", run_json)
-        sums = {f"{name}/meta.json": checksum((self._path / name / "meta.json").read_bytes()) for name in counts}
-        write_file(self._path / "meta.json", meta_json(self._configuration, samples, sums, {"shards": list(counts)}))
+        write_file(self._path / "meta.json", meta_json(self._configuration, samples, sums, {"shards": names}))
         shutil.rmtree(self._partial)
         return samples

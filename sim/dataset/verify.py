@@ -18,7 +18,7 @@ from tactip_twin.sim.dataset.format import (
 )
 from tactip_twin.sim.dataset.generate import check
 from tactip_twin.sim.dataset.sampling import seed_text
-from tactip_twin.sim.dataset.shards import shards_of
+from tactip_twin.sim.dataset.shards import shard_count, shard_name, shards_of
 from tactip_twin.sim.labels import LABELS, SHEARS
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.input_files import read_arrays, read_file
@@ -44,14 +44,16 @@ def _shards(folder: Path, meta: dict[str, Any]) -> list[str]:
     """Return the problems of a set of shards: those of its manifest, and those of each shard."""
     problems, counts = _files(folder, meta), {"asked": 0, "kept": 0, "failed": 0}
     try:
-        expected = shards_of(read_configuration(meta, folder))
+        whole = read_configuration(meta, folder)
+        check(whole)
     except TactipError as error:
         return [*problems, str(error)]
-    if meta["shards"] != list(expected):
-        problems.append(f"meta.json: shards are {meta['shards']}, expected {list(expected)}")
+    expected = [shard_name(k) for k in range(shard_count(whole))]
+    if meta["shards"] != expected:
+        problems.append(f"meta.json: shards are {meta['shards']}, expected {expected}")
     for name in sorted({path.name for path in folder.glob("shard-*")} - set(expected)):
         problems.append(f"{name}: not a shard of this set")
-    for name, configuration in expected.items():
+    for name, configuration in shards_of(whole):
         try:
             own = read_meta(folder / name)
             for key in counts:

@@ -7,7 +7,7 @@ busy, and little is lost if one fails; another worker repeats its tasks.
 
 import contextlib
 import statistics
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
@@ -89,10 +89,11 @@ class RayPool(WorkerPool[Task]):
         ray: Any,
         begin: Callable[..., Callable[[Task], object]],
         arguments: tuple[object, ...],
-        tasks: Sequence[Task],
+        tasks: Iterable[Task],
         unit: str,
         log: Callable[[str], None],
         named: Callable[[Task], str] | None = None,
+        count: int | None = None,
     ) -> None:
         """Prepare the pool; no worker starts yet.
 
@@ -100,7 +101,7 @@ class RayPool(WorkerPool[Task]):
             ray: The module ray, joined to a cluster.
             begin: As in WorkerPool, like the others.
         """
-        super().__init__(begin, arguments, tasks, unit, log, named)
+        super().__init__(begin, arguments, tasks, unit, log, named, count)
         self._ray = ray
         variables = {"env_vars": dict.fromkeys(THREADS, "1")}
         self._actor = ray.remote(num_cpus=1, max_restarts=0, runtime_env=variables)(_Actor)
@@ -124,7 +125,7 @@ class RayPool(WorkerPool[Task]):
         fair = len(self._queue) // (2 * len(self._workers) + 2)
         count = max(1, min(round(BLOCK_S / max(worker.seconds, 1e-6)), fair, self.max_block))
         tasks = [self._queue.pop()]
-        while len(tasks) < count and not self._deaths.keys() & {tasks[0], self._queue[-1]}:
+        while len(tasks) < count and not (self._deaths and self._deaths.keys() & {tasks[0], self._queue.peek()}):
             tasks.append(self._queue.pop())
         worker.tasks = tuple(tasks)
         self._workers[worker.actor.attempt.remote(worker.tasks)] = worker

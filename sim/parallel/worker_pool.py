@@ -11,7 +11,7 @@ import signal
 import statistics
 import sys
 import time
-from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence, Sized
 from dataclasses import dataclass
 from multiprocessing import connection, get_context, resource_tracker
 from multiprocessing.process import BaseProcess
@@ -70,31 +70,68 @@ class _Worker:
     done: int = 0
 
 
+class TaskQueue(Generic[Task]):
+    """Tasks in order, taken from an iterable when they are needed, and those that were put back."""
+
+    def __init__(self, tasks: Iterable[Task], count: int) -> None:
+        """Take the tasks and their number."""
+        self._rest, self._left = iter(tasks), count
+        self._next: list[Task] = []
+
+    def __len__(self) -> int:
+        return self._left + len(self._next)
+
+    def peek(self) -> Task:
+        """Return the next task, which stays in the queue."""
+        self.put_back([self.pop()])
+        return self._next[-1]
+
+    def pop(self) -> Task:
+        """Take the next task. Raises IndexError where there is none."""
+        if not self._next and self._left:
+            self._left -= 1
+            return next(self._rest)
+        return self._next.pop()
+
+    def put_back(self, tasks: Sequence[Task]) -> None:
+        """Let tasks be the next, in this order."""
+        self._next += reversed(tasks)
+
+
 class WorkerPool(Generic[Task]):
-    """A pool of worker processes for a list of tasks."""
+    """A pool of worker processes for tasks."""
 
     def __init__(
         self,
         begin: Callable[..., Callable[[Task], object]],
         arguments: tuple[object, ...],
-        tasks: Sequence[Task],
+        tasks: Iterable[Task],
         unit: str,
         log: Callable[[str], None],
         named: Callable[[Task], str] | None = None,
+        count: int | None = None,
     ) -> None:
         """Prepare the pool; no process starts yet.
 
         Args:
             begin: Module-level function; each worker calls it once, with `arguments`, for the function that does a task.
             arguments: Arguments of `begin`, which can be pickled.
-            tasks: Tasks, done in this order.
+            tasks: Tasks, done in this order, each taken when a worker is free.
             unit: What a task makes, as a singular noun.
             log: Function that takes messages for the user.
             named: Function from a task to its name in messages; the unit and the task if None.
+            count: Number of tasks; None for the length of `tasks`.
+
+        Raises:
+            TypeError: `tasks` has no length, and no count is given.
         """
+        if count is None:
+            if not isinstance(tasks, Sized):
+                raise TypeError("tasks without a length need a count")
+            count = len(tasks)
         self._named = named or (lambda task: f"{unit} {task}")
         self._begin, self._arguments, self._unit, self._log = begin, arguments, unit, log
-        self._queue, self._count = list(reversed(tasks)), len(tasks)
+        self._queue, self._count = TaskQueue(tasks, count), count
         self._workers: dict[Any, Any] = {}
         """Workers by what is waited for: pipes here, references of Ray in RayPool."""
         self._deaths: dict[Task, int] = {}
@@ -124,12 +161,13 @@ class WorkerPool(Generic[Task]):
                 while self._workers:
                     for task, reply, warm in self._replies():
                         extra = list(done(task, reply.seconds, reply.peak_mib) or [])
-                        self._queue += extra
+                        self._queue.put_back(extra)
                         self._extra.update(extra)
                         if task in self._extra:
+                            self._extra.remove(task)
                             continue
                         bar.update()
-                        if warm:  # the first task of a worker is slowed by its start
+                        if warm and not estimated:  # the first task of a worker is slowed by its start
                             timings.append(reply.seconds)
                         # A single task may be one that takes many tries.
                         if not estimated and (len(timings) == _ESTIMATE_TASKS or sum(timings) > _ESTIMATE_S):
@@ -213,7 +251,7 @@ class WorkerPool(Generic[Task]):
                 )
         more = f" and {len(tasks) - 1} more" if len(tasks) > 1 else ""
         self._log(f"a worker {how} during {self._named(tasks[0])}{more}: another worker takes over")
-        self._queue += reversed(tasks)
+        self._queue.put_back(tasks)
 
     def _shut_down(self) -> None:
         """Let workers finish their tasks, then kill those that are left."""

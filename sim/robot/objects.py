@@ -257,11 +257,27 @@ def _read(path: Path) -> trimesh.Trimesh:
     return mesh
 
 
+_EDGE_COLUMNS, _MIN_EDGE_POINTS = 6, 2
+"""Columns of an edge's table, and its minimum number of rows."""
+
+_MAX_NORMAL_ERROR = 1e-3
+"""Maximum difference of a normal's length from 1, because of the digits in the table."""
+
+
 def _read_edge(path: Path, scale: float) -> Edge | None:
-    """Return the edge of one of the project's own objects; None if there is none."""
+    """Return the edge of one of the project's own objects; None if there is none. Raises TactipError if it is damaged."""
     if not path.exists():
         return None
-    rows = np.loadtxt(path, delimiter=",", skiprows=1)
+    try:
+        rows = np.array([[float(cell) for cell in line.split(",")] for line in read_file(path).decode().split()[1:]])
+    except ValueError as error:
+        raise TactipError(f"{path} is damaged: its cells must be numbers, six in each row: {error}") from error
+    if rows.shape[1:] != (_EDGE_COLUMNS,) or len(rows) < _MIN_EDGE_POINTS or not np.isfinite(rows).all():
+        raise TactipError(f"{path} is damaged: it must have at least {_MIN_EDGE_POINTS} rows of six finite numbers")
+    if np.abs(rows).max() > 1e3 * MAX_SIZE_M:
+        raise TactipError(f"{path} is damaged: its numbers must be from -{1e3 * MAX_SIZE_M:g} to {1e3 * MAX_SIZE_M:g}")
+    if np.abs(np.linalg.norm(rows[:, 3:], axis=1) - 1).max() > _MAX_NORMAL_ERROR:
+        raise TactipError(f"{path} is damaged: its normals must have the length 1")
     points = scale * rows[:, :3] / 1e3
     closed = bool(np.allclose(points[0], points[-1], atol=1e-6))
     return Edge(points, rows[:, 3:], closed)

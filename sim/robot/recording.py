@@ -1,12 +1,14 @@
 """Recordings on disk: the steps of a servo run or a contact, to be replayed without simulating it again.
 
-recording.json    settings and versions; once the recording is complete, also events and why the run stopped
+recording.json    settings and versions; once the recording is complete, also events and why the run stopped; checksums of
+                  itself and of the files below
 scenery.npz       the object and the skin's triangles (see RecordedScene)
 steps.npz         one array per quantity, one row per control step (see ARRAYS); images are packed, eight pixels per byte
 steps.log         the same while the recording is incomplete, one frame per step: after a kill, whole frames can be read
 """
 
 import contextlib
+import hashlib
 import io
 import json
 import struct
@@ -24,9 +26,17 @@ from tactip_twin.sim.parallel.file_lock import locked
 from tactip_twin.tactip_model.bounds import require
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.files import is_leftover, remove_leftovers, write_file
-from tactip_twin.tactip_model.input_files import parse_arrays, parse_json, read_arrays, read_file, read_json
+from tactip_twin.tactip_model.input_files import (
+    MAX_UNPACKED_BYTES,
+    has_checksum,
+    parse_arrays,
+    parse_json,
+    read_file,
+    read_json,
+    with_checksum,
+)
 
-FORMAT, VERSION = "tactip-twin recording", 3
+FORMAT, VERSION = "tactip-twin recording", 4
 
 RECORDING, SCENERY, STEPS, LOG = "recording.json", "scenery.npz", "steps.npz", "steps.log"
 
@@ -34,6 +44,9 @@ _LOCK = ".lock"
 
 _FRAME = struct.Struct("<QI")
 """Header of a frame of the log: length in bytes and checksum."""
+
+_MAX_STEPS_BYTES = MAX_UNPACKED_BYTES - 2**20
+"""Maximum size of the steps of a recording, bytes, so the file with its headers can be read again."""
 
 _MAX_FRAME_BYTES = 2**28
 """Length above which a frame's header counts as damaged, bytes."""
@@ -98,6 +111,10 @@ class RecordedScene:
     """Whether the sensor is on an arm."""
 
 
+class RecordingFullError(TactipError):
+    """A recording would become larger than what is read back."""
+
+
 class Recorder:
     """A recording that is being written."""
 
@@ -131,24 +148,32 @@ class Recorder:
                 (self.folder / name).unlink(missing_ok=True)
             self._description = description
             self._rows: list[dict[str, np.ndarray]] = []
+            self._bytes = self._log_bytes = 0
+            self._checksums: dict[str, str] = {}
             self._events: list[dict[str, Any]] = []
             self.size_px = 0
             """Width of the images, px; 0 without."""
             self._log = stack.enter_context(open(self.folder / LOG, "wb"))
             dtypes = {"object_vertices": np.float32, "object_triangles": np.int32, "skin_triangles": np.int32}
             fields = {name: np.asarray(value, dtypes.get(name)) for name, value in asdict(scenery).items()}
-            write_file(self.folder / SCENERY, _bytes(fields, compressed=True))
+            self._write(SCENERY, fields)
             self._write_record(complete=False)
             self._open_files = stack.pop_all()
 
     def add(self, row: Mapping[str, Any]) -> None:
-        """Add a step: a value for each name in ARRAYS, with `phase` as a name, and `images` (size, size) uint8 or None."""
+        """Add a step: a value for each name in ARRAYS, with `phase` as a name, and `images` (size, size) uint8 or None.
+
+        Raises RecordingFullError where the recording would become larger than what is read back.
+        """
         image = row["images"]
         if image is not None:
             self.size_px = len(image)
         packed = np.packbits(image > 127, axis=-1) if image is not None else np.zeros((0, 0), np.uint8)
         values = {**row, "images": packed, "phase": PHASES.index(row["phase"])}
         arrays = {name: np.asarray(values[name], _dtype(name)) for name in ARRAYS}
+        self._bytes += sum(array.nbytes for array in arrays.values())
+        if self._bytes > _MAX_STEPS_BYTES:
+            raise self._full(_MAX_STEPS_BYTES)
         self._rows.append(arrays)
         self._append(arrays)
 
@@ -158,7 +183,7 @@ class Recorder:
         self._append({"event": np.frombuffer(json.dumps(event).encode(), np.uint8)})
 
     def results(self, outcome: dict[str, Any]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-        """Return record and arrays as read_recording will, once the recording is complete.
+        """Return record and arrays as read_recording will, once the recording is complete; the record lacks its checksums.
 
         What is made of them can be written first, so a kill meanwhile leaves a recording that counts as unfinished, and the
         same command makes all of it again.
@@ -171,17 +196,33 @@ class Recorder:
 
     def finish(self, outcome: dict[str, Any]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         """Complete the recording with its outcome, of JSON values. Return record and arrays, as read_recording does."""
-        record, arrays = self.results(outcome)
-        write_file(self.folder / STEPS, _bytes(_stacked(self._rows), compressed=True))
-        self._write_record(complete=True)
+        _, arrays = self.results(outcome)
+        self._write(STEPS, _stacked(self._rows))
+        record = self._write_record(complete=True)
         self._open_files.close()
         (self.folder / LOG).unlink()
         return record, arrays
 
+    def _write(self, name: str, arrays: Mapping[str, Any]) -> None:
+        """Write arrays to a file of the recording, and keep its checksum."""
+        data = _bytes(arrays, compressed=True)
+        write_file(self.folder / name, data)
+        self._checksums[name] = hashlib.sha256(data).hexdigest()
+
     def _append(self, arrays: Mapping[str, np.ndarray]) -> None:
         data = _bytes(arrays, compressed=False)
+        self._log_bytes += _FRAME.size + len(data)
+        if self._log_bytes > _MAX_LOG_BYTES:
+            raise self._full(_MAX_LOG_BYTES)
         self._log.write(_FRAME.pack(len(data), zlib.crc32(data)) + data)
         self._log.flush()
+
+    def _full(self, max_bytes: int) -> RecordingFullError:
+        """Return the error of a recording that has `max_bytes`. Its steps so far can be read, and completed by `finish`."""
+        return RecordingFullError(
+            f"the recording in {self.folder} must have at most {max_bytes / 2**20:.0f} MiB, which it has after "
+            f"{len(self._rows)} steps: record fewer steps, or use a coarser fidelity"
+        )
 
     def _record(self, complete: bool) -> dict[str, Any]:
         head = {
@@ -193,8 +234,11 @@ class Recorder:
         }
         return {**head, **self._description, "events": self._events}
 
-    def _write_record(self, complete: bool) -> None:
-        write_file(self.folder / RECORDING, (json.dumps(self._record(complete), indent=1) + "\n").encode())
+    def _write_record(self, complete: bool) -> dict[str, Any]:
+        """Write the record with the checksums of the files so far and of itself, and return it."""
+        record = with_checksum({**self._record(complete), "files": self._checksums})
+        write_file(self.folder / RECORDING, (json.dumps(record, indent=1) + "\n").encode())
+        return record
 
 
 def read_recording(folder: str | PathLike[str]) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
@@ -214,7 +258,8 @@ def read_recording(folder: str | PathLike[str]) -> tuple[dict[str, Any], dict[st
         packed = [row["images"] for row in rows]
         record["size_px"], record["steps"] = (packed[0].shape[0] if packed else 0), len(rows)
         return record, _unpacked(_stacked(rows), record["size_px"])
-    arrays, size = _checked(read_arrays(folder / STEPS), f"{folder / STEPS}", (record["steps"],)), record["size_px"]
+    arrays = _checked(_read_unaltered(folder, STEPS, record), f"{folder / STEPS}", (record["steps"],))
+    size = record["size_px"]
     if len(arrays["images"]) and arrays["images"].shape[1:] != (size, -(-size // 8)):
         raise TactipError(f"the recording in {folder} is damaged: its images are not {size} px wide")
     return record, _unpacked(arrays, record["size_px"])
@@ -223,7 +268,7 @@ def read_recording(folder: str | PathLike[str]) -> tuple[dict[str, Any], dict[st
 def read_recorded_scene(folder: str | PathLike[str]) -> RecordedScene:
     """Read the scene of a recording. Raises TactipError where it cannot be read."""
     path = Path(folder) / SCENERY
-    values = read_arrays(path)
+    values = _read_unaltered(Path(folder), SCENERY, _read_record(Path(folder)))
     shapes = {"object_vertices": (None, 3), "object_triangles": (None, 3), "skin_triangles": (None, 3)}
     shapes |= {"T_base_object": (4, 4), "tip_radius_m": (), "with_arm": ()}
     for name, shape in shapes.items():
@@ -305,7 +350,9 @@ def _read_record(folder: Path) -> dict[str, Any]:
         raise TactipError(
             f"{path} has version {record.get('version')}, but this program reads version {VERSION}: record it again"
         )
-    kinds = {"complete": bool, "size_px": int, "steps": int, "events": list, "task": str, "object": str}
+    if not has_checksum(record):
+        raise TactipError(f"{path} was altered: it does not match its own checksum; copy it or record it again")
+    kinds = {"complete": bool, "size_px": int, "steps": int, "events": list, "files": dict, "task": str, "object": str}
     for name, kind in kinds.items():
         if type(record.get(name)) is not kind:
             raise TactipError(f"{path} is damaged: {name} must be of the type {kind.__name__}, got {record.get(name)!r:.60}")
@@ -314,6 +361,15 @@ def _read_record(folder: Path) -> dict[str, Any]:
     for event in record["events"]:
         _check_event(event, str(path))
     return record
+
+
+def _read_unaltered(folder: Path, name: str, record: dict[str, Any]) -> dict[str, np.ndarray]:
+    """Return the arrays in a file of a recording. Raises TactipError where it does not match its checksum in the record."""
+    # Numbers that cannot be compressed are a little larger when packed.
+    data = read_file(folder / name, MAX_UNPACKED_BYTES + 2**20)
+    if hashlib.sha256(data).hexdigest() != record["files"].get(name):
+        raise TactipError(f"{folder / name} was altered: it does not match its checksum in {RECORDING}; copy it again")
+    return parse_arrays(data, str(folder / name))
 
 
 _MAX_SIZE_PX = 4096

@@ -5,11 +5,14 @@ Host, and connections must come from a page of that address: requests from anoth
 site's name resolves to this machine, and so are programs other than browsers.
 """
 
+import asyncio
 import contextlib
 import io
 import logging
+import math
 import socket
-from collections.abc import Callable
+import time
+from collections.abc import Awaitable, Callable
 from http import HTTPStatus
 from ipaddress import ip_address
 from typing import Any
@@ -18,6 +21,7 @@ from urllib.parse import urlsplit
 import numpy as np
 import viser
 import websockets.asyncio.server
+import websockets.exceptions
 from scipy.spatial.transform import Rotation
 from websockets.asyncio.server import ServerConnection
 from websockets.datastructures import Headers
@@ -60,15 +64,18 @@ def serve(host: str, port: int) -> viser.ViserServer:
     unrestricted = websockets.asyncio.server.serve
 
     def restricted(
-        *arguments: Any, process_request: Callable[[ServerConnection, Request], Response | None], **options: Any
+        handle: Callable[[ServerConnection], Awaitable[None]],
+        *arguments: Any,
+        process_request: Callable[[ServerConnection, Request], Response | None],
+        **options: Any,
     ) -> Any:
-        """Return viser's server, which refuses requests from other sites and programs."""
+        """Return viser's server, which refuses other sites, programs, and messages that cannot be read."""
 
         def check(connection: ServerConnection, request: Request) -> Response | None:
             problem = _refusal(request.headers, host)
             return connection.respond(HTTPStatus.FORBIDDEN, problem) if problem else process_request(connection, request)
 
-        return unrestricted(*arguments, process_request=check, logger=_logger(), **options)
+        return unrestricted(_guarded(handle), *arguments, process_request=check, logger=_logger(), **options)
 
     websockets.asyncio.server.serve = restricted  # viser has no option for it
     try:
@@ -98,7 +105,53 @@ def _refusal(headers: Headers, served: str) -> str:
         [f"https://{host}"],
     ):
         return "connections are accepted from this page only\n"
+    if headers.get("Upgrade", "").lower() == "websocket" and _PROTOCOL not in _protocols(headers):
+        return "the page is of another version of this program: reload it\n"
     return ""
+
+
+_PROTOCOL = f"viser-v{viser.__version__}"
+"""Protocol of the messages. viser would tell a connection of another one on the standard output."""
+
+
+def _protocols(headers: Headers) -> set[str]:
+    return {name.strip() for value in headers.get_all("Sec-WebSocket-Protocol") for name in value.split(",")}
+
+
+def _guarded(handle: Callable[[ServerConnection], Awaitable[None]]) -> Callable[[ServerConnection], Awaitable[None]]:
+    """Return a handler of connections that logs a line about a message that cannot be read, and closes the connection."""
+
+    async def guarded(connection: ServerConnection) -> None:
+        # What is done with a message runs in tasks of its own, whose errors end there.
+        asyncio.get_running_loop().set_exception_handler(lambda loop, context: _log_error(context.get("exception")))
+        try:
+            await handle(connection)
+        except websockets.exceptions.ConnectionClosed:
+            raise
+        except Exception as error:  # viser raises anything for bytes that are no message
+            _log_error(error)
+            await connection.close(1003, "the message cannot be read")
+
+    return guarded
+
+
+def _log_error(error: BaseException | None) -> None:
+    """Log an error of a page in one line, with the traceback for debugging only. Repeated at once, it is not logged."""
+    what = str(error).splitlines()[0] if str(error or "") else ""
+    text = f"a message of the page was refused: {type(error).__name__} {what!r:.200}"
+    # Several handlers may fail at one message, and a broken page may send it again and again.
+    if time.monotonic() > _logged.get(text, -math.inf) + _REPEAT_S:
+        _logged.clear()
+        _logged[text] = time.monotonic()
+        _logger().warning(text)
+    _logger().debug("its traceback", exc_info=error)
+
+
+_REPEAT_S = 1.0
+"""Time after which the same line is logged again, s."""
+
+_logged: dict[str, float] = {}
+"""The line that was logged last, and when."""
 
 
 def _is_wildcard(address: str) -> bool:

@@ -6,8 +6,7 @@ targets.csv               image_name or sensor_image; pose_1 … pose_6 and move
 meta.json                 tap_move: the tap that makes contact, after the commanded pose, mm and degrees
 """
 
-import csv
-import io
+import contextlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,7 +14,7 @@ import numpy as np
 
 from tactip_twin.sim.pose import from_mm_deg
 from tactip_twin.tactip_model.errors import TactipError
-from tactip_twin.tactip_model.input_files import read_file, read_json
+from tactip_twin.tactip_model.input_files import parse_table, read_file, read_json
 from tactip_twin.tactip_model.input_images import read_image
 
 _NAMES = ("image_name", "sensor_image")
@@ -85,10 +84,7 @@ def read_real_set(folder: str | Path) -> RealSet:
 def _rows(path: Path) -> list[dict[str, str]]:
     if not path.exists():
         raise TactipError(f"{path} does not exist: it must name the frames and their poses")
-    try:
-        rows = list(csv.DictReader(io.StringIO(read_file(path).decode("utf-8-sig"), newline="")))
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise TactipError(f"{path} cannot be read as a table in UTF-8: {error}") from error
+    _, rows = parse_table(read_file(path), str(path))
     if not rows:
         raise TactipError(f"{path} has no rows")
     return rows
@@ -96,9 +92,10 @@ def _rows(path: Path) -> list[dict[str, str]]:
 
 def _found(folder: Path, name: str) -> Path:
     for path in (folder / "images" / name, folder / name):
-        if path.is_file():
-            return path
-    raise TactipError(f"the frame {name} does not exist in {folder} or its folder images")
+        with contextlib.suppress(OSError):  # a name that is too long for a file
+            if path.is_file():
+                return path
+    raise TactipError(f"the frame {name:.100} does not exist in {folder} or its folder images")
 
 
 def _tap(path: Path) -> np.ndarray:

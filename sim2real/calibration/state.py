@@ -12,7 +12,7 @@ from tactip_twin.sim.parallel.resume import check_resumable
 from tactip_twin.sim2real.calibration.parameters import Parameter, SensorOnRig
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.files import write_file
-from tactip_twin.tactip_model.input_files import read_json
+from tactip_twin.tactip_model.input_files import has_checksum, read_json, with_checksum
 from tactip_twin.tactip_model.neutral_image import with_pin_offsets
 
 
@@ -37,7 +37,7 @@ def write_state(
     values = {p.name: p.read(twin) for p in chosen}
     state = {"of": identity, "values": values, "deviations": deviations.tolist(), "rounds": rounds}
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_file(path, json.dumps(state, indent=1).encode())
+    write_file(path, json.dumps(with_checksum(state), indent=1).encode())
 
 
 def read_state(
@@ -57,10 +57,13 @@ def read_state(
     """
     try:
         state = read_json(path)
-        recorded = state["of"]
-    except (TactipError, KeyError, TypeError) as error:
+        if not isinstance(state, dict) or not isinstance(state.get("of"), dict):
+            raise TactipError("it must be an object with the settings under `of`")
+        if not has_checksum(state):
+            raise TactipError("it does not match its own checksum")
+    except TactipError as error:
         raise TactipError(f"{path} is not the state of a calibration ({error}): remove it to start again") from error
-    check_resumable(path.parent, "calibration", recorded, identity)
+    check_resumable(path.parent, "calibration", state["of"], identity)
     for p in chosen:
         twin = p.write(twin, state["values"][p.name])
     twin = replace(twin, design=with_pin_offsets(twin.design, neutral_px))

@@ -8,6 +8,7 @@ from typing import Any
 
 from tactip_twin.sim2real.importing.column_map import ColumnMap
 from tactip_twin.sim2real.sensor.preprocessing_options import ImagePreprocessing
+from tactip_twin.tactip_model.design_file import from_dict
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.input_files import read_json
 
@@ -29,16 +30,19 @@ class Layout:
         return json.loads(json.dumps(asdict(self.column_map) | asdict(self.preprocessing)))
 
     @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> "Layout":
+    def from_dict(cls, values: Mapping[str, Any], name: str = "the layout") -> "Layout":
         """Return the Layout of flat `values` with some or all of the keys of `as_dict`; others keep their defaults.
 
+        Args:
+            values: The values.
+            name: What they are, for messages.
+
         Raises:
-            TactipError: If a value is not allowed.
-            TypeError: If a key is unknown.
+            TactipError: If a key is unknown, or a value has another type or is not allowed.
         """
-        native: dict[str, Any] = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
-        table = {name: native.pop(name) for name in _TABLE_KEYS if name in native}
-        return cls(ColumnMap(**table), ImagePreprocessing(**native))
+        table = {key: values[key] for key in _TABLE_KEYS if key in values}
+        frames = {key: value for key, value in values.items() if key not in table}
+        return cls(from_dict(ColumnMap, table, name), from_dict(ImagePreprocessing, frames, name))
 
 
 def read_layout(path: str | Path) -> Layout:
@@ -54,7 +58,4 @@ def read_layout(path: str | Path) -> Layout:
         raise TactipError(
             f"unknown field {', '.join(unknown)} in the layout file {path}: its fields are {', '.join(sorted(known))}"
         )
-    try:
-        return Layout.from_dict(content)
-    except TypeError as error:
-        raise TactipError(f"the layout file {path} has a value of the wrong type: {error}") from error
+    return Layout.from_dict(content, f"the layout file {path}")

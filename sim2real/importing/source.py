@@ -1,8 +1,6 @@
 """A laboratory's set as it was published: table, labels and paths of the frames."""
 
 import contextlib
-import csv
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +13,7 @@ from tactip_twin.sim2real.importing.convert_labels import convert_labels, image_
 from tactip_twin.sim2real.sensor.preprocess import IMAGES, load
 from tactip_twin.sim2real.sensor.video_frames import VIDEOS
 from tactip_twin.tactip_model.errors import TactipError
-from tactip_twin.tactip_model.input_files import read_file
+from tactip_twin.tactip_model.input_files import parse_table, read_file
 
 FOLDERS = ("images", "frames", "frames_bw", "videos", "")
 """Subfolders of the set in which frames are searched."""
@@ -73,13 +71,10 @@ def read_source(
     if not folder.is_dir():
         raise TactipError(f"{folder} is not a folder: it must hold a table targets.csv and frames")
     path = Path(targets) if targets else _table_in(folder)
-    try:
-        if not path.exists():
-            raise TactipError(f"the table {path} does not exist: name the table with --targets")
-        data = read_file(path)
-        rows = list(csv.DictReader(io.StringIO(data.decode("utf-8-sig"))))
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise TactipError(f"the table {path} cannot be read: {error}") from error
+    if not path.exists():
+        raise TactipError(f"the table {path} does not exist: name the table with --targets")
+    data = read_file(path)
+    _, rows = parse_table(data, f"the table {path}")
     if not rows:
         raise TactipError(f"the table {path} has no rows")
     table = {name: [row[name] for row in rows] for name in rows[0] if name}
@@ -116,8 +111,9 @@ def _frame_path(folder: Path, name: str) -> Path | None:
         for tail in dict.fromkeys((name, Path(name).name)):
             for suffix in ("", ".png", ".jpg", *VIDEOS):
                 path = folder / place / f"{tail}{suffix}"
-                if path.is_file():
-                    return path
+                with contextlib.suppress(OSError):  # a name that is too long for a file
+                    if path.is_file():
+                        return path
     return None
 
 

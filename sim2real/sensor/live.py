@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from tactip_twin.learning.image_check import image_check
 from tactip_twin.sim2real.sensor.preprocess import MIN_PIN_FRACTION, FrameReader
 from tactip_twin.sim2real.sensor.preprocessing_options import ImagePreprocessing
 from tactip_twin.tactip_model.errors import TactipError
@@ -36,11 +37,14 @@ class Reading:
     fault: str
     """Why the frame is unusable; empty if it is usable."""
 
+    unlike: str = ""
+    """In what the image is unlike those that the network learned, in words; empty if in nothing, or without a network."""
+
     def as_json(self) -> dict[str, Any]:
         """Return the Reading as a dict of JSON types, without its image."""
         row: dict[str, Any] = {"frame": self.number, "time_s": round(self.time_s, 4), "pins": self.pins}
         row |= {name: round(value, 4) for name, value in self.predicted.items()}
-        return row | ({"fault": self.fault} if self.fault else {})
+        return row | {name: text for name, text in (("fault", self.fault), ("unlike", self.unlike)) if text}
 
 
 class LiveSensor:
@@ -75,6 +79,7 @@ class LiveSensor:
             TactipError: If the first frame shows no tip, or the source of the frames fails.
         """
         reader, usual, start = None, 0, 0.0
+        check = None if self._model is None else image_check(self._model)
         for number, frame in enumerate(self._frames):
             if reader is None:
                 neutral = frame if self._neutral is None else self._neutral
@@ -91,7 +96,8 @@ class LiveSensor:
             pins = len(find_blobs(binary).centres)
             fault = "" if pins >= MIN_PIN_FRACTION * usual else f"{pins} pins detected, the undeformed tip has {usual}"
             predicted = {} if fault or self._model is None else _predicted(self._model, image)
-            yield Reading(number, time.perf_counter() - start, pins, image, predicted, fault)
+            unlike = check.problem(image) if check and predicted else ""
+            yield Reading(number, time.perf_counter() - start, pins, image, predicted, fault, unlike)
 
     def _reader(self, neutral: np.ndarray) -> tuple[FrameReader, int, float]:
         """Return a FrameReader, the number of pins of the undeformed tip, and the time now, s."""

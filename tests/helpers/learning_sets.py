@@ -7,7 +7,7 @@ import numpy as np
 from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.dataset.configuration import Configuration, digest_of
 from tactip_twin.sim.dataset.format import checksum, encode_image, image_name, meta_json, row_of, targets_csv
-from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES, generator
+from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES, generator, seed_text
 from tactip_twin.sim.pose import from_mm_deg
 from tactip_twin.tactip_model.pins import neutral_pins
 from tactip_twin.tactip_model.presets import design_named
@@ -44,7 +44,7 @@ def write_fake_set(folder, task="surface", split="train", samples=24, size=40, s
     for i in range(samples):
         rng = generator(seed, task, split, i)
         contact = _Contact(configuration.pose.sample(rng), configuration.shear.sample(rng))
-        rows.append(row_of(contact, i, 1, str(i)))
+        rows.append(row_of(contact, i, 1, seed_text(seed, task, split, i)))
         data = encode_image(picture([rows[-1][f"pose_{c}"] for c in ("x", "y", "z", "Rx", "Ry", "Rz")], size))
         (folder / "images" / image_name(i)).write_bytes(data)
         images[image_name(i)] = checksum(data)

@@ -25,6 +25,7 @@ from tactip_twin.tactip_model.errors import TactipError
 
 TACTIP = str(Path(sys.executable).parent / "tactip")
 SPACE = SearchSpace(max_conv_layers=2, max_filters=4, max_dense_layers=2, max_dense_units=8)
+COMMAND_SPACE = replace(SPACE, max_dense_layers=5)
 SETTINGS = TuneSettings(trials=3, random_trials=2, space=SPACE, training=TrainSettings(epochs=2))
 
 
@@ -127,20 +128,20 @@ def test_tune_command_killed_resumes_to_same_results(data, tmp_path):
         search_command(data, killed), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
     )
     end = time.monotonic() + 90
-    while not read_results(killed):
+    while not read_results(killed, COMMAND_SPACE):
         assert time.monotonic() < end
         time.sleep(0.05)
     os.killpg(process.pid, signal.SIGKILL)
     process.wait()
-    assert len(read_results(killed)) < 3
+    assert len(read_results(killed, COMMAND_SPACE)) < 3
     again = subprocess.run(search_command(data, killed), check=True, capture_output=True, text=True)
     assert "of 3 trials are already done" in again.stderr
-    assert without_seconds(read_results(killed)) == without_seconds(read_results(whole))
+    assert without_seconds(read_results(killed, COMMAND_SPACE)) == without_seconds(read_results(whole, COMMAND_SPACE))
 
 
 def test_tune_command_two_jobs_runs_all_trials(data, tmp_path):
     subprocess.run(search_command(data, tmp_path / "two", "--jobs", "2"), check=True, capture_output=True)
-    assert sorted(r["trial"] for r in read_results(tmp_path / "two")) == [0, 1, 2]
+    assert sorted(r["trial"] for r in read_results(tmp_path / "two", COMMAND_SPACE)) == [0, 1, 2]
 
 
 def test_run_trial_failed_writes_reason(data, tmp_path, monkeypatch):
@@ -181,13 +182,13 @@ def test_tune_killed_trial_is_result_and_broken_program_raises(data, tmp_path, m
     if kept:
         with pytest.raises(TactipError, match="all trials failed or were pruned"):
             tune(data, folder, SETTINGS, log=lambda line: None)
-        results = read_results(folder)
+        results = read_results(folder, SPACE)
         assert len(results) == SETTINGS.trials
         assert all(r["status"] == "failed" and "SIGKILL" in r["why"] for r in results)
         return
     with pytest.raises(TactipError, match=f"the process of trial 0 failed with exit code {exit_code}"):
         tune(data, folder, SETTINGS, log=lambda line: None)
-    assert read_results(folder) == []
+    assert read_results(folder, SPACE) == []
 
 
 def test_tune_prune_ends_bad_trials(data, tmp_path):
@@ -210,7 +211,7 @@ def test_tune_on_cluster_writes_same_files(data, tmp_path):
         command = search_command(data, tmp_path / "ray", "--cluster", "local", "--jobs", "2")
         command[command.index("--trials") + 1] = trials
         subprocess.run(command, check=True, capture_output=True)
-        results = read_results(tmp_path / "ray")
+        results = read_results(tmp_path / "ray", COMMAND_SPACE)
         assert sorted(r["trial"] for r in results) == list(range(int(trials)))
         assert all(r["status"] == "ok" and r["network"]["filters"] <= 4 for r in results)
     assert read_recipe(tmp_path / "ray" / "best.json").settings.epochs == 2

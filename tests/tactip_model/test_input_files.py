@@ -1,17 +1,28 @@
 """Files that are damaged, or made to exhaust the machine, are refused in one sentence."""
 
+import contextlib
 import io
 import json
 import os
 import struct
+import time
 import zipfile
 import zlib
 
 import numpy as np
 import pytest
 
+from helpers.memory import MIB, Peak, memory_limit
 from tactip_twin.tactip_model.errors import TactipError
-from tactip_twin.tactip_model.input_files import parse_arrays, parse_json, read_arrays, read_file, read_json
+from tactip_twin.tactip_model.input_files import (
+    parse_arrays,
+    parse_json,
+    parse_table,
+    read_arrays,
+    read_file,
+    read_json,
+    read_json_lines,
+)
 from tactip_twin.tactip_model.input_images import decode_image, read_image
 
 
@@ -129,3 +140,64 @@ def test_image_bomb_is_refused(size):
 def test_damaged_image_is_refused(data):
     with pytest.raises(TactipError, match="cannot be read as an image"):
         decode_image(data, "the image")
+
+
+def many(text, mib):
+    """Return a text repeated to a size in MiB."""
+    return text * (mib * 2**20 // len(text))
+
+
+@pytest.mark.parametrize(
+    ("read", "data"),
+    [
+        (parse_table, b"a\n" + many(b"b\n", 31)),
+        (parse_table, many(b"a,", 1)[:-1] + b"\n"),
+        (parse_table, b"a" + 900 * b",a" + b"\n" + many(b"b\n", 31)),
+        (parse_table, b"a\n" + many(b"b,", 31)),
+        (parse_table, many(b"a\n", 33)),
+        (parse_table, many(b"\n", 31)),
+        (parse_json, b"[" + many(b"[],", 15) + b"1]"),
+        (parse_json, b"[" + many(b"{},", 15) + b"1]"),
+        (parse_json, many(b"[", 15)),
+        (parse_json, many(b"9", 15)),
+    ],
+)
+def test_worst_files_take_less_than_2_gb_and_10_s(read, data):
+    """Of the size that is allowed, and made to take as much memory as can be."""
+    start = time.process_time()
+    with Peak() as peak, memory_limit(2048 * MIB), contextlib.suppress(TactipError):
+        read(data, "the file")
+    print(f"{peak.mib:.0f} MiB, {time.process_time() - start:.1f} s")
+    assert peak.mib < 2048
+    assert time.process_time() - start < 10
+
+
+def test_json_of_more_than_16_mib_is_refused(tmp_path):
+    path = tmp_path / "large.json"
+    path.write_bytes(b"[" + many(b"1,", 17) + b"1]")
+    with pytest.raises(TactipError, match=r"large\.json must have at most 16 MiB, got 17 MiB"):
+        read_json(path)
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        (b'{"a": 1}', "its last line has no end"),
+        (b'{"a": 1}\n{"a": \n', r"line 2 is not JSON"),
+        (b'{"a": 1}\n[1]\n', r"line 2 must be an object, got \[1\]"),
+        (b'{"a": NaN}\n', "line 1 is not valid JSON"),
+    ],
+)
+def test_read_json_lines_damaged_raises(tmp_path, data, words):
+    path = tmp_path / "lines.jsonl"
+    path.write_bytes(data)
+    with pytest.raises(TactipError, match=words):
+        read_json_lines(path)
+
+
+def test_read_json_lines_returns_the_objects(tmp_path):
+    path = tmp_path / "lines.jsonl"
+    path.write_bytes(b'{"a": 1}\n{"b": [2]}\n')
+    assert read_json_lines(path) == [{"a": 1}, {"b": [2]}]
+    path.write_bytes(b"")
+    assert read_json_lines(path) == []

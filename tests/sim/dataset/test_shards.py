@@ -107,7 +107,7 @@ def test_closing_a_shard_twice_is_harmless(copy, whole):
     (shard / PARTIAL).mkdir()
     unpack_finished_set(shard)
     assert not (shard / "meta.json").exists()
-    closing = ShardFinalizer("shard-00001", (whole / "shard-00001" / "run.json").read_bytes())
+    closing = ShardFinalizer(1, (whole / "shard-00001" / "run.json").read_bytes())
     for _ in range(2):
         closing(configuration, copy)
         assert not (shard / PARTIAL).exists()

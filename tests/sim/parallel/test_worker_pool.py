@@ -55,7 +55,7 @@ def test_worker_pool_task_that_kills_two_workers_is_named():
 def test_make_names_samples_and_shards_with_their_set(design, tmp_path, monkeypatch):
     class Named(WorkerPool):
         def work(self, workers, done):
-            names.extend(map(self._named, [(1, 17), (0, ShardFinalizer("shard-00001", b""))]))
+            names.extend(map(self._named, [(1, 17), (0, ShardFinalizer(1, b""))]))
             raise TactipError("it is enough to be named")
 
     names = []

@@ -1,5 +1,6 @@
 """A recording is read back as it was made, complete or cut short; anything else is refused in a sentence."""
 
+import hashlib
 import json
 import os
 import signal
@@ -20,11 +21,13 @@ from tactip_twin.sim.robot.recording import (
     STEPS,
     RecordedScene,
     Recorder,
+    RecordingFullError,
     check_skin,
     read_recorded_scene,
     read_recording,
 )
 from tactip_twin.tactip_model.errors import TactipError
+from tactip_twin.tactip_model.input_files import with_checksum
 
 SCENE = RecordedScene(np.eye(3), np.array([[0, 1, 2]]), np.eye(4), np.array([[0, 1, 2]]), 20e-3, True)
 
@@ -47,6 +50,13 @@ def _record(folder, steps, finish=True):
     if finish:
         recorder.finish({"stopped_because": "it was enough"})
     return recorder
+
+
+def mend_checksums(folder):
+    """Make the record of a changed recording match its files and itself."""
+    record = json.loads((folder / RECORDING).read_text())
+    record["files"] = {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in (SCENERY, STEPS)}
+    (folder / RECORDING).write_text(json.dumps(with_checksum(record)))
 
 
 def _check(arrays, steps):
@@ -132,11 +142,12 @@ def test_two_commands_do_not_record_into_one_folder(tmp_path):
         (
             RECORDING,
             json.dumps({"format": "tactip-twin recording", "version": 9}).encode(),
-            "version 9, but this program reads version 3",
+            "version 9, but this program reads version 4",
         ),
-        (RECORDING, json.dumps({"format": "tactip-twin recording", "version": 3}).encode(), "is damaged"),
-        (STEPS, b"PK nothing", "cannot be read"),
-        (STEPS, b"", "cannot be read"),
+        (RECORDING, json.dumps({"format": "tactip-twin recording", "version": 4}).encode(), "was altered"),
+        (RECORDING, json.dumps(with_checksum({"format": "tactip-twin recording", "version": 4})).encode(), "is damaged"),
+        (STEPS, b"PK nothing", "was altered"),
+        (STEPS, b"", "was altered"),
     ],
 )
 def test_folder_without_recording_is_refused(tmp_path, name, data, words):
@@ -149,8 +160,11 @@ def test_folder_without_recording_is_refused(tmp_path, name, data, words):
 def test_missing_file_is_reported(tmp_path):
     with pytest.raises(TactipError, match="there is no recording in"):
         read_recording(tmp_path)
-    with pytest.raises(TactipError, match=r"scenery\.npz does not exist"):
-        read_recorded_scene(tmp_path)
+    _record(tmp_path / "run", 1)
+    for name, read in ((SCENERY, read_recorded_scene), (STEPS, read_recording)):
+        (tmp_path / "run" / name).unlink()
+        with pytest.raises(TactipError, match=f"{name} does not exist"):
+            read(tmp_path / "run")
 
 
 def test_triangles_of_missing_vertices_are_refused(tmp_path):
@@ -161,6 +175,7 @@ def test_triangles_of_missing_vertices_are_refused(tmp_path):
         values = dict(file)
     for name, words in (("object_triangles", "must be indices of object_vertices"), ("skin_triangles", "must be indices")):
         np.savez(path, **values | {name: values[name] + 100_000})
+        mend_checksums(tmp_path / "run")
         with pytest.raises(TactipError, match=words):
             check_skin(read_recorded_scene(tmp_path / "run"), read_recording(tmp_path / "run")[1])
 
@@ -196,3 +211,46 @@ def test_recorder_killed_before_it_removes_the_log_begins_anew(tmp_path):
     (tmp_path / "run" / LOG).touch()
     _record(tmp_path / "run", 5)
     _check(read_recording(tmp_path / "run")[1], 5)
+
+
+def test_altered_record_is_refused(tmp_path):
+    """A number that is valid, but not what was recorded."""
+    _record(tmp_path / "run", 2)
+    path = tmp_path / "run" / RECORDING
+    path.write_text(path.read_text().replace("it was enough", "it was too much"))
+    with pytest.raises(TactipError, match=r"recording\.json was altered"):
+        read_recording(tmp_path / "run")
+
+
+def test_file_of_another_recording_is_refused(tmp_path):
+    """It is whole, and has as many steps."""
+    _record(tmp_path / "run", 2)
+    other = Recorder(tmp_path / "other", {"task": "surface", "object": "plate"}, SCENE)
+    for _ in range(2):
+        other.add(_row(1))
+    other.finish({})
+    (tmp_path / "run" / STEPS).write_bytes((tmp_path / "other" / STEPS).read_bytes())
+    with pytest.raises(TactipError, match=r"steps\.npz was altered"):
+        read_recording(tmp_path / "run")
+
+
+def test_recording_ends_where_its_reader_does(tmp_path, monkeypatch):
+    """A recording that is full keeps the steps so far, and can be completed and read."""
+    size = sum(np.asarray(value).nbytes for value in _stored(_row(0)).values())
+    monkeypatch.setattr("tactip_twin.sim.robot.recording._MAX_STEPS_BYTES", 3 * size)
+    recorder = Recorder(tmp_path / "run", {"task": "surface", "object": "plate"}, SCENE)
+    for k in range(3):
+        recorder.add(_row(k))
+    with pytest.raises(RecordingFullError, match="which it has after 3 steps: record fewer steps"):
+        recorder.add(_row(3))
+    recorder.finish({})
+    _check(read_recording(tmp_path / "run")[1], 3)
+
+
+def _stored(row):
+    """Return the arrays of a step as they are recorded."""
+    types = {"pin_tips_m": "f4", "directions": "f4", "skin_m": "f4", "phase": "u1", "part": "i4", "sim_steps": "i4"}
+    packed = np.packbits(row["images"] > 127, axis=-1)
+    return {k: np.zeros(np.shape(v), types.get(k, "f8")) for k, v in row.items() if k not in ("images", "phase")} | {
+        "images": packed, "phase": np.uint8(0)
+    }  # fmt: skip

@@ -119,7 +119,8 @@ def test_page_is_served_under_its_own_name_only(page, host, status):
     ],
 )
 def test_page_of_an_address_that_was_asked_for_is_let_in(served, host, allowed):
-    headers = Headers({"Host": host, "Origin": f"http://{host}", "Upgrade": "websocket"})
+    version = {"Sec-WebSocket-Protocol": f"viser-v{viser.__version__}"}
+    headers = Headers({"Host": host, "Origin": f"http://{host}", "Upgrade": "websocket"} | version)
     assert (viser_utils._refusal(headers, served) == "") == allowed
 
 

@@ -1,0 +1,145 @@
+"""Trainings that are killed, interrupted or resumed, and folders that hold something else."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from helpers.trainings import NET, QUICK, quiet, same, weights
+from tactip_twin.learning import checkpoint
+from tactip_twin.learning import train as train_module
+from tactip_twin.learning.checkpoint import read_metrics
+from tactip_twin.learning.configuration import TrainSettings
+from tactip_twin.learning.model import load_model
+from tactip_twin.tactip_model.errors import Interrupted, TactipError
+from tactip_twin.tactip_model.input_files import with_checksum
+
+TACTIP = str(Path(sys.executable).parent / "tactip")
+
+
+@pytest.mark.parametrize("epochs", [1, 4])
+def test_train_killed_after_last_checkpoint_resumes(splits, tmp_path, monkeypatch, epochs):
+    """The checkpoint is written first; the other files are recreated from it."""
+    settings = TrainSettings(epochs=epochs, learning_rate=3e-3)
+    quiet(*splits, NET, settings, tmp_path / "whole")
+    save = train_module.save_checkpoint
+
+    def killed(training, folder, record):
+        if not training.finished:
+            return save(training, folder, record)
+        with monkeypatch.context() as patch:
+            patch.setattr(checkpoint, "save_model", _cut)
+            return save(training, folder, record)
+
+    def _cut(*_):
+        raise SystemError("killed")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(train_module, "save_checkpoint", killed)
+        with pytest.raises(SystemError):
+            quiet(*splits, NET, settings, tmp_path / "killed")
+    history = quiet(*splits, NET, settings, tmp_path / "killed")
+    assert same(weights(tmp_path / "whole"), weights(tmp_path / "killed"))
+    outcome = load_model(tmp_path / "killed").provenance["outcome"]
+    assert outcome == load_model(tmp_path / "whole").provenance["outcome"]
+    assert outcome["finished"] and outcome["epochs"] == len(history) == epochs
+    assert not (tmp_path / "killed" / "checkpoint.pt").exists()
+
+
+def test_train_command_killed_resumes_to_same_weights(data, splits, tmp_path):
+    settings = ["--training.epochs", "40", "--training.patience", "40", "--training.learning-rate", "0.003"]
+    network = [
+        "--network.conv-layers",
+        "2",
+        "--network.filters",
+        "6",
+        "--network.dense_units",
+        "24",
+        "--network.batch-size",
+        "8",
+    ]
+    command = [TACTIP, "train", "--data", str(data), "--recipe", "paper", *settings, *network]
+    whole, killed = tmp_path / "whole", tmp_path / "killed"
+    subprocess.run([*command, "--out", str(whole)], check=True, capture_output=True)
+    process = subprocess.Popen([*command, "--out", str(killed)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    end = time.monotonic() + 60
+    while not (killed / "metrics.jsonl").exists() or len(read_metrics(killed)) < 3:
+        assert time.monotonic() < end
+        time.sleep(0.02)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    assert (killed / "checkpoint.pt").exists()
+    again = subprocess.run([*command, "--out", str(killed)], check=True, capture_output=True, text=True)
+    assert "resuming after epoch" in again.stderr
+    assert same(weights(whole), weights(killed))
+    losses = [[(h["epoch"], h["loss"], h["val_loss"]) for h in read_metrics(f)] for f in (whole, killed)]
+    assert losses[0] == losses[1]
+    assert not (killed / "checkpoint.pt").exists()
+    assert "already finished" in subprocess.run([*command, "--out", str(killed)], capture_output=True, text=True).stderr
+
+
+def test_train_locked_folder_raises(splits, tmp_path):
+    def again(history):
+        with pytest.raises(TactipError, match="another command is training in"):
+            quiet(*splits, NET, QUICK, tmp_path / "run")
+        return False
+
+    quiet(*splits, NET, QUICK, tmp_path / "run", should_prune=again)
+    assert load_model(tmp_path / "run").provenance["outcome"]["finished"]
+
+
+def test_train_record_without_new_fields_is_recognized(splits, tmp_path):
+    """A field that was added later counts as having its default."""
+    history = quiet(*splits, NET, QUICK, tmp_path / "run")
+    path = tmp_path / "run" / "model.json"
+    description = json.loads(path.read_text())
+    del (
+        description["provenance"]["network"]["pixel_unshuffle"],
+        description["provenance"]["settings"]["augmentation_strength"],
+    )
+    path.write_text(json.dumps(with_checksum(description)))
+    assert quiet(*splits, NET, QUICK, tmp_path / "run") == history
+    description["provenance"]["network"]["filters"] += 1
+    path.write_text(json.dumps(with_checksum(description)))
+    with pytest.raises(TactipError, match=r"holds a training with other settings \(network.filters is 7 there, 6 here\)"):
+        quiet(*splits, NET, QUICK, tmp_path / "run")
+
+
+def test_train_folder_of_other_training_raises(splits, tmp_path):
+    quiet(*splits, NET, QUICK, tmp_path / "run")
+    with pytest.raises(TactipError, match=r"holds a training with other settings \(settings.epochs is 4 there, 5 here\)"):
+        quiet(*splits, NET, TrainSettings(epochs=5), tmp_path / "run")
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "thesis.txt").write_text("mine")
+    with pytest.raises(TactipError, match="holds no training"):
+        quiet(*splits, NET, QUICK, tmp_path / "other")
+
+
+@pytest.mark.parametrize("damage", [lambda b: b"rubbish", lambda b: b[: len(b) // 2], lambda b: b""])
+def test_train_damaged_checkpoint_raises(splits, tmp_path, damage):
+    with pytest.raises(Interrupted):
+        quiet(*splits, NET, QUICK, tmp_path / "run", should_prune=_stop)
+    path = tmp_path / "run" / "checkpoint.pt"
+    path.write_bytes(damage(path.read_bytes()))
+    with pytest.raises(TactipError, match="delete it to restart the training"):
+        quiet(*splits, NET, QUICK, tmp_path / "run")
+
+
+def test_train_interrupted_keeps_completed_epochs(splits, tmp_path):
+    with pytest.raises(Interrupted, match="completed epochs are saved: run the same command to resume"):
+        quiet(*splits, NET, QUICK, tmp_path / "stopped", should_prune=_stop)
+    assert len(read_metrics(tmp_path / "stopped")) == 2
+    quiet(*splits, NET, QUICK, tmp_path / "stopped")
+    quiet(*splits, NET, QUICK, tmp_path / "whole")
+    assert same(weights(tmp_path / "stopped"), weights(tmp_path / "whole"))
+
+
+def _stop(history):
+    """Interrupt after the second epoch."""
+    if len(history) == 2:
+        raise KeyboardInterrupt
+    return False

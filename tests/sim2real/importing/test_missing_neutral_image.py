@@ -1,0 +1,134 @@
+"""Import without a neutral image, or with one that does not fit."""
+
+import json
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from helpers.laboratory import DESIGN, SIZE, bring, frame, with_rim, write_set, write_table
+from tactip_twin.commands import main as tactip
+from tactip_twin.sim.contact.fidelity import fidelity_named
+from tactip_twin.sim.contact.simulator import ContactSimulator
+from tactip_twin.sim.dataset.format import read_dataset
+from tactip_twin.sim.pose import from_mm_deg
+from tactip_twin.sim2real.transfer.neutral_calibration import fit_design_to_neutral_image
+from tactip_twin.tactip_model.neutral_image import neutral_px
+from tactip_twin.tactip_model.pins import neutral_pins
+from tactip_twin.tactip_model.presets import design_named
+from tactip_twin.tactip_model.raster_renderer import Raster
+from tactip_twin.tactip_model.tactile_image import tactile_image
+
+
+def test_import_other_or_broken_neutral_image_is_refused(tmp_path, capsys):
+    write_set(tmp_path / "lab")
+    assert bring(tmp_path / "lab", tmp_path / "set") == 0
+    other, broken = tmp_path / "other.png", tmp_path / "broken.png"
+    cv2.imwrite(str(other), frame(1.01))
+    broken.write_bytes(b"no image")
+    capsys.readouterr()
+    assert bring(tmp_path / "lab", tmp_path / "set", "--neutral", str(other)) == 1
+    assert "holds a real data set with other settings (source.neutral_sha256 is" in capsys.readouterr().err
+    assert bring(tmp_path / "lab", tmp_path / "third", "--neutral", str(broken)) == 1
+    assert "broken.png: it cannot be read as an image" in capsys.readouterr().err
+
+
+def test_import_without_neutral_image_skips_unusable_frames(tmp_path):
+    write_set(tmp_path / "lab")
+    (tmp_path / "lab" / "init_0.png").unlink()
+    images = tmp_path / "lab" / "images"
+    (images / "frame_1.png").write_bytes(b"no image")
+    cv2.imwrite(str(images / "frame_3.png"), np.zeros((SIZE, 300), np.uint8))
+    assert bring(tmp_path / "lab", tmp_path / "set") == 0
+    report = json.loads((tmp_path / "set" / "import.json").read_text())
+    assert [one["frame"] for one in report["left_out"]] == ["frame_1.png", "frame_3.png"]
+
+
+def test_import_without_neutral_image_uses_shallowest_frames(tmp_path, capsys):
+    """Each presses the pins of another part outward by two of their widths: in most frames they are where they were."""
+    write_set(tmp_path / "lab", 1)
+    (tmp_path / "lab" / "init_0.png").unlink()
+    tips, directions = neutral_pins(DESIGN)
+    rows = []
+    for k in range(90):
+        depth = 0.05 if k < 5 else 4.0
+        away = tips[:, :2] - 0.008 * np.array([np.cos(1.2 * k), np.sin(1.2 * k)])
+        pressed = np.linalg.norm(away, axis=1) < 2e-3 * (1 + depth)
+        moved = tips + np.where(pressed[:, None], np.pad(away * 0.4, ((0, 0), (0, 1))), 0.0)
+        image = tactile_image(Raster(DESIGN).render(moved, directions), replace(DESIGN.image, size_px=SIZE))
+        cv2.imwrite(str(tmp_path / "lab" / "images" / f"frame_{k}.png"), with_rim(image))
+        rows.append({"image_name": f"frame_{k}.png", "pose_2": depth - 5})
+    write_table(tmp_path / "lab", rows)
+    command = ["import", str(tmp_path / "lab"), "--out", str(tmp_path / "set"), "--columns", "pose_z=-pose_2-5"]
+    assert tactip.main(command) == 0
+    output = "no neutral image: replaced by the median of 5 of the shallowest frames (-0.05 to -0.05 mm)"
+    assert output in capsys.readouterr().out
+    design, figures = fit_design_to_neutral_image(tmp_path / "set", 128)
+    assert figures["pins"] == 127 and figures["camera"] is None
+    assert np.abs(neutral_px(design) - neutral_px(DESIGN)).max() < 0.6
+    # One that an earlier version imported, which kept no such image, is imported anew.
+    report = json.loads((tmp_path / "set" / "import.json").read_text())
+    del report["stand_in"]
+    (tmp_path / "set" / "import.json").write_text(json.dumps(report))
+    assert tactip.main(command) == 0
+    assert "whose report is incomplete" in capsys.readouterr().out
+    # And one whose report is damaged is named.
+    (tmp_path / "set" / "import.json").write_text("{")
+    assert tactip.main(command) == 1
+    assert "import.json is not JSON" in capsys.readouterr().err
+
+
+def test_fit_design_removes_press_of_pseudo_neutral_frames(tmp_path):
+    """Six frames of a stiffer tip at rest 1 to 2 mm deep: the twin's pins are where that tip's are when nothing touches."""
+    write_set(tmp_path / "lab", 1)
+    (tmp_path / "lab" / "init_0.png").unlink()
+    stiffer = replace(DESIGN, materials=replace(DESIGN.materials, skin_young_pa=1.3 * DESIGN.materials.skin_young_pa))
+    simulator = ContactSimulator(stiffer, "surface", fidelity_named("draft"))
+    rows = []
+    for k, depth in enumerate(np.linspace(1, 2, 6)):
+        contact = simulator.simulate(from_mm_deg([0, 0, -depth, 0, 0, 0]), np.zeros(6))
+        drawn = Raster(DESIGN).render(contact.pin_tips, contact.directions)
+        image = tactile_image(drawn, replace(DESIGN.image, size_px=SIZE))
+        cv2.imwrite(str(tmp_path / "lab" / "images" / f"frame_{k}.png"), image)
+        rows.append({"image_name": f"frame_{k}.png", "pose_2": depth - 5})
+    write_table(tmp_path / "lab", rows)
+    command = ["import", str(tmp_path / "lab"), "--out", str(tmp_path / "set"), "--columns", "pose_z=-pose_2-5"]
+    assert tactip.main(command) == 0
+
+    def off_px():
+        design, figures = fit_design_to_neutral_image(tmp_path / "set", 128)
+        return np.sqrt(((neutral_px(design) - neutral_px(DESIGN)) ** 2).sum(1).mean()), figures["pressed_mm"], design
+
+    off, pressed_mm, design = off_px()
+    assert pressed_mm == pytest.approx(0.75 * 1.4) and off < 0.5
+    assert design.pins.diameter_m == pytest.approx(DESIGN.pins.diameter_m, rel=0.15)
+    # As it is where the frames' depth is not known to be one.
+    report = json.loads((tmp_path / "set" / "import.json").read_text())
+    report["stand_in"]["pose_z"] = [0.5, 0.5]
+    (tmp_path / "set" / "import.json").write_text(json.dumps(report))
+    assert off_px()[:2] == (pytest.approx(1.15, abs=0.2), 0.0)
+
+
+def test_import_other_layout_without_neutral_image(tmp_path):
+    """128 px frames of a tip with 331 pins, named without an ending; depth positive, three components, no neutral image."""
+    design = design_named("nominal-331")
+    small = replace(design, image=replace(design.image, size_px=128))
+    tips, directions = neutral_pins(design)
+    folder = tmp_path / "lab"
+    (folder / "frames").mkdir(parents=True)
+    rows = []
+    for k in range(6):
+        image = tactile_image(Raster(small).render(tips * [1 + 0.01 * k, 1 + 0.01 * k, 1], directions), small.image)
+        cv2.imwrite(str(folder / "frames" / f"image_{k}.png"), image)
+        rows.append({"sensor_image": f"image_{k}", "depth": 1 + 0.5 * k, "roll": k, "pitch": -k})
+    write_table(folder, rows)
+    layout = tmp_path / "layout.json"
+    layout.write_text(json.dumps({"columns": ["pose_z=-depth", "pose_Rx=roll", "pose_Ry=pitch"]}))
+    out = tmp_path / "set"
+    assert tactip.main(["import", str(folder), "--out", str(out), "--layout", str(layout)]) == 0
+    dataset = read_dataset(out)
+    assert np.allclose(dataset.poses[:, 2], [-1 - 0.5 * k for k in range(6)], atol=1e-5)
+    assert not dataset.shears.any()
+    report = json.loads((out / "import.json").read_text())
+    assert not report["neutral_image"] and report["stand_in"] == {"frames": 5, "pose_z": [-1.0, -3.0]}
