@@ -45,7 +45,11 @@ class Resolution:
     locked_stiffness: float = within(0.1, 1, default=0.90)
     """Factor on the modulus of a gel that locks, -, which removes the remaining excess force of locking. It depends on the
     mesh: 0.87 for a surface_m of 3.2 mm, 0.90 for 1.9 mm, 0.97 for 1.5 mm and 1 for 1.2 mm with a rim_m of 3 mm. It takes
-    effect linearly between Poisson's ratios of 0.35 and 0.45."""
+    effect linearly between Poisson's ratios of 0.35 and 0.45. Unused if `keep_volume`."""
+    keep_volume: bool = False
+    """Whether the elements keep the gel's shear modulus, and one row of the solver adds the bulk modulus that
+    `poisson_limit` takes from them (sim/contact/gel_volume.py). The coarser the mesh, the lower poisson_limit should be
+    then: 0.40, 0.43 and 0.45 for the meshes of `draft`, `standard` and `reference` (docs/mechanics.md)."""
 
     def __post_init__(self) -> None:
         check(self)

@@ -50,6 +50,9 @@ RESTING_STEP_S = 7e-3
 _LOCKING = (0.35, 0.45)
 """Poisson's ratios at which `mesh.Resolution.locked_stiffness` starts to act and acts fully, -."""
 
+VOLUME_ROW = "tip/volume"
+"""Name of the tendon and the equality constraint that keep the gel's volume (sim/contact/gel_volume.py)."""
+
 MAX_STIFFENING = 4.0
 """Largest factor on contact damping for a shorter step, -; stiffness is raised by up to its square."""
 
@@ -104,14 +107,16 @@ def add_soft_tip(
 
     touch = contact_attributes(materials.friction, contact)
     bodies = []
+    skin_joints = []
     for i, (position, bonded) in enumerate(zip(mesh.vertices, mesh.bonded, strict=True)):
         if bonded:
             bodies.append(parent.name)
             continue
         body = parent.add_body(name=f"tip/{i}", pos=position, mass=mass[i], inertia=[1e-9] * 3, explicitinertial=True)
-        for axis in np.eye(3):
-            body.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
+        for name, axis in zip("xyz", np.eye(3), strict=True):
+            body.add_joint(name=f"tip/{i}/{name}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
         if i < mesh.surface_count:
+            skin_joints += [f"tip/{i}/{name}" for name in "xyz"]
             body.add_geom(
                 name=f"tip/{i}",
                 type=mujoco.mjtGeom.mjGEOM_SPHERE,
@@ -148,6 +153,19 @@ def add_soft_tip(
         contype=0,
         conaffinity=0,
     )
+    if missing_bulk_modulus(materials, resolution) > 0:
+        tendon = spec.add_tendon(name=VOLUME_ROW)
+        for joint in skin_joints:
+            tendon.wrap_joint(joint, 1.0)
+        # Direct stiffness and damping, which sim/contact/gel_volume.py sets before each step.
+        spec.add_equality(
+            name=VOLUME_ROW,
+            type=mujoco.mjtEq.mjEQ_TENDON,
+            objtype=mujoco.mjtObj.mjOBJ_TENDON,
+            name1=VOLUME_ROW,
+            solref=[-1, -1],
+            solimp=[0.5, 0.5, 1e-3, 0.5, 2],
+        )
 
 
 def relative_stiffness(materials: Materials) -> float:
@@ -160,14 +178,30 @@ def relative_stiffness(materials: Materials) -> float:
 
 def gel_attributes(materials: Materials, resolution: Resolution) -> dict[str, Any]:
     """Return the attributes of the gel's flex that define its material."""
+    poisson = min(materials.gel_poisson, resolution.poisson_limit)
     locked = np.clip((materials.gel_poisson - _LOCKING[0]) / (_LOCKING[1] - _LOCKING[0]), 0.0, 1.0)
+    same_shear_modulus = (1 + poisson) / (1 + materials.gel_poisson)
+    factor = same_shear_modulus if resolution.keep_volume else float(1 - (1 - resolution.locked_stiffness) * locked)
     return {
-        "young": materials.gel_young_pa * float(1 - (1 - resolution.locked_stiffness) * locked),
-        "poisson": min(materials.gel_poisson, resolution.poisson_limit),
+        "young": materials.gel_young_pa * factor,
+        "poisson": poisson,
         "elastic3d": STABLE_NEO_HOOKEAN,
         "damping": materials.damping_s,
         "selfcollide": mujoco.mjtFlexSelf.mjFLEXSELF_NONE,
     }
+
+
+def missing_bulk_modulus(materials: Materials, resolution: Resolution) -> float:
+    """Return the gel's bulk modulus less that of its elements, Pa; 0 where elements have the gel's Poisson's ratio, or where
+    the volume of the gel is not kept (Resolution.keep_volume)."""
+    element = gel_attributes(materials, resolution)
+
+    def bulk(young: float, poisson: float) -> float:
+        return young / (3 * (1 - 2 * poisson))
+
+    if element["poisson"] == materials.gel_poisson or not resolution.keep_volume:
+        return 0.0
+    return bulk(materials.gel_young_pa, materials.gel_poisson) - bulk(element["young"], element["poisson"])
 
 
 def skin_attributes(materials: Materials) -> dict[str, Any]:

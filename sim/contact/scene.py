@@ -11,13 +11,14 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from tactip_twin.sim.contact.fidelity import Fidelity
+from tactip_twin.sim.contact.gel_volume import GelVolume
 from tactip_twin.sim.contact.slip_weakening import SlipWeakening
 from tactip_twin.sim.contact.solid_stimulus import SolidStimulus, SurfaceContactProxies
 from tactip_twin.sim.contact.stimuli import Stimulus, add_stimulus, stimulus_named
 from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.mesh import CONTACT_RADIUS_M, build_mesh
-from tactip_twin.tactip_model.soft_body import MAX_STIFFENING, RESTING_STEP_S, add_soft_tip
+from tactip_twin.tactip_model.soft_body import MAX_STIFFENING, RESTING_STEP_S, add_soft_tip, missing_bulk_modulus
 
 _STIMULUS_QPOS = 7
 _STIMULUS_QVEL = 6
@@ -58,6 +59,8 @@ class Scene:
         self._neighbours = _neighbours(self.mesh.triangles)
         self._areas = np.linalg.norm(_area_normals(self.mesh.vertices, self.mesh.triangles), axis=1)
         self._stimulus_body = self.model.body("stimulus").id
+        needs_volume = missing_bulk_modulus(design.materials, fidelity.mesh) > 0
+        self._volume = GelVolume(self.model, self.mesh, design.materials, fidelity.mesh) if needs_volume else None
         weakens = self._has_friction() and design.materials.kinetic_fraction < 1
         self._slip = SlipWeakening(self.model, self._stimulus_body, design.materials) if weakens else None
 
@@ -120,6 +123,7 @@ class Scene:
     def step(self) -> None:
         """Advance by one time step, as mujoco.mj_step does, with these differences.
 
+        - The volume of the whole gel is kept by a row of its own (sim/contact/gel_volume.py).
         - The contact proxies on a solid's surface follow the skin (sim/contact/solid_stimulus.py).
         - Contacts become active before they touch (ContactModel.margin_m), but their force still begins at the surface: the
           margin is removed from their rows.
@@ -133,11 +137,15 @@ class Scene:
         model, data = self.model, self.data
         if self._proxies:
             self._proxies.update(model, self.skin_in_stimulus())
+        if self._volume:
+            self._volume.linearize(model, self.vertices())
         tolerance, before = model.opt.tolerance, data.qacc_warmstart.copy()
         mujoco.mj_fwdPosition(model, data)
-        touching = data.nefc > 0
+        if self._volume:
+            self._volume.set_length(data)
+        touching = data.nefc > data.ne
         if touching:
-            data.efc_margin[:] = 0.0
+            data.efc_margin[data.ne :] = 0.0
             if self._has_friction():
                 self._correct_sliding_friction()
             model.opt.tolerance = _NO_SOLVE
@@ -271,13 +279,20 @@ class Scene:
     def imbalance(self) -> float:
         """Return the ratio of the unbalanced force on the free vertices at the last step to the contact force on them
         (norms), -; 0 without contact."""
-        contact = self.data.qfrc_constraint[_STIMULUS_QVEL:]
-        size = float(np.linalg.norm(contact))
-        return float(np.linalg.norm(self.data.qfrc_smooth[_STIMULUS_QVEL:] + contact)) / size if size else 0.0
+        if self.data.nefc == self.data.ne:
+            return 0.0
+        constraint = self.data.qfrc_constraint[_STIMULUS_QVEL:]
+        size = float(np.linalg.norm(constraint - self._volume_forces()))
+        return float(np.linalg.norm(self.data.qfrc_smooth[_STIMULUS_QVEL:] + constraint)) / size if size else 0.0
 
     def elastic_energy_rate(self) -> float:
         """Return the magnitude of the rate of change of the elastic energy of gel and skin, W."""
-        return abs(float(self.data.qfrc_spring[_STIMULUS_QVEL:] @ self.data.qvel[_STIMULUS_QVEL:]))
+        elastic = self.data.qfrc_spring[_STIMULUS_QVEL:] + self._volume_forces()
+        return abs(float(elastic @ self.data.qvel[_STIMULUS_QVEL:]))
+
+    def _volume_forces(self) -> np.ndarray | float:
+        """Return the forces that keep the gel's volume on the free vertices (3 per vertex), N; 0 without them."""
+        return self._volume.forces(self.data).ravel() if self._volume and self.data.ne else 0.0
 
     def skin_shape(self, vertices: np.ndarray) -> tuple[float, float]:
         """Return the minimum ratio of a facet's area to its undeformed one (-), and the maximum angle (rad) between the
