@@ -18,7 +18,7 @@ ExperimentName = Literal["zero-shot", "ablate", "few-shot", "gap"]
 ServoGroup = Literal["objects", "oracle", "arm", "fidelity", "robust", "starts"]
 """Groups of servo runs (benchmarks/servo/servo.py)."""
 
-PerformanceGroup = Literal["samples", "images", "learning", "servo", "shared-cores", "gpu-engine"]
+PerformanceGroup = Literal["samples", "images", "learning", "servo", "shared-cores"]
 """Groups of rates (benchmarks/scale/performance.py)."""
 
 

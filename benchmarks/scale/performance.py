@@ -19,7 +19,6 @@ from typing import Any
 from tactip_twin.benchmarks.hardware import machine, machine_text
 from tactip_twin.benchmarks.options import PerformanceOptions
 from tactip_twin.benchmarks.report import read_results, table, write_results
-from tactip_twin.benchmarks.scale import mujoco_warp as gpu_engine
 from tactip_twin.benchmarks.scale import shared_cores
 from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.dataset.configuration import Configuration
@@ -68,11 +67,6 @@ def run(options: PerformanceOptions, log: Callable[[str], None] = print) -> dict
     record: dict[str, Any] = read_results(options.out / "performance.json") or {"groups": {}}
     groups = record["groups"]
     for name in names:
-        if name == "gpu-engine" and (lacking := gpu_engine.missing()):
-            if name in options.groups:
-                raise TactipError(lacking)
-            log(f"left out: {lacking}")
-            continue
         log(f"{name}: {GROUPS[name][0]}")
         groups[name] = {"machine": machine(), "rows": GROUPS[name][1](options)}
         record = {"groups": {g: groups[g] for g in GROUPS if g in groups}}
@@ -303,7 +297,6 @@ GROUPS: dict[str, tuple[str, Callable[[PerformanceOptions], list[dict[str, Any]]
     "learning": ("training and prediction", _learning),
     "servo": ("rates of servo steps", _servo),
     "shared-cores": ("two jobs side by side", lambda options: shared_cores.rows()),
-    "gpu-engine": ("MuJoCo Warp", lambda options: gpu_engine.rows()),
 }
 """Description and function of each group."""
 
