@@ -97,7 +97,7 @@ def test_wheel_works_without_checkout(wheel, tmp_path, version):
     bench = subprocess.run([bin_ / "tactip", "bench", "fidelity"], cwd=tmp_path, capture_output=True, text=True)
     assert bench.returncode == 1 and len(bench.stderr.splitlines()) == 1 and "clone the repository" in bench.stderr
     run("dataset", "make", "--samples", "4", "--fidelity", "draft", "--out", "set")
-    assert "whole; 4 samples" in run("dataset", "verify", "set")
+    assert "complete; 4 samples" in run("dataset", "verify", "set")
     assert json.loads(run("evaluate", "--model", "surface-tactip-127", "--data", "set", "--json"))["mae"]["pose_z"] < 0.5
     run("servo", "--task", "surface", "--object", "sphere", "--fidelity", "draft", "--route.kind", "straight",
         "--route.length-mm", "6", "--out", "run")  # fmt: skip
