@@ -51,7 +51,11 @@ _LOCKING = (0.35, 0.45)
 """Poisson's ratios at which `mesh.Resolution.locked_stiffness` starts to act and acts fully, -."""
 
 VOLUME_ROW = "tip/volume"
-"""Name of the tendon and the equality constraint that keep the gel's volume (sim/contact/gel_volume.py)."""
+"""Name of the equality constraint that keeps the gel's volume (sim/contact/gel_volume.py)."""
+
+VOLUME_TENDONS = ("tip/volume/0", "tip/volume/1")
+"""Names of its tendons, each over half of the skin's free vertices, in their order. MuJoCo's time per tendon grows with the
+square of its joints, so two halves take half the time of one [M]."""
 
 MAX_STIFFENING = 4.0
 """Largest factor on contact damping for a shorter step, -; stiffness is raised by up to its square."""
@@ -154,15 +158,19 @@ def add_soft_tip(
         conaffinity=0,
     )
     if missing_bulk_modulus(materials, resolution) > 0:
-        tendon = spec.add_tendon(name=VOLUME_ROW)
-        for joint in skin_joints:
-            tendon.wrap_joint(joint, 1.0)
+        half = len(skin_joints) // 2
+        for name, joints in zip(VOLUME_TENDONS, (skin_joints[:half], skin_joints[half:]), strict=True):
+            tendon = spec.add_tendon(name=name)
+            for joint in joints:
+                tendon.wrap_joint(joint, 1.0)
         # Direct stiffness and damping, which sim/contact/gel_volume.py sets before each step.
         spec.add_equality(
             name=VOLUME_ROW,
             type=mujoco.mjtEq.mjEQ_TENDON,
             objtype=mujoco.mjtObj.mjOBJ_TENDON,
-            name1=VOLUME_ROW,
+            name1=VOLUME_TENDONS[0],
+            name2=VOLUME_TENDONS[1],
+            data=[0, -1, *[0] * 10],  # the sum of both lengths
             solref=[-1, -1],
             solimp=[0.5, 0.5, 1e-3, 0.5, 2],
         )

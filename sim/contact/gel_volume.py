@@ -6,8 +6,8 @@ skin around the contact would bulge too little. The missing bulk modulus acts he
 pressure on the skin. A single pressure cannot lock, because it constrains one degree of freedom. docs/mechanics.md compares
 force and shape with a code that does not lock.
 
-The row is the equality constraint of a tendon over all free skin vertices, whose coefficients are set before every step to
-the gradient of the volume. It is a spring that is integrated implicitly, so it is stable at any time step.
+The row is the equality constraint of two tendons over the free skin vertices, whose coefficients are set before every step
+to the gradient of the volume. It is a spring that is integrated implicitly, so it is stable at any time step.
 """
 
 import mujoco
@@ -16,7 +16,7 @@ from scipy.sparse import csr_array
 
 from tactip_twin.tactip_model.design import Materials
 from tactip_twin.tactip_model.mesh import Mesh, Resolution
-from tactip_twin.tactip_model.soft_body import VOLUME_ROW, missing_bulk_modulus
+from tactip_twin.tactip_model.soft_body import VOLUME_ROW, VOLUME_TENDONS, missing_bulk_modulus
 
 _IMPEDANCE = 0.5
 """Constant impedance of the row, -: at 0.5 its regularization is its inverse weight (MuJoCo's manual, "Computation")."""
@@ -38,9 +38,11 @@ class GelVolume:
             resolution: Resolution of the mesh.
         """
         self._equality = model.equality(VOLUME_ROW).id
-        self._tendon = model.tendon(VOLUME_ROW).id
-        first, count = model.tendon_adr[self._tendon], model.tendon_num[self._tendon]
-        self._coefficients = slice(first, first + count)
+        tendons = [model.tendon(name).id for name in VOLUME_TENDONS]
+        self._tendon = tendons[0]
+        model.tendon_invweight0[tendons[1]] = 0.0
+        first = model.tendon_adr[tendons[0]]
+        self._coefficients = slice(first, first + int(model.tendon_num[tendons].sum()))
         self._triangles = mesh.triangles
         self._skin_free = ~mesh.bonded[: mesh.surface_count]
         self._inner_count = np.count_nonzero(~mesh.bonded[mesh.surface_count :])
