@@ -12,11 +12,15 @@ from tactip_twin.sim2real.importing.column_map import ColumnMap
 from tactip_twin.sim2real.importing.convert_labels import convert_labels, image_column
 from tactip_twin.sim2real.sensor.preprocess import IMAGES, load
 from tactip_twin.sim2real.sensor.video_frames import VIDEOS
+from tactip_twin.tactip_model.bounds import require
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.input_files import parse_table, read_file
 
 FOLDERS = ("images", "frames", "frames_bw", "videos", "")
 """Subfolders of the set in which frames are searched."""
+
+MAX_FRAMES = 150_000
+"""Maximum number of frames: meta.json, which has a checksum of each, stays below its size limit."""
 
 _NEUTRALS = ("init*", "neutral*")
 
@@ -77,6 +81,8 @@ def read_source(
     _, rows = parse_table(data, f"the table {path}")
     if not rows:
         raise TactipError(f"the table {path} has no rows")
+    allowed = f"at most {MAX_FRAMES} (divide a larger set)"
+    require(len(rows) <= MAX_FRAMES, f"the number of rows of {path}", len(rows), allowed)
     table = {name: [row[name] for row in rows] for name in rows[0] if name}
     names = tuple(name or "" for name in table[image_column(column_map, list(table))])
     poses, shears = convert_labels(column_map, table)

@@ -11,12 +11,14 @@ from helpers.kills import Killed, contents
 from helpers.laboratory import COLUMNS, bring, frame, write_set, write_table
 from tactip_twin.commands import main as tactip
 from tactip_twin.learning.data import read_samples
-from tactip_twin.sim.dataset.format import read_dataset
+from tactip_twin.sim.dataset.format import image_name, read_dataset
 from tactip_twin.sim.parallel.file_lock import locked
 from tactip_twin.sim2real.importing import import_set as importing
 from tactip_twin.sim2real.importing.column_map import ColumnMap
+from tactip_twin.sim2real.importing.source import MAX_FRAMES
 from tactip_twin.sim2real.sensor import preprocess
 from tactip_twin.tactip_model.errors import TactipError
+from tactip_twin.tactip_model.input_files import MAX_JSON_BYTES
 
 
 def test_import_complete_set(tmp_path, capsys):
@@ -100,6 +102,14 @@ def test_import_into_damaged_set_reports_error(tmp_path, capsys):
     (tmp_path / "set" / "meta.json").write_text('{"format": ')
     assert bring(tmp_path / "lab", tmp_path / "set") == 1
     assert "meta.json is not JSON" in capsys.readouterr().err
+
+
+def test_import_more_frames_than_its_meta_json_can_hold_is_refused(tmp_path, monkeypatch, capsys):
+    write_set(tmp_path / "lab")
+    monkeypatch.setattr("tactip_twin.sim2real.importing.source.MAX_FRAMES", 11)
+    assert bring(tmp_path / "lab", tmp_path / "set") == 1
+    assert "targets.csv must be at most 11 (divide a larger set), got 12" in capsys.readouterr().err
+    assert MAX_FRAMES * len(f'  "images/{image_name(MAX_FRAMES)}": "{64 * "f"}",\n') < MAX_JSON_BYTES
 
 
 def test_import_names_outside_folder_are_refused(tmp_path, capsys):
