@@ -52,6 +52,15 @@ class Contact:
     """Force of the object on the tip along the outward normal, N."""
     tangential_force_n: float
     """Magnitude of the rest of that force, N."""
+    force_n: np.ndarray
+    """(3,) force of the object on the tip, N, in the sensor frame."""
+    effective_shear: np.ndarray
+    """(6,) m and rad, in the axes of a label: motion of the rim relative to the patch of skin in contact
+    (contact_patch.ContactPatch.shear), which slip does not increase as it does `shear`."""
+    slip_fraction: float
+    """Fraction of the normal force whose contacts slid at the end of the last motion, -; 1 without friction."""
+    contact_area_m2: float
+    """Area of the skin in contact, m^2."""
     penetration_m: float
     """Maximum penetration, m."""
     volume_ratio: float

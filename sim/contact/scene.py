@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
+from tactip_twin.sim.contact.contact_patch import ContactPatch, PatchReader, slip_fraction
 from tactip_twin.sim.contact.fidelity import Fidelity
 from tactip_twin.sim.contact.gel_volume import GelVolume
 from tactip_twin.sim.contact.slip_weakening import SlipWeakening
@@ -58,6 +59,7 @@ class Scene:
         self._free = ~self.mesh.bonded
         self._neighbours = _neighbours(self.mesh.triangles)
         self._areas = np.linalg.norm(_area_normals(self.mesh.vertices, self.mesh.triangles), axis=1)
+        self._patch_reader = PatchReader(self.model, self.mesh)
         self._stimulus_body = self.model.body("stimulus").id
         needs_volume = missing_bulk_modulus(design.materials, fidelity.mesh) > 0
         self._volume = GelVolume(self.model, self.mesh, design.materials, fidelity.mesh) if needs_volume else None
@@ -223,6 +225,19 @@ class Scene:
         """Return the force (3,) N of the stimulus on the tip at the last step, in the sensor frame."""
         forces, _ = self._contact_forces()
         return np.add.accumulate(forces)[-1] if len(forces) else np.zeros(3)
+
+    def contact_patch(self, vertices: np.ndarray, contact_axes: np.ndarray) -> ContactPatch:
+        """Return the patch of skin in contact at the last step.
+
+        Args:
+            vertices: (n, 3) m, as of `vertices`.
+            contact_axes: (3, 3) rotation from the sensor frame to the contact frame.
+        """
+        return self._patch_reader.read(self.data, vertices, contact_axes)
+
+    def slip_fraction(self) -> float:
+        """Return the fraction of the normal force whose contacts slid at the last step, -; 1 without friction."""
+        return slip_fraction(self.data)
 
     def contact_wrench(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the force (3,) N and the torque (3,) N m about the apex of the stimulus on the tip at the last step, in the

@@ -52,6 +52,9 @@ _MIN_FORCE_N = 1e-2
 TRIES = 3
 """Maximum number of simulations of a contact, each with finer steps, before it is rejected."""
 
+_SLIP_STEPS = 3
+"""Number of steps at the end of a motion over which Contact.slip_fraction is averaged: a tip at rest does not slide."""
+
 UNCONFIRMED = "not yet confirmed by a simulation with half the step"
 """Failed check of the first good record on a stimulus that the skin may snag on."""
 
@@ -90,7 +93,7 @@ class ContactSimulator:
         self.watch: Watch | None = None
         """Called after each time step, if set, with the phase and the label (6,) that the step led to."""
         self._phase = ""
-        self._steps = self._unsolved = 0
+        self._steps, self._unsolved, self._slip_fraction = 0, 0, 0.0
         self.press_step_m, self.shear_step_m = self._step_sizes()
         """Mean approach, and mean travel of the skin in contact, per step, m."""
 
@@ -112,7 +115,7 @@ class ContactSimulator:
         require(approach or flat, "approach", approach, "True with a stimulus that is not flat")
         self.scene.reset()
         self._start, self._pose = before_shear(pose, shear), pose
-        self._steps = self._unsolved = 0
+        self._steps, self._unsolved, self._slip_fraction = 0, 0, 0.0
         # A diverged state does not recover; the record shows it, and more steps would only cost time.
         with counted_warnings() as messages, contextlib.suppress(Diverged):
             for phase, labels in self._motions(pose, shear, approach):
@@ -132,7 +135,7 @@ class ContactSimulator:
             The contact. Its shear is the whole motion since the tip touched down; its steps are those of the slide.
         """
         start, self._pose = self._pose, np.asarray(pose, float)
-        self._steps = self._unsolved = 0
+        self._steps, self._unsolved, self._slip_fraction = 0, 0, 0.0
         with counted_warnings() as messages, contextlib.suppress(Diverged):
             for phase, labels in self._motions(self._pose, shear_between(start, self._pose), approach=False):
                 self._phase = phase
@@ -159,7 +162,7 @@ class ContactSimulator:
         pose, shear = np.asarray(pose, float), np.asarray(shear, float)
         check_motion(pose, shear, min(MAX_DEPTH_M, self.scene.stimulus.max_depth_m))
         self.scene.reset()
-        self._steps = self._unsolved = warnings = 0
+        self._steps, self._unsolved, self._slip_fraction, warnings = 0, 0, 0.0, 0
         start = before_shear(pose, shear)
         current, approach = start, True
         for label in path(start, pose, fractions):
@@ -205,10 +208,13 @@ class ContactSimulator:
         h = self.scene.fidelity.motion.step_s
         self.scene.stiffen(resting=False)
         poses = [inverse(sensor_in_contact(label)) for label in labels]
-        for (T, T_next), label in zip(pairwise(poses), labels[1:], strict=True):
+        self._slip_fraction = 0.0
+        for k, ((T, T_next), label) in enumerate(zip(pairwise(poses), labels[1:], strict=True)):
             turn = Rotation.from_matrix(T[:3, :3].T @ T_next[:3, :3]).as_rotvec()
             self._place(T, (T_next[:3, 3] - T[:3, 3]) / h, turn / h)
             self._step(label)
+            if k >= len(poses) - 1 - _SLIP_STEPS:
+                self._slip_fraction += self.scene.slip_fraction() / min(_SLIP_STEPS, len(poses) - 1)
 
     def hold(self, pose: np.ndarray) -> None:
         """Simulate one time step with the stimulus at rest at `pose` (6,). Raises Diverged."""
@@ -249,7 +255,8 @@ class ContactSimulator:
         scene, label = self.scene, pose if label is None else label
         vertices = scene.vertices()
         tips, directions = self.reader.read(vertices[: scene.mesh.surface_count])
-        force = sensor_in_contact(label)[:3, :3] @ scene.contact_force()
+        force_in_sensor, axes = scene.contact_force(), sensor_in_contact(label)[:3, :3]
+        force, patch = axes @ force_in_sensor, scene.contact_patch(vertices, axes)
         area_ratio, fold = scene.skin_shape(vertices)
         ratio = tetrahedron_volumes(vertices, scene.mesh.tetrahedra) / scene.mesh.volumes
         return Contact(
@@ -259,6 +266,10 @@ class ContactSimulator:
             directions=directions,
             normal_force_n=float(force[2]),
             tangential_force_n=float(np.hypot(force[0], force[1])),
+            force_n=force_in_sensor,
+            effective_shear=patch.shear,
+            slip_fraction=self._slip_fraction,
+            contact_area_m2=patch.area_m2,
             penetration_m=scene.penetration(),
             volume_ratio=float(ratio.min()),
             speed_m_s=scene.max_vertex_speed(),

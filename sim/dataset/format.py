@@ -39,11 +39,21 @@ from tactip_twin.tactip_model.input_images import decode_image
 from tactip_twin.tactip_model.pins import neutral_pins
 
 FORMAT = "tactip-twin data set"
-VERSION = 2
+VERSION = 3
+
+FORCES = ("force_x_N", "force_y_N", "force_z_N")
+"""Columns of the force of the object on the tip, in the sensor frame."""
+
+EFFECTIVE_SHEARS = ("effective_shear_x_mm", "effective_shear_y_mm", "effective_shear_Rz_deg")
+"""Columns of the motion of the rim relative to the patch of skin in contact (sim/contact/contact_patch.py)."""
 
 MEASURES = (
     "normal_force_N",
     "tangential_force_N",
+    *FORCES,
+    *EFFECTIVE_SHEARS,
+    "slip_fraction",
+    "contact_area_mm2",
     "penetration_mm",
     "volume_ratio",
     "speed_mm_s",
@@ -101,6 +111,10 @@ def row_of(contact: Contact, index: int, tries: int, seed: str) -> dict[str, Any
     measures = (
         contact.normal_force_n,
         contact.tangential_force_n,
+        *contact.force_n.tolist(),
+        *to_mm_deg(contact.effective_shear)[[0, 1, 5]].tolist(),
+        contact.slip_fraction,
+        1e6 * contact.contact_area_m2,
         1e3 * contact.penetration_m,
         contact.volume_ratio,
         1e3 * contact.speed_m_s,

@@ -76,7 +76,9 @@ class SymmetricReader:
         for symmetry, reader in zip(self._symmetries, self._readers, strict=True):
             tips, directions = reader.read(skin @ symmetry.in_sensor.T)
             pose, shear = symmetry.label(contact.pose), symmetry.label(contact.shear)
-            contacts.append(replace(contact, pose=pose, shear=shear, pin_tips=tips, directions=directions))
+            moved = {"pose": pose, "shear": shear, "effective_shear": symmetry.label(contact.effective_shear)}
+            moved |= {"force_n": symmetry.in_sensor @ contact.force_n, "pin_tips": tips, "directions": directions}
+            contacts.append(replace(contact, **moved))
         return contacts
 
 

@@ -16,7 +16,8 @@ from tactip_twin.tactip_model.presets import design_named
 class _Contact:
     """The part of a contact's record that a row of targets.csv needs."""
 
-    normal_force_n = tangential_force_n = penetration_m = speed_m_s = 0.0
+    normal_force_n = tangential_force_n = penetration_m = speed_m_s = slip_fraction = contact_area_m2 = 0.0
+    force_n, effective_shear = np.zeros(3), np.zeros(6)
     volume_ratio, warnings, steps = 1.0, 0, 1
 
     def __init__(self, pose, shear):
