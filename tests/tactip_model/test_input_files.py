@@ -5,7 +5,6 @@ import io
 import json
 import os
 import struct
-import time
 import zipfile
 import zlib
 
@@ -162,14 +161,12 @@ def many(text, mib):
         (parse_json, many(b"9", 15)),
     ],
 )
-def test_worst_files_take_less_than_2_gb_and_10_s(read, data):
+def test_worst_files_take_less_than_2_gb(read, data):
     """Of the size that is allowed, and made to take as much memory as can be."""
-    start = time.process_time()
     with Peak() as peak, memory_limit(2048 * MIB), contextlib.suppress(TactipError):
         read(data, "the file")
-    print(f"{peak.mib:.0f} MiB, {time.process_time() - start:.1f} s")
+    print(f"{peak.mib:.0f} MiB")
     assert peak.mib < 2048
-    assert time.process_time() - start < 10
 
 
 def test_json_of_more_than_16_mib_is_refused(tmp_path):
