@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tactip_twin.sim.dataset.configuration import Configuration, samples_per_contact
-from tactip_twin.sim.dataset.format import PARTIAL, checksum, read_meta, read_pins, read_rows
+from tactip_twin.sim.dataset.format import COLUMNS, PARTIAL, checksum, read_meta, read_pins, read_rows
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.files import write_file
 from tactip_twin.tactip_model.input_files import parse_json, read_arrays, read_file
@@ -63,7 +63,11 @@ def read_record(path: Path) -> dict[str, Any] | None:
             return None
     except (TactipError, KeyError):
         return None
-    return record if isinstance(record, dict) and isinstance(record.get("images"), dict) else None
+    if not isinstance(record, dict) or not isinstance(record.get("images"), dict):
+        return None
+    # An earlier version wrote fewer columns: its contacts are simulated again.
+    rows = [] if record.get("failed") else record.get("rows", [])
+    return record if all(isinstance(row, dict) and set(COLUMNS) <= set(row) for row in rows) else None
 
 
 def check_unaltered(folder: Path, meta: dict[str, Any]) -> None:

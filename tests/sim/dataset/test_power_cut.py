@@ -9,8 +9,9 @@ from helpers.set_commands import contents
 from tactip_twin.commands import main as tactip
 from tactip_twin.sim.dataset import builder
 from tactip_twin.sim.dataset.format import PARTIAL
-from tactip_twin.sim.dataset.partial_record import record_path, unpack_finished_set
+from tactip_twin.sim.dataset.partial_record import pack_record, record_path, unpack_finished_set
 from tactip_twin.tactip_model import files
+from tactip_twin.tactip_model.input_files import read_arrays
 
 SAMPLES = 4
 
@@ -70,6 +71,18 @@ def test_damaged_file_of_an_unfinished_set_is_made_anew(whole, unfinished, name,
     path.write_bytes(damage(original))
     if name == "configuration" and damage is flipped:
         path.write_bytes(b"{" + original)
+    assert make(unfinished) == 0
+    assert contents(unfinished) == contents(whole)
+
+
+def test_record_of_an_earlier_version_is_made_anew(whole, unfinished):
+    """Its rows lack columns."""
+    path = record_path(unfinished, 1)
+    arrays = read_arrays(path)
+    record = json.loads(str(arrays["record"]))
+    for row in record["rows"]:
+        del row["slip_fraction"]
+    path.write_bytes(pack_record(record, arrays["pin_tips"], arrays["directions"]))
     assert make(unfinished) == 0
     assert contents(unfinished) == contents(whole)
 
