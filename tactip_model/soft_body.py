@@ -158,22 +158,27 @@ def add_soft_tip(
         conaffinity=0,
     )
     if missing_bulk_modulus(materials, resolution) > 0:
-        half = len(skin_joints) // 2
-        for name, joints in zip(VOLUME_TENDONS, (skin_joints[:half], skin_joints[half:]), strict=True):
-            tendon = spec.add_tendon(name=name)
-            for joint in joints:
-                tendon.wrap_joint(joint, 1.0)
-        # Direct stiffness and damping, which sim/contact/gel_volume.py sets before each step.
-        spec.add_equality(
-            name=VOLUME_ROW,
-            type=mujoco.mjtEq.mjEQ_TENDON,
-            objtype=mujoco.mjtObj.mjOBJ_TENDON,
-            name1=VOLUME_TENDONS[0],
-            name2=VOLUME_TENDONS[1],
-            data=[0, -1, *[0] * 10],  # the sum of both lengths
-            solref=[-1, -1],
-            solimp=[0.5, 0.5, 1e-3, 0.5, 2],
-        )
+        _add_volume_row(spec, skin_joints)
+
+
+def _add_volume_row(spec: mujoco.MjSpec, skin_joints: list[str]) -> None:
+    """Add the row that keeps the gel's volume: tendons over joints of the free skin, and their equality constraint."""
+    half = len(skin_joints) // 2
+    for name, joints in zip(VOLUME_TENDONS, (skin_joints[:half], skin_joints[half:]), strict=True):
+        tendon = spec.add_tendon(name=name)
+        for joint in joints:
+            tendon.wrap_joint(joint, 1.0)
+    # Direct stiffness and damping, which sim/contact/gel_volume.py sets before each step.
+    spec.add_equality(
+        name=VOLUME_ROW,
+        type=mujoco.mjtEq.mjEQ_TENDON,
+        objtype=mujoco.mjtObj.mjOBJ_TENDON,
+        name1=VOLUME_TENDONS[0],
+        name2=VOLUME_TENDONS[1],
+        data=[0, -1, *[0] * 10],  # the sum of both lengths
+        solref=[-1, -1],
+        solimp=[0.5, 0.5, 1e-3, 0.5, 2],
+    )
 
 
 def relative_stiffness(materials: Materials) -> float:

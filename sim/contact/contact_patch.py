@@ -6,9 +6,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from tactip_twin.sim.contact.slip_weakening import sliding
 from tactip_twin.tactip_model.mesh import Mesh
-
-_SLIDING = int(mujoco.mjtConstraintState.mjCNSTRSTATE_CONE)
 
 _MIN_SPREAD_M2 = (0.1e-3) ** 2
 """Smallest mean square radius of a patch that can show a twist, m^2: a single vertex cannot."""
@@ -34,9 +33,9 @@ def slip_fraction(data: mujoco.MjData) -> float:
     active = contacts.efc_address >= 0
     rows = contacts.efc_address[active]
     normal = data.efc_force[rows]
-    sliding = (data.efc_state[rows] == _SLIDING) | (contacts.dim[active] == 1)
+    slides = sliding(data)[active] | (contacts.dim[active] == 1)
     total = float(normal.sum())
-    return float(normal[sliding].sum()) / total if total > 0 else 0.0
+    return float(normal[slides].sum()) / total if total > 0 else 0.0
 
 
 class PatchReader:

@@ -56,9 +56,10 @@ class SlipWeakening:
     def store_sliding(self, data: mujoco.MjData) -> None:
         """Store which parts slide in a step that was solved."""
         self._sliding[:] = False
-        np.logical_or.at(self._sliding, self._parts, self.sliding(data))
+        np.logical_or.at(self._sliding, self._parts, sliding(data))
 
-    def sliding(self, data: mujoco.MjData) -> np.ndarray:
-        """Return which contacts (contacts,) bool slide in a step that was solved."""
-        row = data.contact.efc_address
-        return (row >= 0) & (data.efc_state[row] == _SLIDING)
+
+def sliding(data: mujoco.MjData) -> np.ndarray:
+    """Return which contacts (contacts,) bool slide in a step that was solved; those without friction do not count."""
+    row = data.contact.efc_address
+    return (row >= 0) & (data.efc_state[row] == _SLIDING)

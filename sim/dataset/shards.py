@@ -174,7 +174,7 @@ class ShardedDatasetBuilder(DatasetBuilder):
     def missing(self) -> Iterator[int]:
         """Yield the numbers of the contacts of all shards that are still to be made, after `plan`.
 
-        A shard's folder is prepared when its first contact is asked for. Raises TactipError as `plan` does.
+        A shard's folder is prepared before its first contact is yielded. Raises TactipError as `plan` does.
         """
         for k in range(0 if self.finished else shard_count(self._configuration)):
             if k in self._finished_shards or k in self._all_made:

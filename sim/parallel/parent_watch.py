@@ -6,9 +6,9 @@ from multiprocessing import connection, parent_process
 
 
 def end_with_parent() -> None:
-    """End this process as soon as its parent ends, however that ends: called once, in a process of `multiprocessing`.
+    """End this process as soon as its parent ends, even by a kill. Call it once, in a process of `multiprocessing`.
 
-    A killed parent cannot end its workers. One that goes on would hold locks, and the command that resumes would meet it.
+    A killed parent cannot end its workers. A worker that outlives it would hold locks that the resuming command needs.
 
     Raises:
         RuntimeError: This process was not started by `multiprocessing`.

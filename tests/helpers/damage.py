@@ -1,4 +1,4 @@
-"""Random damage to files: bytes, JSON values, cells of tables, and what stands in the place of a file."""
+"""Random damage to files: bytes, JSON values, cells of tables, and special files instead of files."""
 
 import json
 import os

@@ -17,7 +17,7 @@ of pruned trials."""
 
 
 class Killed(BaseException):
-    """What a test raises in the place of a kill: no handler of the program's own catches it."""
+    """Raised by a test instead of a kill: no handler of the program catches it."""
 
 
 def contents(folder: Path) -> dict[str, bytes]:

@@ -1,4 +1,4 @@
-"""Sets as arrays: what is damaged is refused before it is trained on."""
+"""Sets as arrays: a damaged set is refused before training starts."""
 
 import json
 

@@ -104,7 +104,7 @@ def test_import_videos_instead_of_frames(tmp_path, capsys):
     assert np.array_equal(videos.poses, frames.poses)
     for i in range(len(rows)):
         assert (videos.image(i) != frames.image(i)).mean() < 0.01
-    # The last frame, if none is told; here each shows the tip at rest.
+    # By default the last frame, which here shows the tip at rest.
     assert bring(tmp_path / "lab", tmp_path / "last") == 0
     last = read_dataset(tmp_path / "last")
     apart = [(each.image(0) != each.image(1)).mean() for each in (last, videos)]
