@@ -38,18 +38,12 @@ class Resolution:
     """Largest spacing inside, m."""
     smoothing: int = within(0, 200, default=30)
     """Rounds of averaging of the inner points."""
-    poisson_limit: float = within(0, 0.5, default=0.47)
-    """Largest Poisson's ratio of the elements, -. Linear tetrahedra lock near incompressibility: a gel of 0.49 meshed as
-    0.49 is 30 to 60 % too stiff, or 19 to 27 % on the mesh of `reference`; 0.47 gives the best deformed shape (tests compare
-    it with a code that does not lock). Not a property of the material."""
-    locked_stiffness: float = within(0.1, 1, default=0.90)
-    """Factor on the modulus of a gel that locks, -, which removes the remaining excess force of locking. It depends on the
-    mesh: 0.87 for a surface_m of 3.2 mm, 0.90 for 1.9 mm, 0.97 for 1.5 mm and 1 for 1.2 mm with a rim_m of 3 mm. It takes
-    effect linearly between Poisson's ratios of 0.35 and 0.45. Unused if `keep_volume`."""
-    keep_volume: bool = False
-    """Whether the elements keep the gel's shear modulus, and one row of the solver adds the bulk modulus that
-    `poisson_limit` takes from them (sim/contact/gel_volume.py). The coarser the mesh, the lower poisson_limit should be
-    then: 0.40, 0.43 and 0.45 for the meshes of `draft`, `standard` and `reference` (docs/mechanics.md)."""
+    poisson_limit: float = within(0, 0.5, default=0.43)
+    """Largest Poisson's ratio of the elements, -; not a property of the material. Linear tetrahedra lock near
+    incompressibility: a gel of 0.49 meshed as 0.49 is 35 to 55 % too stiff, or 20 to 27 % on the mesh of `reference`. The
+    elements keep the gel's shear modulus, and one row of the solver adds the bulk modulus that they lack
+    (sim/contact/gel_volume.py). The coarser the mesh, the lower the limit should be: 0.40, 0.43 and 0.45 for the meshes of
+    `draft`, `standard` and `reference` (docs/mechanics.md)."""
 
     def __post_init__(self) -> None:
         check(self)

@@ -47,9 +47,6 @@ _MAX_CONTACT = (1e9, 1e7)
 RESTING_STEP_S = 7e-3
 """Time step for which `ContactModel.resting` is chosen, s; its stiffness is the largest that this step resolves."""
 
-_LOCKING = (0.35, 0.45)
-"""Poisson's ratios at which `mesh.Resolution.locked_stiffness` starts to act and acts fully, -."""
-
 VOLUME_ROW = "tip/volume"
 """Name of the equality constraint that keeps the gel's volume (sim/contact/gel_volume.py)."""
 
@@ -190,13 +187,13 @@ def relative_stiffness(materials: Materials) -> float:
 
 
 def gel_attributes(materials: Materials, resolution: Resolution) -> dict[str, Any]:
-    """Return the attributes of the gel's flex that define its material."""
+    """Return the attributes of the gel's flex that define its material.
+
+    The elements have the gel's shear modulus, at a Poisson's ratio of at most the mesh's limit.
+    """
     poisson = min(materials.gel_poisson, resolution.poisson_limit)
-    locked = np.clip((materials.gel_poisson - _LOCKING[0]) / (_LOCKING[1] - _LOCKING[0]), 0.0, 1.0)
-    same_shear_modulus = (1 + poisson) / (1 + materials.gel_poisson)
-    factor = same_shear_modulus if resolution.keep_volume else float(1 - (1 - resolution.locked_stiffness) * locked)
     return {
-        "young": materials.gel_young_pa * factor,
+        "young": materials.gel_young_pa * (1 + poisson) / (1 + materials.gel_poisson),
         "poisson": poisson,
         "elastic3d": STABLE_NEO_HOOKEAN,
         "damping": materials.damping_s,
@@ -205,15 +202,14 @@ def gel_attributes(materials: Materials, resolution: Resolution) -> dict[str, An
 
 
 def missing_bulk_modulus(materials: Materials, resolution: Resolution) -> float:
-    """Return the gel's bulk modulus less that of its elements, Pa; 0 where elements have the gel's Poisson's ratio, or where
-    the volume of the gel is not kept (Resolution.keep_volume)."""
+    """Return the gel's bulk modulus less that of its elements, Pa; 0 where elements have the gel's Poisson's ratio."""
     element = gel_attributes(materials, resolution)
+    if element["poisson"] == materials.gel_poisson:
+        return 0.0
 
     def bulk(young: float, poisson: float) -> float:
         return young / (3 * (1 - 2 * poisson))
 
-    if element["poisson"] == materials.gel_poisson or not resolution.keep_volume:
-        return 0.0
     return bulk(materials.gel_young_pa, materials.gel_poisson) - bulk(element["young"], element["poisson"])
 
 

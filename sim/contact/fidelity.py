@@ -99,7 +99,7 @@ class Fidelity:
 FIDELITIES: dict[FidelityName, Fidelity] = {
     "draft": Fidelity(
         "draft",
-        mesh=Resolution(surface_m=3.2e-3, rim_m=5e-3, fine_angle_deg=40.0, growth=1.35, locked_stiffness=0.87),
+        mesh=Resolution(surface_m=3.2e-3, rim_m=5e-3, fine_angle_deg=40.0, growth=1.35, poisson_limit=0.40),
         contact=ContactModel(vertex_mass_kg=5e-5),
         motion=Motion(press_step_m=1.6e-3, shear_step_m=1e-3, settle_steps=3),
         solver=Solver(tolerance=1e-6, settle_tolerance=1e-8),
@@ -107,7 +107,7 @@ FIDELITIES: dict[FidelityName, Fidelity] = {
     "standard": Fidelity("standard"),
     "reference": Fidelity(
         "reference",
-        mesh=Resolution(surface_m=1.2e-3, rim_m=3e-3, fine_angle_deg=40.0, growth=1.35, locked_stiffness=1.0),
+        mesh=Resolution(surface_m=1.2e-3, rim_m=3e-3, fine_angle_deg=40.0, growth=1.35, poisson_limit=0.45),
         contact=ContactModel(moving=(1e7, 4e3)),
         motion=Motion(
             step_s=4e-3,
