@@ -1,8 +1,9 @@
 """The pressed gel in other finite-element codes, element for element: `tactip bench fem-cross-check`.
 
-The same tetrahedra are solved by benchmarks/physics/fem_tetrahedra.py and, if it is installed (Debian: calculix-ccx), by
-CalculiX. The vertices that touch the plate are fixed at the simulator's height; compared are the positions of the rest of
-the surface, mm, and the force. Writes docs/fem_cross_check.md and docs/fem_cross_check.json.
+The gel has the Poisson's ratio of its elements, so its volume has no row of its own. The same tetrahedra are solved by
+benchmarks/physics/fem_tetrahedra.py and, if it is installed (Debian: calculix-ccx), by CalculiX. The vertices that touch the
+plate are fixed at the simulator's height; compared are the positions of the rest of the surface, mm, and the force. Writes
+docs/fem_cross_check.md and docs/fem_cross_check.json.
 """
 
 import shutil
@@ -101,9 +102,9 @@ def pressed_gel(
         The mesh; Young's modulus (Pa) and Poisson's ratio of the flex; the fixed coordinates (n, 3) bool, which are those of
         bonded vertices and the height of vertices that touch the plate; displacements (n, 3), m; force, N.
     """
-    design = design_named("nominal-127")
-    materials = replace(design.materials, friction=0.0, skin_young_pa=1.0)  # a skin of 1 Pa is none
-    fidelity = FIDELITIES[preset]
+    design, fidelity = design_named("nominal-127"), FIDELITIES[preset]
+    poisson = fidelity.mesh.poisson_limit
+    materials = replace(design.materials, friction=0.0, skin_young_pa=1.0, gel_poisson=poisson)  # a skin of 1 Pa is none
     simulator = ContactSimulator(replace(design, materials=materials), "surface", fidelity)
     force = simulator.simulate(from_mm_deg([0, 0, -depth_mm, 0, 0, 0]), np.zeros(6)).normal_force_n
     scene = simulator.scene

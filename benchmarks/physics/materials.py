@@ -183,7 +183,7 @@ def block(cells: tuple[int, int, int], size: ArrayLike, jitter: float = 0.2) -> 
 def gel(poisson: float, law: str = "stable neo-Hooke", young: float = 2e4) -> dict[str, Any]:
     """Return the attributes of a gel's flex as in tactip_model/soft_body.py, for any Poisson's ratio and either law."""
     materials = replace(Materials(), gel_young_pa=young, gel_poisson=poisson)
-    return gel_attributes(materials, Resolution(poisson_limit=0.5, locked_stiffness=1.0)) | {"elastic3d": LAWS[law]}
+    return gel_attributes(materials, Resolution(poisson_limit=0.5)) | {"elastic3d": LAWS[law]}
 
 
 def patch_error(law: str, gradient: np.ndarray, poisson: float = 0.45) -> float:

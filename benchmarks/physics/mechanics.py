@@ -2,9 +2,9 @@
 
 A centred press on the flat without friction. It compares the force with that of benchmarks/physics/fem_axisymmetric.py,
 which does not lock and whose skin is solid, for the gel alone and for the whole sensor; force and shape by Poisson's ratio
-and mesh, with and without the correction of locking (mesh.Resolution) and with a gel that keeps its volume; tilted and
-sheared contacts on two meshes; the effect of the skin's bending; the ripple of the force–depth curve; the loss of volume.
-Writes docs/mechanics.md and docs/mechanics.json.
+and mesh, with elements of the gel's own Poisson's ratio and with a gel that keeps its volume (sim/contact/gel_volume.py);
+tilted and sheared contacts on two meshes; the effect of the skin's bending; the ripple of the force–depth curve; the loss of
+volume. Writes docs/mechanics.md and docs/mechanics.json.
 """
 
 import json
@@ -31,10 +31,6 @@ DEPTHS_MM = (0.5, 1.0, 2.0, 3.0, 4.0, 5.0)
 LOCKING_DEPTHS_MM = (1.0, 3.0, 5.0)
 SHAPE_DEPTH_MM = 3.0
 POISSONS = (0.45, 0.47, 0.49, 0.499)
-
-VOLUME_KEPT_POISSON = {"draft": 0.40, "standard": 0.43, "reference": 0.45}
-"""Poisson's ratio of the elements where the gel's volume is kept, by mesh, -: chosen on the centred presses of the sensor at
-Poisson's ratio 0.49. The gel alone and other Poisson's ratios judge the choice."""
 
 SHEARED_CASES = 8
 """Number of tilted and sheared contacts."""
@@ -128,26 +124,20 @@ def meshes() -> dict[str, Fidelity]:
     return {name: replace(standard, mesh=FIDELITIES[name].mesh) for name in ("draft", "standard", "reference")}
 
 
-def uncorrected(fidelity: Fidelity) -> Fidelity:
+def locking_elements(fidelity: Fidelity) -> Fidelity:
     """Return the fidelity whose elements have the gel's own Poisson's ratio."""
-    return replace(fidelity, mesh=replace(fidelity.mesh, poisson_limit=0.5, locked_stiffness=1.0))
-
-
-def volume_kept(fidelity: Fidelity, mesh: str) -> Fidelity:
-    """Return the fidelity with a gel that keeps its volume (mesh.Resolution.keep_volume), for the name of its mesh."""
-    return replace(fidelity, mesh=replace(fidelity.mesh, keep_volume=True, poisson_limit=VOLUME_KEPT_POISSON[mesh]))
+    return replace(fidelity, mesh=replace(fidelity.mesh, poisson_limit=0.5))
 
 
 def against_depth(expected: Mapping[str, Expected], log: Callable[[str], None]) -> list[dict[str, Any]]:
-    """Return the force ratios at DEPTHS_MM of presets, and of `standard` without its correction of locking.
+    """Return the force ratios at DEPTHS_MM on the meshes of the presets, and with elements that lock.
 
     Args:
         expected: Solutions for `gel` and `sensor`.
         log: Called with each row.
     """
     standard, rows = FIDELITIES["standard"], []
-    cases = {"draft": FIDELITIES["draft"], "standard": standard, "standard mesh, 0.49 uncorrected": uncorrected(standard)}
-    cases |= {f"{name} mesh, volume kept": volume_kept(fidelity, name) for name, fidelity in meshes().items()}
+    cases = {"standard, elements of 0.49": locking_elements(standard)} | meshes()
     for what in expected:
         for name, fidelity in cases.items():
             simulator = ContactSimulator(frictionless(what), "surface", fidelity)
@@ -174,11 +164,7 @@ def locking(known: Mapping[str, Expected], log: Callable[[str], None]) -> list[d
             for name, fidelity in meshes().items():
                 if poisson != own and name != "standard":
                     continue
-                variants = {"uncorrected": uncorrected(fidelity)}
-                if poisson > fidelity.mesh.poisson_limit:
-                    variants["corrected"] = fidelity
-                if poisson > VOLUME_KEPT_POISSON[name]:
-                    variants["volume kept"] = volume_kept(fidelity, name)
+                variants = {"the gel's": locking_elements(fidelity), f"{fidelity.mesh.poisson_limit:.2f}": fidelity}
                 for elements, changed in variants.items():
                     simulator = ContactSimulator(frictionless(what, poisson), "surface", changed)
                     row = {"tip": what, "poisson": poisson, "mesh": name, "elements": elements, "force_ratio": []}
@@ -192,13 +178,15 @@ def locking(known: Mapping[str, Expected], log: Callable[[str], None]) -> list[d
 
 
 def sheared(log: Callable[[str], None]) -> list[dict[str, Any]]:
-    """Return, for each task, how far tilted and sheared contacts at `standard` are from those at `reference`, with and
-    without a kept volume, and the time that keeping it takes; `log` gets each row.
+    """Return, for each task, how far tilted and sheared contacts at `standard` are from those at `reference`, and what
+    keeping the gel's volume costs; `log` gets each row.
 
-    Both meshes have the steps of their own preset. The time is the median ratio of process times of the same contacts, taken
-    in turn.
+    Both meshes have the steps of their own preset. The cost is the median ratio of the process times of the same contacts,
+    taken in turn, with a gel of 0.49 and with one of its elements' Poisson's ratio, whose volume has no row.
     """
     design, rows = design_named("nominal-127"), []
+    poisson = FIDELITIES["standard"].mesh.poisson_limit
+    plain = replace(design, materials=replace(design.materials, gel_poisson=poisson))
     for task, wide in (("surface", 0.0), ("edge", 1.0)):
         rng = np.random.default_rng(0)
         cases = []
@@ -211,27 +199,18 @@ def sheared(log: Callable[[str], None]) -> list[dict[str, Any]]:
             )
             shear = [*rng.uniform(-5, 5, 2), 0, *rng.uniform(-5, 5, 3)]
             cases.append((from_mm_deg([wide * x, 0, depth, roll, pitch, wide * yaw]), from_mm_deg(shear)))
-        variants = {"corrected": lambda fidelity, mesh: fidelity, "volume kept": volume_kept}
-        coarse, fine = (
-            {name: ContactSimulator(design, task, change(FIDELITIES[mesh], mesh)) for name, change in variants.items()}
-            for mesh in ("standard", "reference")
-        )
-        pins, forces = {name: [] for name in variants}, {name: [] for name in variants}
+        coarse, fine = (ContactSimulator(design, task, FIDELITIES[mesh]) for mesh in ("standard", "reference"))
+        without = ContactSimulator(plain, task, FIDELITIES["standard"])
+        pins, forces = [], []
         for case in cases:
-            for name in variants:
-                ours, finer = coarse[name].simulate(*case), fine[name].simulate(*case)
-                pins[name].append(1e3 * np.linalg.norm(ours.pin_tips - finer.pin_tips, axis=1))
-                forces[name].append(abs(ours.normal_force_n / finer.normal_force_n - 1))
-        ratios = [
-            _process_s(coarse["volume kept"], case) / _process_s(coarse["corrected"], case)
-            for _ in range(TIMED_REPEATS)
-            for case in cases
-        ]
-        for name, ratio in (("corrected", 1.0), ("volume kept", float(np.median(ratios)))):
-            row = {"task": task, "elements": name, "pins_mm": float(np.mean(pins[name])), "time_ratio": ratio}
-            row |= {"worst_contact_mm": float(np.mean(pins[name], axis=1).max()), "force": float(np.median(forces[name]))}
-            rows.append(row)
-            log(json.dumps(row))
+            ours, finer = coarse.simulate(*case), fine.simulate(*case)
+            pins.append(1e3 * np.linalg.norm(ours.pin_tips - finer.pin_tips, axis=1))
+            forces.append(abs(ours.normal_force_n / finer.normal_force_n - 1))
+        ratios = [_process_s(coarse, case) / _process_s(without, case) for _ in range(TIMED_REPEATS) for case in cases]
+        row = {"task": task, "pins_mm": float(np.mean(pins)), "time_ratio": float(np.median(ratios))}
+        row |= {"worst_contact_mm": float(np.mean(pins, axis=1).max()), "force": float(np.median(forces))}
+        rows.append(row)
+        log(json.dumps(row))
     return rows
 
 
@@ -303,7 +282,6 @@ def tables(result: dict[str, Any]) -> dict[str, str]:
     moved = [
         [
             r["task"],
-            r["elements"],
             f"{r['pins_mm']:.3f}",
             f"{r['worst_contact_mm']:.3f}",
             f"{100 * r['force']:.1f} %",
@@ -311,13 +289,13 @@ def tables(result: dict[str, Any]) -> dict[str, str]:
         ]
         for r in result["sheared"]
     ]
-    moved_head = ["task", "elements", "pins, mean mm", "worst contact, mean mm", "force, median", "time ratio"]
+    moved_head = ["task", "pins, mean mm", "worst contact, mean mm", "force, median", "time ratio"]
     bent = [[f"{r['bending']:g}", *(f"{x:.2f}" for x in r["force_ratio"]), _shape(r["shape_mm"])] for r in result["bending"]]
     depths = [f"{d:g} mm" for d in LOCKING_DEPTHS_MM]
     return {
         "forces": table(["tip", "mesh", *head, "volume lost at 5 mm"], [*forces, *ratios]),
         "ripple": f"Maximum distance of the force from a smooth curve: {100 * result['ripple']:.1f} %.",
-        "locking": table(["tip", "Poisson's ratio", "mesh", "elements", *depths, shape], locked),
+        "locking": table(["tip", "Poisson's ratio", "mesh", "that of elements", *depths, shape], locked),
         "sheared": table(moved_head, moved),
         "bending": table(["factor", *head, shape], bent),
     }

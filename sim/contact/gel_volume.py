@@ -1,10 +1,10 @@
 """The volume of the whole gel, kept by one row of MuJoCo's solver.
 
-Linear tetrahedra lock near incompressibility, so they have a lower Poisson's ratio than the gel (mesh.Resolution). They resist
-changes of shape as the gel does, but changes of volume too little: the tip would lose 4 % of its volume at a depth of 5 mm, and
-the skin around the contact would bulge too little. The missing bulk modulus acts here on the volume of the gel as a whole, as
-a pressure on the skin. A single pressure cannot lock, because it constrains one degree of freedom. docs/mechanics.md compares
-force and shape with a code that does not lock.
+Linear tetrahedra lock near incompressibility, so they have a lower Poisson's ratio than the gel (mesh.Resolution). They
+resist changes of shape as the gel does, but changes of volume too little: the tip would lose 4 % of its volume at a depth
+of 5 mm, and the skin around the contact would bulge too little. The missing bulk modulus acts here on the volume of the gel
+as a whole, as a pressure on the skin. A single pressure cannot lock, because it constrains one degree of freedom.
+docs/mechanics.md compares force and shape with a code that does not lock.
 
 The row is the equality constraint of two tendons over the free skin vertices, whose coefficients are set before every step
 to the gradient of the volume. It is a spring that is integrated implicitly, so it is stable at any time step.
