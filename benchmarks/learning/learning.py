@@ -141,21 +141,23 @@ def jobs(options: LearningOptions, kinds: Collection[str]) -> list[Job]:
             wanted += [("curved", "val", options.other_test_contacts, CURVED_SHEARS)]
     out = []
     for kind, split, samples, shear in wanted:
+        augmented = (kind, split) in (("symmetric", "train"), ("curved", "train"))
         configuration = Configuration(
             task=task,
             split=split,
             samples=samples,
             seed=0,
             # OpenGL takes longer for eight images than the contact itself. Test sets are rendered by it nevertheless.
-            renderer="raster" if (kind, split) == ("curved", "train") else "pyrender",
+            renderer="raster" if augmented else "pyrender",
             design=load_design(DESIGN),
             fidelity=fidelity_named(FIDELITY),
             pose=POSE_RANGES[task],
             shear=shear,
-            augment_symmetry=kind == "symmetric" or (kind, split) == ("curved", "train"),
+            augment_symmetry=augmented,
             curvature_per_m=CURVATURES_PER_M if kind == "curved" else (0.0, 0.0),
             varying_curvature_fraction=VARYING_FRACTION if kind == "curved" else 0.0,
             snapshots_per_contact=SNAPSHOTS if kind == "snapshots" else 1,
+            keep_mesh=augmented or kind == "plain",  # the learned tip is taught, and tested, on the same contacts
         )
         out.append(Job(configuration, options.data / kind / task / split))
     return out

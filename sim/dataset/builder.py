@@ -16,6 +16,7 @@ import numpy as np
 
 from tactip_twin.sim.dataset.configuration import Configuration
 from tactip_twin.sim.dataset.format import PARTIAL, checksum, meta_json, read_meta, targets_csv, versions
+from tactip_twin.sim.dataset.mesh_states import pack_mesh_states
 from tactip_twin.sim.dataset.partial_record import (
     check_unaltered,
     contact_numbers,
@@ -224,7 +225,7 @@ class DatasetBuilder:
 
     def _is_done(self, number: int) -> bool:
         """Return whether a contact has an intact record and intact images; what a power cut damaged is made anew."""
-        record = read_record(record_path(self._path, number))
+        record = read_record(record_path(self._path, number), self._configuration.keep_mesh)
         return record is not None and all(self._is_intact(name, value) for name, value in record["images"].items())
 
     def _is_intact(self, name: str, expected: str) -> bool:
@@ -265,6 +266,7 @@ class DatasetBuilder:
             The counts in meta.json.
         """
         rows, failures, images, pin_tips, directions = [], [], {}, [], []
+        numbers, states = [], []
         for number in contact_numbers(self._configuration):
             with np.load(record_path(self._path, number), allow_pickle=False) as data:
                 record = json.loads(str(data["record"]))
@@ -278,6 +280,9 @@ class DatasetBuilder:
                 images |= record["images"]
                 pin_tips += list(data["pin_tips"])
                 directions += list(data["directions"])
+                if self._configuration.keep_mesh:
+                    numbers.append(number)
+                    states.append(data["states"])
         neutral_tips, neutral_directions = neutral_pins(self._configuration.design)
         pins = io.BytesIO()
         shape = (-1, len(neutral_tips), 3)
@@ -290,6 +295,8 @@ class DatasetBuilder:
             digest=np.array(self._configuration.digest()),
         )
         files = {"targets.csv": targets_csv(rows), "pins.npz": pins.getvalue()}
+        if self._configuration.keep_mesh:
+            files["mesh.npz"] = pack_mesh_states(self._configuration, numbers, states)
         for name, data in files.items():
             write_file(self._path / name, data)
         write_file(self._path / "run.json", run_json)

@@ -3,6 +3,7 @@
     images/image_00000.png …   binary tactile images
     targets.csv                one row per image: labels and shears in mm and degrees, and measures of the simulation
     pins.npz                   simulated sets: tip and direction of every pin (m, sensor frame), rows as in targets.csv
+    mesh.npz                   sets made with --keep-mesh: deformed meshes of the contacts (sim/dataset/mesh_states.py)
     meta.json                  configuration, versions, seed, failures, and a checksum of every file above
     run.json                   simulated sets: when, where and how fast it was made; the only file that differs between runs
 
@@ -39,7 +40,7 @@ from tactip_twin.tactip_model.input_images import decode_image
 from tactip_twin.tactip_model.pins import neutral_pins
 
 FORMAT = "tactip-twin data set"
-VERSION = 3
+VERSION = 4
 
 FORCES = ("force_x_N", "force_y_N", "force_z_N")
 """Columns of the force of the object on the tip, in the sensor frame."""

@@ -2,7 +2,7 @@
 
 A contact and its samples are done once its record is in the set's `.partial` folder; its images are written before. Resuming
 makes the contacts without a record, and the bytes are the same, because a contact depends only on the configuration and its
-number. When all are done, the records become targets.csv, pins.npz and, last, meta.json. A finished set grows
+number. When all are done, the records become tables and, last, meta.json. A finished set grows
 likewise: it becomes records again, and the missing ones are made.
 """
 
@@ -21,6 +21,7 @@ from tactip_twin.sim.contact.curved_surface import (
     curved_surface,
     sample_curved_surface,
 )
+from tactip_twin.sim.contact.fidelity import is_coarse
 from tactip_twin.sim.contact.limits import MAX_TILT_RAD, check_ranges, exceeds_max_tilt
 from tactip_twin.sim.contact.record import Contact
 from tactip_twin.sim.contact.signed_distance import SignedDistanceMesh
@@ -29,6 +30,7 @@ from tactip_twin.sim.contact.solid_stimulus import SolidStimulus
 from tactip_twin.sim.dataset.builder import DatasetBuilder
 from tactip_twin.sim.dataset.configuration import Configuration
 from tactip_twin.sim.dataset.format import MAX_PINS_BYTES, checksum, encode_image, image_name, pins_bytes, row_of
+from tactip_twin.sim.dataset.mesh_states import MAX_MESH_BYTES, mesh_states_bytes
 from tactip_twin.sim.dataset.partial_record import pack_record, record_path, sample_indices
 from tactip_twin.sim.dataset.sampling import generator, seed_text
 from tactip_twin.sim.dataset.shards import (
@@ -86,6 +88,7 @@ def check(configuration: Configuration) -> None:
     _check_snapshots(configuration)
     _check_shards(configuration)
     _check_curvature(configuration)
+    _check_mesh(configuration)
     for name in ("pose", "shear"):
         if not ranges_are_symmetric(configuration.symmetries, getattr(configuration, name)):
             raise TactipError(
@@ -118,6 +121,19 @@ def _check_snapshots(configuration: Configuration) -> None:
         low, high = getattr(c.pose, name)
         allowed = "a range that includes 0 if snapshots_per_contact is above 1, because sliding paths start at 0"
         require(low <= 0 <= high, f"pose.{name}", (low, high), allowed)
+
+
+def _check_mesh(configuration: Configuration) -> None:
+    """Raise TactipError where a set that keeps its meshes would have meshes of two kinds, or too many to be read back."""
+    c = configuration
+    if not c.keep_mesh:
+        return
+    allowed = f"no {c.fidelity.name!r}, because its contacts may be repeated on a finer mesh"
+    require(not (c.task == "edge" and is_coarse(c.fidelity)), "fidelity", c.fidelity.name, f"{allowed}, if keep_mesh is set")
+    per_shard = -(-min(c.samples, c.shard_samples) // c.samples_per_contact) * mesh_states_bytes(c)
+    require(
+        per_shard <= MAX_MESH_BYTES, "shard_samples", c.shard_samples, "smaller, because mesh.npz could not be read again"
+    )
 
 
 def _check_curvature(configuration: Configuration) -> None:
@@ -222,6 +238,19 @@ class _SampleMakers:
         self._makers[job].make(item)
 
 
+class _MeshAfterApproach:
+    """Observer of a simulator's steps that keeps the mesh at the end of the approach of its last try."""
+
+    def __init__(self, simulator: RetryingSimulator, states: list[np.ndarray]) -> None:
+        """Take the simulator, and the list whose first item the mesh (n, 3), m, replaces."""
+        self._simulator, self._states = simulator, states
+
+    def __call__(self, phase: str, label: np.ndarray) -> None:
+        """Look at a step."""
+        if phase == "approach":
+            self._states[0] = self._simulator.last.scene.vertices()
+
+
 class _SampleMaker:
     """Maker of the samples of one set, in a worker."""
 
@@ -257,6 +286,10 @@ class _SampleMaker:
             simulator.replace_solid(sample.solid)
         indices, folder = sample_indices(c, number), shard_dir(c, self._folder, number)
         seed = seed_text(c.seed, c.task, c.split, number)
+        states: list[np.ndarray] = []
+        if c.keep_mesh:
+            states.append(simulator.last.scene.mesh.vertices)
+            simulator.watch = _MeshAfterApproach(simulator, states)
         contact, violations = simulator.simulate(sample.pose, sample.shear)
         tries, failed = len(violations) + 1, len(violations) == simulator.tries
         kept, rows, images, missed = [], [], {}, []
@@ -265,6 +298,8 @@ class _SampleMaker:
         each = len(c.symmetries)
         for k, (state, violations) in enumerate([] if failed else self._snapshots(simulator, contact, sample)):
             own = indices[k * each : (k + 1) * each]
+            if c.keep_mesh:
+                states.append(simulator.last.scene.vertices())
             if violations:
                 missed += [{"index": index, "seed": seed, "tries": [violations]} for index in own]
                 continue
@@ -282,7 +317,8 @@ class _SampleMaker:
                 images[image_name(index)] = checksum(data)
         record = {"rows": rows, "violations": violations, "failed": failed, "images": images, "missed": missed}
         pins = ([getattr(one, k) for one in kept] for k in ("pin_tips", "directions"))
-        write_file(record_path(folder, number), pack_record(record, *pins), sync=False)
+        kept_states = states if c.keep_mesh and not failed else None
+        write_file(record_path(folder, number), pack_record(record, *pins, kept_states), sync=False)
 
     def _snapshots(
         self, simulator: RetryingSimulator, contact: Contact, sample: "ContactSample"

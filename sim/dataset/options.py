@@ -28,6 +28,9 @@ class DatasetOptions:
     snapshots_per_contact: int = 1
     """Number of images per contact: one at its pose, then one after each stride of a sliding path, as in servoing. An image
     costs less than a contact."""
+    keep_mesh: bool = False
+    """Also keep the deformed mesh of every contact, in mesh.npz: after its approach, and at each of its images. The learned
+    tip is taught on such sets."""
     pose: Ranges = POSE_RANGES["surface"]
     """Ranges of the labelled poses, low and high of each component. On the command line, the defaults are those of the task
     in the paper (Table 1)."""

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from tactip_twin.sim.dataset.configuration import Configuration, samples_per_contact
 from tactip_twin.sim.dataset.format import COLUMNS, PARTIAL, checksum, read_meta, read_pins, read_rows
+from tactip_twin.sim.dataset.mesh_states import read_mesh_states
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.files import write_file
 from tactip_twin.tactip_model.input_files import parse_json, read_arrays, read_file
@@ -35,7 +36,9 @@ def record_path(folder: Path, number: int) -> Path:
     return folder / PARTIAL / f"{number:06d}.npz"
 
 
-def pack_record(record: dict[str, Any], pin_tips: ArrayLike, directions: ArrayLike) -> bytes:
+def pack_record(
+    record: dict[str, Any], pin_tips: ArrayLike, directions: ArrayLike, states: ArrayLike | None = None
+) -> bytes:
     """Return the bytes of a record.
 
     Args:
@@ -43,19 +46,24 @@ def pack_record(record: dict[str, Any], pin_tips: ArrayLike, directions: ArrayLi
             `violations` of each try of the contact; `missed`, the failures (index, seed, tries) of single samples.
         pin_tips: (rows, pins, 3), m, sensor frame.
         directions: (rows, pins, 3), unit, sensor frame.
+        states: (1 + images per contact, vertices, 3), m, sensor frame (mesh_states.py); None where the set keeps no mesh, or
+            the contact failed.
     """
     data = io.BytesIO()
-    np.savez(
-        data,
-        record=np.array(json.dumps(record)),
-        pin_tips=np.asarray(pin_tips, np.float32),
-        directions=np.asarray(directions, np.float32),
-    )
+    arrays = {"pin_tips": np.asarray(pin_tips, np.float32), "directions": np.asarray(directions, np.float32)}
+    if states is not None:
+        arrays["states"] = np.asarray(states, np.float32)
+    np.savez(data, record=np.array(json.dumps(record)), **arrays)
     return data.getvalue()
 
 
-def read_record(path: Path) -> dict[str, Any] | None:
-    """Return the JSON object in a record, without the pins; None if the record is missing or damaged."""
+def read_record(path: Path, keep_mesh: bool = False) -> dict[str, Any] | None:
+    """Return the JSON object in a record, without its arrays; None if the record is missing or damaged.
+
+    Args:
+        path: Its file.
+        keep_mesh: Whether the set keeps the meshes of its contacts.
+    """
     try:
         data = read_arrays(path)
         record = parse_json(str(data["record"]), str(path))
@@ -64,6 +72,8 @@ def read_record(path: Path) -> dict[str, Any] | None:
     except (TactipError, KeyError):
         return None
     if not isinstance(record, dict) or not isinstance(record.get("images"), dict):
+        return None
+    if keep_mesh and not record.get("failed") and "states" not in data:
         return None
     # An earlier version wrote fewer columns: its contacts are simulated again.
     rows = [] if record.get("failed") else record.get("rows", [])
@@ -102,6 +112,7 @@ def unpack_finished_set(folder: Path) -> None:
     configuration = meta["configuration"]
     each = samples_per_contact(configuration)
     pin_tips, directions = read_pins(folder, meta)
+    states = read_mesh_states(folder, meta).by_contact() if configuration["keep_mesh"] else {}
     try:
         row_by_index = {int(row["index"]): k for k, row in enumerate(rows)}
         failures = {f["index"]: f for f in meta["failures"]}
@@ -120,8 +131,9 @@ def unpack_finished_set(folder: Path) -> None:
                 kept = [rows[k] for k in part]
                 names = [row["sensor_image"] for row in kept]
                 record |= {"rows": kept, "images": {name: meta["images"][name] for name in names}, "missed": missed}
-            write_file(record_path(folder, number), pack_record(record, pin_tips[part], directions[part]))
+            packed = pack_record(record, pin_tips[part], directions[part], states.get(number))
+            write_file(record_path(folder, number), packed)
     except (ValueError, KeyError, TypeError) as error:
         raise TactipError(f"the set in {folder} cannot grow because it is damaged: {error}") from error
-    for name in ("meta.json", "run.json", "targets.csv", "pins.npz"):
+    for name in ("meta.json", "run.json", "targets.csv", "pins.npz", "mesh.npz"):
         (folder / name).unlink(missing_ok=True)

@@ -140,7 +140,7 @@ class ShardedDatasetBuilder(DatasetBuilder):
         # meta.json is moved first: after a kill the set is unfinished, and the next command moves what is left.
         first = self._path / shard_name(0)
         first.mkdir(exist_ok=True)
-        for name in ("meta.json", "images", "targets.csv", "pins.npz", "run.json"):
+        for name in ("meta.json", "images", "targets.csv", "pins.npz", "mesh.npz", "run.json"):
             if (self._path / name).exists():
                 (self._path / name).rename(first / name)
 

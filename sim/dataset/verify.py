@@ -17,6 +17,7 @@ from tactip_twin.sim.dataset.format import (
     read_targets,
 )
 from tactip_twin.sim.dataset.generate import check
+from tactip_twin.sim.dataset.mesh_states import parse_mesh_states
 from tactip_twin.sim.dataset.sampling import seed_text
 from tactip_twin.sim.dataset.shards import shard_count, shard_name, shards_of
 from tactip_twin.sim.labels import LABELS, SHEARS
@@ -79,7 +80,7 @@ def _single(folder: Path, meta: dict[str, Any]) -> list[str]:
         return [*problems, str(error)]
     problems += _images(folder, meta, rows) + _rows(rows, meta)
     if _simulated(meta["configuration"]):
-        problems += _pins(folder, meta, rows)
+        problems += _pins(folder, meta, rows) + _mesh(folder, meta, rows)
     return problems
 
 
@@ -195,3 +196,18 @@ def _pins(folder: Path, meta: dict[str, Any], rows: list[dict[str, str]]) -> lis
     except TactipError as error:
         return [str(error)]
     return [] if str(pins["digest"]) == meta["digest"] else ["pins.npz: belongs to a set of another configuration"]
+
+
+def _mesh(folder: Path, meta: dict[str, Any], rows: list[dict[str, str]]) -> list[str]:
+    """Return the problems of mesh.npz."""
+    if not meta["configuration"].get("keep_mesh"):
+        return []
+    if "mesh.npz" not in meta["files"]:
+        return ["meta.json: files has no checksum of mesh.npz"]
+    try:
+        states = parse_mesh_states(read_arrays(folder / "mesh.npz"), meta, folder / "mesh.npz")
+    except TactipError as error:
+        return [str(error)]
+    each = samples_per_contact(meta["configuration"])
+    missing = {int(row["index"]) // each for row in rows if row["index"].isdigit()} - set(states.numbers.tolist())
+    return [f"mesh.npz: has no mesh of the contacts {sorted(missing)[:10]}"] if missing else []
