@@ -10,3 +10,6 @@ MESHES = Path(__file__).parent / "meshes"
 
 ARM = Path(__file__).parent / "irb120" / "irb120.xml"
 """MuJoCo model of the ABB IRB 120."""
+
+FAST_TIPS = Path(__file__).parent / "fast_tips"
+"""Folder of the shipped learned tips, TASK-DESIGN.npz (sim/fast_tip)."""

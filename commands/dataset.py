@@ -15,6 +15,7 @@ from tactip_twin.sim.dataset.mechanics_randomization import MechanicsName
 from tactip_twin.sim.dataset.options import DatasetOptions
 from tactip_twin.sim.dataset.sampling import POSE_RANGES, SPLITS, Split
 from tactip_twin.sim.labels import TASKS, FidelityName, Task
+from tactip_twin.tactip_model.errors import TactipError
 
 if TYPE_CHECKING:
     from tactip_twin.sim.dataset.generate import Job
@@ -38,8 +39,10 @@ class Make(Command):
     cluster: str = ""
     """Address of a Ray cluster (auto: this machine's; local: a new one on this machine alone), whose machines must share the
     folder OUT. Default: no cluster."""
-    fidelity: FidelityName = "standard"
-    """Fidelity of the simulation (sim/contact/fidelity.py)."""
+    fidelity: FidelityName | Literal["fast"] = "standard"
+    """Fidelity of the simulation (sim/contact/fidelity.py); fast: predict the contacts of standard by a learned tip."""
+    fast_tip: Path | None = None
+    """Learned tip of --fidelity fast, a file of `tactip fast-tip`. Default: the shipped one of task and design."""
     design: str = "tactip-127"
     """Sensor: tactip-127, tactip-331, or a design file (.json) as `tactip calibrate` writes it."""
     randomize_mechanics: MechanicsName = "none"
@@ -106,17 +109,28 @@ class Make(Command):
         from tactip_twin.tactip_model.presets import load_design
 
         several = several or self.split == "all"
+        design, tip, digest = load_design(self.design), None, ""
+        if self.fidelity == "fast":
+            from tactip_twin.sim.fast_tip.fast_tip import read_fast_tip, shipped_fast_tip
+
+            tip = self.fast_tip or shipped_fast_tip(self.task, design.name)
+            learned = read_fast_tip(tip)
+            learned.check_design(design)
+            digest = learned.digest
+        elif self.fast_tip:
+            raise TactipError(f"--fast-tip is for --fidelity fast, got --fidelity {self.fidelity}")
         jobs = []
         for split in SPLITS if self.split == "all" else (self.split,):
             configuration = Configuration(
                 task=self.task,
                 split=split,
                 **vars(self.options),
-                design=load_design(self.design),
-                fidelity=fidelity_named(self.fidelity),
+                design=design,
+                fidelity=fidelity_named("standard" if self.fidelity == "fast" else self.fidelity),
+                fast_tip=digest,
                 mechanics_randomization=MECHANICS_RANDOMIZATIONS[self.randomize_mechanics],
             )
-            jobs.append(Job(configuration, self.out / self.task / split if several else self.out))
+            jobs.append(Job(configuration, self.out / self.task / split if several else self.out, tip))
         return jobs
 
 

@@ -57,6 +57,52 @@ def neutral_pins(design: Design) -> tuple[np.ndarray, np.ndarray]:
     return centre + outer * (1 - design.pins.length_m / radius), -outer / radius
 
 
+class SkinReader:
+    """Reads the skin's displacement and the change of its normal at points, from its deformed vertices."""
+
+    def __init__(self, mesh: Mesh, directions: np.ndarray) -> None:
+        """Prepare the interpolation.
+
+        Args:
+            mesh: Undeformed mesh.
+            directions: (p, 3) unit, sensor frame, from the dome's centre to the points.
+        """
+        self._triangles = mesh.triangles
+        self._rest = mesh.vertices[: mesh.surface_count]
+        self._weights = _interpolation(self._rest - mesh.centre, mesh.triangles, directions)
+        rows, columns = mesh.triangles.ravel(), np.repeat(np.arange(len(mesh.triangles)), 3)
+        shape = (mesh.surface_count, len(mesh.triangles))
+        self._gather = coo_array((np.ones(rows.size), (rows, columns)), shape).tocsr()
+        self._rest_normals = self._normals(self._rest)
+
+    def read(self, skin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the displacements (..., p, 3), m, and the changes of the normals (..., p, 3).
+
+        Args:
+            skin: (..., s, 3) m, vertices of the skin in the sensor frame.
+        """
+        return self._at_points(skin - self._rest), self._normals(skin) - self._rest_normals
+
+    @staticmethod
+    def _spread(values: np.ndarray, matrix: csr_array) -> np.ndarray:
+        """Return a sparse matrix (b, a) times values (..., a, 3): (..., b, 3)."""
+        flat = values.reshape(-1, values.shape[-2], 3)
+        return np.stack([matrix @ v for v in flat]).reshape(*values.shape[:-2], -1, 3)
+
+    def _at_points(self, values: np.ndarray) -> np.ndarray:
+        """Interpolate values (..., s, 3) at vertices to the points, (..., p, 3)."""
+        return self._spread(values, self._weights)
+
+    def _normals(self, skin: np.ndarray) -> np.ndarray:
+        """Return outward unit normals (..., p, 3) at the points: area-weighted at the vertices, interpolated."""
+        corners = skin[..., self._triangles, :]
+        face = np.cross(corners[..., 1, :] - corners[..., 0, :], corners[..., 2, :] - corners[..., 0, :])
+        vertex = self._spread(face, self._gather)
+        vertex /= np.linalg.norm(vertex, axis=-1, keepdims=True)
+        normals = self._at_points(vertex)
+        return normals / np.linalg.norm(normals, axis=-1, keepdims=True)
+
+
 class PinReader:
     """Computes the pins' positions from a deformed skin.
 
@@ -67,42 +113,20 @@ class PinReader:
     def __init__(self, design: Design, mesh: Mesh) -> None:
         """Prepare the interpolation for a design and its mesh."""
         self.pin_tips, self.directions = neutral_pins(design)
-        self._triangles = mesh.triangles
-        self._rest = mesh.vertices[: mesh.surface_count]
-        self._lever = design.pins.length_m - CONTACT_RADIUS_M
-        self._weights = _interpolation(self._rest - mesh.centre, mesh.triangles, -self.directions)
-        rows, columns = mesh.triangles.ravel(), np.repeat(np.arange(len(mesh.triangles)), 3)
-        shape = (mesh.surface_count, len(mesh.triangles))
-        self._gather = coo_array((np.ones(rows.size), (rows, columns)), shape).tocsr()
-        self._rest_normals = self._normals(self._rest)
+        self._lever = pin_lever_m(design)
+        self._skin = SkinReader(mesh, -self.directions)
 
     def read(self, skin: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """Return pin tips (..., p, 3), m, and directions (..., p, 3) for skin vertices (..., s, 3), m; sensor frame."""
-        skin = np.asarray(skin, float)
-        moved = self._at_roots(skin - self._rest)
-        turned = self._normals(skin) - self._rest_normals
+        moved, turned = self._skin.read(np.asarray(skin, float))
         directions = self.directions - turned
         directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
         return self.pin_tips + moved - self._lever * turned, directions
 
-    @staticmethod
-    def _spread(values: np.ndarray, matrix: csr_array) -> np.ndarray:
-        """Return a sparse matrix (b, a) times values (..., a, 3): (..., b, 3)."""
-        flat = values.reshape(-1, values.shape[-2], 3)
-        return np.stack([matrix @ v for v in flat]).reshape(*values.shape[:-2], -1, 3)
 
-    def _at_roots(self, values: np.ndarray) -> np.ndarray:
-        """Interpolate values (..., s, 3) at vertices to the pins' roots, (..., p, 3)."""
-        return self._spread(values, self._weights)
-
-    def _normals(self, skin: np.ndarray) -> np.ndarray:
-        """Return outward unit normals (..., p, 3) at the roots: area-weighted at the vertices, interpolated."""
-        corners = skin[..., self._triangles, :]
-        face = np.cross(corners[..., 1, :] - corners[..., 0, :], corners[..., 2, :] - corners[..., 0, :])
-        vertex = self._spread(face, self._gather)
-        vertex /= np.linalg.norm(vertex, axis=-1, keepdims=True)
-        normals = self._at_roots(vertex)
-        return normals / np.linalg.norm(normals, axis=-1, keepdims=True)
+def pin_lever_m(design: Design) -> float:
+    """Return the length of a pin from the skin's vertices to its tip, m."""
+    return design.pins.length_m - CONTACT_RADIUS_M
 
 
 def _interpolation(vertices: np.ndarray, triangles: np.ndarray, rays: np.ndarray) -> csr_array:

@@ -36,6 +36,9 @@ class Configuration(DatasetOptions):
     """Limits that a simulated contact must meet to become a sample."""
     first: int = 0
     """Index of the first sample, if the set is a shard of a larger one."""
+    fast_tip: str = ""
+    """Checksum of the learned tip (sim/fast_tip) that predicts the contacts, with simulated ones where it cannot be trusted;
+    empty: all are simulated."""
     mechanics_randomization: MechanicsRandomization = field(default_factory=MechanicsRandomization)
     """Randomization of the tip's mechanics by contact (sim/dataset/mechanics_randomization.py); the optics stay the same."""
 

@@ -43,6 +43,8 @@ from tactip_twin.sim.dataset.shards import (
 )
 from tactip_twin.sim.dataset.sliding import MAX_SNAPSHOTS, SlidingPath
 from tactip_twin.sim.dataset.symmetry import SymmetricReader, ranges_are_symmetric
+from tactip_twin.sim.fast_tip.fast_tip import read_fast_tip
+from tactip_twin.sim.fast_tip.simulator import FastSimulator
 from tactip_twin.sim.parallel.ray_pool import RayPool, joined, ray_here
 from tactip_twin.sim.parallel.worker_pool import WorkerPool
 from tactip_twin.sim.pose import to_mm_deg
@@ -71,6 +73,8 @@ class Job:
     """Configuration of the set."""
     folder: Path
     """Folder of the set."""
+    fast_tip: Path | None = None
+    """File of the learned tip, if the configuration names one."""
 
 
 def check(configuration: Configuration) -> None:
@@ -89,6 +93,7 @@ def check(configuration: Configuration) -> None:
     _check_shards(configuration)
     _check_curvature(configuration)
     _check_mesh(configuration)
+    _check_fast_tip(configuration)
     for name in ("pose", "shear"):
         if not ranges_are_symmetric(configuration.symmetries, getattr(configuration, name)):
             raise TactipError(
@@ -121,6 +126,22 @@ def _check_snapshots(configuration: Configuration) -> None:
         low, high = getattr(c.pose, name)
         allowed = "a range that includes 0 if snapshots_per_contact is above 1, because sliding paths start at 0"
         require(low <= 0 <= high, f"pose.{name}", (low, high), allowed)
+
+
+def _check_fast_tip(configuration: Configuration) -> None:
+    """Raise TactipError where a learned tip would have to predict what it has not learned."""
+    c = configuration
+    if not c.fast_tip:
+        return
+    unlearned = {
+        "snapshots_per_contact": c.snapshots_per_contact > 1,
+        "curvature_per_m": c.is_curved,
+        "keep_mesh": c.keep_mesh,
+        "mechanics_randomization": not c.mechanics_randomization.is_identity,
+    }
+    for name, chosen in unlearned.items():
+        if chosen:
+            raise TactipError(f"{name} needs a simulated tip: the learned tip knows single contacts of one tip only")
 
 
 def _check_mesh(configuration: Configuration) -> None:
@@ -203,7 +224,11 @@ def make(jobs: list[Job], workers: int, log: Callable[[str], None] = print, clus
             return f"{name} of {jobs[job].folder}"
 
         if count:
-            arguments = [job.configuration for job in jobs], [str(job.folder.resolve()) for job in jobs]
+            arguments = (
+                [job.configuration for job in jobs],
+                [str(job.folder.resolve()) for job in jobs],
+                [str(job.fast_tip.resolve()) if job.fast_tip else "" for job in jobs],
+            )
             settings = _SampleMakers, arguments, todo, unit, log, name_of, count
             pool = RayPool(stack.enter_context(joined(cluster)), *settings) if cluster else WorkerPool(*settings)
             workers = min(workers or pool.places(), count)
@@ -221,9 +246,9 @@ def _tasks(builders: Sequence[DatasetBuilder | ShardedDatasetBuilder]) -> Iterat
 class _SampleMakers:
     """The sample makers of a worker, created when they are needed."""
 
-    def __init__(self, configurations: list[Configuration], folders: list[str]) -> None:
-        """Take the configurations of the jobs, and their folders."""
-        self._configurations, self._folders = configurations, folders
+    def __init__(self, configurations: list[Configuration], folders: list[str], fast_tips: list[str]) -> None:
+        """Take the configurations of the jobs, their folders, and the files of their learned tips."""
+        self._configurations, self._folders, self._fast_tips = configurations, folders, fast_tips
         self._makers: dict[int, _SampleMaker] = {}
 
     def __call__(self, task: _Task) -> None:
@@ -234,7 +259,8 @@ class _SampleMakers:
             return
         if job not in self._makers:
             folder = Path(self._folders[job])
-            self._makers[job] = _SampleMaker(self._configurations[job], folder, self._makers.values())
+            arguments = self._configurations[job], folder, self._makers.values(), self._fast_tips[job]
+            self._makers[job] = _SampleMaker(*arguments)
         self._makers[job].make(item)
 
 
@@ -254,20 +280,24 @@ class _MeshAfterApproach:
 class _SampleMaker:
     """Maker of the samples of one set, in a worker."""
 
-    def __init__(self, configuration: Configuration, folder: Path, others: "Iterable[_SampleMaker]") -> None:
+    def __init__(self, configuration: Configuration, folder: Path, others: "Iterable[_SampleMaker]", fast_tip: str) -> None:
         """Prepare a renderer and a simulator.
 
         Args:
             configuration: Configuration of the set.
             folder: Folder of the set.
             others: Makers of this process, whose renderer and simulator are shared where theirs are the same.
+            fast_tip: File of the learned tip; empty for none.
+
+        Raises:
+            TactipError: The file holds another tip than the configuration names.
         """
         self._configuration, self._folder = configuration, folder
         c = configuration
         alike = [m for m in others if m._configuration.design == c.design and m._configuration.renderer == c.renderer]
         self._render = alike[0]._render if alike else lookup("renderer", c.renderer, RENDERERS)(c.design)
         same = [m for m in alike if _physics(m._configuration) == _physics(c)]
-        self._simulator = same[0]._simulator if same else simulator_for(c, c.design)
+        self._simulator = same[0]._simulator if same else _simulator(c, fast_tip)
         self._readers: dict[int, SymmetricReader] = {}
         """Readers of the design's pins, by the number of vertices of their meshes' skins."""
 
@@ -303,12 +333,7 @@ class _SampleMaker:
             if violations:
                 missed += [{"index": index, "seed": seed, "tries": [violations]} for index in own]
                 continue
-            contacts = [state]
-            if c.augment_symmetry:
-                skin, mesh = simulator.skin()  # of another mesh where the first one was too coarse for this contact
-                if mesh.surface_count not in readers:
-                    readers[mesh.surface_count] = SymmetricReader(sample.design, mesh, c.symmetries)
-                contacts = readers[mesh.surface_count].read(state, skin)
+            contacts = self._copies(simulator, state, sample, readers) if c.augment_symmetry else [state]
             for index, one in zip(own, contacts, strict=False):
                 kept.append(one)
                 rows.append(row_of(one, index, tries, seed))
@@ -319,6 +344,24 @@ class _SampleMaker:
         pins = ([getattr(one, k) for one in kept] for k in ("pin_tips", "directions"))
         kept_states = states if c.keep_mesh and not failed else None
         write_file(record_path(folder, number), pack_record(record, *pins, kept_states), sync=False)
+
+    def _copies(
+        self,
+        simulator: RetryingSimulator | FastSimulator,
+        state: Contact,
+        sample: "ContactSample",
+        readers: dict[int, SymmetricReader],
+    ) -> list[Contact]:
+        """Return the last contact under each symmetry of the set."""
+        symmetries = self._configuration.symmetries
+        if isinstance(simulator, FastSimulator):
+            if state.steps == 0:
+                return simulator.symmetric(state, symmetries)
+            simulator = simulator.fallback
+        skin, mesh = simulator.skin()  # of another mesh where the first one was too coarse for this contact
+        if mesh.surface_count not in readers:
+            readers[mesh.surface_count] = SymmetricReader(sample.design, mesh, symmetries)
+        return readers[mesh.surface_count].read(state, skin)
 
     def _snapshots(
         self, simulator: RetryingSimulator, contact: Contact, sample: "ContactSample"
@@ -340,7 +383,19 @@ class _SampleMaker:
 
 def _physics(configuration: Configuration) -> tuple[object, ...]:
     """Return what decides a simulator, besides the design."""
-    return configuration.task, configuration.is_curved, configuration.fidelity, configuration.bounds
+    c = configuration
+    return c.task, c.is_curved, c.fidelity, c.bounds, c.fast_tip
+
+
+def _simulator(configuration: Configuration, fast_tip: str) -> RetryingSimulator | FastSimulator:
+    """Return the simulator of a set, or the learned tip in a file, if the configuration names one."""
+    c = configuration
+    if not c.fast_tip:
+        return simulator_for(c, c.design)
+    tip = read_fast_tip(fast_tip)
+    if tip.digest != c.fast_tip or tip.task != c.task:
+        raise TactipError(f"{fast_tip} is not the learned tip of this set: its checksum is {tip.digest}, not {c.fast_tip}")
+    return FastSimulator(tip, c.design, lambda: simulator_for(c, c.design))
 
 
 @dataclass(frozen=True)

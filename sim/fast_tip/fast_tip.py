@@ -1,0 +1,340 @@
+"""Prediction of contacts by the learned tip, and its file.
+
+An ensemble of small networks maps a contact's features to the coefficients of the skin's modes. Their mean is the
+prediction, and their spread tells whether it can be trusted. A second network predicts forces and the like.
+"""
+
+import hashlib
+import io
+import json
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from tactip_twin.assets import FAST_TIPS
+from tactip_twin.sim.fast_tip.features import COUNT, features
+from tactip_twin.sim.fast_tip.skin_field import MAX_ORDER, RING_ANGLES, Modes
+from tactip_twin.sim.labels import TASKS, Task
+from tactip_twin.sim.pose import FACING
+from tactip_twin.tactip_model.design import Design
+from tactip_twin.tactip_model.errors import TactipError
+from tactip_twin.tactip_model.files import write_file
+from tactip_twin.tactip_model.input_files import has_checksum, parse_arrays, parse_json, read_file, with_checksum
+from tactip_twin.tactip_model.pins import neutral_pins, pin_lever_m
+
+FORMAT, VERSION = "tactip-twin learned tip", 1
+
+MEASURES = (
+    "log_normal_force",
+    "tangential_ratio_x",
+    "tangential_ratio_y",
+    "effective_shear_x_mm",
+    "effective_shear_y_mm",
+    "effective_shear_Rz_deg",
+    "slip_fraction",
+    "contact_area_mm2",
+)
+"""Outputs of the second network, in the axes of the contact frame: natural logarithm of the normal force in N; tangential
+force over normal force; and as in targets.csv."""
+
+MIN_FORCE_N = 0.01
+"""Normal force below which its logarithm is not learned, N."""
+
+
+@dataclass(frozen=True)
+class Network:
+    """A perceptron with residual layers: numpy alone, so workers need no torch."""
+
+    weights: tuple[np.ndarray, ...]
+    """Matrices (out, in) and biases (out,) float32 in turn: the first layer, the residual layers, the last layer."""
+
+    def __call__(self, x: np.ndarray) -> np.ndarray:
+        """Return outputs (n, out) for inputs (n, in), float32."""
+        pairs = list(zip(self.weights[::2], self.weights[1::2], strict=True))
+        hidden = _silu(x @ pairs[0][0].T + pairs[0][1])
+        for matrix, bias in pairs[1:-1]:
+            hidden = hidden + _silu(hidden @ matrix.T + bias)
+        return hidden @ pairs[-1][0].T + pairs[-1][1]
+
+
+def _silu(x: np.ndarray) -> np.ndarray:
+    """Return x times its logistic function, computed by tanh, which does not overflow."""
+    half = 0.5 * x
+    return half * (1 + np.tanh(half))
+
+
+def mechanics_of(design: Design) -> dict[str, Any]:
+    """Return the part of a design that a learned tip depends on, as JSON: shape and materials."""
+    return json.loads(json.dumps({"shape": asdict(design.shape), "materials": asdict(design.materials)}))
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Predicted contacts. (k contacts, p pins)"""
+
+    pin_tips: np.ndarray
+    """(k, p, 3) m, sensor frame."""
+    directions: np.ndarray
+    """(k, p, 3) unit, sensor frame."""
+    normal_forces_n: np.ndarray
+    """(k,) N, force of the object on the tip along the outward normal."""
+    tangential_forces_n: np.ndarray
+    """(k,) N, magnitude of the rest of that force."""
+    forces_n: np.ndarray
+    """(k, 3) N, that force in the sensor frame."""
+    effective_shears: np.ndarray
+    """(k, 6) m and rad, in the axes of a label."""
+    slip_fractions: np.ndarray
+    """(k,) -."""
+    contact_areas_m2: np.ndarray
+    """(k,) m^2."""
+    spread_m: np.ndarray
+    """(k,) root mean square distance between the networks' fields and their mean, m."""
+    trusted: np.ndarray
+    """(k,) bool: whether a contact is in the learned ranges and the networks agree."""
+
+
+@dataclass(frozen=True)
+class FastTip:
+    """A learned tip for one task."""
+
+    task: Task
+    """`surface` or `edge`."""
+    mechanics: dict[str, Any]
+    """Shape and materials of the tip that it learned (mechanics_of)."""
+    modes: Modes
+    """Modes of the skin's deformation."""
+    center: np.ndarray
+    """(features,) subtracted from the features."""
+    scale: np.ndarray
+    """(features,) that they are divided by."""
+    networks: tuple[Network, ...]
+    """Networks from scaled features to coefficients over `coefficient_scale`."""
+    coefficient_scale: np.ndarray
+    """(2 modes,) mm: real parts, then imaginary parts."""
+    measure_network: Network
+    """Network from scaled features to MEASURES over their scale."""
+    measure_center: np.ndarray
+    """(measures,)."""
+    measure_scale: np.ndarray
+    """(measures,)."""
+    ranges: np.ndarray
+    """(12, 2) low and high of pose and shear, m and rad, as of the training set."""
+    max_spread_m: float
+    """Largest spread of a prediction that is trusted, m."""
+    provenance: dict[str, Any]
+    """Training sets, settings and errors, as JSON."""
+
+    def check_design(self, design: Design) -> None:
+        """Raise TactipError if a design has another shape or other materials than those learned."""
+        asked = mechanics_of(design)
+        for part, values in self.mechanics.items():
+            for name, value in values.items():
+                if asked[part].get(name) != value:
+                    raise TactipError(
+                        f"the learned tip belongs to {part}.{name} {value}, but the design has {asked[part].get(name)}: "
+                        "teach one for this design"
+                    )
+
+    def outside(self, poses: np.ndarray, shears: np.ndarray) -> np.ndarray:
+        """Return whether contacts (k, 6), (k, 6) lie outside the learned ranges, (k,) bool."""
+        both = np.concatenate([poses, shears], 1)
+        return ((both < self.ranges[:, 0] - 1e-9) | (both > self.ranges[:, 1] + 1e-9)).any(1)
+
+    def coefficients(self, poses: np.ndarray, shears: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the coefficients (k, n) complex64 of the skin's modes in the sensor's axes, and their spread (k,), m."""
+        scaled, yaw = self._scaled(poses, shears)
+        outputs = np.stack([network(scaled) for network in self.networks]) * self.coefficient_scale
+        count = len(self.modes.orders)
+        mean = outputs.mean(0)
+        # By Parseval's theorem, weighted by area: orders above 0 count twice.
+        weight = np.where(np.tile(self.modes.orders, 2) > 0, 2.0, 1.0) / np.sin(RING_ANGLES).sum()
+        spread = 1e-3 * np.sqrt((((outputs - mean) ** 2).mean(0) * weight).sum(1))
+        return self.modes.turned(mean[:, :count] + 1j * mean[:, count:], yaw), spread
+
+    def predict(self, decoder: "PinDecoder", poses: np.ndarray, shears: np.ndarray) -> Prediction:
+        """Predict contacts.
+
+        Args:
+            decoder: Pins of the design.
+            poses: (k, 6) m and rad.
+            shears: (k, 6) m and rad.
+        """
+        poses, shears = np.asarray(poses, float), np.asarray(shears, float)
+        coefficients, spread = self.coefficients(poses, shears)
+        tips, directions = decoder(coefficients)
+        scaled, _ = self._scaled(poses, shears)
+        measures = self.measure_network(scaled) * self.measure_scale + self.measure_center
+        normal = np.exp(measures[:, :1])
+        in_contact = normal * np.concatenate([measures[:, 1:3], np.ones((len(poses), 1))], 1)
+        forces = Rotation.from_rotvec(poses[:, 3:]).inv().apply(in_contact) @ FACING
+        shear = np.zeros((len(poses), 6))
+        shear[:, :2] = 1e-3 * measures[:, 3:5]
+        shear[:, 5] = np.radians(measures[:, 5])
+        return Prediction(
+            pin_tips=tips,
+            directions=directions,
+            normal_forces_n=normal[:, 0],
+            tangential_forces_n=np.hypot(in_contact[:, 0], in_contact[:, 1]),
+            forces_n=forces,
+            effective_shears=shear,
+            slip_fractions=np.clip(measures[:, 6], 0, 1),
+            contact_areas_m2=1e-6 * np.maximum(measures[:, 7], 0),
+            spread_m=spread,
+            trusted=~self.outside(poses, shears) & (spread <= self.max_spread_m),
+        )
+
+    def _scaled(self, poses: np.ndarray, shears: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        values, yaw = features(self.task, poses, shears)
+        return ((values - self.center) / self.scale).astype(np.float32), yaw
+
+    @cached_property
+    def digest(self) -> str:
+        """Checksum of the file, in hex."""
+        return hashlib.sha256(self.to_bytes()).hexdigest()
+
+    def to_bytes(self) -> bytes:
+        """Return the content of a file: an NPZ archive of the arrays, and a description as JSON."""
+        arrays = self._arrays()
+        description = {
+            "format": FORMAT,
+            "version": VERSION,
+            "task": self.task,
+            "mechanics": self.mechanics,
+            "max_spread_m": self.max_spread_m,
+            "networks": len(self.networks),
+            "provenance": self.provenance,
+            "arrays": {name: _checksum(array) for name, array in arrays.items()},
+        }
+        data = io.BytesIO()
+        np.savez(data, **arrays, description=np.array(json.dumps(with_checksum(description))))
+        return data.getvalue()
+
+    def _arrays(self) -> dict[str, np.ndarray]:
+        """Return the arrays of the file, by name."""
+        arrays = {name: getattr(self, name) for name in _ARRAYS} | {
+            "orders": self.modes.orders.astype(np.int64),
+            "profiles": self.modes.profiles.astype(np.float32),
+        }
+        for k, network in enumerate((*self.networks, self.measure_network)):
+            arrays |= {f"network{k}_{i}": weight for i, weight in enumerate(network.weights)}
+        return arrays
+
+
+_ARRAYS = ("center", "scale", "coefficient_scale", "measure_center", "measure_scale", "ranges")
+
+
+def _checksum(array: np.ndarray) -> str:
+    return hashlib.sha256(np.ascontiguousarray(array).tobytes()).hexdigest()
+
+
+class PinDecoder:
+    """Pins of a design for coefficients of the skin's modes: linear maps, computed once."""
+
+    def __init__(self, design: Design, modes: Modes) -> None:
+        """Evaluate the modes at the design's pins."""
+        self._tips, self._directions = neutral_pins(design)
+        moved, turned = modes.at(-self._directions)
+        shape = len(moved), -1
+        self._to_tips = (moved - pin_lever_m(design) * turned).reshape(shape).astype(np.float32)
+        self._to_turns = turned.reshape(shape).astype(np.float32)
+
+    def __call__(self, coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return pin tips (k, p, 3), m, and directions (k, p, 3) for coefficients (k, n) complex; sensor frame."""
+        parts = np.concatenate([coefficients.real, coefficients.imag], 1).astype(np.float32)
+        tips = self._tips + (parts @ self._to_tips).reshape(-1, *self._tips.shape)
+        directions = self._directions - (parts @ self._to_turns).reshape(tips.shape)
+        directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+        return tips, directions
+
+
+def shipped_fast_tip(task: Task, design: str) -> Path:
+    """Return the file of the shipped learned tip of a task and a design. Raises TactipError that lists those there are."""
+    path = FAST_TIPS / f"{task}-{design}.npz"
+    if not path.exists():
+        known = ", ".join(sorted(one.stem for one in FAST_TIPS.glob("*.npz"))) or "none"
+        raise TactipError(
+            f"there is no shipped learned tip for {task} and {design} (there is {known}): give --fast-tip FILE"
+        )
+    return path
+
+
+def write_fast_tip(tip: FastTip, path: Path) -> None:
+    """Write a learned tip to a file. Raises OSError."""
+    write_file(path, tip.to_bytes())
+
+
+def read_fast_tip(path: str | Path) -> FastTip:
+    """Read a learned tip from a file. Raises TactipError if the file is none, or was altered."""
+    arrays = parse_arrays(read_file(path, _MAX_FILE_BYTES), str(path))
+    text = arrays.pop("description", None)
+    about = parse_json(str(text), str(path)) if text is not None else None
+    if not isinstance(about, dict) or about.get("format") != FORMAT or about.get("version") != VERSION:
+        raise TactipError(f"{path} must be a file of the format {FORMAT!r}, version {VERSION}: teach the tip again")
+    if not has_checksum(about) or {name: _checksum(array) for name, array in arrays.items()} != about.get("arrays"):
+        raise TactipError(f"{path} was altered: it does not match its own checksums; teach the tip again, or copy it again")
+    try:
+        networks = [_network(arrays, k) for k in range(about["networks"] + 1)]
+        tip = FastTip(
+            task=about["task"],
+            mechanics=about["mechanics"],
+            modes=Modes(arrays["orders"], arrays["profiles"].astype(float)),
+            networks=tuple(networks[:-1]),
+            measure_network=networks[-1],
+            max_spread_m=float(about["max_spread_m"]),
+            provenance=about["provenance"],
+            **{name: arrays[name] for name in _ARRAYS},
+        )
+        _check_shapes(tip)
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        raise TactipError(f"{path} holds no learned tip: {error}") from error
+    return tip
+
+
+_MAX_FILE_BYTES = 2**25
+"""Maximum size of a file, bytes."""
+
+
+def _network(arrays: dict[str, np.ndarray], k: int) -> Network:
+    """Return network k of a file. Raises ValueError if it has no layers that fit together."""
+    count = sum(name.startswith(f"network{k}_") for name in arrays)
+    weights = tuple(arrays[f"network{k}_{i}"] for i in range(count))
+    if count < 4 or count % 2 or any(w.dtype != np.float32 or not np.isfinite(w).all() for w in weights):
+        raise ValueError(f"network {k} must have layers of finite float32")
+    return Network(weights)
+
+
+def _check_shapes(tip: FastTip) -> None:
+    """Raise ValueError where the arrays of a learned tip do not fit together."""
+    if tip.task not in TASKS:
+        raise ValueError(f"the task must be one of {', '.join(TASKS)}, got {tip.task!r:.40}")
+    inputs, count = COUNT[tip.task], len(tip.modes.orders)
+    shapes = {
+        "center": (inputs,),
+        "scale": (inputs,),
+        "coefficient_scale": (2 * count,),
+        "measure_center": (len(MEASURES),),
+        "measure_scale": (len(MEASURES),),
+        "ranges": (12, 2),
+    }
+    for name, shape in shapes.items():
+        array = getattr(tip, name)
+        if array.shape != shape or array.dtype.kind != "f" or not np.isfinite(array).all():
+            raise ValueError(f"{name} must be finite numbers of shape {shape}, got {array.dtype} of shape {array.shape}")
+    if not (tip.scale > 0).all():
+        raise ValueError("scale must be positive")
+    orders, profiles = tip.modes.orders, tip.modes.profiles
+    if orders.dtype != np.int64 or not ((orders >= 0) & (orders <= MAX_ORDER)).all():
+        raise ValueError(f"orders must be integers from 0 to {MAX_ORDER}")
+    if profiles.shape != (count, 6 * len(RING_ANGLES)) or not np.isfinite(profiles).all():
+        raise ValueError(f"profiles must be finite, {count} of {6 * len(RING_ANGLES)} numbers")
+    if not tip.networks:
+        raise ValueError("it has no networks")
+    for network in (*tip.networks, tip.measure_network):
+        outputs = len(MEASURES) if network is tip.measure_network else 2 * count
+        if network(np.zeros((1, inputs), np.float32)).shape != (1, outputs):
+            raise ValueError(f"a network must have {inputs} inputs and {outputs} outputs")
