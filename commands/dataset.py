@@ -113,7 +113,7 @@ class Make(Command):
         if self.fidelity == "fast":
             from tactip_twin.sim.fast_tip.fast_tip import read_fast_tip, shipped_fast_tip
 
-            tip = self.fast_tip or shipped_fast_tip(self.task, design.name)
+            tip = self.fast_tip or shipped_fast_tip("edge" if self.task == "edge" else "surface", design.name)
             learned = read_fast_tip(tip)
             learned.check_design(design)
             digest = learned.digest

@@ -22,6 +22,7 @@ COMMANDS = {
     "dataset": ("dataset", "Dataset", "Make, verify, show and record data sets."),
     "import": ("import_set", "Import", "Import a data set of a real sensor."),
     "calibrate": ("calibrate", "Calibrate", "Fit the sensor to real frames."),
+    "fast-tip": ("fast_tip", "FastTip", "Teach a tip that predicts contacts."),
     "train": ("train", "Train", "Train a network on a data set."),
     "tune": ("tune", "Tune", "Search for a network."),
     "evaluate": ("evaluate", "Evaluate", "Measure the errors of a network on a set."),

@@ -1,58 +1,47 @@
 """Training of a learned tip on data sets that keep their meshes (`tactip dataset make --keep-mesh`)."""
 
 import dataclasses
-import time
+import io
+import json
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NoReturn
 
 import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
+from tqdm import tqdm
 
+from tactip_twin.learning.fast_tip_settings import FastTipSettings
 from tactip_twin.sim.dataset.configuration import Configuration
-from tactip_twin.sim.dataset.format import read_configuration, read_meta, read_rows
+from tactip_twin.sim.dataset.format import labels_sha256, read_configuration, read_meta, read_rows
 from tactip_twin.sim.dataset.mesh_states import read_mesh_states
-from tactip_twin.sim.fast_tip.fast_tip import MEASURES, MIN_FORCE_N, FastTip, Network, mechanics_of
+from tactip_twin.sim.fast_tip.fast_tip import (
+    MEASURES,
+    MIN_FORCE_N,
+    FastTip,
+    Network,
+    PinDecoder,
+    mechanics_of,
+    read_fast_tip,
+    write_fast_tip,
+)
 from tactip_twin.sim.fast_tip.features import COUNT, features, mirrored, pairs
 from tactip_twin.sim.fast_tip.skin_field import Modes, SkinSampler
 from tactip_twin.sim.labels import LABELS, SHEARS, Task
+from tactip_twin.sim.parallel.file_lock import locked
+from tactip_twin.sim.parallel.resume import check_resumable
 from tactip_twin.sim.pose import FACING, from_mm_deg
-from tactip_twin.tactip_model.bounds import check, within
-from tactip_twin.tactip_model.errors import TactipError
+from tactip_twin.tactip_model.errors import Interrupted, TactipError
+from tactip_twin.tactip_model.files import write_file
+from tactip_twin.tactip_model.input_files import read_arrays, read_json
 from tactip_twin.tactip_model.mesh import build_mesh
+from tactip_twin.tactip_model.pins import PinReader
 
 _CHUNK = 500
 """Number of skins that are sampled at once."""
-
-
-@dataclass(frozen=True)
-class FastTipSettings:
-    """Settings of the training of a learned tip."""
-
-    modes: int = within(1, 500, default=70)
-    """Number of modes of the skin's deformation."""
-    width: int = within(8, 2048, default=256)
-    """Units per layer."""
-    layers: int = within(1, 10, default=3)
-    """Residual layers."""
-    members: int = within(1, 10, default=3)
-    """Networks of the ensemble."""
-    steps: int = within(1, 1000000, default=20000)
-    """Training steps of each network."""
-    batch: int = within(1, 65536, default=512)
-    """Contacts per step, each turned and mirrored at random."""
-    learning_rate: float = within(1e-6, 1, default=3e-3)
-    """Highest learning rate of a one-cycle schedule."""
-    weight_decay: float = within(0, 1, default=1e-4)
-    """Weight decay of AdamW."""
-    trusted_fraction: float = within(0, 1, default=0.98)
-    """Fraction of the validation contacts whose spread is below the limit of trust."""
-    seed: int = within(0, 2**31, default=0)
-    """Seed of the initial weights and batches."""
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 @dataclass(frozen=True)
@@ -72,6 +61,11 @@ class TipContacts:
     skins: np.ndarray
     """(k, s, 3) float32 m, vertices of the skin."""
 
+    @property
+    def task(self) -> Task:
+        """Task of the contacts."""
+        return "edge" if self.configuration.task == "edge" else "surface"
+
     def __len__(self) -> int:
         return len(self.poses)
 
@@ -86,13 +80,25 @@ def read_contacts(folders: Sequence[Path]) -> TipContacts:
     parts = [_read_set(Path(folder)) for folder in folders]
     first = parts[0].configuration
     for folder, part in zip(folders, parts, strict=True):
-        for name in ("task", "fidelity"):
-            if getattr(part.configuration, name) != getattr(first, name):
-                raise TactipError(f"{folder} has another {name} than {folders[0]}: a tip is learned from sets of one {name}")
-        if mechanics_of(part.configuration.design) != mechanics_of(first.design):
-            raise TactipError(f"{folder} has a tip of another shape or other materials than {folders[0]}")
+        _check_same_tip(part, parts[0], folder, folders[0])
     names = ("poses", "shears", "harmonics", "measures", "skins")
     return TipContacts(first, **{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
+
+
+def _check_same_tip(part: TipContacts, first: TipContacts, folder: Path, first_folder: Path) -> None:
+    """Raise TactipError where contacts in a folder are not of the task, fidelity and tip of others."""
+    a, b = part.configuration, first.configuration
+    for name in ("task", "fidelity"):
+        if getattr(a, name) != getattr(b, name):
+            raise TactipError(f"{folder} has another {name} than {first_folder}: a tip is learned from sets of one {name}")
+    if mechanics_of(a.design) != mechanics_of(b.design):
+        raise TactipError(f"{folder} has a tip of another shape or other materials than {first_folder}")
+
+
+def set_identity(folder: Path) -> dict[str, str | None]:
+    """Return checksums of a set: of its configuration and of its labels."""
+    meta = read_meta(folder)
+    return {"digest": meta["digest"], "targets_sha256": labels_sha256(meta)}
 
 
 def _read_set(folder: Path) -> TipContacts:
@@ -176,90 +182,200 @@ class _Perceptron(torch.nn.Module):
 
     def __init__(self, inputs: int, width: int, layers: int, outputs: int) -> None:
         super().__init__()
-        sizes = [(inputs, width), *[(width, width)] * layers, (width, outputs)]
-        self.layers = torch.nn.ModuleList([torch.nn.Linear(*size) for size in sizes])
+        self.first, self.last = torch.nn.Linear(inputs, width), torch.nn.Linear(width, outputs)
+        self.residual = torch.nn.ModuleList([torch.nn.Linear(width, width) for _ in range(layers)])
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
-        hidden = torch.nn.functional.silu(self.layers[0](x))
-        for layer in self.layers[1:-1]:
+        hidden = torch.nn.functional.silu(self.first(x))
+        for layer in self.residual:
             hidden = hidden + torch.nn.functional.silu(layer(hidden))
-        return self.layers[-1](hidden)
+        return self.last(hidden)
 
     def exported(self) -> Network:
         """Return the network for numpy."""
-        weights = []
-        for layer in self.layers:
-            weights += [layer.weight.detach().numpy().copy(), layer.bias.detach().numpy().copy()]
-        return Network(tuple(weights))
+        # Parameters by name: weight, then bias, of each layer.
+        layers = (self.first, *self.residual, self.last)
+        tensors = [parameter for layer in layers for parameter in layer.parameters()]
+        return Network(tuple(tensor.detach().numpy().copy() for tensor in tensors))
+
+
+class _Plan:
+    """Everything that the networks of a learned tip share: modes, scales and batches."""
+
+    def __init__(self, contacts: TipContacts, settings: FastTipSettings) -> None:
+        """Find the modes and the scales of some contacts."""
+        task = contacts.task
+        values, yaw = features(task, contacts.poses, contacts.shears)
+        orders = np.arange(contacts.harmonics.shape[-1])
+        canonical = contacts.harmonics * np.exp(1j * np.multiply.outer(yaw, orders))[:, None, None]
+        self.modes = Modes.fit(canonical, settings.modes)
+        self.center, self.scale = _scales(task, values)
+        self.measure_center, self.measure_scale = _measure_scales(contacts.measures, task)
+        coefficients = self.modes.coefficients(canonical)
+        both = np.concatenate([coefficients.real, coefficients.imag], 1)
+        # Small modes are not learned relative to their own size, which would be noise.
+        self.coefficient_scale = np.maximum(both.std(0), 0.01 * both.std(0).max()).astype(np.float32)
+        inputs, measures = (
+            (values - self.center) / self.scale,
+            (contacts.measures - self.measure_center) / self.measure_scale,
+        )
+        self.batches = _Batches(task, inputs, coefficients, measures, self.modes.orders)
+        # By Parseval's theorem: orders above 0 count twice.
+        self._weight = torch.tensor(np.where(np.tile(self.modes.orders, 2) > 0, 2.0, 1.0), dtype=torch.float32)
+        self._to_mm = torch.tensor(self.coefficient_scale)
+
+    def outputs(self, of_measures: bool) -> int:
+        """Return the number of outputs of a network of coefficients, or of measures."""
+        return len(MEASURES) if of_measures else 2 * len(self.modes.orders)
+
+    def loss(self, of_measures: bool, outputs: torch.Tensor, targets: tuple[torch.Tensor, torch.Tensor]) -> torch.Tensor:
+        """Return the loss of a batch: the mean square distance of the fields, mm^2, or a robust error of the measures."""
+        coefficients, measures = targets
+        if of_measures:
+            return torch.nn.functional.smooth_l1_loss(outputs, measures, beta=0.1)
+        return ((outputs * self._to_mm - coefficients).square() * self._weight).sum(1).mean()
 
 
 def train_fast_tip(
-    contacts: TipContacts, validation: TipContacts, settings: FastTipSettings, log: Callable[[str], None] = print
+    folders: Sequence[Path],
+    validation: Path,
+    settings: FastTipSettings,
+    out: Path,
+    log: Callable[[str], None] = print,
+    quiet: bool = False,
 ) -> FastTip:
-    """Train a learned tip.
+    """Train a learned tip, or resume its training after the last finished network.
 
     Args:
-        contacts: Contacts to learn from.
-        validation: Other contacts of the same tip, from which the limit of trust is chosen.
+        folders: Sets to learn from, of one task and tip, made with --keep-mesh.
+        validation: Another such set, from which the limit of trust is chosen and whose errors are recorded.
         settings: Settings.
-        log: Called with a line of progress for each network.
+        out: Folder of the training; FAST_TIP in it is the learned tip.
+        log: Callback for messages to the user.
+        quiet: Whether to hide the progress bar.
 
     Raises:
-        TactipError: The validation contacts are of another task or tip.
+        TactipError: A set cannot be used, or the folder holds something else.
+        Interrupted: Ctrl-C.
+    """
+    contacts, held_out = read_contacts(folders), read_contacts([validation])
+    _check_same_tip(held_out, contacts, validation, folders[0])
+    record = {
+        "train": [set_identity(folder) for folder in folders],
+        "validation": set_identity(validation),
+        "settings": dataclasses.asdict(settings),
+        "torch": torch.__version__,
+    }
+    path = out / _SETTINGS
+    recorded = read_json(path) if path.exists() else None
+    check_resumable(out, "learned tip", recorded, record, (_LOCK,))
+    out.mkdir(parents=True, exist_ok=True)
+    with locked(out / _LOCK, f"teaching a tip in {out}"):
+        if recorded is None:
+            write_file(path, json.dumps(record, indent=1).encode())
+        if (out / FAST_TIP).exists():
+            log(f"the tip in {out} is taught already")
+            return read_fast_tip(out / FAST_TIP)
+        plan = _Plan(contacts, settings)
+        networks = _train_networks(plan, settings, out, quiet)
+        tip = FastTip(
+            task=contacts.task,
+            mechanics=mechanics_of(contacts.configuration.design),
+            modes=plan.modes,
+            center=plan.center,
+            scale=plan.scale,
+            networks=tuple(networks[:-1]),
+            coefficient_scale=plan.coefficient_scale,
+            measure_network=networks[-1],
+            measure_center=plan.measure_center,
+            measure_scale=plan.measure_scale,
+            ranges=_ranges(contacts.configuration),
+            max_spread_m=np.inf,
+            provenance={},
+        )
+        _, spread = tip.coefficients(held_out.poses, held_out.shears)
+        tip = dataclasses.replace(tip, max_spread_m=float(np.quantile(spread, settings.trusted_fraction)))
+        provenance = record | {"contacts": len(contacts), "errors": fast_tip_errors(tip, held_out)}
+        tip = dataclasses.replace(tip, provenance=provenance)
+        write_fast_tip(tip, out / FAST_TIP)
+        return read_fast_tip(out / FAST_TIP)
+
+
+FAST_TIP = "fast_tip.npz"
+"""File of the learned tip in the folder of its training."""
+
+_SETTINGS, _LOCK = "settings.json", "lock"
+
+
+def _ranges(configuration: Configuration) -> np.ndarray:
+    """Return the ranges (12, 2) of pose and shear of a set, m and rad."""
+    return np.concatenate([from_mm_deg(ranges.bounds().T).T for ranges in (configuration.pose, configuration.shear)])
+
+
+def _train_networks(plan: _Plan, settings: FastTipSettings, out: Path, quiet: bool) -> list[Network]:
+    """Return the trained networks, that of measures last; finished ones are read from the folder."""
+    networks = []
+    count = settings.members + 1
+    with tqdm(
+        total=count * settings.steps,
+        unit="step",
+        file=sys.stderr,
+        mininterval=0.5 if sys.stderr.isatty() else 15,
+        disable=quiet,
+    ) as bar:
+        for member in range(count):
+            path = out / f"network-{member}.npz"
+            network = _finished(path)
+            if network is None:
+                network = _train(plan, member == settings.members, settings, member, bar)
+                data = io.BytesIO()
+                np.savez(data, *network.weights)
+                write_file(path, data.getvalue())
+            else:
+                bar.update(settings.steps)
+            networks.append(network)
+    return networks
+
+
+def _finished(path: Path) -> Network | None:
+    """Return the network in a file; None if there is none, or it is damaged."""
+    if not path.exists():
+        return None
+    try:
+        arrays = read_arrays(path)
+        return Network(tuple(arrays[f"arr_{k}"] for k in range(len(arrays))))
+    except (TactipError, KeyError):
+        return None
+
+
+def fast_tip_errors(tip: FastTip, contacts: TipContacts) -> dict[str, float]:
+    """Return the errors of a learned tip on simulated contacts that it has not seen.
+
+    Args:
+        tip: Learned tip.
+        contacts: Contacts of the same task and tip.
+
+    Returns:
+        pins_mm, pins_p95_mm: mean and 95th percentile of the distance between pin tips; worst_contact_mm: largest mean of a
+        contact; trusted: fraction of trusted contacts; pins_trusted_mm: mean over those; force: sum of the errors of the
+        normal force over the sum of forces; effective_shear_mm, slip_fraction: mean absolute errors.
     """
     c = contacts.configuration
-    if validation.configuration.task != c.task or mechanics_of(validation.configuration.design) != mechanics_of(c.design):
-        raise TactipError("the validation set must have the task, shape and materials of the training set")
-    values, yaw = features(c.task, contacts.poses, contacts.shears)
-    orders = np.arange(contacts.harmonics.shape[-1])
-    canonical = contacts.harmonics * np.exp(1j * np.multiply.outer(yaw, orders))[:, None, None]
-    modes = Modes.fit(canonical, settings.modes)
-    coefficients = modes.coefficients(canonical)
-    center, scale = _scales(c.task, values)
-    inputs = (values - center) / scale
-    both = np.concatenate([coefficients.real, coefficients.imag], 1)
-    # Small modes are not learned relative to their own size, which would be noise.
-    coefficient_scale = np.maximum(both.std(0), 0.01 * both.std(0).max()).astype(np.float32)
-    measure_center, measure_scale = _measure_scales(contacts.measures, c.task)
-    batches = _Batches(c.task, inputs, coefficients, (contacts.measures - measure_center) / measure_scale, modes.orders)
-    weight = torch.tensor(np.where(np.tile(modes.orders, 2) > 0, 2.0, 1.0), dtype=torch.float32)
-    to_mm = torch.tensor(coefficient_scale)
-
-    def field_loss(outputs: torch.Tensor, coefficients: torch.Tensor, measures: torch.Tensor) -> torch.Tensor:
-        return ((outputs * to_mm - coefficients).square() * weight).sum(1).mean()
-
-    def measure_loss(outputs: torch.Tensor, coefficients: torch.Tensor, measures: torch.Tensor) -> torch.Tensor:
-        return torch.nn.functional.smooth_l1_loss(outputs, measures, beta=0.1)
-
-    networks = [
-        _train(batches, 2 * settings.modes, field_loss, settings, k, settings.width, log) for k in range(settings.members)
-    ]
-    measure_network = _train(batches, len(MEASURES), measure_loss, settings, settings.members, settings.width, log)
-    ranges = np.concatenate([c.pose.bounds(), c.shear.bounds()])
-    tip = FastTip(
-        task=c.task,  # type: ignore[arg-type]
-        mechanics=mechanics_of(c.design),
-        modes=modes,
-        center=center,
-        scale=scale,
-        networks=tuple(networks),
-        coefficient_scale=coefficient_scale,
-        measure_network=measure_network,
-        measure_center=measure_center,
-        measure_scale=measure_scale,
-        ranges=from_mm_deg(ranges.reshape(2, 6, 2).swapaxes(1, 2)).swapaxes(1, 2).reshape(12, 2),
-        max_spread_m=np.inf,
-        provenance={},
-    )
-    _, spread = tip.coefficients(validation.poses, validation.shears)
-    provenance = {
-        "contacts": len(contacts),
-        "fidelity": c.fidelity.name,
-        "settings": dataclasses.asdict(settings),
+    pins, _ = PinReader(c.design, build_mesh(c.design.shape, c.fidelity.mesh)).read(contacts.skins)
+    found = tip.predict(PinDecoder(c.design, tip.modes), contacts.poses, contacts.shears)
+    distance = 1e3 * np.linalg.norm(found.pin_tips - pins, axis=-1)
+    force = np.exp(contacts.measures[:, 0])
+    shear = np.linalg.norm(1e3 * found.effective_shears[:, :2] - contacts.measures[:, 3:5], axis=1)
+    return {
+        "pins_mm": float(distance.mean()),
+        "pins_p95_mm": float(np.percentile(distance, 95)),
+        "worst_contact_mm": float(distance.mean(1).max()),
+        "trusted": float(found.trusted.mean()),
+        "pins_trusted_mm": float(distance[found.trusted].mean()),
+        "force": float(np.abs(found.normal_forces_n - force).sum() / force.sum()),
+        "effective_shear_mm": float(shear.mean()),
+        "slip_fraction": float(np.abs(found.slip_fractions - contacts.measures[:, 6]).mean()),
     }
-    return dataclasses.replace(
-        tip, max_spread_m=float(np.quantile(spread, settings.trusted_fraction)), provenance=provenance
-    )
 
 
 def _scales(task: Task, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -285,35 +401,34 @@ def _measure_scales(measures: np.ndarray, task: Task) -> tuple[np.ndarray, np.nd
     return center, np.where(scale > 1e-6, scale, 1.0)
 
 
-_Loss = Callable[[torch.Tensor, torch.Tensor, torch.Tensor], torch.Tensor]
+def _train(plan: _Plan, of_measures: bool, settings: FastTipSettings, member: int, bar: "tqdm[NoReturn]") -> Network:
+    """Train one network and return it.
 
-
-def _train(
-    batches: _Batches,
-    outputs: int,
-    loss: _Loss,
-    settings: FastTipSettings,
-    member: int,
-    width: int,
-    log: Callable[[str], None],
-) -> Network:
-    """Train one network and return it."""
-    start = time.perf_counter()
-    generator = torch.Generator().manual_seed(settings.seed * 1000 + member)
+    Args:
+        plan: What the networks share.
+        of_measures: Whether it is the network of measures.
+        settings: Settings.
+        member: Number of the network, which is part of its seed.
+        bar: Progress bar, which advances with each step.
+    """
+    seed = settings.seed * 1000 + member
+    generator = torch.Generator().manual_seed(seed)
     with torch.random.fork_rng():
-        torch.manual_seed(settings.seed * 1000 + member)
-        network = _Perceptron(batches.width, width, settings.layers, outputs)
+        torch.manual_seed(seed)
+        network = _Perceptron(plan.batches.width, settings.width, settings.layers, plan.outputs(of_measures))
     optimizer = torch.optim.AdamW(network.parameters(), settings.learning_rate, weight_decay=settings.weight_decay)
     schedule = torch.optim.lr_scheduler.OneCycleLR(
         optimizer, settings.learning_rate, total_steps=settings.steps, pct_start=0.1
     )
-    value = torch.tensor(0.0)
-    for _ in range(settings.steps):
-        inputs, coefficients, measures = batches.sample(settings.batch, generator)
-        value = loss(network(inputs), coefficients, measures)
-        optimizer.zero_grad()
-        value.backward()
-        optimizer.step()
-        schedule.step()
-    log(f"network {member}: loss {float(value.detach()):.4g} after {time.perf_counter() - start:.0f} s")
+    try:
+        for _ in range(settings.steps):
+            inputs, *targets = plan.batches.sample(settings.batch, generator)
+            loss = plan.loss(of_measures, network(inputs), (targets[0], targets[1]))
+            optimizer.zero_grad()
+            loss.backward()
+            optimizer.step()
+            schedule.step()
+            bar.update()
+    except KeyboardInterrupt:
+        raise Interrupted("finished networks are saved: run the same command to resume") from None
     return network.exported()

@@ -43,8 +43,8 @@ from tactip_twin.sim.dataset.shards import (
 )
 from tactip_twin.sim.dataset.sliding import MAX_SNAPSHOTS, SlidingPath
 from tactip_twin.sim.dataset.symmetry import SymmetricReader, ranges_are_symmetric
+from tactip_twin.sim.fast_tip.fast_contacts import FastContacts
 from tactip_twin.sim.fast_tip.fast_tip import read_fast_tip
-from tactip_twin.sim.fast_tip.simulator import FastSimulator
 from tactip_twin.sim.parallel.ray_pool import RayPool, joined, ray_here
 from tactip_twin.sim.parallel.worker_pool import WorkerPool
 from tactip_twin.sim.pose import to_mm_deg
@@ -277,6 +277,49 @@ class _MeshAfterApproach:
             self._states[0] = self._simulator.last.scene.vertices()
 
 
+class _MadeContact:
+    """What is known of a contact and its samples."""
+
+    def __init__(self, indices: range, folder: Path, seed: str) -> None:
+        """Begin with nothing.
+
+        Args:
+            indices: Indices of its samples.
+            folder: Folder of its set or shard.
+            seed: Its seed.
+        """
+        self.indices, self.folder, self.seed = indices, folder, seed
+        self.images: dict[str, str] = {}
+        """Checksums of the images, by name."""
+        self.violations: list[list[str]] = []
+        """Failed checks of each try that failed."""
+        self.failed = False
+        """Whether the contact has no samples."""
+        self.missed: list[dict[str, Any]] = []
+        """Failures (index, seed, tries) of single samples."""
+        self.states: list[np.ndarray] | None = None
+        """Meshes (n, 3), m, if the set keeps them."""
+        self._rows: list[dict[str, Any]] = []
+        self._contacts: list[Contact] = []
+
+    def add(self, contact: Contact, index: int, tries: int) -> None:
+        """Add the contact of a sample."""
+        self._contacts.append(contact)
+        self._rows.append(row_of(contact, index, tries, self.seed))
+
+    def packed(self) -> bytes:
+        """Return the record."""
+        names = ("violations", "failed", "images", "missed")
+        record = {"rows": self._rows, **{name: getattr(self, name) for name in names}}
+        pin_tips, directions = ([getattr(one, name) for one in self._contacts] for name in ("pin_tips", "directions"))
+        return pack_record(record, pin_tips, directions, self.states)
+
+
+def _seed(configuration: Configuration, number: int) -> tuple[int, str, str, int]:
+    """Return what the seed of contact `number` is made of."""
+    return configuration.seed, configuration.task, configuration.split, number
+
+
 class _SampleMaker:
     """Maker of the samples of one set, in a worker."""
 
@@ -297,9 +340,21 @@ class _SampleMaker:
         alike = [m for m in others if m._configuration.design == c.design and m._configuration.renderer == c.renderer]
         self._render = alike[0]._render if alike else lookup("renderer", c.renderer, RENDERERS)(c.design)
         same = [m for m in alike if _physics(m._configuration) == _physics(c)]
-        self._simulator = same[0]._simulator if same else _simulator(c, fast_tip)
+        self._fast = _fast_contacts(c, fast_tip) if c.fast_tip else None
+        """Predictor of the contacts, if the set has one."""
+        self._shared = same[0] if same else None
+        self._own_simulator: RetryingSimulator | None = None
         self._readers: dict[int, SymmetricReader] = {}
         """Readers of the design's pins, by the number of vertices of their meshes' skins."""
+
+    @property
+    def _simulator(self) -> RetryingSimulator:
+        """Simulator of the contacts, built when it is first needed."""
+        if self._shared:
+            return self._shared._simulator
+        if self._own_simulator is None:
+            self._own_simulator = simulator_for(self._configuration, self._configuration.design)
+        return self._own_simulator
 
     def make(self, number: int) -> None:
         """Write the images and the record of contact `number`. Raises OSError.
@@ -309,59 +364,54 @@ class _SampleMaker:
         """
         c = self._configuration
         sample = sample_contact(c, number)
+        made = _MadeContact(sample_indices(c, number), shard_dir(c, self._folder, number), seed_text(*_seed(c, number)))
+        predicted = self._fast.trusted(sample.pose, sample.shear, c.symmetries) if self._fast else None
+        if predicted is None:
+            self._simulate(sample, made)
+        else:
+            self._write_images(predicted, made.indices, 0, made)
+        write_file(record_path(made.folder, number), made.packed(), sync=False)
+
+    def _simulate(self, sample: "ContactSample", made: "_MadeContact") -> None:
+        """Simulate a contact, and write the images of its samples."""
+        c = self._configuration
         simulator, readers = self._simulator, self._readers
         if not c.mechanics_randomization.is_identity:
             simulator, readers = simulator_for(c, sample.design), {}
         if sample.solid is not None:
             simulator.replace_solid(sample.solid)
-        indices, folder = sample_indices(c, number), shard_dir(c, self._folder, number)
-        seed = seed_text(c.seed, c.task, c.split, number)
-        states: list[np.ndarray] = []
-        if c.keep_mesh:
-            states.append(simulator.last.scene.mesh.vertices)
-            simulator.watch = _MeshAfterApproach(simulator, states)
-        contact, violations = simulator.simulate(sample.pose, sample.shear)
-        tries, failed = len(violations) + 1, len(violations) == simulator.tries
-        kept, rows, images, missed = [], [], {}, []
-        if failed:
-            kept, rows = [contact], [row_of(contact, indices[0], tries, seed)]
+        states = [simulator.last.scene.mesh.vertices]
+        simulator.watch = _MeshAfterApproach(simulator, states) if c.keep_mesh else None
+        contact, made.violations = simulator.simulate(sample.pose, sample.shear)
+        tries, made.failed = len(made.violations) + 1, len(made.violations) == simulator.tries
+        if made.failed:
+            made.add(contact, made.indices[0], tries)
+            return
         each = len(c.symmetries)
-        for k, (state, violations) in enumerate([] if failed else self._snapshots(simulator, contact, sample)):
-            own = indices[k * each : (k + 1) * each]
-            if c.keep_mesh:
-                states.append(simulator.last.scene.vertices())
+        for k, (state, violations) in enumerate(self._snapshots(simulator, contact, sample)):
+            own = made.indices[k * each : (k + 1) * each]
+            states.append(simulator.last.scene.vertices())
             if violations:
-                missed += [{"index": index, "seed": seed, "tries": [violations]} for index in own]
+                made.missed += [{"index": index, "seed": made.seed, "tries": [violations]} for index in own]
                 continue
-            contacts = self._copies(simulator, state, sample, readers) if c.augment_symmetry else [state]
-            for index, one in zip(own, contacts, strict=False):
-                kept.append(one)
-                rows.append(row_of(one, index, tries, seed))
-                data = encode_image(tactile_image(self._render(one.pin_tips, one.directions), c.design.image))
-                write_file(folder / "images" / image_name(index), data, sync=False)
-                images[image_name(index)] = checksum(data)
-        record = {"rows": rows, "violations": violations, "failed": failed, "images": images, "missed": missed}
-        pins = ([getattr(one, k) for one in kept] for k in ("pin_tips", "directions"))
-        kept_states = states if c.keep_mesh and not failed else None
-        write_file(record_path(folder, number), pack_record(record, *pins, kept_states), sync=False)
+            contacts = [state]
+            if c.augment_symmetry:
+                skin, mesh = simulator.skin()  # of another mesh where the first one was too coarse for this contact
+                if mesh.surface_count not in readers:
+                    readers[mesh.surface_count] = SymmetricReader(sample.design, mesh, c.symmetries)
+                contacts = readers[mesh.surface_count].read(state, skin)
+            self._write_images(contacts, own, tries, made)
+        if c.keep_mesh:
+            made.states = states
 
-    def _copies(
-        self,
-        simulator: RetryingSimulator | FastSimulator,
-        state: Contact,
-        sample: "ContactSample",
-        readers: dict[int, SymmetricReader],
-    ) -> list[Contact]:
-        """Return the last contact under each symmetry of the set."""
-        symmetries = self._configuration.symmetries
-        if isinstance(simulator, FastSimulator):
-            if state.steps == 0:
-                return simulator.symmetric(state, symmetries)
-            simulator = simulator.fallback
-        skin, mesh = simulator.skin()  # of another mesh where the first one was too coarse for this contact
-        if mesh.surface_count not in readers:
-            readers[mesh.surface_count] = SymmetricReader(sample.design, mesh, symmetries)
-        return readers[mesh.surface_count].read(state, skin)
+    def _write_images(self, contacts: list[Contact], indices: range, tries: int, made: "_MadeContact") -> None:
+        """Write the images of contacts, and note the contacts. The last contact of a set may have fewer indices."""
+        for index, contact in zip(indices, contacts, strict=False):
+            made.add(contact, index, tries)
+            grey = self._render(contact.pin_tips, contact.directions)
+            data = encode_image(tactile_image(grey, self._configuration.design.image))
+            write_file(made.folder / "images" / image_name(index), data, sync=False)
+            made.images[image_name(index)] = checksum(data)
 
     def _snapshots(
         self, simulator: RetryingSimulator, contact: Contact, sample: "ContactSample"
@@ -387,15 +437,14 @@ def _physics(configuration: Configuration) -> tuple[object, ...]:
     return c.task, c.is_curved, c.fidelity, c.bounds, c.fast_tip
 
 
-def _simulator(configuration: Configuration, fast_tip: str) -> RetryingSimulator | FastSimulator:
-    """Return the simulator of a set, or the learned tip in a file, if the configuration names one."""
-    c = configuration
-    if not c.fast_tip:
-        return simulator_for(c, c.design)
-    tip = read_fast_tip(fast_tip)
-    if tip.digest != c.fast_tip or tip.task != c.task:
-        raise TactipError(f"{fast_tip} is not the learned tip of this set: its checksum is {tip.digest}, not {c.fast_tip}")
-    return FastSimulator(tip, c.design, lambda: simulator_for(c, c.design))
+def _fast_contacts(configuration: Configuration, path: str) -> FastContacts:
+    """Return the predictor of a set's contacts. Raises TactipError if the file holds another tip than the set's."""
+    tip = read_fast_tip(path)
+    if tip.digest != configuration.fast_tip or tip.task != configuration.task:
+        raise TactipError(
+            f"{path} is not the learned tip of this set: its checksum is {tip.digest}, not {configuration.fast_tip}"
+        )
+    return FastContacts(tip, configuration.design)
 
 
 @dataclass(frozen=True)

@@ -53,7 +53,7 @@ def pack_record(
     arrays = {"pin_tips": np.asarray(pin_tips, np.float32), "directions": np.asarray(directions, np.float32)}
     if states is not None:
         arrays["states"] = np.asarray(states, np.float32)
-    np.savez(data, record=np.array(json.dumps(record)), **arrays)
+    np.savez(data, allow_pickle=False, record=np.array(json.dumps(record)), **arrays)
     return data.getvalue()
 
 

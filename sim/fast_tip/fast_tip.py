@@ -143,7 +143,7 @@ class FastTip:
     def outside(self, poses: np.ndarray, shears: np.ndarray) -> np.ndarray:
         """Return whether contacts (k, 6), (k, 6) lie outside the learned ranges, (k,) bool."""
         both = np.concatenate([poses, shears], 1)
-        return ((both < self.ranges[:, 0] - 1e-9) | (both > self.ranges[:, 1] + 1e-9)).any(1)
+        return np.any((both < self.ranges[:, 0] - 1e-9) | (both > self.ranges[:, 1] + 1e-9), axis=1)
 
     def coefficients(self, poses: np.ndarray, shears: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the coefficients (k, n) complex64 of the skin's modes in the sensor's axes, and their spread (k,), m."""
@@ -211,7 +211,7 @@ class FastTip:
             "arrays": {name: _checksum(array) for name, array in arrays.items()},
         }
         data = io.BytesIO()
-        np.savez(data, **arrays, description=np.array(json.dumps(with_checksum(description))))
+        np.savez(data, allow_pickle=False, **arrays, description=np.array(json.dumps(with_checksum(description))))
         return data.getvalue()
 
     def _arrays(self) -> dict[str, np.ndarray]:
