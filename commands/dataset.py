@@ -116,6 +116,8 @@ class Make(Command):
             tip = self.fast_tip or shipped_fast_tip("edge" if self.task == "edge" else "surface", design.name)
             learned = read_fast_tip(tip)
             learned.check_design(design)
+            if learned.task != self.task:
+                raise TactipError(f"the learned tip in {tip} is for {learned.task}, got --task {self.task}")
             digest = learned.digest
         elif self.fast_tip:
             raise TactipError(f"--fast-tip is for --fidelity fast, got --fidelity {self.fidelity}")
