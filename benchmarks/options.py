@@ -197,6 +197,30 @@ class ReleaseModelsOptions:
 
 
 @dataclass(frozen=True)
+class FastTipOptions:
+    """Teach the tip that predicts contacts, by number of contacts, and measure its errors and rates. Rerun to resume."""
+
+    task: Task = "surface"
+    """Task."""
+    contacts: int = 2000
+    """Number of training contacts of the set, that of the networks (`tactip bench learning --large-contacts`)."""
+    test_contacts: int = 1000
+    """Number of contacts for validation, and as many for testing."""
+    counts: tuple[int, ...] = ()
+    """Numbers of contacts to learn from, besides all."""
+    data: Path = Path("data/learning")
+    """Folder of the data sets: DATA/KIND/TASK/SPLIT."""
+    runs: Path = Path("runs/fast-tip")
+    """Folder of the trainings: RUNS/TASK/COUNT."""
+    out: Path = Path("docs")
+    """Folder for fast_tip.json and fast_tip.md."""
+    release: Path | None = None
+    """Folder that the tip which has learned from all contacts is copied to, as TASK-DESIGN.npz. Default: no copy."""
+    workers: str = "auto"
+    """Number of worker processes that simulate contacts; auto: one per core."""
+
+
+@dataclass(frozen=True)
 class MissingNeutralImageOptions:
     """Fit a tip to frames alone, and compare its pins with those of the tip that was fitted to its neutral image."""
 
@@ -289,6 +313,7 @@ MEASUREMENTS = {
     "mesh-contact": Measurement("tactip_twin.benchmarks.physics.mesh_contact", MeshContactOptions, "mesh_contact.md"),
     "scene-cost": Measurement("tactip_twin.benchmarks.physics.scene_cost", SceneCostOptions, "scene_cost.md"),
     "learning": Measurement("tactip_twin.benchmarks.learning.learning", LearningOptions, "learning.md"),
+    "fast-tip": Measurement("tactip_twin.benchmarks.learning.fast_tip", FastTipOptions, "fast_tip.md"),
     "search": Measurement("tactip_twin.benchmarks.learning.search", SearchOptions, "search.md"),
     "transfer": Measurement("tactip_twin.benchmarks.learning.transfer", TransferOptions, "transfer.md"),
     "release-models": Measurement("tactip_twin.benchmarks.learning.release_models", ReleaseModelsOptions, ""),

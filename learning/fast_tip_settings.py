@@ -9,6 +9,8 @@ from tactip_twin.tactip_model.bounds import check, within
 class FastTipSettings:
     """Settings of the training of a learned tip."""
 
+    contacts: int = within(0, 10**8, default=0)
+    """Number of contacts to learn from, the first of the sets; 0: all."""
     modes: int = within(1, 500, default=70)
     """Number of modes of the skin's deformation."""
     width: int = within(8, 2048, default=256)

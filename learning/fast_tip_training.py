@@ -69,6 +69,11 @@ class TipContacts:
     def __len__(self) -> int:
         return len(self.poses)
 
+    def first(self, count: int) -> "TipContacts":
+        """Return the first `count` contacts; all for 0."""
+        names = ("poses", "shears", "harmonics", "measures", "skins")
+        return dataclasses.replace(self, **{name: getattr(self, name)[: count or None] for name in names})
+
 
 def read_contacts(folders: Sequence[Path]) -> TipContacts:
     """Read contacts of one task and tip.
@@ -258,7 +263,7 @@ def train_fast_tip(
         TactipError: A set cannot be used, or the folder holds something else.
         Interrupted: Ctrl-C.
     """
-    contacts, held_out = read_contacts(folders), read_contacts([validation])
+    contacts, held_out = read_contacts(folders).first(settings.contacts), read_contacts([validation])
     _check_same_tip(held_out, contacts, validation, folders[0])
     record = {
         "train": [set_identity(folder) for folder in folders],

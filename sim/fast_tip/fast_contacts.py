@@ -43,6 +43,11 @@ class FastContacts:
         tip.check_design(design)
         self._tip, self._decoder = tip, PinDecoder(design, tip.modes)
 
+    def pins(self, poses: np.ndarray, shears: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return pin tips (k, p, 3), m, and directions (k, p, 3) of contacts (k, 6), (k, 6) alone, trusted or not."""
+        coefficients, _ = self._tip.coefficients(poses, shears)
+        return self._decoder(coefficients)
+
     def predict(self, poses: ArrayLike, shears: ArrayLike) -> tuple[list[Contact], np.ndarray]:
         """Predict contacts.
 
