@@ -23,20 +23,8 @@ from tactip_twin.tactip_model.presets import design_named
 SETTINGS = FastTipSettings(modes=20, width=24, members=2, steps=150, batch=64, trusted_fraction=1.0)
 MAKE = ["dataset", "make", "--fidelity", "draft", "--renderer", "raster", "--workers", "2"]
 OPTIONS = [
-    "--modes",
-    "20",
-    "--width",
-    "24",
-    "--members",
-    "2",
-    "--steps",
-    "150",
-    "--batch",
-    "64",
-    "--trusted-fraction",
-    "1",
-    "--threads",
-    "1",
+    *("--modes", "20", "--width", "24", "--members", "2", "--steps", "150", "--batch", "64"),
+    *("--trusted-fraction", "1", "--threads", "1"),
 ]
 
 
