@@ -11,7 +11,7 @@ class FastTipSettings:
 
     contacts: int = within(0, 10**8, default=0)
     """Number of contacts to learn from, the first of the sets; 0: all."""
-    modes: int = within(1, 500, default=70)
+    modes: int = within(1, 500, default=100)
     """Number of modes of the skin's deformation."""
     width: int = within(8, 2048, default=256)
     """Units per layer."""

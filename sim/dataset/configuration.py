@@ -58,8 +58,11 @@ class Configuration(DatasetOptions):
         return len(self.symmetries) * self.snapshots_per_contact
 
     def as_json(self) -> dict[str, Any]:
-        """Return the configuration as a JSON object."""
-        return json.loads(json.dumps(dataclasses.asdict(self)))
+        """Return the configuration as a JSON object, without the learned tip where there is none."""
+        values = json.loads(json.dumps(dataclasses.asdict(self)))
+        if not self.fast_tip:
+            del values["fast_tip"]
+        return values
 
     def digest(self) -> str:
         """Return a checksum of the configuration, in hex."""

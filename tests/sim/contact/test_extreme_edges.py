@@ -72,15 +72,16 @@ def test_edge_that_moves_the_skin_far_is_repeated_at_standard(design):
     draft, standard = (
         RetryingSimulator(design, "edge", fidelity_named(name), QualityLimits()) for name in ("draft", "standard")
     )
-    far = from_mm_deg([5, 0, -5, -15, 15, 45]), from_mm_deg([5, -5, 0, -5, 5, -5])
+    far = from_mm_deg([2, 0, -5, -15, 15, 45]), from_mm_deg([5, -5, 0, -5, 5, -5])
     contact, violations = draft.simulate(*far)
-    assert len(violations) == 1 and "the edge moves the skin by" in violations[0][0]
+    assert "the edge moves the skin by" in violations[0][0]
+    assert violations[1:] == standard.simulate(*far).violations
     assert np.array_equal(contact.pin_tips, standard.simulate(*far).contact.pin_tips)
-    assert draft.last.scene.fidelity == fidelity_named("standard")
+    assert draft.last.scene.mesh is standard.last.scene.mesh
     assert draft.skin()[1] is draft.last.scene.mesh
     assert len(draft.skin()[0]) == draft.skin()[1].surface_count
     near = from_mm_deg([0, 0, -2, 0, 0, 0]), np.zeros(6)
-    assert draft.simulate(*near).violations == [] == standard.simulate(*far).violations
+    assert draft.simulate(*near).violations == []
     assert draft.last.scene.fidelity == fidelity_named("draft")
 
 

@@ -41,8 +41,12 @@ def flat():
 
 @pytest.fixture(scope="module")
 def simulate():
-    design, fidelity = load_design("tactip-127"), fidelity_named("draft")
-    return lambda stimulus: ContactSimulator(design, stimulus, fidelity).simulate(POSE, SHEAR)
+    design = load_design("tactip-127")
+
+    def simulated(stimulus, fidelity="draft"):
+        return ContactSimulator(design, stimulus, fidelity_named(fidelity)).simulate(POSE, SHEAR)
+
+    return simulated
 
 
 def distance_mm(one, other):
@@ -56,14 +60,14 @@ def test_flat_solid_equals_flat_surface(simulate):
     assert made.normal_force_n == pytest.approx(true.normal_force_n, rel=1e-3)
 
 
-@pytest.mark.parametrize(("name", "mesh", "max_mm"), [("edge", edge, 0.1), ("sphere", ball, 0.15)])
-def test_rounded_solid_equals_named_stimulus(simulate, name, mesh, max_mm):
+@pytest.mark.parametrize(
+    ("name", "mesh", "fidelity", "max_mm"), [("edge", edge, "standard", 0.1), ("sphere", ball, "draft", 0.15)]
+)
+def test_rounded_solid_equals_named_stimulus(simulate, name, mesh, fidelity, max_mm):
     """An edge and a ball of 5 mm fit between the skin's vertices: without probes the pins are 0.2 mm off and a facet is
-    0.4 mm inside."""
-    true, made = (
-        simulate(name),
-        simulate(SolidStimulus(solid(mesh()), min_radius_m=0.5e-3 if name == "edge" else SPHERE_RADIUS_M)),
-    )
+    0.4 mm inside. At `draft`, the tip keeps trembling on such an edge."""
+    radius = 0.5e-3 if name == "edge" else SPHERE_RADIUS_M
+    true, made = (simulate(stimulus, fidelity) for stimulus in (name, SolidStimulus(solid(mesh()), min_radius_m=radius)))
     assert distance_mm(true, made) < max_mm
     assert made.normal_force_n == pytest.approx(true.normal_force_n, rel=0.03)
     assert made.overlap_m < QualityLimits().overlap_m
