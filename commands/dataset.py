@@ -74,11 +74,16 @@ class Make(Command):
         """Make the sets of some jobs. Return the exit status."""
         from json import dumps
 
+        from tactip_twin.sim.dataset.format import read_meta, read_rows
         from tactip_twin.sim.dataset.generate import make
         from tactip_twin.sim.parallel.worker_pool import worker_count
 
         workers = 0 if self.cluster and self.workers == "auto" else worker_count(self.workers)
         results = make(jobs, workers, to_stderr, self.cluster)
+        for job, result in zip(jobs, results, strict=True):
+            if job.fast_tip:
+                rows = read_rows(job.folder, read_meta(job.folder))
+                result["simulated"] = sum(row["steps"] != "0" for row in rows)
         # For a script, an empty set is a failure.
         status = 0 if all(r["kept"] for r in results) else 1
         if self.json:
@@ -89,6 +94,8 @@ class Make(Command):
             failed += r["failed"]
             made = f"{r['made']} made now" if r["made"] else "complete already"
             print(f"{r['folder']}: {r['kept']} of {r['asked']} samples, {made}; {r['failed']} failed")
+            if "simulated" in r:
+                print(f"{r['simulated']} of them were simulated, because their prediction could not be trusted")
         made, seconds = sum(r["made"] for r in results), max(r["seconds"] for r in results)
         if made:
             print(f"{made} samples in {seconds:.1f} s: {made / seconds:.2f} samples/s")

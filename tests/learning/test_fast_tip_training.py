@@ -123,7 +123,7 @@ def test_predicted_set_is_the_same_with_any_worker_count(taught, tmp_path):
     assert "0" in steps
 
 
-def test_contacts_that_are_not_trusted_are_simulated(taught, tmp_path):
+def test_contacts_that_are_not_trusted_are_simulated(taught, tmp_path, capsys):
     """Some depths are outside of what the tip learned."""
     depth = ["--pose.depth-mm", "-5.4", "-3"]
     assert fast(taught, tmp_path / "set", "--samples", "6", "--seed", "1", *depth) == 0
@@ -131,6 +131,7 @@ def test_contacts_that_are_not_trusted_are_simulated(taught, tmp_path):
     for row in rows:
         assert (int(row["steps"]) > 0) >= (float(row["pose_z"]) < -5)
     assert {int(row["steps"]) > 0 for row in rows} == {True, False}
+    assert f"{sum(int(row['steps']) > 0 for row in rows)} of them were simulated" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
