@@ -17,9 +17,9 @@ class FastTipSettings:
     """Units per layer."""
     layers: int = within(1, 10, default=3)
     """Residual layers."""
-    members: int = within(1, 10, default=3)
+    members: int = within(1, 10, default=2)
     """Networks of the ensemble."""
-    steps: int = within(1, 1000000, default=20000)
+    steps: int = within(1, 1000000, default=12000)
     """Training steps of each network."""
     batch: int = within(1, 65536, default=512)
     """Contacts per step, each turned and mirrored at random."""

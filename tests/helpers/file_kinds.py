@@ -37,8 +37,19 @@ from tactip_twin.learning.tune import (
 )
 from tactip_twin.sim.dataset.contact_sheet import contact_sheet
 from tactip_twin.sim.dataset.format import checksum, meta_json, read_configuration, read_meta, read_pins
+from tactip_twin.sim.dataset.mesh_states import pack_mesh_states, read_mesh_states
 from tactip_twin.sim.dataset.shards import shards_of
 from tactip_twin.sim.dataset.verify import verify
+from tactip_twin.sim.fast_tip.fast_tip import (
+    MEASURES,
+    FastTip,
+    Network,
+    PinDecoder,
+    mechanics_of,
+    read_fast_tip,
+    write_fast_tip,
+)
+from tactip_twin.sim.fast_tip.skin_field import RING_ANGLES, Modes
 from tactip_twin.sim.robot import objects
 from tactip_twin.sim.robot.recording import (
     ARRAYS,
@@ -60,6 +71,7 @@ from tactip_twin.sim2real.importing.source import read_source
 from tactip_twin.sim2real.sensor.video_frames import VideoFrames
 from tactip_twin.tactip_model.design_file import read_design, read_design_with_drift, write_fitted_design
 from tactip_twin.tactip_model.errors import TactipError
+from tactip_twin.tactip_model.mesh import build_mesh
 from tactip_twin.tactip_model.neutral_image import neutral_px
 from tactip_twin.tactip_model.pins import neutral_pins
 from tactip_twin.tactip_model.presets import design_named
@@ -88,6 +100,50 @@ def hashed(*arrays):
 def write_set(folder, root):
     write_fake_set(folder, samples=4)
     add_pins(folder, np.zeros((4, 127, 3)), np.ones((4, 127, 3)))
+
+
+def write_set_of_meshes(folder, root):
+    """Write a set that keeps its meshes."""
+    write_fake_set(folder, samples=2, keep_mesh=True)
+    add_pins(folder, np.zeros((2, 127, 3)), np.ones((2, 127, 3)))
+    configuration = read_configuration(read_meta(folder), folder)
+    vertices = build_mesh(configuration.design.shape, configuration.fidelity.mesh).vertices
+    (folder / "mesh.npz").write_bytes(pack_mesh_states(configuration, [0, 1], [np.stack([vertices, vertices])] * 2))
+    meta = json.loads((folder / "meta.json").read_text())
+    (folder / "meta.json").write_text(json.dumps(meta | {"files": meta["files"] | {"mesh.npz": ""}}))
+    mend_checksums(folder)
+
+
+def read_set_of_meshes(folder, root):
+    read = read_set(folder, root)
+    found = read_mesh_states(folder, read_meta(folder))
+    return hashed(found.numbers, found.states, read.encode())
+
+
+def write_fast_tip_file(folder, root):
+    """Write a learned tip of random weights."""
+    rng, design = np.random.default_rng(0), design_named("nominal-127")
+
+    def network(outputs):
+        sizes = ((9, 8), (8, 8), (8, outputs))
+        pairs = [(rng.normal(size=(after, before)), rng.normal(size=after)) for before, after in sizes]
+        return Network(tuple(array.astype(np.float32) for pair in pairs for array in pair))
+
+    modes = Modes(np.array([0, 1, 2]), rng.normal(size=(3, 6 * len(RING_ANGLES))))
+    ones, ranges = np.ones(len(MEASURES)), np.tile([-1.0, 1.0], (12, 1))
+    tip = FastTip(
+        "surface", mechanics_of(design), modes, np.zeros(9), np.ones(9), (network(6),), np.ones(6), network(len(MEASURES)),
+        0 * ones, ones, ranges, 1.0, {},
+    )  # fmt: skip
+    write_fast_tip(tip, folder / "tip.npz")
+
+
+def read_fast_tip_file(folder, root):
+    tip = read_fast_tip(folder / "tip.npz")
+    design = design_named("nominal-127")
+    tip.check_design(design)
+    found = tip.predict(PinDecoder(design, tip.modes), np.zeros((1, 6)), np.zeros((1, 6)))
+    return hashed(found.pin_tips, found.forces_n)
 
 
 def read_set(folder, root):
@@ -343,6 +399,8 @@ KINDS = {
     "model": FileKind(write_model, read_model),
     "training": FileKind(write_training, read_training),
     "search": FileKind(write_search, read_search),
+    "set of meshes": FileKind(write_set_of_meshes, read_set_of_meshes),
+    "learned tip": FileKind(write_fast_tip_file, read_fast_tip_file),
     "recording": FileKind(write_recording, read_run),
     "design": FileKind(write_design, read_designs),
     "layout": FileKind(write_layout, lambda folder, root: read_layout(folder / "layout.json") and None),

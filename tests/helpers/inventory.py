@@ -5,7 +5,7 @@ import mujoco
 from tactip_twin.sim.contact.scene import Scene
 
 ABSENT = (
-    *("nu", "nsensor", "ncam", "nlight", "ntex", "nmat", "neq", "ntendon", "nmocap", "nsite", "nskin", "nhfield"),
+    *("nu", "nsensor", "ncam", "nlight", "ntex", "nmat", "nmocap", "nsite", "nskin", "nhfield"),
     *("nplugin", "npair", "nexclude", "nkey", "nuserdata"),
 )
 """Counts of a model that must be 0 in a data-set scene."""
@@ -24,6 +24,8 @@ def inventory(scene: Scene) -> dict[str, tuple[int, int]]:
         "ngeom": 1 + skin,  # the stimulus, and a sphere per free skin vertex
         "nflex": 2,  # gel and skin
         "nmesh": hulls,
+        "neq": 1,  # the gel's volume
+        "ntendon": 2,  # its two halves
     } | dict.fromkeys((name for name in ABSENT if hasattr(model, name)), 0)
     found = {name: (int(getattr(model, name)), count) for name, count in needed.items()}
     found["geoms of the stimulus"] = (int((model.geom_bodyid == model.body("stimulus").id).sum()), 1)
