@@ -28,7 +28,7 @@ def run(script, *options, **variables):
 
 @pytest.fixture(scope="module")
 def followed(tmp_path_factory):
-    """A folder of a run with an estimator that learned from 60 contacts, and what was printed."""
+    """A folder of a run with an estimator that learned from 30 contacts and their copies, and what was printed."""
     folder = tmp_path_factory.mktemp("run")
     made = [
         "dataset",
@@ -38,7 +38,8 @@ def followed(tmp_path_factory):
         "--renderer",
         "raster",
         "--samples",
-        "60",
+        "240",
+        "--augment-symmetry",
         "--out",
         str(folder / "set"),
     ]
