@@ -18,6 +18,7 @@ PAGES = {
     "stability": "physics.stability",
     "fidelity": "physics.fidelity_page",
     "learning": "learning.learning",
+    "fast_tip": "learning.fast_tip",
     "search": "learning.search",
     "performance": "scale.performance",
     "scale": "scale.scale",
