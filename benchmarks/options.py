@@ -110,6 +110,8 @@ class LearningOptions:
     """Number of training contacts of the row `laptop-large`, whose network is shipped."""
     curved_contacts: int = 2000
     """Number of training contacts of the row `laptop-curved`, on curved surfaces."""
+    fast_contacts: int = 32000
+    """Number of training contacts of the row `laptop-fast`, which the learned tip predicts."""
     snapshot_contacts: int = 350
     """Number of training contacts of the row `laptop-snapshots`, with 20 images each."""
     test_contacts: int = 2000

@@ -28,6 +28,7 @@ from tactip_twin.sim.dataset.format import read_meta
 from tactip_twin.sim.dataset.generate import Job, make
 from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES, Ranges
 from tactip_twin.sim.dataset.symmetry import SYMMETRIES
+from tactip_twin.sim.fast_tip.fast_tip import read_fast_tip, shipped_fast_tip
 from tactip_twin.sim.labels import Task
 from tactip_twin.sim.parallel.worker_pool import worker_count
 from tactip_twin.sim.view.plot import COLORS, figure_of, log_axis, save_figure
@@ -48,6 +49,12 @@ TARGETS = {
 
 _FINE_TUNING = {"epochs": 16, "learning_rate": 7e-4, "muon_learning_rate": 0.007}
 """Settings of fine-tuning: half of the learning rates, and fewer epochs; estimates [?]."""
+
+_FAST_EPOCHS = 4
+"""Number of epochs on predicted contacts, which are many: estimate [?]."""
+
+_FAST_SEED = 1
+"""Seed of predicted contacts: those of seed 0 are what the learned tip was taught on."""
 
 FILTERS = (4, 8, 16)
 """Numbers of filters of the first layer of smaller networks."""
@@ -86,7 +93,7 @@ class Row:
     what: str
     """Description in the tables."""
     kind: str
-    """Training set: plain, symmetric, large, snapshots, taps or curved."""
+    """Training set: plain, symmetric, large, fast, snapshots, taps or curved."""
     recipe: Recipe
     """Network and training."""
     init_from: str = ""
@@ -111,6 +118,9 @@ def rows(task: Task, paper: bool) -> list[Row]:
     out.append(Row("laptop-large", "`laptop` on more contacts", "large", laptop))
     start, tuned = f"{task}-{DESIGN}", replace(laptop, settings=replace(laptop.settings, **_FINE_TUNING))
     out.append(Row("laptop-fine-tuned", f"`{start}` fine-tuned on the contacts of `laptop-large`", "large", tuned, start))
+    predicted = f"`{start}` fine-tuned on contacts that the learned tip predicts"
+    few = replace(tuned, settings=replace(tuned.settings, epochs=_FAST_EPOCHS))
+    out.append(Row("laptop-fast", predicted, "fast", few, start))
     if task == "surface":
         out.append(Row("laptop-curved", f"`{start}` fine-tuned on curved surfaces", "curved", tuned, start))
     return out
@@ -128,7 +138,9 @@ def jobs(options: LearningOptions, kinds: Collection[str]) -> list[Job]:
         large = "large" in kinds or _holds(options.data / "symmetric" / task / "train", options.large_contacts * each)
         contacts = options.large_contacts if large else options.contacts
         wanted += [("symmetric", "train", contacts * each, SHEAR_RANGES)]
-    if {"plain", "symmetric", "large", "snapshots"} & set(kinds):
+    if "fast" in kinds:
+        wanted += [("fast", "train", options.fast_contacts * each, SHEAR_RANGES)]
+    if {"plain", "symmetric", "large", "fast", "snapshots"} & set(kinds):
         wanted += [("plain", "val", options.test_contacts, SHEAR_RANGES)]
     if "snapshots" in kinds:
         wanted += [("snapshots", "train", options.snapshot_contacts * SNAPSHOTS, SHEAR_RANGES)]
@@ -139,14 +151,15 @@ def jobs(options: LearningOptions, kinds: Collection[str]) -> list[Job]:
         if "curved" in kinds:
             wanted += [("curved", "train", options.curved_contacts * each, CURVED_SHEARS)]
             wanted += [("curved", "val", options.other_test_contacts, CURVED_SHEARS)]
-    out = []
+    out, tip = [], shipped_fast_tip(task, DESIGN) if "fast" in kinds else None
     for kind, split, samples, shear in wanted:
-        augmented = (kind, split) in (("symmetric", "train"), ("curved", "train"))
+        augmented = (kind, split) in (("symmetric", "train"), ("fast", "train"), ("curved", "train"))
+        of_tip = tip if kind == "fast" else None
         configuration = Configuration(
             task=task,
             split=split,
             samples=samples,
-            seed=0,
+            seed=_FAST_SEED if of_tip else 0,
             # OpenGL takes longer for eight images than the contact itself. Test sets are rendered by it nevertheless.
             renderer="raster" if augmented else "pyrender",
             design=load_design(DESIGN),
@@ -157,9 +170,11 @@ def jobs(options: LearningOptions, kinds: Collection[str]) -> list[Job]:
             curvature_per_m=CURVATURES_PER_M if kind == "curved" else (0.0, 0.0),
             varying_curvature_fraction=VARYING_FRACTION if kind == "curved" else 0.0,
             snapshots_per_contact=SNAPSHOTS if kind == "snapshots" else 1,
-            keep_mesh=augmented or kind == "plain",  # the learned tip is taught, and tested, on the same contacts
+            # The learned tip is taught, and tested, on the same contacts.
+            keep_mesh=of_tip is None and (augmented or kind == "plain"),
+            fast_tip=read_fast_tip(of_tip).digest if of_tip else "",
         )
-        out.append(Job(configuration, options.data / kind / task / split))
+        out.append(Job(configuration, options.data / kind / task / split, of_tip))
     return out
 
 
@@ -183,7 +198,7 @@ class Sets:
         """
         if kind in ("taps", "curved"):
             return read_splits(self._folder(kind))
-        if kind == "snapshots":
+        if kind in ("snapshots", "fast"):
             return read_samples(self._folder(kind) / "train"), read_samples(self._folder("plain") / "val")
         if self._large is None:
             self._large = read_samples(self._folder("symmetric") / "train")

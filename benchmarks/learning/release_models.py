@@ -30,6 +30,7 @@ _COUNT_OPTIONS = {
     "laptop-large": "large_contacts",
     "laptop-fine-tuned": "large_contacts",
     "laptop-curved": "curved_contacts",
+    "laptop-fast": "fast_contacts",
 }
 """Option of `tactip bench learning` for the number of contacts of a row, if it is not `contacts`."""
 
@@ -130,6 +131,7 @@ def card(model: Model, record: Mapping[str, Any], options: ReleaseModelsOptions)
         cells = [f"{low:g} to {high:g} {unit}", *(f"{record[k][name]:.3f} {unit}" for k in ("mae", "rmse", "bias", "p95"))]
         cells += [f"{values[task][name]:g} {unit}" for values in beside.values()]
         lines.append(f"| {name} | " + " | ".join(cells) + " |")
+    fidelity = "fast" if made.get("fast_tip") else made["fidelity"]["name"]
     count = _COUNT_OPTIONS.get(options.row, "contacts").replace("_", "-")
     network = ", ".join(f"{key} {value}" for key, value in p["network"].items())
     training = ", ".join(f"{key} {value}" for key, value in settings.items())
@@ -138,7 +140,7 @@ def card(model: Model, record: Mapping[str, Any], options: ReleaseModelsOptions)
         f"Evaluated on {record['samples']} test contacts that were not used for training. {record['parameters']} "
         f"parameters; {record['latency_ms']:.2f} ms per image on one core ({machine_text(record['machine'])}).",
         "",
-        f"- Training data: {data['samples']} images of {contacts} contacts{failed}; fidelity `{made['fidelity']['name']}`, "
+        f"- Training data: {data['samples']} images of {contacts} contacts{failed}; fidelity `{fidelity}`, "
         f"renderer `{made['renderer']}`, seed {made['seed']}. `model.json` has the full configuration and the checksums.",
         *_initial_weights(model, options),
         f"- Network: {network}.",
