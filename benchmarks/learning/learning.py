@@ -326,7 +326,7 @@ def relative_error(row: Mapping[str, Any], task: str) -> float:
 def plot(whole: Mapping[str, Any], path: Path) -> None:
     """Plot error against latency of the networks, one panel per task, into a PNG file."""
     figure, axes = figure_of(1, len(whole), (6 * len(whole), 4.2))
-    colors = dict(zip(("plain", "taps", "symmetric", "large", "curved", "snapshots"), COLORS, strict=False))
+    colors = dict(zip(("plain", "taps", "symmetric", "large", "curved", "snapshots", "fast"), COLORS, strict=False))
     box = {"fc": "white", "ec": "none", "pad": 0.5}
     for axis, (task, record) in zip(axes, whole.items(), strict=True):
         best = min(relative_error(row, task) for row in record["rows"])

@@ -11,12 +11,13 @@ from tactip_twin.benchmarks.options import LearningOptions
 from tactip_twin.learning.configuration import PoseNetConfig, Recipe, TrainSettings
 from tactip_twin.learning.model import load_network
 from tactip_twin.sim.dataset.sampling import Ranges
+from tactip_twin.sim.fast_tip.fast_tip import read_fast_tip, shipped_fast_tip
 from tactip_twin.tactip_model.errors import TactipError
 
 TINY = Recipe(PoseNetConfig(conv_layers=1, filters=2, dense_units=4, batch_size=8), TrainSettings(epochs=1))
 
 
-KINDS = ("plain", "symmetric", "large", "snapshots", "taps", "curved")
+KINDS = ("plain", "symmetric", "large", "fast", "snapshots", "taps", "curved")
 
 
 @pytest.fixture
@@ -30,6 +31,7 @@ def options(tmp_path, monkeypatch):
         contacts=2,
         large_contacts=3,
         curved_contacts=2,
+        fast_contacts=1,
         snapshot_contacts=1,
         test_contacts=8,
         other_test_contacts=8,
@@ -52,8 +54,12 @@ def test_sets_have_the_sizes_and_ranges_of_the_options():
         (j.folder.parts[-3], j.folder.parts[-1]): j.configuration for j in learned.jobs(LearningOptions(task="edge"), KINDS)
     }
     tests = {(kind, split) for kind in ("plain", "taps") for split in ("val", "test")}
-    assert set(jobs) == tests | {("taps", "train"), ("symmetric", "train"), ("snapshots", "train")}
+    assert set(jobs) == tests | {("taps", "train"), ("symmetric", "train"), ("fast", "train"), ("snapshots", "train")}
     assert jobs["symmetric", "train"].samples == 16000
+    predicted = jobs["fast", "train"]
+    assert predicted.fast_tip == read_fast_tip(shipped_fast_tip("edge", "tactip-127")).digest
+    assert (predicted.samples, predicted.keep_mesh, predicted.augment_symmetry) == (64000, False, True)
+    assert predicted.seed != jobs["symmetric", "train"].seed  # the tip was taught on that one
     assert (jobs["taps", "train"].samples, jobs["taps", "test"].samples, jobs["plain", "test"].samples) == (2000, 500, 2000)
     snapshots = jobs["snapshots", "train"]
     assert (snapshots.samples, snapshots.snapshots_per_contact, snapshots.augment_symmetry) == (7000, 20, False)
@@ -89,7 +95,13 @@ def test_curved_surfaces_belong_to_the_surface_task():
 
 def test_fine_tuned_networks_have_the_shape_of_their_initial_weights():
     tuned = [row for task in learned.PAPER for row in learned.rows(task, False) if row.init_from]
-    assert [row.name for row in tuned] == ["laptop-fine-tuned", "laptop-curved", "laptop-fine-tuned"]
+    assert [row.name for row in tuned] == [
+        "laptop-fine-tuned",
+        "laptop-fast",
+        "laptop-curved",
+        "laptop-fine-tuned",
+        "laptop-fast",
+    ]
     assert all(load_network(row.init_from).config.shape() == row.recipe.network.shape() for row in tuned)
 
 
