@@ -19,7 +19,8 @@ class FastTip(Command):
     example = "tactip fast-tip data/surface/train --val data/surface/val --out runs/fast-tip"
 
     train: tyro.conf.Positional[tuple[Path, ...]]
-    """Folders of the training sets, of one task and tip, made with --keep-mesh."""
+    """Folders of the training sets, of one task and tip, made with --keep-mesh. The ranges of the first are those in which
+    predictions are trusted."""
     val: Path
     """Folder of the validation set, made with --keep-mesh."""
     out: Path

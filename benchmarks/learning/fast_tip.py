@@ -18,7 +18,6 @@ from tactip_twin.benchmarks.report import read_results, table, write_results
 from tactip_twin.learning.fast_tip_settings import FastTipSettings
 from tactip_twin.learning.fast_tip_training import FAST_TIP, TipContacts, fast_tip_errors, read_contacts, train_fast_tip
 from tactip_twin.sim.dataset.generate import make
-from tactip_twin.sim.dataset.symmetry import SYMMETRIES
 from tactip_twin.sim.fast_tip.fast_contacts import FastContacts
 from tactip_twin.sim.fast_tip.fast_tip import FastTip
 from tactip_twin.sim.parallel.worker_pool import worker_count
@@ -34,7 +33,7 @@ _IMAGES = 200
 
 def run(options: FastTipOptions, log: Callable[[str], None] = print) -> dict[str, Any]:
     """Measure a task, write fast_tip.json and fast_tip.md, and return the results of all tasks. Raises TactipError."""
-    task, each = options.task, len(SYMMETRIES[options.task])
+    task = options.task
     learning = LearningOptions(
         task=task, data=options.data, large_contacts=options.contacts, test_contacts=options.test_contacts
     )
@@ -44,17 +43,14 @@ def run(options: FastTipOptions, log: Callable[[str], None] = print) -> dict[str
     for count in (*options.counts, 0):
         settings = FastTipSettings(contacts=count)
         out = options.runs / task / str(count or options.contacts)
-        start = time.process_time()
         tips.append(train_fast_tip([folders["train"]], folders["val"], settings, out, log))
-        seconds, tip = time.process_time() - start, tips[-1]
-        row = {"contacts": tip.provenance["contacts"], "cpu_s": seconds, **fast_tip_errors(tip, test)}
-        rows.append(row)
-        log(str(row))
+        rows.append({"contacts": tips[-1].provenance["contacts"], **fast_tip_errors(tips[-1], test)})
+        log(str(rows[-1]))
         if not count and options.release:
             options.release.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(out / FAST_TIP, options.release / f"{task}-{DESIGN}.npz")
     result = read_results(options.out / "fast_tip.json") | {
-        task: {"rows": rows, "rates": _rates(tips[-1], test), "symmetries": each, "machine": machine()}
+        task: {"rows": rows, "rates": _rates(tips[-1], test), "machine": machine()}
     }
     write_results("fast_tip", result, tables(result), options.out)
     return result

@@ -170,7 +170,7 @@ def jobs(options: LearningOptions, kinds: Collection[str]) -> list[Job]:
             curvature_per_m=CURVATURES_PER_M if kind == "curved" else (0.0, 0.0),
             varying_curvature_fraction=VARYING_FRACTION if kind == "curved" else 0.0,
             snapshots_per_contact=SNAPSHOTS if kind == "snapshots" else 1,
-            # The learned tip is taught, and tested, on the same contacts.
+            # The sets of the networks also teach and test the learned tip.
             keep_mesh=of_tip is None and (augmented or kind == "plain"),
             fast_tip=read_fast_tip(of_tip).digest if of_tip else "",
         )

@@ -332,8 +332,8 @@ def _check_shapes(tip: FastTip) -> None:
         raise ValueError(f"orders must be integers from 0 to {MAX_ORDER}")
     if profiles.shape != (count, 6 * len(RING_ANGLES)) or not np.isfinite(profiles).all():
         raise ValueError(f"profiles must be finite, {count} of {6 * len(RING_ANGLES)} numbers")
-    if not tip.networks:
-        raise ValueError("it has no networks")
+    if len(tip.networks) < 2:
+        raise ValueError(f"it must have at least 2 networks, got {len(tip.networks)}: a single one has no spread")
     for network in (*tip.networks, tip.measure_network):
         outputs = len(MEASURES) if network is tip.measure_network else 2 * count
         if network(np.zeros((1, inputs), np.float32)).shape != (1, outputs):

@@ -132,8 +132,8 @@ def write_fast_tip_file(folder, root):
     modes = Modes(np.array([0, 1, 2]), rng.normal(size=(3, 6 * len(RING_ANGLES))))
     ones, ranges = np.ones(len(MEASURES)), np.tile([-1.0, 1.0], (12, 1))
     tip = FastTip(
-        "surface", mechanics_of(design), modes, np.zeros(9), np.ones(9), (network(6),), np.ones(6), network(len(MEASURES)),
-        0 * ones, ones, ranges, 1.0, {},
+        "surface", mechanics_of(design), modes, np.zeros(9), np.ones(9), (network(6), network(6)), np.ones(6),
+        network(len(MEASURES)), 0 * ones, ones, ranges, 1.0, {},
     )  # fmt: skip
     write_fast_tip(tip, folder / "tip.npz")
 
