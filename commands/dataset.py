@@ -14,7 +14,7 @@ from tactip_twin.commands._progress import DelayedStatus, to_stderr
 from tactip_twin.sim.dataset.mechanics_randomization import MechanicsName
 from tactip_twin.sim.dataset.options import DatasetOptions
 from tactip_twin.sim.dataset.sampling import POSE_RANGES, SPLITS, Split
-from tactip_twin.sim.labels import TASKS, FidelityName, Task
+from tactip_twin.sim.labels import LEARNED_FIDELITIES, TASKS, FidelityName, LearnedFidelityName, Task
 from tactip_twin.tactip_model.errors import TactipError
 
 if TYPE_CHECKING:
@@ -39,10 +39,12 @@ class Make(Command):
     cluster: str = ""
     """Address of a Ray cluster (auto: this machine's; local: a new one on this machine alone), whose machines must share the
     folder OUT. Default: no cluster."""
-    fidelity: FidelityName | Literal["fast"] = "standard"
-    """Fidelity of the simulation (sim/contact/fidelity.py); fast: predict the contacts of standard by a learned tip."""
+    fidelity: FidelityName | LearnedFidelityName = "standard"
+    """Fidelity of the simulation (sim/contact/fidelity.py); fast: predict the contacts of standard by a learned tip;
+    corrected: predict them, and let the simulation correct them."""
     fast_tip: Path | None = None
-    """Learned tip of --fidelity fast, a file of `tactip fast-tip`. Default: the shipped one of task and design."""
+    """Learned tip of --fidelity fast or corrected, a file of `tactip fast-tip`. Default: the shipped one of task and
+    design."""
     design: str = "tactip-127"
     """Sensor: tactip-127, tactip-331, or a design file (.json) as `tactip calibrate` writes it."""
     randomize_mechanics: MechanicsName = "none"
@@ -76,6 +78,7 @@ class Make(Command):
 
         from tactip_twin.sim.dataset.format import read_meta, read_rows
         from tactip_twin.sim.dataset.generate import make
+        from tactip_twin.sim.fast_tip.corrected_contacts import MAX_STEPS
         from tactip_twin.sim.parallel.worker_pool import worker_count
 
         workers = 0 if self.cluster and self.workers == "auto" else worker_count(self.workers)
@@ -83,7 +86,7 @@ class Make(Command):
         for job, result in zip(jobs, results, strict=True):
             if job.fast_tip:
                 rows = read_rows(job.folder, read_meta(job.folder))
-                result["simulated"] = sum(row["steps"] != "0" for row in rows)
+                result["simulated"] = sum(int(row["steps"]) > MAX_STEPS for row in rows)
         # For a script, an empty set is a failure.
         status = 0 if all(r["kept"] for r in results) else 1
         if self.json:
@@ -117,7 +120,8 @@ class Make(Command):
 
         several = several or self.split == "all"
         design, tip, digest = load_design(self.design), None, ""
-        if self.fidelity == "fast":
+        learns = self.fidelity in LEARNED_FIDELITIES
+        if learns:
             from tactip_twin.sim.fast_tip.fast_tip import read_fast_tip, shipped_fast_tip
 
             tip = self.fast_tip or shipped_fast_tip("edge" if self.task == "edge" else "surface", design.name)
@@ -127,7 +131,7 @@ class Make(Command):
                 raise TactipError(f"the learned tip in {tip} is for {learned.task}, got --task {self.task}")
             digest = learned.digest
         elif self.fast_tip:
-            raise TactipError(f"--fast-tip is for --fidelity fast, got --fidelity {self.fidelity}")
+            raise TactipError(f"--fast-tip is for --fidelity fast or corrected, got --fidelity {self.fidelity}")
         jobs = []
         for split in SPLITS if self.split == "all" else (self.split,):
             configuration = Configuration(
@@ -135,8 +139,9 @@ class Make(Command):
                 split=split,
                 **vars(self.options),
                 design=design,
-                fidelity=fidelity_named("standard" if self.fidelity == "fast" else self.fidelity),
+                fidelity=fidelity_named("standard" if learns else self.fidelity),
                 fast_tip=digest,
+                corrected=self.fidelity == "corrected",
                 mechanics_randomization=MECHANICS_RANDOMIZATIONS[self.randomize_mechanics],
             )
             jobs.append(Job(configuration, self.out / self.task / split if several else self.out, tip))

@@ -1,6 +1,6 @@
 """Names in data sets and commands: tasks, fidelities, components of a pose, columns of labels. Imports nothing heavy."""
 
-from typing import Literal
+from typing import Literal, get_args
 
 Task = Literal["surface", "edge"]
 """Name of a task of the paper, which is also the stimulus of its data sets."""
@@ -10,6 +10,12 @@ TASKS: tuple[Task, ...] = ("surface", "edge")
 
 FidelityName = Literal["draft", "standard", "reference"]
 """Name of a preset of sim/contact/fidelity.py."""
+
+LearnedFidelityName = Literal["fast", "corrected"]
+"""Name of a way to predict the contacts of `standard` (sim/fast_tip): by the learned tip alone, or corrected."""
+
+LEARNED_FIDELITIES: tuple[str, ...] = get_args(LearnedFidelityName)
+"""These names."""
 
 COMPONENTS = ("x", "y", "z", "Rx", "Ry", "Rz")
 """Components of a pose in data sets, in the order of sim/pose.py; mm and degrees there, m and rad in the code."""

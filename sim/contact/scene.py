@@ -108,6 +108,11 @@ class Scene:
         if self._slip:
             self._slip.reset()
 
+    def deform(self, vertices: np.ndarray) -> None:
+        """Move the tip's free vertices to those of a deformed mesh (n, 3), m, in the sensor frame, at rest."""
+        self.data.qpos[_STIMULUS_QPOS:] = (vertices - self.mesh.vertices)[self._free].ravel()
+        self.data.qvel[_STIMULUS_QVEL:] = 0.0
+
     def stiffen(self, resting: bool) -> None:
         """Set contact stiffness and solver tolerance to those of a tip at rest (True) or in motion (False).
 

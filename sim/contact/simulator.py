@@ -145,6 +145,34 @@ class ContactSimulator:
                 self.hold(self._pose)
         return self._record(self._pose, shear_between(self._start, self._pose), len(messages), label)
 
+    def settle_from(self, vertices: np.ndarray, pose: ArrayLike, shear: ArrayLike, max_steps: int) -> Iterator[Contact]:
+        """Start in contact, from a deformed mesh at rest, and let it settle.
+
+        Args:
+            vertices: (n, 3) m, deformed mesh in the sensor frame.
+            pose: (6,), m and rad.
+            shear: (6,), m and rad, for the record.
+            max_steps: Maximum number of time steps.
+
+        Yields:
+            The contact after each step. Its slip fraction is 0, because nothing moves.
+
+        Raises:
+            TactipError: The pose is out of reach (check_motion).
+        """
+        pose, shear = np.asarray(pose, float), np.asarray(shear, float)
+        check_motion(pose, shear, min(MAX_DEPTH_M, self.scene.stimulus.max_depth_m))
+        self.scene.reset()
+        self.scene.deform(vertices)
+        self._start, self._pose = before_shear(pose, shear), pose
+        self._steps, self._unsolved, self._slip_fraction, self._phase = 0, 0, 0.0, "settle"
+        warnings = 0
+        for _ in range(max_steps):
+            with counted_warnings() as messages, contextlib.suppress(Diverged):
+                self.hold(pose)
+            warnings += len(messages)
+            yield self._record(pose, shear, warnings)
+
     def simulate_partial_shears(self, pose: ArrayLike, shear: ArrayLike, fractions: ArrayLike) -> Iterator[Contact]:
         """Simulate one contact and let it settle at several fractions of its shear.
 

@@ -39,6 +39,8 @@ class Configuration(DatasetOptions):
     fast_tip: str = ""
     """Checksum of the learned tip (sim/fast_tip) that predicts the contacts, with simulated ones where it cannot be trusted;
     empty: all are simulated."""
+    corrected: bool = False
+    """Whether the simulation corrects the predicted contacts (sim/fast_tip/corrected_contacts.py)."""
     mechanics_randomization: MechanicsRandomization = field(default_factory=MechanicsRandomization)
     """Randomization of the tip's mechanics by contact (sim/dataset/mechanics_randomization.py); the optics stay the same."""
 
@@ -58,10 +60,11 @@ class Configuration(DatasetOptions):
         return len(self.symmetries) * self.snapshots_per_contact
 
     def as_json(self) -> dict[str, Any]:
-        """Return the configuration as a JSON object, without the learned tip where there is none."""
+        """Return the configuration as a JSON object; what only sets of a learned tip have is left out in others."""
         values = json.loads(json.dumps(dataclasses.asdict(self)))
-        if not self.fast_tip:
-            del values["fast_tip"]
+        for name in ("fast_tip", "corrected"):
+            if not values[name]:
+                del values[name]
         return values
 
     def digest(self) -> str:

@@ -8,55 +8,38 @@ likewise: it becomes records again, and the missing ones are made.
 
 import contextlib
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from tactip_twin.sim.contact.curved_surface import (
     MAX_CURVATURE_PER_M,
     MAX_HOLLOW_PER_M,
-    curved_surface,
-    sample_curved_surface,
 )
 from tactip_twin.sim.contact.fidelity import is_coarse
-from tactip_twin.sim.contact.limits import MAX_TILT_RAD, check_ranges, exceeds_max_tilt
-from tactip_twin.sim.contact.record import Contact
-from tactip_twin.sim.contact.signed_distance import SignedDistanceMesh
-from tactip_twin.sim.contact.simulator import RetryingSimulator
-from tactip_twin.sim.contact.solid_stimulus import SolidStimulus
+from tactip_twin.sim.contact.limits import check_ranges
 from tactip_twin.sim.dataset.builder import DatasetBuilder
 from tactip_twin.sim.dataset.configuration import Configuration
-from tactip_twin.sim.dataset.format import MAX_PINS_BYTES, checksum, encode_image, image_name, pins_bytes, row_of
+from tactip_twin.sim.dataset.contact_sample import sample_motion
+from tactip_twin.sim.dataset.format import MAX_PINS_BYTES, pins_bytes
 from tactip_twin.sim.dataset.mesh_states import MAX_MESH_BYTES, mesh_states_bytes
-from tactip_twin.sim.dataset.partial_record import pack_record, record_path, sample_indices
-from tactip_twin.sim.dataset.sampling import generator, seed_text
+from tactip_twin.sim.dataset.sample_maker import SampleMaker
+from tactip_twin.sim.dataset.sampling import generator
 from tactip_twin.sim.dataset.shards import (
     MAX_SHARDS,
     ShardedDatasetBuilder,
     ShardFinalizer,
     open_builder,
     shard_count,
-    shard_dir,
 )
-from tactip_twin.sim.dataset.sliding import MAX_SNAPSHOTS, SlidingPath
-from tactip_twin.sim.dataset.symmetry import SymmetricReader, ranges_are_symmetric
-from tactip_twin.sim.fast_tip.fast_contacts import FastContacts
-from tactip_twin.sim.fast_tip.fast_tip import read_fast_tip
+from tactip_twin.sim.dataset.sliding import MAX_SNAPSHOTS
+from tactip_twin.sim.dataset.symmetry import ranges_are_symmetric
 from tactip_twin.sim.parallel.ray_pool import RayPool, joined, ray_here
 from tactip_twin.sim.parallel.worker_pool import WorkerPool
-from tactip_twin.sim.pose import to_mm_deg
 from tactip_twin.tactip_model.bounds import require
-from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.errors import TactipError, lookup
-from tactip_twin.tactip_model.files import write_file
 from tactip_twin.tactip_model.renderer import RENDERERS
-from tactip_twin.tactip_model.tactile_image import tactile_image
-
-_ROUNDING = 1e-9
-"""Distance that a label may lie outside its range, because of rounding, mm or degrees."""
 
 _MAX_SAMPLES = 10_000_000
 """Maximum number of samples of a set: some 40 GB of images, which one core simulates in three weeks."""
@@ -88,7 +71,7 @@ def check(configuration: Configuration) -> None:
     depth = configuration.pose.depth_mm
     require(depth[1] <= 0, "pose.depth_mm", depth, "at most 0 (depth is negative into the object)")
     check_ranges(configuration.pose, configuration.shear)
-    _sample_motion(configuration, rng)
+    sample_motion(configuration, rng)
     _check_snapshots(configuration)
     _check_shards(configuration)
     _check_curvature(configuration)
@@ -131,6 +114,7 @@ def _check_snapshots(configuration: Configuration) -> None:
 def _check_fast_tip(configuration: Configuration) -> None:
     """Raise TactipError where a learned tip would have to predict what it has not learned."""
     c = configuration
+    require(bool(c.fast_tip) or not c.corrected, "corrected", c.corrected, "False without a learned tip")
     if not c.fast_tip:
         return
     unlearned = {
@@ -249,7 +233,7 @@ class _SampleMakers:
     def __init__(self, configurations: list[Configuration], folders: list[str], fast_tips: list[str]) -> None:
         """Take the configurations of the jobs, their folders, and the files of their learned tips."""
         self._configurations, self._folders, self._fast_tips = configurations, folders, fast_tips
-        self._makers: dict[int, _SampleMaker] = {}
+        self._makers: dict[int, SampleMaker] = {}
 
     def __call__(self, task: _Task) -> None:
         """Make the samples of a contact, or finish a shard."""
@@ -260,246 +244,5 @@ class _SampleMakers:
         if job not in self._makers:
             folder = Path(self._folders[job])
             arguments = self._configurations[job], folder, self._makers.values(), self._fast_tips[job]
-            self._makers[job] = _SampleMaker(*arguments)
+            self._makers[job] = SampleMaker(*arguments)
         self._makers[job].make(item)
-
-
-class _MeshAfterApproach:
-    """Observer of a simulator's steps that keeps the mesh at the end of the approach of its last try."""
-
-    def __init__(self, simulator: RetryingSimulator, states: list[np.ndarray]) -> None:
-        """Take the simulator, and the list whose first item the mesh (n, 3), m, replaces."""
-        self._simulator, self._states = simulator, states
-
-    def __call__(self, phase: str, label: np.ndarray) -> None:
-        """Look at a step."""
-        if phase == "approach":
-            self._states[0] = self._simulator.last.scene.vertices()
-
-
-class _MadeContact:
-    """What is known of a contact and its samples."""
-
-    def __init__(self, indices: range, folder: Path, seed: str) -> None:
-        """Begin with nothing.
-
-        Args:
-            indices: Indices of its samples.
-            folder: Folder of its set or shard.
-            seed: Its seed.
-        """
-        self.indices, self.folder, self.seed = indices, folder, seed
-        self.images: dict[str, str] = {}
-        """Checksums of the images, by name."""
-        self.violations: list[list[str]] = []
-        """Failed checks of each try that failed."""
-        self.failed = False
-        """Whether the contact has no samples."""
-        self.missed: list[dict[str, Any]] = []
-        """Failures (index, seed, tries) of single samples."""
-        self.states: list[np.ndarray] | None = None
-        """Meshes (n, 3), m, if the set keeps them."""
-        self._rows: list[dict[str, Any]] = []
-        self._contacts: list[Contact] = []
-
-    def add(self, contact: Contact, index: int, tries: int) -> None:
-        """Add the contact of a sample."""
-        self._contacts.append(contact)
-        self._rows.append(row_of(contact, index, tries, self.seed))
-
-    def packed(self) -> bytes:
-        """Return the record."""
-        names = ("violations", "failed", "images", "missed")
-        record = {"rows": self._rows, **{name: getattr(self, name) for name in names}}
-        pin_tips, directions = ([getattr(one, name) for one in self._contacts] for name in ("pin_tips", "directions"))
-        return pack_record(record, pin_tips, directions, self.states)
-
-
-def _seed(configuration: Configuration, number: int) -> tuple[int, str, str, int]:
-    """Return what the seed of contact `number` is made of."""
-    return configuration.seed, configuration.task, configuration.split, number
-
-
-class _SampleMaker:
-    """Maker of the samples of one set, in a worker."""
-
-    def __init__(self, configuration: Configuration, folder: Path, others: "Iterable[_SampleMaker]", fast_tip: str) -> None:
-        """Prepare a renderer and a simulator.
-
-        Args:
-            configuration: Configuration of the set.
-            folder: Folder of the set.
-            others: Makers of this process, whose renderer and simulator are shared where theirs are the same.
-            fast_tip: File of the learned tip; empty for none.
-
-        Raises:
-            TactipError: The file holds another tip than the configuration names.
-        """
-        self._configuration, self._folder = configuration, folder
-        c = configuration
-        alike = [m for m in others if m._configuration.design == c.design and m._configuration.renderer == c.renderer]
-        self._render = alike[0]._render if alike else lookup("renderer", c.renderer, RENDERERS)(c.design)
-        same = [m for m in alike if _physics(m._configuration) == _physics(c)]
-        self._fast = _fast_contacts(c, fast_tip) if c.fast_tip else None
-        """Predictor of the contacts, if the set has one."""
-        self._shared = same[0] if same else None
-        self._own_simulator: RetryingSimulator | None = None
-        self._readers: dict[int, SymmetricReader] = {}
-        """Readers of the design's pins, by the number of vertices of their meshes' skins."""
-
-    @property
-    def _simulator(self) -> RetryingSimulator:
-        """Simulator of the contacts, built when it is first needed."""
-        if self._shared:
-            return self._shared._simulator
-        if self._own_simulator is None:
-            self._own_simulator = simulator_for(self._configuration, self._configuration.design)
-        return self._own_simulator
-
-    def make(self, number: int) -> None:
-        """Write the images and the record of contact `number`. Raises OSError.
-
-        They are not synced one by one, which would cost milliseconds each: a resumed command checks them, and a set is
-        synced as a whole before it counts as finished.
-        """
-        c = self._configuration
-        sample = sample_contact(c, number)
-        made = _MadeContact(sample_indices(c, number), shard_dir(c, self._folder, number), seed_text(*_seed(c, number)))
-        predicted = self._fast.trusted(sample.pose, sample.shear, c.symmetries) if self._fast else None
-        if predicted is None:
-            self._simulate(sample, made)
-        else:
-            self._write_images(predicted, made.indices, 0, made)
-        write_file(record_path(made.folder, number), made.packed(), sync=False)
-
-    def _simulate(self, sample: "ContactSample", made: "_MadeContact") -> None:
-        """Simulate a contact, and write the images of its samples."""
-        c = self._configuration
-        simulator, readers = self._simulator, self._readers
-        if not c.mechanics_randomization.is_identity:
-            simulator, readers = simulator_for(c, sample.design), {}
-        if sample.solid is not None:
-            simulator.replace_solid(sample.solid)
-        states = [simulator.last.scene.mesh.vertices]
-        simulator.watch = _MeshAfterApproach(simulator, states) if c.keep_mesh else None
-        contact, made.violations = simulator.simulate(sample.pose, sample.shear)
-        tries, made.failed = len(made.violations) + 1, len(made.violations) == simulator.tries
-        if made.failed:
-            made.add(contact, made.indices[0], tries)
-            return
-        each = len(c.symmetries)
-        for k, (state, violations) in enumerate(self._snapshots(simulator, contact, sample)):
-            own = made.indices[k * each : (k + 1) * each]
-            states.append(simulator.last.scene.vertices())
-            if violations:
-                made.missed += [{"index": index, "seed": made.seed, "tries": [violations]} for index in own]
-                continue
-            contacts = [state]
-            if c.augment_symmetry:
-                skin, mesh = simulator.skin()  # of another mesh where the first one was too coarse for this contact
-                if mesh.surface_count not in readers:
-                    readers[mesh.surface_count] = SymmetricReader(sample.design, mesh, c.symmetries)
-                contacts = readers[mesh.surface_count].read(state, skin)
-            self._write_images(contacts, own, tries, made)
-        if c.keep_mesh:
-            made.states = states
-
-    def _write_images(self, contacts: list[Contact], indices: range, tries: int, made: "_MadeContact") -> None:
-        """Write the images of contacts, and note the contacts. The last contact of a set may have fewer indices."""
-        for index, contact in zip(indices, contacts, strict=False):
-            made.add(contact, index, tries)
-            grey = self._render(contact.pin_tips, contact.directions)
-            data = encode_image(tactile_image(grey, self._configuration.design.image))
-            write_file(made.folder / "images" / image_name(index), data, sync=False)
-            made.images[image_name(index)] = checksum(data)
-
-    def _snapshots(
-        self, simulator: RetryingSimulator, contact: Contact, sample: "ContactSample"
-    ) -> Iterator[tuple[Contact, list[str]]]:
-        """Yield the state at each image and its violations of the limits: `contact`, then states on a sliding path."""
-        c = self._configuration
-        yield contact, []
-        if c.snapshots_per_contact == 1:
-            return
-        path = SlidingPath(c.task, sample.solid, c.pose, sample.pose, sample.rng)
-        low, high = c.pose.bounds().T
-        for _ in range(c.snapshots_per_contact - 1):
-            contact = simulator.slide(path.stride(), path.label())
-            label, violations = to_mm_deg(contact.pose), contact.violations(c.bounds.while_sliding())
-            if not ((label > low - _ROUNDING) & (label < high + _ROUNDING)).all():
-                violations = [*violations, "its label on the curved surface is outside the ranges"]
-            yield contact, violations
-
-
-def _physics(configuration: Configuration) -> tuple[object, ...]:
-    """Return what decides a simulator, besides the design."""
-    c = configuration
-    return c.task, c.is_curved, c.fidelity, c.bounds, c.fast_tip
-
-
-def _fast_contacts(configuration: Configuration, path: str) -> FastContacts:
-    """Return the predictor of a set's contacts. Raises TactipError if the file holds another tip than the set's."""
-    tip = read_fast_tip(path)
-    if tip.digest != configuration.fast_tip or tip.task != configuration.task:
-        raise TactipError(
-            f"{path} is not the learned tip of this set: its checksum is {tip.digest}, not {configuration.fast_tip}"
-        )
-    return FastContacts(tip, configuration.design)
-
-
-@dataclass(frozen=True)
-class ContactSample:
-    """A contact sampled from the ranges of a set."""
-
-    pose: np.ndarray
-    """(6,) m and rad."""
-    shear: np.ndarray
-    """(6,) m and rad."""
-    solid: SignedDistanceMesh | None
-    """Curved surface of this contact; None where the set's surface or edge is straight."""
-    design: Design
-    """Tip with the mechanics of this contact."""
-    rng: np.random.Generator
-    """Generator of the rest of the contact."""
-
-
-_MAX_MOTIONS = 1000
-"""Number of motions sampled before ranges are rejected: at the corners of ±25 degrees every other one is too steep."""
-
-
-def _sample_motion(configuration: Configuration, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Return a pose and a shear (6,), m and rad: the first sample that is not too steep to simulate.
-
-    Raises TactipError where there is none among _MAX_MOTIONS.
-    """
-    for _ in range(_MAX_MOTIONS):
-        pose, shear = configuration.pose.sample(rng), configuration.shear.sample(rng)
-        if not exceeds_max_tilt(pose, shear):
-            return pose, shear
-    raise TactipError(
-        f"all of {_MAX_MOTIONS} poses and shears sampled from the ranges tilt by more than {np.degrees(MAX_TILT_RAD):g} "
-        "degrees: narrow the ranges of roll and pitch"
-    )
-
-
-def sample_contact(configuration: Configuration, number: int) -> ContactSample:
-    """Return the sample of contact `number`. Poses and shears do not depend on what else varies."""
-    c = configuration
-    rng = generator(c.seed, c.task, c.split, number)
-    pose, shear = _sample_motion(c, rng)
-    solid = sample_curved_surface(rng, *c.curvature_per_m, c.varying_curvature_fraction) if c.is_curved else None
-    design = c.design if c.mechanics_randomization.is_identity else c.mechanics_randomization.sample(c.design, rng)
-    return ContactSample(pose, shear, solid, design, rng)
-
-
-def simulator_for(configuration: Configuration, design: Design) -> RetryingSimulator:
-    """Return a simulator of the contacts of a set.
-
-    Args:
-        configuration: Configuration of the set. If its surface is curved, the solid of each contact must be assigned to the
-            simulator's stimulus.
-        design: The set's design, or one with other mechanics.
-    """
-    c = configuration
-    curved = SolidStimulus(curved_surface(0.0, 0.0, 0.0), min_radius_m=1 / MAX_CURVATURE_PER_M) if c.is_curved else None
-    return RetryingSimulator(design, curved or c.task, c.fidelity, c.bounds)

@@ -9,8 +9,8 @@ import numpy as np
 
 from tactip_twin.sim.contact.simulator import ContactSimulator, RetryingSimulator
 from tactip_twin.sim.dataset.configuration import Configuration
+from tactip_twin.sim.dataset.contact_sample import sample_contact, simulator_for
 from tactip_twin.sim.dataset.format import read_configuration, read_meta, read_rows, versions
-from tactip_twin.sim.dataset.generate import sample_contact, simulator_for
 from tactip_twin.sim.dataset.sliding import SlidingPath
 from tactip_twin.sim.labels import COMPONENTS
 from tactip_twin.sim.pose import from_mm_deg, sensor_in_contact

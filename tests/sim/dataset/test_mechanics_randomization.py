@@ -9,8 +9,8 @@ from tactip_twin.commands import main as tactip
 from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.contact.simulator import ContactSimulator
 from tactip_twin.sim.dataset.configuration import Configuration
+from tactip_twin.sim.dataset.contact_sample import sample_contact
 from tactip_twin.sim.dataset.format import read_dataset
-from tactip_twin.sim.dataset.generate import sample_contact
 from tactip_twin.sim.dataset.mechanics_randomization import MECHANICS_RANDOMIZATIONS, MechanicsRandomization
 from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES
 from tactip_twin.sim.pose import from_mm_deg

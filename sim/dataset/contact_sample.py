@@ -1,0 +1,73 @@
+"""A contact sampled from the ranges of a data set, and the simulator of such contacts."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tactip_twin.sim.contact.curved_surface import MAX_CURVATURE_PER_M, curved_surface, sample_curved_surface
+from tactip_twin.sim.contact.limits import MAX_TILT_RAD, exceeds_max_tilt
+from tactip_twin.sim.contact.signed_distance import SignedDistanceMesh
+from tactip_twin.sim.contact.simulator import RetryingSimulator
+from tactip_twin.sim.contact.solid_stimulus import SolidStimulus
+from tactip_twin.sim.dataset.configuration import Configuration
+from tactip_twin.sim.dataset.sampling import generator
+from tactip_twin.tactip_model.design import Design
+from tactip_twin.tactip_model.errors import TactipError
+
+
+@dataclass(frozen=True)
+class ContactSample:
+    """A contact sampled from the ranges of a set."""
+
+    pose: np.ndarray
+    """(6,) m and rad."""
+    shear: np.ndarray
+    """(6,) m and rad."""
+    solid: SignedDistanceMesh | None
+    """Curved surface of this contact; None where the set's surface or edge is straight."""
+    design: Design
+    """Tip with the mechanics of this contact."""
+    rng: np.random.Generator
+    """Generator of the rest of the contact."""
+
+
+_MAX_MOTIONS = 1000
+"""Number of motions sampled before ranges are rejected: at the corners of ±25 degrees every other one is too steep."""
+
+
+def sample_motion(configuration: Configuration, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Return a pose and a shear (6,), m and rad: the first sample that is not too steep to simulate.
+
+    Raises TactipError where there is none among _MAX_MOTIONS.
+    """
+    for _ in range(_MAX_MOTIONS):
+        pose, shear = configuration.pose.sample(rng), configuration.shear.sample(rng)
+        if not exceeds_max_tilt(pose, shear):
+            return pose, shear
+    raise TactipError(
+        f"all of {_MAX_MOTIONS} poses and shears sampled from the ranges tilt by more than {np.degrees(MAX_TILT_RAD):g} "
+        "degrees: narrow the ranges of roll and pitch"
+    )
+
+
+def sample_contact(configuration: Configuration, number: int) -> ContactSample:
+    """Return the sample of contact `number`. Poses and shears do not depend on what else varies."""
+    c = configuration
+    rng = generator(c.seed, c.task, c.split, number)
+    pose, shear = sample_motion(c, rng)
+    solid = sample_curved_surface(rng, *c.curvature_per_m, c.varying_curvature_fraction) if c.is_curved else None
+    design = c.design if c.mechanics_randomization.is_identity else c.mechanics_randomization.sample(c.design, rng)
+    return ContactSample(pose, shear, solid, design, rng)
+
+
+def simulator_for(configuration: Configuration, design: Design) -> RetryingSimulator:
+    """Return a simulator of the contacts of a set.
+
+    Args:
+        configuration: Configuration of the set. If its surface is curved, the solid of each contact must be assigned to the
+            simulator's stimulus.
+        design: The set's design, or one with other mechanics.
+    """
+    c = configuration
+    curved = SolidStimulus(curved_surface(0.0, 0.0, 0.0), min_radius_m=1 / MAX_CURVATURE_PER_M) if c.is_curved else None
+    return RetryingSimulator(design, curved or c.task, c.fidelity, c.bounds)
