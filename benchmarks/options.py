@@ -9,6 +9,7 @@ from typing import Annotated, Literal, NamedTuple
 
 import tyro
 
+from tactip_twin.learning.fast_tip_settings import FastTipSettings
 from tactip_twin.sim.labels import FidelityName, Task
 from tactip_twin.sim2real.transfer.settings import TransferSettings
 
@@ -210,6 +211,10 @@ class FastTipOptions:
     """Number of contacts for validation, and as many for testing."""
     counts: tuple[int, ...] = ()
     """Numbers of contacts to learn from, besides all."""
+    steps: int = FastTipSettings().steps
+    """Number of training steps of each network."""
+    compared_contacts: int = 24
+    """Number of test contacts that are also made at every preset, and corrected."""
     data: Path = Path("data/learning")
     """Folder of the data sets: DATA/KIND/TASK/SPLIT."""
     runs: Path = Path("runs/fast-tip")
@@ -220,6 +225,28 @@ class FastTipOptions:
     """Folder that the tip which has learned from all contacts is copied to, as TASK-DESIGN.npz. Default: no copy."""
     workers: str = "auto"
     """Number of worker processes that simulate contacts; auto: one per core."""
+
+
+@dataclass(frozen=True)
+class SlidingTipOptions:
+    """Teach the tip that predicts how the skin slides; measure its errors on paths and in servo runs. Rerun to resume."""
+
+    task: Task = "surface"
+    """Task."""
+    paths: int = 800
+    """Number of training paths: on surfaces, five eighths of them on curved ones."""
+    test_paths: int = 50
+    """Number of test paths of each kind, and as many for validation."""
+    data: Path = Path("data/slides")
+    """Folder of the data sets: DATA/KIND/SPLIT."""
+    runs: Path = Path("runs/sliding-tip")
+    """Folder of the trainings and of the servo runs: RUNS/TASK."""
+    out: Path = Path("docs")
+    """Folder for sliding_tip.json and sliding_tip.md."""
+    release: Path | None = None
+    """Folder that the tip is copied to, as TASK-DESIGN-sliding.npz. Default: no copy."""
+    workers: str = "auto"
+    """Number of worker processes that simulate paths; auto: one per core."""
 
 
 @dataclass(frozen=True)
@@ -316,6 +343,7 @@ MEASUREMENTS = {
     "scene-cost": Measurement("tactip_twin.benchmarks.physics.scene_cost", SceneCostOptions, "scene_cost.md"),
     "learning": Measurement("tactip_twin.benchmarks.learning.learning", LearningOptions, "learning.md"),
     "fast-tip": Measurement("tactip_twin.benchmarks.learning.fast_tip", FastTipOptions, "fast_tip.md"),
+    "sliding-tip": Measurement("tactip_twin.benchmarks.learning.sliding_tip", SlidingTipOptions, "sliding_tip.md"),
     "search": Measurement("tactip_twin.benchmarks.learning.search", SearchOptions, "search.md"),
     "transfer": Measurement("tactip_twin.benchmarks.learning.transfer", TransferOptions, "transfer.md"),
     "release-models": Measurement("tactip_twin.benchmarks.learning.release_models", ReleaseModelsOptions, ""),

@@ -23,6 +23,7 @@ COMMANDS = {
     "import": ("import_set", "Import", "Import a data set of a real sensor."),
     "calibrate": ("calibrate", "Calibrate", "Fit the sensor to real frames."),
     "fast-tip": ("fast_tip", "FastTip", "Teach a tip that predicts contacts."),
+    "sliding-tip": ("sliding_tip", "SlidingTip", "Teach a tip that predicts how the skin slides."),
     "train": ("train", "Train", "Train a network on a data set."),
     "tune": ("tune", "Tune", "Search for a network."),
     "evaluate": ("evaluate", "Evaluate", "Measure the errors of a network on a set."),

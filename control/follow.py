@@ -19,7 +19,7 @@ from tactip_twin.sim.contact.tip_state import TipState
 from tactip_twin.sim.labels import COMPONENTS
 from tactip_twin.sim.pose import from_mm_deg, inverse, sensor_in_contact, to_mm_deg
 from tactip_twin.sim.robot.irb120 import Unreachable
-from tactip_twin.sim.robot.mounted_tip import MountedTip
+from tactip_twin.sim.robot.mounted_tip import TipOnArm
 from tactip_twin.tactip_model.errors import TactipError
 
 
@@ -72,7 +72,7 @@ class ContourFollower:
 
     def __init__(
         self,
-        mounted_tip: MountedTip,
+        mounted_tip: TipOnArm,
         estimator: Estimator,
         controller: Controller,
         labels: Labels,

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, get_args
 
-from tactip_twin.sim.labels import FidelityName, Task
+from tactip_twin.sim.labels import FidelityName, LearnedFidelityName, Task
 from tactip_twin.sim.robot.arm_names import ArmName
 from tactip_twin.tactip_model.bounds import check, within
 from tactip_twin.tactip_model.errors import lookup
@@ -107,8 +107,12 @@ class ServoOptions:
     network of the task; for surfaces, the one trained on curved surfaces."""
     design: str = "tactip-127"
     """Sensor: tactip-127, tactip-331, or a design file (.json) as `tactip calibrate` writes it."""
-    fidelity: FidelityName = "standard"
-    """Fidelity of the contact simulation, from fast to accurate."""
+    fidelity: FidelityName | LearnedFidelityName = "standard"
+    """Fidelity of the contact simulation; fast: predict the contact by a learned tip; corrected: predict it, and let the
+    simulation correct it. Both simulate motions that the tip has not learned."""
+    sliding_tip: Path | None = None
+    """Learned tip of --fidelity fast or corrected, a file of `tactip sliding-tip`. Default: the shipped one of task and
+    design."""
     arm: ArmName = "dynamic"
     """Arm model: none (the sensor moves exactly), kinematic (inverse kinematics), dynamic (with masses and motors)."""
     renderer: RendererName = "pyrender"
@@ -128,9 +132,10 @@ class ServoOptions:
     video: bool = False
     """Write a video of the run."""
     settle_steps: int | None = within(1, 1000, default=None)
-    """Number of time steps at rest before each image. Default: half the fidelity's on surfaces, a quarter along edges."""
+    """Number of time steps at rest before each image; for a simulated tip. Default: half the fidelity's on surfaces, a
+    quarter along edges."""
     speed_scale: float = within(0.1, 4, default=1.0)
-    """Factor on the distance that the tip moves per time step."""
+    """Factor on the distance that the tip moves per time step; for a simulated tip."""
     route: RouteOptions = field(default_factory=RouteOptions)
     """Route."""
     settings: Settings = field(default_factory=Settings)

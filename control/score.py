@@ -45,7 +45,7 @@ def score(
     poses, seconds = arrays["T_base_tcp"][following], arrays["seconds"]
     # Points of contact: the apex is below them by the depth.
     places = poses[:, :3, 3] + arrays["true"][following][:, 2:3] * poses[:, :3, 2]
-    whole = float(seconds.sum())
+    whole, simulated = float(seconds.sum()), arrays["penetration_m"]
     force = np.linalg.norm(arrays["force_n"][following], axis=1)
     angles = _angles(arrays["true"][following])
     out = {
@@ -64,7 +64,9 @@ def score(
         "closed": record["closed"],
         "force_mean_n": _mean(force),
         "force_max_n": float(force.max()) if len(force) else None,
-        "penetration_max_mm": float(1e3 * arrays["penetration_m"].max()) if len(seconds) else None,
+        # Predicted contacts have no penetration.
+        "penetration_max_mm": float(1e3 * np.nanmax(simulated)) if np.isfinite(simulated).any() else None,
+        "steps_simulated": int((arrays["sim_steps"] > 0).sum()),
         "steps": len(seconds),
         "steps_followed": int(following.sum()),
         "steps_per_s": len(seconds) / whole if whole else None,

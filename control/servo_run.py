@@ -119,7 +119,7 @@ def _scenery(options: ServoOptions, setup: ServoSetup) -> RecordedScene:
         setup.scene_object.solid.vertices,
         setup.scene_object.solid.triangles,
         setup.scene_object.T_base_object,
-        setup.mounted_tip.scene.mesh.triangles,
+        setup.mounted_tip.mesh.triangles,
         setup.design.shape.radius_m,
         options.arm != "none",
     )

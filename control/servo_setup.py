@@ -15,10 +15,13 @@ from tactip_twin.control.servo import DEPTHS_MM, Controller, Servo, gains_named
 from tactip_twin.learning.labels import Labels
 from tactip_twin.learning.model import Model, load_network
 from tactip_twin.sim.contact.fidelity import Motion, fidelity_named
+from tactip_twin.sim.fast_tip.sliding_tip import read_sliding_tip, shipped_sliding_tip
 from tactip_twin.sim.ground_truth import EdgeGroundTruth, SurfaceGroundTruth
+from tactip_twin.sim.labels import LEARNED_FIDELITIES
 from tactip_twin.sim.pose import from_mm_deg, inverse, sensor_in_contact
-from tactip_twin.sim.robot.arm_models import arm_model_named
-from tactip_twin.sim.robot.mounted_tip import MountedTip
+from tactip_twin.sim.robot.arm_models import ArmModel, arm_model_named
+from tactip_twin.sim.robot.fast_mounted_tip import FastMountedTip
+from tactip_twin.sim.robot.mounted_tip import MountedTip, TipOnArm
 from tactip_twin.sim.robot.objects import SceneObject, load_object
 from tactip_twin.tactip_model.bounds import require
 from tactip_twin.tactip_model.design import Design
@@ -45,7 +48,7 @@ class ServoSetup:
     """Object to follow."""
     truth: SurfaceGroundTruth | EdgeGroundTruth
     """Ground truth on the object."""
-    mounted_tip: MountedTip
+    mounted_tip: TipOnArm
     """Tip on its arm model."""
     labels: Labels
     """Components of the label and the ranges in which estimates are trusted."""
@@ -89,7 +92,7 @@ def prepare(
     for repair in scene_object.notes:
         log(f"{options.object}: {repair}")
     design = _with_overrides(load_design(options.design), options)
-    fidelity, arm_model = fidelity_named(options.fidelity), arm_model_named(options.arm)
+    arm_model = arm_model_named(options.arm)
     gains = gains_named(options.gains, options.task)
     truth = _ground_truth(options, scene_object)
     model = load_network(_network_name(options, needed=estimator is None))
@@ -99,10 +102,7 @@ def prepare(
             "choose another --model"
         )
     chosen = _estimator(estimator, options, model, design, truth, scene_object)
-    settle_steps = _settle_steps(options, fidelity.motion)
-    mounted_tip = MountedTip(
-        design, scene_object.solid, fidelity, arm_model, scene_object.T_base_object, settle_steps, options.speed_scale
-    )
+    mounted_tip = _mounted_tip(options, design, scene_object, arm_model, truth)
     depth_mm = _depth_mm(options, model.labels)
     T_start, route, targets = _plan(options, scene_object, truth)
     network = model if isinstance(chosen, NetworkEstimator) else None
@@ -120,6 +120,33 @@ def prepare(
         T_start,
         route,
         targets,
+    )
+
+
+def _mounted_tip(
+    options: ServoOptions,
+    design: Design,
+    scene_object: SceneObject,
+    arm_model: ArmModel,
+    truth: SurfaceGroundTruth | EdgeGroundTruth,
+) -> TipOnArm:
+    """Return the tip of the options' fidelity on its arm model."""
+    solid, T_base_object = scene_object.solid, scene_object.T_base_object
+    if options.fidelity not in LEARNED_FIDELITIES:
+        if options.sliding_tip:
+            raise TactipError(f"--sliding-tip is for --fidelity fast or corrected, got --fidelity {options.fidelity}")
+        fidelity = fidelity_named(options.fidelity)
+        settle_steps = _settle_steps(options, fidelity.motion)
+        return MountedTip(design, solid, fidelity, arm_model, T_base_object, settle_steps, options.speed_scale)
+    if options.settle_steps is not None or options.speed_scale != 1:
+        raise TactipError(f"--settle-steps and --speed-scale are for a simulated tip, got --fidelity {options.fidelity}")
+    path = options.sliding_tip or shipped_sliding_tip(options.task, options.design)
+    tip = read_sliding_tip(path)
+    if tip.task != options.task:
+        raise TactipError(f"the learned tip in {path} is for {tip.task}, got --task {options.task}")
+    corrected = options.fidelity == "corrected"
+    return FastMountedTip(
+        tip, design, solid, fidelity_named("standard"), arm_model, T_base_object, truth, corrected=corrected
     )
 
 

@@ -1,42 +1,35 @@
 """Training of a learned tip on data sets that keep their meshes (`tactip dataset make --keep-mesh`)."""
 
 import dataclasses
-import io
 import json
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import NoReturn
 
 import numpy as np
 import torch
-from scipy.spatial.transform import Rotation
 from tqdm import tqdm
 
 from tactip_twin.learning.fast_tip_settings import FastTipSettings
+from tactip_twin.learning.tip_networks import Perceptron, train_network, train_networks, turned_pairs
 from tactip_twin.sim.dataset.configuration import Configuration
 from tactip_twin.sim.dataset.format import labels_sha256, read_configuration, read_meta, read_rows
 from tactip_twin.sim.dataset.mesh_states import read_mesh_states
-from tactip_twin.sim.fast_tip.fast_tip import (
-    MEASURES,
-    MIN_FORCE_N,
-    FastTip,
-    Network,
-    PinDecoder,
-    mechanics_of,
-    read_fast_tip,
-    write_fast_tip,
-)
+from tactip_twin.sim.fast_tip.fast_tip import FastTip, PinDecoder, mechanics_of, read_fast_tip, write_fast_tip
 from tactip_twin.sim.fast_tip.features import COUNT, features, mirrored, pairs
+from tactip_twin.sim.fast_tip.measures import MEASURE_MIRROR, MEASURE_PAIRS, MEASURES, measures_of
+from tactip_twin.sim.fast_tip.network import Network
 from tactip_twin.sim.fast_tip.skin_field import Modes, SkinSampler
 from tactip_twin.sim.labels import LABELS, SHEARS, Task
 from tactip_twin.sim.parallel.file_lock import locked
 from tactip_twin.sim.parallel.resume import check_resumable
-from tactip_twin.sim.pose import FACING, from_mm_deg
-from tactip_twin.tactip_model.errors import Interrupted, TactipError
+from tactip_twin.sim.pose import from_mm_deg
+from tactip_twin.tactip_model.bounds import require
+from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.files import write_file
-from tactip_twin.tactip_model.input_files import read_arrays, read_json
+from tactip_twin.tactip_model.input_files import read_json
 from tactip_twin.tactip_model.mesh import build_mesh
 from tactip_twin.tactip_model.pins import PinReader
 
@@ -82,6 +75,7 @@ def read_contacts(folders: Sequence[Path]) -> TipContacts:
         TactipError: A set is not simulated, has no meshes, lies on curved surfaces, or differs from the first in task,
             fidelity, shape or materials.
     """
+    require(len(folders) > 0, "the number of training sets", len(folders), "at least one training set")
     parts = [_read_set(Path(folder)) for folder in folders]
     first = parts[0].configuration
     for folder, part in zip(folders, parts, strict=True):
@@ -128,9 +122,7 @@ def _read_set(folder: Path) -> TipContacts:
 
     poses, shears = from_mm_deg(cells(LABELS)), from_mm_deg(cells(SHEARS))
     in_sensor = cells(("force_x_N", "force_y_N", "force_z_N"))
-    force = Rotation.from_rotvec(poses[:, 3:]).apply(in_sensor @ FACING)
-    normal = np.maximum(force[:, 2:], MIN_FORCE_N)
-    measures = np.concatenate([np.log(normal), force[:, :2] / normal, cells(MEASURES[3:])], 1)
+    measures = measures_of(poses, in_sensor, cells(MEASURES[3:]))
     return TipContacts(configuration, poses, shears, harmonics, measures, skins)
 
 
@@ -156,8 +148,8 @@ class _Batches:
         inputs, coefficients, measures = self._inputs[chosen], self._coefficients[chosen], self._measures[chosen]
         if self._pairs:
             angle = 2 * torch.pi * torch.rand(size, generator=generator)
-            inputs = _turned(inputs, self._pairs, angle)
-            measures = _turned(measures, _MEASURE_PAIRS, angle)
+            inputs = turned_pairs(inputs, self._pairs, angle)
+            measures = turned_pairs(measures, MEASURE_PAIRS, angle)
             coefficients = coefficients * torch.polar(torch.ones(1), -angle[:, None] * self._orders)
         flip = torch.rand(size, 1, generator=generator) < 0.5
         inputs = torch.where(flip, inputs * self._mirror, inputs)
@@ -166,42 +158,7 @@ class _Batches:
         return inputs, torch.cat([coefficients.real, coefficients.imag], 1), measures
 
 
-_MEASURE_PAIRS = [1, 3]
-"""Positions in MEASURES of the first component of each pair (x, y)."""
-
-_MEASURE_MIRROR = torch.tensor([1.0, 1.0, -1.0, 1.0, -1.0, -1.0, 1.0, 1.0])
-"""Factors of a mirror in the plane of x and z on MEASURES."""
-
-
-def _turned(values: torch.Tensor, firsts: Sequence[int], angle: torch.Tensor) -> torch.Tensor:
-    """Return values (n, …) whose pairs are turned by angles (n,), rad."""
-    values, cosine, sine = values.clone(), torch.cos(angle), torch.sin(angle)
-    for k in firsts:
-        x, y = values[:, k].clone(), values[:, k + 1].clone()
-        values[:, k], values[:, k + 1] = cosine * x - sine * y, sine * x + cosine * y
-    return values
-
-
-class _Perceptron(torch.nn.Module):
-    """The torch version of fast_tip.Network."""
-
-    def __init__(self, inputs: int, width: int, layers: int, outputs: int) -> None:
-        super().__init__()
-        self.first, self.last = torch.nn.Linear(inputs, width), torch.nn.Linear(width, outputs)
-        self.residual = torch.nn.ModuleList([torch.nn.Linear(width, width) for _ in range(layers)])
-
-    def forward(self, x: torch.Tensor) -> torch.Tensor:
-        hidden = torch.nn.functional.silu(self.first(x))
-        for layer in self.residual:
-            hidden = hidden + torch.nn.functional.silu(layer(hidden))
-        return self.last(hidden)
-
-    def exported(self) -> Network:
-        """Return the network for numpy."""
-        # Parameters by name: weight, then bias, of each layer.
-        layers = (self.first, *self.residual, self.last)
-        tensors = [parameter for layer in layers for parameter in layer.parameters()]
-        return Network(tuple(tensor.detach().numpy().copy() for tensor in tensors))
+_MEASURE_MIRROR = torch.tensor(MEASURE_MIRROR, dtype=torch.float32)
 
 
 class _Plan:
@@ -282,7 +239,7 @@ def train_fast_tip(
             log(f"the tip in {out} is taught already")
             return read_fast_tip(out / FAST_TIP)
         plan = _Plan(contacts, settings)
-        networks = _train_networks(plan, settings, out, quiet)
+        networks = train_networks(partial(_train, plan, settings), settings.members + 1, settings.steps, out, quiet)
         tip = FastTip(
             task=contacts.task,
             mechanics=mechanics_of(contacts.configuration.design),
@@ -315,42 +272,6 @@ _SETTINGS, _LOCK = "settings.json", "lock"
 def _ranges(configuration: Configuration) -> np.ndarray:
     """Return the ranges (12, 2) of pose and shear of a set, m and rad."""
     return np.concatenate([from_mm_deg(ranges.bounds().T).T for ranges in (configuration.pose, configuration.shear)])
-
-
-def _train_networks(plan: _Plan, settings: FastTipSettings, out: Path, quiet: bool) -> list[Network]:
-    """Return the trained networks, that of measures last; finished ones are read from the folder."""
-    networks = []
-    count = settings.members + 1
-    with tqdm(
-        total=count * settings.steps,
-        unit="step",
-        file=sys.stderr,
-        mininterval=0.5 if sys.stderr.isatty() else 15,
-        disable=quiet,
-    ) as bar:
-        for member in range(count):
-            path = out / f"network-{member}.npz"
-            network = _finished(path)
-            if network is None:
-                network = _train(plan, member == settings.members, settings, member, bar)
-                data = io.BytesIO()
-                np.savez(data, *network.weights)
-                write_file(path, data.getvalue())
-            else:
-                bar.update(settings.steps)
-            networks.append(network)
-    return networks
-
-
-def _finished(path: Path) -> Network | None:
-    """Return the network in a file; None if there is none, or it is damaged."""
-    if not path.exists():
-        return None
-    try:
-        arrays = read_arrays(path)
-        return Network(tuple(arrays[f"arr_{k}"] for k in range(len(arrays))))
-    except (TactipError, KeyError):
-        return None
 
 
 def fast_tip_errors(tip: FastTip, contacts: TipContacts) -> dict[str, float]:
@@ -399,41 +320,27 @@ def _scales(task: Task, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _measure_scales(measures: np.ndarray, task: Task) -> tuple[np.ndarray, np.ndarray]:
     """The same for measures (n, MEASURES)."""
     center, scale = measures.mean(0), measures.std(0)
-    center[_MEASURE_MIRROR.numpy() < 0] = 0
+    center[MEASURE_MIRROR < 0] = 0
     if task == "surface":
-        for k in _MEASURE_PAIRS:
+        for k in MEASURE_PAIRS:
             center[k : k + 2], scale[k : k + 2] = 0, np.sqrt((scale[k : k + 2] ** 2).mean())
     return center, np.where(scale > 1e-6, scale, 1.0)
 
 
-def _train(plan: _Plan, of_measures: bool, settings: FastTipSettings, member: int, bar: "tqdm[NoReturn]") -> Network:
+def _train(plan: _Plan, settings: FastTipSettings, member: int, bar: "tqdm[NoReturn]") -> Network:
     """Train one network and return it.
 
     Args:
         plan: What the networks share.
-        of_measures: Whether it is the network of measures.
         settings: Settings.
-        member: Number of the network, which is part of its seed.
+        member: Number of the network, which is part of its seed; the last is that of measures.
         bar: Progress bar, which advances with each step.
     """
-    seed = settings.seed * 1000 + member
-    generator = torch.Generator().manual_seed(seed)
-    with torch.random.fork_rng():
-        torch.manual_seed(seed)
-        network = _Perceptron(plan.batches.width, settings.width, settings.layers, plan.outputs(of_measures))
-    optimizer = torch.optim.AdamW(network.parameters(), settings.learning_rate, weight_decay=settings.weight_decay)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(
-        optimizer, settings.learning_rate, total_steps=settings.steps, pct_start=0.1
-    )
-    try:
-        for _ in range(settings.steps):
-            inputs, *targets = plan.batches.sample(settings.batch, generator)
-            loss = plan.loss(of_measures, network(inputs), (targets[0], targets[1]))
-            optimizer.zero_grad()
-            loss.backward()
-            optimizer.step()
-            schedule.step()
-            bar.update()
-    except KeyboardInterrupt:
-        raise Interrupted("finished networks are saved: run the same command to resume") from None
-    return network.exported()
+    of_measures = member == settings.members
+    sizes = plan.batches.width, settings.width, settings.layers, plan.outputs(of_measures)
+
+    def loss(network: Perceptron, generator: torch.Generator, step: int) -> torch.Tensor:
+        inputs, *targets = plan.batches.sample(settings.batch, generator)
+        return plan.loss(of_measures, network(inputs), (targets[0], targets[1]))
+
+    return train_network(lambda: Perceptron(*sizes), loss, settings, settings.seed * 1000 + member, bar)

@@ -1,12 +1,14 @@
 """The learned tip against the simulation: `tactip bench fast-tip`.
 
 Teaches tips by number of contacts, and compares their pins and forces with simulated test contacts that none has seen;
-measures rates. Writes docs/fast_tip.md and docs/fast_tip.json.
+measures rates; and puts predicted and corrected contacts beside the presets of the simulation, as error against time. Writes
+fast_tip.json, .md and .png.
 """
 
 import shutil
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,10 +19,15 @@ from tactip_twin.benchmarks.options import FastTipOptions, LearningOptions
 from tactip_twin.benchmarks.report import read_results, table, write_results
 from tactip_twin.learning.fast_tip_settings import FastTipSettings
 from tactip_twin.learning.fast_tip_training import FAST_TIP, TipContacts, fast_tip_errors, read_contacts, train_fast_tip
+from tactip_twin.sim.contact.fidelity import FIDELITIES, fidelity_named
+from tactip_twin.sim.contact.record import Contact, QualityLimits
+from tactip_twin.sim.contact.simulator import ContactSimulator
 from tactip_twin.sim.dataset.generate import make
+from tactip_twin.sim.fast_tip.corrected_contacts import CorrectedContacts
 from tactip_twin.sim.fast_tip.fast_contacts import FastContacts
 from tactip_twin.sim.fast_tip.fast_tip import FastTip
 from tactip_twin.sim.parallel.worker_pool import worker_count
+from tactip_twin.sim.view.plot import COLORS, figure_of, log_axis, save_figure
 from tactip_twin.tactip_model.raster_renderer import Raster
 from tactip_twin.tactip_model.tactile_image import tactile_image
 
@@ -41,7 +48,7 @@ def run(options: FastTipOptions, log: Callable[[str], None] = print) -> dict[str
     make([job for job in jobs(learning, {"large"}) if job.folder in folders.values()], worker_count(options.workers), log)
     test, rows, tips = read_contacts([folders["test"]]), [], []
     for count in (*options.counts, 0):
-        settings = FastTipSettings(contacts=count)
+        settings = FastTipSettings(contacts=count, steps=options.steps)
         out = options.runs / task / str(count or options.contacts)
         tips.append(train_fast_tip([folders["train"]], folders["val"], settings, out, log))
         rows.append({"contacts": tips[-1].provenance["contacts"], **fast_tip_errors(tips[-1], test)})
@@ -50,9 +57,15 @@ def run(options: FastTipOptions, log: Callable[[str], None] = print) -> dict[str
             options.release.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(out / FAST_TIP, options.release / f"{task}-{DESIGN}.npz")
     result = read_results(options.out / "fast_tip.json") | {
-        task: {"rows": rows, "rates": _rates(tips[-1], test), "machine": machine()}
+        task: {
+            "rows": rows,
+            "rates": _rates(tips[-1], test),
+            "ways": _ways(tips[-1], test, options.compared_contacts, log),
+            "machine": machine(),
+        }
     }
     write_results("fast_tip", result, tables(result), options.out)
+    plot(result, options.out / "fast_tip.png")
     return result
 
 
@@ -82,6 +95,69 @@ def _rates(tip: FastTip, test: TipContacts) -> dict[str, float]:
         return _IMAGES
 
     return {work.__name__: _rate(work) for work in (batch, single, images)}
+
+
+def _ways(tip: FastTip, test: TipContacts, count: int, log: Callable[[str], None]) -> list[dict[str, Any]]:
+    """Return error and time of the first `count` test contacts, by way to make them, against `standard` and `reference`.
+
+    Contacts of a way that cannot be trusted are left out, and counted.
+    """
+    design, standard = test.configuration.design, fidelity_named("standard")
+    predictor, corrector = FastContacts(tip, design), CorrectedContacts(tip, design, standard, QualityLimits())
+    simulators = {name: ContactSimulator(design, tip.task, fidelity) for name, fidelity in FIDELITIES.items()}
+
+    def predicted(pose: np.ndarray, shear: np.ndarray) -> Contact | None:
+        contacts, trusted = predictor.predict(pose[None], shear[None])
+        return contacts[0] if trusted[0] else None
+
+    ways: dict[str, Callable[[np.ndarray, np.ndarray], Contact | None]] = {
+        "fast": predicted,
+        "corrected": corrector.simulate,
+        **{name: simulator.simulate for name, simulator in simulators.items()},
+    }
+    found: dict[str, list[tuple[Contact | None, float]]] = {name: [] for name in ways}
+    for k, (pose, shear) in enumerate(zip(test.poses[:count], test.shears[:count], strict=True)):
+        for name, way in ways.items():
+            start = time.process_time()
+            contact = way(pose, shear)
+            found[name].append((contact, time.process_time() - start))
+        log(f"{k + 1} of {count} contacts compared")
+    seconds = {name: float(np.median([s for _, s in results])) for name, results in found.items()}
+    start = time.process_time()
+    predictor.pins(test.poses, test.shears)
+    found["fast, batch"], seconds["fast, batch"] = found["fast"], (time.process_time() - start) / len(test)
+    rows = []
+    for name, results in found.items():
+        row = {"way": name, "seconds": seconds[name], "cost": seconds[name] / seconds["standard"]}
+        row["made"] = sum(contact is not None for contact, _ in results)
+        for truth in ("standard", "reference"):
+            pairs = [(c, t) for (c, _), (t, _) in zip(results, found[truth], strict=True) if c and t]
+            apart = [1e3 * np.linalg.norm(c.pin_tips - t.pin_tips, axis=1).mean() for c, t in pairs]
+            forces = np.array([(c.normal_force_n, t.normal_force_n) for c, t in pairs])
+            row[truth] = {
+                "pins_mm": float(np.mean(apart)),
+                "worst_contact_mm": float(np.max(apart)),
+                "force": float(np.abs(forces[:, 0] - forces[:, 1]).sum() / forces[:, 1].sum()),
+            }
+        rows.append(row)
+    return rows
+
+
+def plot(result: dict[str, Any], path: Path) -> None:
+    """Plot the mean pin error against `reference` over the CPU time per contact, one panel per task, into a PNG file."""
+    figure, panels = figure_of(1, len(result), (4.6 * len(result), 4.2))
+    for axis, (task, found) in zip(panels, result.items(), strict=True):
+        rows = {row["way"]: row for row in found["ways"] if row["way"] != "reference"}
+        for names, color in ((("draft", "standard"), "k"), (("fast, batch", "fast", "corrected"), COLORS[0])):
+            points = [(rows[name]["seconds"], rows[name]["reference"]["pins_mm"]) for name in names]
+            axis.plot(*zip(*points, strict=True), "o-", ms=7, lw=1, color=color)
+            for name, point in zip(names, points, strict=True):
+                axis.annotate(name, point, (6, 6), textcoords="offset points")
+        log_axis(axis, "x")
+        axis.set(xlabel="CPU time per contact, s", title=f"{task} contacts", ylim=(0, None))
+        axis.margins(x=0.2)
+    panels[0].set_ylabel("mean pin error from reference, mm")
+    save_figure(figure, path)
 
 
 def _rate(work: Callable[[], int]) -> float:
@@ -123,9 +199,26 @@ def tables(result: dict[str, Any]) -> dict[str, str]:
     ]
     kinds = "batch", "single", "images"
     rates = [[task, *(f"{found['rates'][kind]:.0f}" for kind in kinds)] for task, found in result.items()]
+    ways = [
+        [
+            task,
+            row["way"],
+            f"{1e3 * row['seconds']:.2g}",
+            f"{row['cost']:.2g}",
+            f"{row['made']}",
+            *(f"{row[truth]['pins_mm']:.3f}" for truth in ("standard", "reference")),
+            f"{row['standard']['worst_contact_mm']:.2f}",
+            f"{100 * row['standard']['force']:.1f} %",
+        ]
+        for task, found in result.items()
+        for row in found["ways"]
+    ]
+    way_head = ["task", "way", "CPU time, ms", "relative to standard", "contacts", "pins from standard, mm"]
+    way_head += ["pins from reference, mm", "worst contact from standard, mm", "force from standard"]
     machines = sorted({machine_text(found["machine"]) for found in result.values()})
     return {
         "errors": table(head, errors),
+        "ways": table(way_head, ways),
         "rates": table(["task", "contacts in a batch", "contacts one by one", "contacts with images"], rates)
         + "".join(f"\n\nMachine: {one}." for one in machines),
     }

@@ -145,33 +145,36 @@ class ContactSimulator:
                 self.hold(self._pose)
         return self._record(self._pose, shear_between(self._start, self._pose), len(messages), label)
 
-    def settle_from(self, vertices: np.ndarray, pose: ArrayLike, shear: ArrayLike, max_steps: int) -> Iterator[Contact]:
-        """Start in contact, from a deformed mesh at rest, and let it settle.
+    def start_from(self, vertices: np.ndarray, pose: ArrayLike, shear: ArrayLike = (0, 0, 0, 0, 0, 0)) -> None:
+        """Start in contact, from a deformed mesh at rest.
 
         Args:
-            vertices: (n, 3) m, deformed mesh in the sensor frame.
+            vertices: (n, 3) m, in the sensor frame.
+            pose: (6,), m and rad, in the stimulus's frame. Depth and tilt are not checked.
+            shear: (6,), m and rad, motion in contact until then.
+        """
+        pose, shear = np.asarray(pose, float), np.asarray(shear, float)
+        self.scene.reset()
+        self.scene.deform(vertices)
+        self._start, self._pose = before_shear(pose, shear), pose
+
+    def settle(self, pose: ArrayLike, max_steps: int) -> Iterator[Contact]:
+        """Let a deformed tip settle at a pose, after start_from.
+
+        Args:
             pose: (6,), m and rad.
-            shear: (6,), m and rad, for the record.
             max_steps: Maximum number of time steps.
 
         Yields:
             The contact after each step. Its slip fraction is 0, because nothing moves.
-
-        Raises:
-            TactipError: The pose is out of reach (check_motion).
         """
-        pose, shear = np.asarray(pose, float), np.asarray(shear, float)
-        check_motion(pose, shear, min(MAX_DEPTH_M, self.scene.stimulus.max_depth_m))
-        self.scene.reset()
-        self.scene.deform(vertices)
-        self._start, self._pose = before_shear(pose, shear), pose
+        pose, warnings = np.asarray(pose, float), 0
         self._steps, self._unsolved, self._slip_fraction, self._phase = 0, 0, 0.0, "settle"
-        warnings = 0
         for _ in range(max_steps):
             with counted_warnings() as messages, contextlib.suppress(Diverged):
                 self.hold(pose)
             warnings += len(messages)
-            yield self._record(pose, shear, warnings)
+            yield self._record(pose, shear_between(self._start, pose), warnings)
 
     def simulate_partial_shears(self, pose: ArrayLike, shear: ArrayLike, fractions: ArrayLike) -> Iterator[Contact]:
         """Simulate one contact and let it settle at several fractions of its shear.

@@ -83,7 +83,8 @@ class CorrectedContacts:
         coefficients, _ = self._tip.coefficients(pose[None], shear[None])
         vertices = self._decoder(coefficients)[0]
         start, _ = self._simulator.reader.read(vertices[: self.mesh.surface_count])
-        for contact in self._simulator.settle_from(vertices, pose, shear, MAX_STEPS):
+        self._simulator.start_from(vertices, pose, shear)
+        for contact in self._simulator.settle(pose, MAX_STEPS):
             if contact.steps >= MIN_STEPS and not contact.violations(self._limits):
                 moved = np.linalg.norm(contact.pin_tips - start, axis=1).mean()
                 return replace(contact, slip_fraction=predicted[0].slip_fraction) if moved <= MAX_MOVED_M else None

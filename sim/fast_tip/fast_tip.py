@@ -5,7 +5,6 @@ prediction, and their spread tells whether it can be trusted. A second network p
 """
 
 import hashlib
-import io
 import json
 from dataclasses import asdict, dataclass
 from functools import cached_property
@@ -13,63 +12,37 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from tactip_twin.assets import FAST_TIPS
+from tactip_twin.sim.fast_tip.archive import check_numbers, pack, unpack
 from tactip_twin.sim.fast_tip.features import COUNT, features
-from tactip_twin.sim.fast_tip.skin_field import MAX_ORDER, RING_ANGLES, Modes
+from tactip_twin.sim.fast_tip.measures import MEASURES, forces_and_patch
+from tactip_twin.sim.fast_tip.network import Network, network_of
+from tactip_twin.sim.fast_tip.skin_field import RING_ANGLES, Modes
 from tactip_twin.sim.labels import TASKS, Task
-from tactip_twin.sim.pose import FACING
 from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.files import write_file
-from tactip_twin.tactip_model.input_files import has_checksum, parse_arrays, parse_json, read_file, with_checksum
 from tactip_twin.tactip_model.pins import neutral_pins, pin_lever_m
 
 FORMAT, VERSION = "tactip-twin learned tip", 1
-
-MEASURES = (
-    "log_normal_force",
-    "tangential_ratio_x",
-    "tangential_ratio_y",
-    "effective_shear_x_mm",
-    "effective_shear_y_mm",
-    "effective_shear_Rz_deg",
-    "slip_fraction",
-    "contact_area_mm2",
-)
-"""Outputs of the second network, in the axes of the contact frame: natural logarithm of the normal force in N; tangential
-force over normal force; and as in targets.csv."""
-
-MIN_FORCE_N = 0.01
-"""Normal force below which its logarithm is not learned, N."""
-
-
-@dataclass(frozen=True)
-class Network:
-    """A perceptron with residual layers: numpy alone, so workers need no torch."""
-
-    weights: tuple[np.ndarray, ...]
-    """Matrices (out, in) and biases (out,) float32 in turn: the first layer, the residual layers, the last layer."""
-
-    def __call__(self, x: np.ndarray) -> np.ndarray:
-        """Return outputs (n, out) for inputs (n, in), float32."""
-        pairs = list(zip(self.weights[::2], self.weights[1::2], strict=True))
-        hidden = _silu(x @ pairs[0][0].T + pairs[0][1])
-        for matrix, bias in pairs[1:-1]:
-            hidden = hidden + _silu(hidden @ matrix.T + bias)
-        return hidden @ pairs[-1][0].T + pairs[-1][1]
-
-
-def _silu(x: np.ndarray) -> np.ndarray:
-    """Return x times its logistic function, computed by tanh, which does not overflow."""
-    half = 0.5 * x
-    return half * (1 + np.tanh(half))
 
 
 def mechanics_of(design: Design) -> dict[str, Any]:
     """Return the part of a design that a learned tip depends on, as JSON: shape and materials."""
     return json.loads(json.dumps({"shape": asdict(design.shape), "materials": asdict(design.materials)}))
+
+
+def check_mechanics(learned: dict[str, Any], design: Design) -> None:
+    """Raise TactipError if a design has another shape or other materials than those that a tip has learned."""
+    asked = mechanics_of(design)
+    for part, values in learned.items():
+        for name, value in values.items():
+            if asked[part].get(name) != value:
+                raise TactipError(
+                    f"the learned tip belongs to {part}.{name} {value}, but the design has {asked[part].get(name)}: "
+                    "teach one for this design"
+                )
 
 
 @dataclass(frozen=True)
@@ -131,14 +104,7 @@ class FastTip:
 
     def check_design(self, design: Design) -> None:
         """Raise TactipError if a design has another shape or other materials than those learned."""
-        asked = mechanics_of(design)
-        for part, values in self.mechanics.items():
-            for name, value in values.items():
-                if asked[part].get(name) != value:
-                    raise TactipError(
-                        f"the learned tip belongs to {part}.{name} {value}, but the design has {asked[part].get(name)}: "
-                        "teach one for this design"
-                    )
+        check_mechanics(self.mechanics, design)
 
     def outside(self, poses: np.ndarray, shears: np.ndarray) -> np.ndarray:
         """Return whether contacts (k, 6), (k, 6) lie outside the learned ranges, (k,) bool."""
@@ -169,21 +135,10 @@ class FastTip:
         tips, directions = decoder(coefficients)
         scaled, _ = self._scaled(poses, shears)
         measures = self.measure_network(scaled) * self.measure_scale + self.measure_center
-        normal = np.exp(measures[:, :1])
-        in_contact = normal * np.concatenate([measures[:, 1:3], np.ones((len(poses), 1))], 1)
-        forces = Rotation.from_rotvec(poses[:, 3:]).inv().apply(in_contact) @ FACING
-        shear = np.zeros((len(poses), 6))
-        shear[:, :2] = 1e-3 * measures[:, 3:5]
-        shear[:, 5] = np.radians(measures[:, 5])
         return Prediction(
             pin_tips=tips,
             directions=directions,
-            normal_forces_n=normal[:, 0],
-            tangential_forces_n=np.hypot(in_contact[:, 0], in_contact[:, 1]),
-            forces_n=forces,
-            effective_shears=shear,
-            slip_fractions=np.clip(measures[:, 6], 0, 1),
-            contact_areas_m2=1e-6 * np.maximum(measures[:, 7], 0),
+            **forces_and_patch(measures, poses),
             spread_m=spread,
             trusted=~self.outside(poses, shears) & (spread <= self.max_spread_m),
         )
@@ -199,20 +154,14 @@ class FastTip:
 
     def to_bytes(self) -> bytes:
         """Return the content of a file: an NPZ archive of the arrays, and a description as JSON."""
-        arrays = self._arrays()
         description = {
-            "format": FORMAT,
-            "version": VERSION,
             "task": self.task,
             "mechanics": self.mechanics,
             "max_spread_m": self.max_spread_m,
             "networks": len(self.networks),
             "provenance": self.provenance,
-            "arrays": {name: _checksum(array) for name, array in arrays.items()},
         }
-        data = io.BytesIO()
-        np.savez(data, allow_pickle=False, **arrays, description=np.array(json.dumps(with_checksum(description))))
-        return data.getvalue()
+        return pack(FORMAT, VERSION, description, self._arrays())
 
     def _arrays(self) -> dict[str, np.ndarray]:
         """Return the arrays of the file, by name."""
@@ -221,15 +170,11 @@ class FastTip:
             "profiles": self.modes.profiles.astype(np.float32),
         }
         for k, network in enumerate((*self.networks, self.measure_network)):
-            arrays |= {f"network{k}_{i}": weight for i, weight in enumerate(network.weights)}
+            arrays |= network.arrays(f"network{k}")
         return arrays
 
 
 _ARRAYS = ("center", "scale", "coefficient_scale", "measure_center", "measure_scale", "ranges")
-
-
-def _checksum(array: np.ndarray) -> str:
-    return hashlib.sha256(np.ascontiguousarray(array).tobytes()).hexdigest()
 
 
 class PinDecoder:
@@ -270,17 +215,17 @@ def write_fast_tip(tip: FastTip, path: Path) -> None:
 
 def read_fast_tip(path: str | Path) -> FastTip:
     """Read a learned tip from a file. Raises TactipError if the file is none, or was altered."""
-    arrays = parse_arrays(read_file(path, _MAX_FILE_BYTES), str(path))
-    text = arrays.pop("description", None)
-    about = parse_json(str(text), str(path)) if text is not None else None
-    if not isinstance(about, dict) or about.get("format") != FORMAT or about.get("version") != VERSION:
-        raise TactipError(f"{path} must be a file of the format {FORMAT!r}, version {VERSION}: teach the tip again")
-    if not has_checksum(about) or {name: _checksum(array) for name, array in arrays.items()} != about.get("arrays"):
-        raise TactipError(f"{path} was altered: it does not match its own checksums; teach the tip again, or copy it again")
+    about, arrays = unpack(path, FORMAT, VERSION)
     try:
-        networks = [_network(arrays, k) for k in range(about["networks"] + 1)]
+        task, count = about["task"], len(arrays["orders"])
+        if task not in TASKS:
+            raise ValueError(f"the task must be one of {', '.join(TASKS)}, got {task!r:.40}")
+        if about["networks"] < 2:
+            raise ValueError(f"it must have at least 2 networks, got {about['networks']}: a single one has no spread")
+        outputs = [2 * count] * about["networks"] + [len(MEASURES)]
+        networks = [network_of(arrays, f"network{k}", COUNT[task], size) for k, size in enumerate(outputs)]
         tip = FastTip(
-            task=about["task"],
+            task=task,
             mechanics=about["mechanics"],
             modes=Modes(arrays["orders"], arrays["profiles"].astype(float)),
             networks=tuple(networks[:-1]),
@@ -295,23 +240,8 @@ def read_fast_tip(path: str | Path) -> FastTip:
     return tip
 
 
-_MAX_FILE_BYTES = 2**25
-"""Maximum size of a file, bytes."""
-
-
-def _network(arrays: dict[str, np.ndarray], k: int) -> Network:
-    """Return network k of a file. Raises ValueError if it has no layers that fit together."""
-    count = sum(name.startswith(f"network{k}_") for name in arrays)
-    weights = tuple(arrays[f"network{k}_{i}"] for i in range(count))
-    if count < 4 or count % 2 or any(w.dtype != np.float32 or not np.isfinite(w).all() for w in weights):
-        raise ValueError(f"network {k} must have layers of finite float32")
-    return Network(weights)
-
-
 def _check_shapes(tip: FastTip) -> None:
     """Raise ValueError where the arrays of a learned tip do not fit together."""
-    if tip.task not in TASKS:
-        raise ValueError(f"the task must be one of {', '.join(TASKS)}, got {tip.task!r:.40}")
     inputs, count = COUNT[tip.task], len(tip.modes.orders)
     shapes = {
         "center": (inputs,),
@@ -321,20 +251,5 @@ def _check_shapes(tip: FastTip) -> None:
         "measure_scale": (len(MEASURES),),
         "ranges": (12, 2),
     }
-    for name, shape in shapes.items():
-        array = getattr(tip, name)
-        if array.shape != shape or array.dtype.kind != "f" or not np.isfinite(array).all():
-            raise ValueError(f"{name} must be finite numbers of shape {shape}, got {array.dtype} of shape {array.shape}")
-    if not (tip.scale > 0).all():
-        raise ValueError("scale must be positive")
-    orders, profiles = tip.modes.orders, tip.modes.profiles
-    if orders.dtype != np.int64 or not ((orders >= 0) & (orders <= MAX_ORDER)).all():
-        raise ValueError(f"orders must be integers from 0 to {MAX_ORDER}")
-    if profiles.shape != (count, 6 * len(RING_ANGLES)) or not np.isfinite(profiles).all():
-        raise ValueError(f"profiles must be finite, {count} of {6 * len(RING_ANGLES)} numbers")
-    if len(tip.networks) < 2:
-        raise ValueError(f"it must have at least 2 networks, got {len(tip.networks)}: a single one has no spread")
-    for network in (*tip.networks, tip.measure_network):
-        outputs = len(MEASURES) if network is tip.measure_network else 2 * count
-        if network(np.zeros((1, inputs), np.float32)).shape != (1, outputs):
-            raise ValueError(f"a network must have {inputs} inputs and {outputs} outputs")
+    check_numbers({name: getattr(tip, name) for name in shapes}, shapes)
+    tip.modes.check()

@@ -82,6 +82,27 @@ def _stacked(harmonics: np.ndarray) -> np.ndarray:
     return weighted.reshape(len(harmonics), -1, harmonics.shape[-1])
 
 
+def principal_modes(stacked: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the `count` principal components with the largest mean square, over all orders.
+
+    Args:
+        stacked: (k, size, orders) complex, of fields whose mirror images are their conjugates.
+        count: Number of components; fewer if there are not as many.
+
+    Returns:
+        Their orders (count,), and profiles (count, size), orthonormal within an order.
+    """
+    found = []
+    for order in range(stacked.shape[-1]):
+        # Over mirrored fields too, the covariance is real.
+        parts = np.concatenate([stacked[:, :, order].real, stacked[:, :, order].imag]).astype(float)
+        power, vectors = np.linalg.eigh(parts.T @ parts / len(stacked))
+        found += [(power[-k], order, vectors[:, -k]) for k in range(1, min(count, len(power)) + 1)]
+    found.sort(key=lambda mode: -mode[0])
+    chosen = found[:count]
+    return np.array([order for _, order, _ in chosen]), np.array([vector for _, _, vector in chosen])
+
+
 @dataclass(frozen=True)
 class Modes:
     """Modes of the skin's deformation, the largest first. (n modes)"""
@@ -99,16 +120,15 @@ class Modes:
             harmonics: (n, rings, 6, MAX_ORDER + 1), as of SkinSampler.harmonics.
             count: Number of modes.
         """
-        stacked = _stacked(harmonics)
-        found = []
-        for order in range(stacked.shape[-1]):
-            # Over mirrored deformations too, the covariance is real.
-            parts = np.concatenate([stacked[:, :, order].real, stacked[:, :, order].imag]).astype(float)
-            power, vectors = np.linalg.eigh(parts.T @ parts / len(stacked))
-            found += [(power[-k], order, vectors[:, -k]) for k in range(1, min(count, len(power)) + 1)]
-        found.sort(key=lambda mode: -mode[0])
-        chosen = found[:count]
-        return Modes(np.array([order for _, order, _ in chosen]), np.array([vector for _, _, vector in chosen]))
+        return Modes(*principal_modes(_stacked(harmonics), count))
+
+    def check(self) -> None:
+        """Raise ValueError unless orders and profiles are those of modes."""
+        orders, size = self.orders, (len(self.orders), 6 * len(RING_ANGLES))
+        if orders.dtype != np.int64 or not ((orders >= 0) & (orders <= MAX_ORDER)).all():
+            raise ValueError(f"orders must be integers from 0 to {MAX_ORDER}")
+        if self.profiles.shape != size or not np.isfinite(self.profiles).all():
+            raise ValueError(f"profiles must be finite numbers of shape {size}")
 
     def coefficients(self, harmonics: np.ndarray) -> np.ndarray:
         """Return the coefficients (k, n) complex of deformations with harmonics (k, rings, 6, MAX_ORDER + 1)."""

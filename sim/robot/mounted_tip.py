@@ -4,6 +4,8 @@ The tip stays fixed in its world and the object moves, as in the data-set scene:
 cost several times as much per step. The arm model (sim/robot/arm_models.py) gives the sensor's pose.
 """
 
+from abc import ABC, abstractmethod
+
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
@@ -20,14 +22,100 @@ from tactip_twin.sim.robot.arm_models import ArmModel
 from tactip_twin.sim.robot.irb120 import housing_points
 from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.errors import TactipError
+from tactip_twin.tactip_model.mesh import Mesh
 from tactip_twin.tactip_model.pins import PinReader
 
 _CLEAR_M = 0.5e-3
 """Gap between tip and object that counts as clear, m."""
 
 
-class MountedTip:
-    """A tip on an arm model, and an object."""
+class TipOnArm(ABC):
+    """A tip on an arm model, and an object: what a servo moves."""
+
+    mesh: Mesh
+    """Undeformed mesh of the tip."""
+
+    def __init__(
+        self, design: Design, solid: SignedDistanceMesh, fidelity: Fidelity, arm_model: ArmModel, T_base_object: ArrayLike
+    ) -> None:
+        """Take the parts: see MountedTip."""
+        self.arm_model, self.T_base_object = arm_model, np.array(T_base_object, float)
+        self._solid, self._radius, self._motion = solid, design.shape.radius_m, fidelity.motion
+        self._housing = housing_points(self._radius)
+        self.warnings = 0
+        """Number of MuJoCo's warnings so far."""
+
+    def reset_to(self, T_base_tcp: np.ndarray, wrist_rad: float = 0.0) -> None:
+        """Place the sensor at a pose with the tip undeformed.
+
+        Args:
+            T_base_tcp: (4, 4).
+            wrist_rad: Desired angle of joint 6, rad.
+
+        Raises:
+            Unreachable: If the arm cannot take the pose.
+            TactipError: If the tip is not clear of the object there.
+        """
+        if self.gap(T_base_tcp) < 0:
+            raise TactipError("the start pose puts the tip inside the object: start farther away from it")
+        self.arm_model.reset_to(T_base_tcp, wrist_rad)
+        self._reset()
+
+    def gap(self, T_base_tcp: np.ndarray) -> float:
+        """Return the distance, m, from the undeformed dome at a pose (4, 4) to the object; negative where they overlap."""
+        T = inverse(self.T_base_object) @ T_base_tcp
+        centre = (T @ [0, 0, -self._radius, 1])[:3]
+        # The dome is the sphere's outer half; behind it is the housing, as wide.
+        back = T[:3, 3] - np.outer(np.linspace(self._radius, 3 * self._radius, 9), T[:3, 2])
+        return float(min(self._solid.distance(centre[None])[0], self._solid.distance(back).min()) - self._radius)
+
+    @abstractmethod
+    def go(self, T_base_tcp: np.ndarray) -> TipState:
+        """Move to a pose at the fidelity's pace, in contact or not, and settle there.
+
+        Args:
+            T_base_tcp: (4, 4).
+
+        Returns:
+            The tip's state at rest.
+
+        Raises:
+            Unreachable: If the arm cannot take the pose; nothing has moved.
+            Diverged: If the simulation diverges.
+        """
+
+    @abstractmethod
+    def tip_state(self) -> TipState:
+        """Return the tip's present state. Raises Diverged."""
+
+    @abstractmethod
+    def _reset(self) -> None:
+        """Make the tip undeformed at the arm model's pose."""
+
+    def _clearance(self) -> float:
+        """Return the distance, m, from the object to the nearest of the points on the housing."""
+        T = inverse(self.T_base_object) @ self.arm_model.pose
+        return float(self._solid.distance(self._housing @ T[:3, :3].T + T[:3, 3]).min())
+
+    def _set_target(self, T_base_tcp: np.ndarray, step_m: float, pace: float) -> np.ndarray:
+        """Set the arm model's target (4, 4), and return the fractions (n,) of the path at the time steps to it.
+
+        Args:
+            T_base_tcp: (4, 4).
+            step_m: Travel per time step of the fidelity, m.
+            pace: Ratio of the travel per time step to that, -.
+
+        Raises:
+            Unreachable: If the arm cannot take the pose.
+        """
+        motion, here = self._motion, self.arm_model.pose
+        travel = np.linalg.norm(T_base_tcp[:3, 3] - here[:3, 3]) + LEVER_M * angle_between(here, T_base_tcp)
+        count = max(int(np.ceil(motion.min_steps / pace)), int(np.ceil(travel / (step_m * pace))))
+        return motion_fractions(self.arm_model.set_target(T_base_tcp, count, motion.step_s), motion)[1:]
+
+
+class MountedTip(TipOnArm):
+    """A simulated tip on an arm model, and an object."""
 
     def __init__(
         self,
@@ -53,64 +141,27 @@ class MountedTip:
         Raises:
             TactipError: If the scene cannot be built.
         """
+        super().__init__(design, solid, fidelity, arm_model, T_base_object)
         self.scene = Scene(design, SolidStimulus(solid), fidelity)
-        self.arm_model, self.T_base_object = arm_model, np.array(T_base_object, float)
-        self._solid, self._radius = solid, design.shape.radius_m
+        self.mesh = self.scene.mesh
         self._reader = PinReader(design, self.scene.mesh)
         self._settle_steps = fidelity.motion.pause_steps if settle_steps is None else settle_steps
         self._pace = pace
-        self._housing = housing_points(self._radius)
         self._steps_since_read = 0
-        self.warnings = 0
-        """Number of MuJoCo's warnings so far."""
 
-    def reset_to(self, T_base_tcp: np.ndarray, wrist_rad: float = 0.0) -> None:
-        """Place the sensor at a pose with the tip undeformed.
-
-        Args:
-            T_base_tcp: (4, 4).
-            wrist_rad: Desired angle of joint 6, rad.
-
-        Raises:
-            Unreachable: If the arm cannot take the pose.
-            TactipError: If the tip is not clear of the object there.
-        """
-        if self.gap(T_base_tcp) < 0:
-            raise TactipError("the start pose puts the tip inside the object: start farther away from it")
-        self.arm_model.reset_to(T_base_tcp, wrist_rad)
+    def _reset(self) -> None:
         self.scene.reset()
         self._place(self.arm_model.pose)
         self._steps_since_read = 0
 
-    def gap(self, T_base_tcp: np.ndarray) -> float:
-        """Return the distance, m, from the undeformed dome at a pose (4, 4) to the object; negative where they overlap."""
-        T = inverse(self.T_base_object) @ T_base_tcp
-        centre = (T @ [0, 0, -self._radius, 1])[:3]
-        # The dome is the sphere's outer half; behind it is the housing, as wide.
-        back = T[:3, 3] - np.outer(np.linspace(self._radius, 3 * self._radius, 9), T[:3, 2])
-        return float(min(self._solid.distance(centre[None])[0], self._solid.distance(back).min()) - self._radius)
-
     def go(self, T_base_tcp: np.ndarray) -> TipState:
-        """Move to a pose at the fidelity's pace, in contact or not, and settle there.
-
-        Args:
-            T_base_tcp: (4, 4).
-
-        Returns:
-            The tip's state at rest.
-
-        Raises:
-            Unreachable: If the arm cannot take the pose; nothing has moved.
-            Diverged: If the simulation diverges.
-        """
-        motion, here = self.scene.fidelity.motion, self.arm_model.pose
-        travel = np.linalg.norm(T_base_tcp[:3, 3] - here[:3, 3]) + LEVER_M * angle_between(here, T_base_tcp)
-        step = motion.shear_step_m if self.scene.data.ncon or self.gap(T_base_tcp) < _CLEAR_M else motion.press_step_m
-        count = max(int(np.ceil(motion.min_steps / self._pace)), int(np.ceil(travel / (step * self._pace))))
-        count = self.arm_model.set_target(T_base_tcp, count, motion.step_s)
+        """Move to a pose and settle there: see TipOnArm."""
+        motion = self._motion
+        near = self.scene.data.ncon or self.gap(T_base_tcp) < _CLEAR_M
+        fractions = self._set_target(T_base_tcp, motion.shear_step_m if near else motion.press_step_m, self._pace)
         with counted_warnings() as messages:
             self.scene.stiffen(resting=False)
-            for fraction in motion_fractions(count, motion)[1:]:
+            for fraction in fractions:
                 self._step(fraction)
             self.scene.stiffen(resting=True)
             for _ in range(self._settle_steps):
@@ -125,11 +176,6 @@ class MountedTip:
             raise Diverged("the simulation diverged: the tip is deformed beyond four times its radius")
         self._steps_since_read = 0
         return state
-
-    def _clearance(self) -> float:
-        """Return the distance, m, from the object to the nearest of the points on the housing."""
-        T = inverse(self.T_base_object) @ self.arm_model.pose
-        return float(self._solid.distance(self._housing @ T[:3, :3].T + T[:3, 3]).min())
 
     def _step(self, fraction: float) -> None:
         """Make one time step, to a fraction of the arm model's path."""

@@ -41,14 +41,14 @@ from tactip_twin.sim.dataset.mesh_states import pack_mesh_states, read_mesh_stat
 from tactip_twin.sim.dataset.shards import shards_of
 from tactip_twin.sim.dataset.verify import verify
 from tactip_twin.sim.fast_tip.fast_tip import (
-    MEASURES,
     FastTip,
-    Network,
     PinDecoder,
     mechanics_of,
     read_fast_tip,
     write_fast_tip,
 )
+from tactip_twin.sim.fast_tip.measures import MEASURES
+from tactip_twin.sim.fast_tip.network import Network
 from tactip_twin.sim.fast_tip.skin_field import RING_ANGLES, Modes
 from tactip_twin.sim.robot import objects
 from tactip_twin.sim.robot.recording import (

@@ -12,6 +12,7 @@ from tactip_twin.commands import main as tactip
 from tactip_twin.learning import fast_tip_training
 from tactip_twin.learning.fast_tip_settings import FastTipSettings
 from tactip_twin.learning.fast_tip_training import FAST_TIP, read_contacts, train_fast_tip
+from tactip_twin.learning.tip_networks import Perceptron
 from tactip_twin.sim.dataset.format import read_meta, read_rows
 from tactip_twin.sim.dataset.symmetry import SYMMETRIES
 from tactip_twin.sim.fast_tip.fast_contacts import FastContacts
@@ -52,7 +53,7 @@ def test_tip_is_closer_to_the_simulation_than_the_undeformed_tip(taught, sets):
 
 
 def test_numpy_network_is_that_of_torch():
-    network = fast_tip_training._Perceptron(9, 16, 3, 12)
+    network = Perceptron(9, 16, 3, 12)
     x = torch.randn(50, 9, generator=torch.Generator().manual_seed(0))
     assert np.allclose(network.exported()(x.numpy()), network(x).detach().numpy(), atol=1e-5)
 

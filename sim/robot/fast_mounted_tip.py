@@ -1,0 +1,89 @@
+"""A learned tip that an arm model moves over an object: a servo's scene at a fraction of the simulation's time.
+
+The arm model takes the force of the tip's last state throughout a motion, at the apex and without a torque, because a
+prediction only tells the force at the end.
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from tactip_twin.sim.contact.fidelity import Fidelity
+from tactip_twin.sim.contact.mujoco_warnings import counted_warnings
+from tactip_twin.sim.contact.signed_distance import SignedDistanceMesh
+from tactip_twin.sim.contact.solid_stimulus import SolidStimulus
+from tactip_twin.sim.contact.tip_state import TipState
+from tactip_twin.sim.fast_tip.sliding_contact import SlidingContact
+from tactip_twin.sim.fast_tip.sliding_tip import SlidingTip
+from tactip_twin.sim.ground_truth import GroundTruth
+from tactip_twin.sim.pose import inverse
+from tactip_twin.sim.robot.arm_models import ArmModel
+from tactip_twin.sim.robot.mounted_tip import TipOnArm
+from tactip_twin.tactip_model.design import Design
+
+
+class FastMountedTip(TipOnArm):
+    """A learned tip on an arm model, and an object."""
+
+    def __init__(
+        self,
+        tip: SlidingTip,
+        design: Design,
+        solid: SignedDistanceMesh,
+        fidelity: Fidelity,
+        arm_model: ArmModel,
+        T_base_object: ArrayLike,
+        truth: GroundTruth,
+        corrected: bool,
+    ) -> None:
+        """Prepare the prediction.
+
+        Args:
+            tip: The sliding tip.
+            design: Design of the sensor, which the tip must have learned.
+            solid: Shape of the object, in the object's frame.
+            fidelity: Fidelity of what the tip has learned and of the motions that are simulated.
+            arm_model: Model that positions the sensor.
+            T_base_object: (4, 4).
+            truth: Poses of the sensor on the object.
+            corrected: Whether the simulation corrects what is predicted.
+
+        Raises:
+            TactipError: The design has another shape or other materials than those learned.
+        """
+        super().__init__(design, solid, fidelity, arm_model, T_base_object)
+        stimulus = SolidStimulus(solid)
+        self.contact = SlidingContact(tip, design, stimulus, truth, solid.distance, fidelity, corrected)
+        """The tip on the object, which counts the motions that were simulated."""
+        self.mesh = self.contact.mesh
+
+    def _reset(self) -> None:
+        self.contact.reset_to(self._sensor())
+
+    def _sensor(self) -> np.ndarray:
+        """Return T_object_sensor (4, 4)."""
+        return inverse(self.T_base_object) @ self.arm_model.pose
+
+    def go(self, T_base_tcp: np.ndarray) -> TipState:
+        """Move to a pose and settle there: see TipOnArm."""
+        motion, force = self._motion, self.arm_model.pose[:3, :3] @ self.contact.state().force_n
+        fractions = self._set_target(T_base_tcp, motion.shear_step_m, 1.0)
+        for fraction in (*fractions, *[1.0] * motion.pause_steps):
+            self.arm_model.advance(fraction, motion.step_s, force, np.zeros(3))
+        with counted_warnings() as messages:
+            self.contact.move(self._sensor())
+        self.warnings += len(messages)
+        return self.tip_state()
+
+    def tip_state(self) -> TipState:
+        """Return the tip's present state."""
+        state = self.contact.state()
+        return TipState(
+            pin_tips=state.pin_tips,
+            directions=state.directions,
+            skin=state.skin,
+            force=state.force_n,
+            penetration_m=state.penetration_m,
+            speed_m_s=state.speed_m_s,
+            steps=state.steps,
+            clearance_m=self._clearance(),
+        )

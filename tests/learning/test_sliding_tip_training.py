@@ -1,0 +1,163 @@
+"""Teaching of a sliding tip: resuming, its file, and contacts that slide as it predicts."""
+
+import numpy as np
+import pytest
+import torch
+
+from tactip_twin.commands import main as tactip
+from tactip_twin.learning import sliding_tip_training
+from tactip_twin.learning.sliding_paths import read_paths
+from tactip_twin.learning.sliding_tip_settings import SlidingTipSettings
+from tactip_twin.learning.sliding_tip_training import SLIDING_TIP, sliding_tip_errors, train_sliding_tip
+from tactip_twin.sim.contact.fidelity import fidelity_named
+from tactip_twin.sim.contact.stimuli import stimulus_named
+from tactip_twin.sim.dataset.sampling import POSE_RANGES
+from tactip_twin.sim.dataset.sliding import SlidingPath
+from tactip_twin.sim.fast_tip.sliding_contact import SlidingContact
+from tactip_twin.sim.fast_tip.sliding_tip import read_sliding_tip
+from tactip_twin.sim.pose import from_mm_deg, sensor_in_contact
+from tactip_twin.tactip_model.errors import Interrupted, TactipError
+from tactip_twin.tactip_model.presets import design_named
+
+SETTINGS = SlidingTipSettings(modes=20, state_modes=10, overlap_modes=8, width=24, steps=200, batch=64, trusted_fraction=1.0)
+MAKE = ["dataset", "make", "--fidelity", "draft", "--renderer", "raster", "--workers", "2"]
+OPTIONS = [
+    *("--modes", "20", "--state-modes", "10", "--overlap-modes", "8", "--width", "24", "--steps", "200"),
+    *("--batch", "64", "--trusted-fraction", "1", "--threads", "1"),
+]
+
+
+@pytest.fixture(scope="module")
+def sets(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("sets")
+    slides = ["--snapshots-per-contact", "5", "--keep-mesh"]
+    curved = ["--curvature-per-m", "-20", "60", "--varying-curvature-fraction", "0.5"]
+    for name, samples, options in (("train", 40, []), ("curved", 20, curved), ("val", 20, ["--split", "val"])):
+        assert tactip.main([*MAKE, *slides, *options, "--samples", str(samples), "--out", str(folder / name)]) == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def taught(sets, tmp_path_factory):
+    out = tmp_path_factory.mktemp("tip") / "tip"
+    arguments = [str(sets / "train"), str(sets / "curved"), "--val", str(sets / "val"), "--out", str(out), *OPTIONS]
+    assert tactip.main(["sliding-tip", *arguments]) == 0
+    return out / SLIDING_TIP
+
+
+def test_tip_is_closer_to_the_simulation_than_the_state_before(taught, sets):
+    tip, paths = read_sliding_tip(taught), read_paths([sets / "val"])
+    errors = tip.provenance["errors"]
+    before = tip.modes.coefficients(paths.harmonics[:, 1]) - tip.modes.coefficients(paths.harmonics[:, 0])
+    still = np.sqrt((np.abs(before) ** 2).sum(1).mean() / 15)
+    assert 0 < errors["step_mm"] < still
+    assert errors["slide_mm"] < 0.6
+    assert errors["force"] < 0.5
+    assert sliding_tip_errors(tip, paths) == pytest.approx(errors)
+
+
+def test_interrupted_teaching_resumes_to_the_same_bytes(taught, sets, tmp_path, monkeypatch):
+    train, calls = sliding_tip_training._train, []
+
+    def stopped(*arguments):
+        calls.append(arguments)
+        if len(calls) == 2:
+            raise Interrupted("stopped")
+        return train(*arguments)
+
+    torch.set_num_threads(1)
+    monkeypatch.setattr(sliding_tip_training, "_train", stopped)
+    arguments = [sets / "train", sets / "curved"], [sets / "val"], SETTINGS, tmp_path / "tip"
+    with pytest.raises(Interrupted):
+        train_sliding_tip(*arguments, quiet=True)
+    train_sliding_tip(*arguments, quiet=True)
+    assert len(calls) == 4  # two, of which one was interrupted, then the two that were missing
+    assert (tmp_path / "tip" / SLIDING_TIP).read_bytes() == taught.read_bytes()
+
+
+def test_sets_without_paths_are_refused(sets, tmp_path, capsys):
+    plain = tmp_path / "plain"
+    assert tactip.main([*MAKE, "--samples", "2", "--keep-mesh", "--out", str(plain)]) == 0
+    assert tactip.main(["sliding-tip", str(plain), "--val", str(plain), "--out", str(tmp_path / "tip")]) == 1
+    assert "make it with --snapshots-per-contact of at least 2" in capsys.readouterr().err
+    assert tactip.main(["sliding-tip", "--val", str(plain), "--out", str(tmp_path / "tip")]) == 1
+    assert "at least one training set" in capsys.readouterr().err
+
+
+def contact_of(path, **changes):
+    tip, draft = read_sliding_tip(path), fidelity_named("draft")
+    stimulus = stimulus_named("surface")
+    pose = from_mm_deg([0, 0, -3, 2, -4, 0])
+    walk = SlidingPath("surface", None, POSE_RANGES["surface"], pose, np.random.default_rng(3))
+    design = changes.pop("design", design_named("tactip-127"))
+    contact = SlidingContact(tip, design, stimulus, walk.truth, stimulus.distance, draft, **changes)
+    return contact, walk, pose
+
+
+def above(pose):
+    return sensor_in_contact(pose + from_mm_deg([0, 0, 3.5, 0, 0, 0]))
+
+
+def test_predicted_slide_stays_near_the_simulated_one(taught, monkeypatch):
+    predicted, walk, pose = contact_of(taught)
+    simulated, _, _ = contact_of(taught)
+    monkeypatch.setattr(simulated, "_tip", Untrusted(read_sliding_tip(taught)))
+    for contact in (predicted, simulated):
+        contact.reset_to(above(pose))
+        assert contact.state().steps == 0
+    poses = [sensor_in_contact(pose), *(sensor_in_contact(walk.stride()) for _ in range(5))]
+    apart, moved = [], []
+    for T in poses:
+        a, b = predicted.move(T), simulated.move(T)
+        apart.append(np.linalg.norm(a.pin_tips - b.pin_tips, axis=1).mean())
+        moved.append(np.linalg.norm(b.pin_tips - predicted._rest[0], axis=1).mean())
+        assert b.steps > 0
+        assert np.isfinite(b.penetration_m)
+    assert simulated.simulated_motions == simulated.motions >= 6
+    assert predicted.simulated_motions < predicted.motions
+    assert np.mean(apart) < 0.5 * np.mean(moved)
+    lifted = predicted.move(above(pose))
+    assert np.array_equal(lifted.pin_tips, predicted._rest[0])
+    assert not lifted.force_n.any()
+
+
+class Untrusted:
+    """A sliding tip none of whose predictions can be trusted."""
+
+    def __init__(self, tip):
+        self._tip = tip
+
+    def __getattr__(self, name):
+        return getattr(self._tip, name)
+
+    def step(self, steps, states):
+        return self._tip.step(steps, states)._replace(trusted=np.zeros(len(states), bool))
+
+
+def test_corrected_slide_passes_its_checks(taught):
+    contact, walk, pose = contact_of(taught, corrected=True)
+    contact.reset_to(above(pose))
+    contact.move(sensor_in_contact(pose))
+    for _ in range(3):
+        state = contact.move(sensor_in_contact(walk.stride()))
+        assert state.steps > 0
+        assert state.penetration_m < 0.15e-3
+
+
+def test_tip_of_another_design_is_refused(taught):
+    with pytest.raises(TactipError, match="the learned tip belongs to"):
+        contact_of(taught, design=design_named("tactip-331"))
+
+
+@pytest.mark.parametrize(
+    ("damage", "words"),
+    [
+        (lambda data: data[:-30], "cannot be read|not a|damaged"),
+        (lambda data: data.replace(b'"surface"', b'"surfacf"', 1), "altered|damaged|cannot be read"),
+    ],
+)
+def test_damaged_file_is_refused(taught, tmp_path, damage, words):
+    path = tmp_path / "tip.npz"
+    path.write_bytes(damage(taught.read_bytes()))
+    with pytest.raises(TactipError, match=words):
+        read_sliding_tip(path)
