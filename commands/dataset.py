@@ -19,6 +19,7 @@ from tactip_twin.tactip_model.errors import TactipError
 
 if TYPE_CHECKING:
     from tactip_twin.sim.dataset.generate import Job
+    from tactip_twin.tactip_model.design import Design
 
 
 @dataclass(frozen=True)
@@ -43,8 +44,8 @@ class Make(Command):
     """Fidelity of the simulation (sim/contact/fidelity.py); fast: predict the contacts of standard by a learned tip;
     corrected: predict them, and let the simulation correct them."""
     fast_tip: Path | None = None
-    """Learned tip of --fidelity fast or corrected, a file of `tactip fast-tip`. Default: the shipped one of task and
-    design."""
+    """Learned tip of --fidelity fast or corrected, a file of `tactip fast-tip`; for sliding paths and curved surfaces,
+    of `tactip sliding-tip`. Default: the shipped one of task and design."""
     design: str = "tactip-127"
     """Sensor: tactip-127, tactip-331, or a design file (.json) as `tactip calibrate` writes it."""
     randomize_mechanics: MechanicsName = "none"
@@ -86,7 +87,8 @@ class Make(Command):
         for job, result in zip(jobs, results, strict=True):
             if job.fast_tip:
                 rows = read_rows(job.folder, read_meta(job.folder))
-                result["simulated"] = sum(int(row["steps"]) > MAX_STEPS for row in rows)
+                longest = MAX_STEPS if job.configuration.corrected else 0
+                result["simulated"] = sum(int(row["steps"]) > longest for row in rows)
         # For a script, an empty set is a failure.
         status = 0 if all(r["kept"] for r in results) else 1
         if self.json:
@@ -122,14 +124,7 @@ class Make(Command):
         design, tip, digest = load_design(self.design), None, ""
         learns = self.fidelity in LEARNED_FIDELITIES
         if learns:
-            from tactip_twin.sim.fast_tip.fast_tip import read_fast_tip, shipped_fast_tip
-
-            tip = self.fast_tip or shipped_fast_tip("edge" if self.task == "edge" else "surface", design.name)
-            learned = read_fast_tip(tip)
-            learned.check_design(design)
-            if learned.task != self.task:
-                raise TactipError(f"the learned tip in {tip} is for {learned.task}, got --task {self.task}")
-            digest = learned.digest
+            tip, digest = self._learned_tip(design)
         elif self.fast_tip:
             raise TactipError(f"--fast-tip is for --fidelity fast or corrected, got --fidelity {self.fidelity}")
         jobs = []
@@ -146,6 +141,20 @@ class Make(Command):
             )
             jobs.append(Job(configuration, self.out / self.task / split if several else self.out, tip))
         return jobs
+
+    def _learned_tip(self, design: "Design") -> tuple[Path, str]:
+        """Return file and checksum of the learned tip."""
+        from tactip_twin.sim.fast_tip.fast_tip import read_fast_tip, shipped_fast_tip
+        from tactip_twin.sim.fast_tip.sliding_tip import read_sliding_tip, shipped_sliding_tip
+
+        task: Task = "edge" if self.task == "edge" else "surface"
+        slides = self.options.snapshots_per_contact > 1 or any(self.options.curvature_per_m)
+        path = self.fast_tip or (shipped_sliding_tip if slides else shipped_fast_tip)(task, design.name)
+        tip = read_sliding_tip(path) if slides else read_fast_tip(path)
+        tip.check_design(design)
+        if tip.task != task:
+            raise TactipError(f"the learned tip in {path} is for {tip.task}, got --task {task}")
+        return path, tip.digest
 
 
 @dataclass(frozen=True)

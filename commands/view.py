@@ -6,7 +6,8 @@ from typing import Literal
 from tactip_twin.commands._pages import serve_until_interrupted
 from tactip_twin.commands._parsing import Command
 from tactip_twin.commands._pose_reader import load_pose_reader
-from tactip_twin.sim.labels import FidelityName
+from tactip_twin.sim.labels import LEARNED_FIDELITIES, TASKS, FidelityName, LearnedFidelityName
+from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.renderer import RendererName
 
 
@@ -20,8 +21,9 @@ class View(Command):
     """Stimulus."""
     design: str = "tactip-127"
     """Sensor: tactip-127, tactip-331, or a design file (.json)."""
-    fidelity: FidelityName = "standard"
-    """Fidelity of the simulation."""
+    fidelity: FidelityName | LearnedFidelityName = "standard"
+    """Fidelity of the simulation; fast: predict the contact by the shipped learned tip; corrected: predict it, and let the
+    simulation correct it. Both are for surface and edge."""
     model: str = ""
     """Shipped network, or folder of a training. Default: the shipped network of task and design, if there is one; none: no
     prediction."""
@@ -34,12 +36,20 @@ class View(Command):
 
     def run(self) -> int:
         from tactip_twin.sim.contact.fidelity import fidelity_named
+        from tactip_twin.sim.fast_tip.sliding_tip import read_sliding_tip, shipped_sliding_tip
         from tactip_twin.sim.view.live_page import LivePage
         from tactip_twin.tactip_model.presets import load_design
         from tactip_twin.tactip_model.renderer import renderer_named
 
         design = load_design(self.design)
         render, read = renderer_named(self.renderer, design), load_pose_reader(self.model, self.task, design)
-        live = LivePage(design, self.task, fidelity_named(self.fidelity), render, read, self.host, self.port)
+        tip, fidelity = None, self.fidelity
+        if self.fidelity in LEARNED_FIDELITIES:
+            if self.task not in TASKS:
+                raise TactipError(f"--fidelity {self.fidelity} is for surface and edge, got --task {self.task}")
+            tip, fidelity = read_sliding_tip(shipped_sliding_tip(self.task, design.name)), "standard"
+        corrected = self.fidelity == "corrected"
+        arguments = design, self.task, fidelity_named(fidelity), render, read, self.host, self.port
+        live = LivePage(*arguments, tip=tip, corrected=corrected)
         print(f"{live.address} shows the tip {design.name} on the stimulus {self.task}; stop with Ctrl-C", flush=True)
         return serve_until_interrupted(live)

@@ -158,12 +158,13 @@ class ContactSimulator:
         self.scene.deform(vertices)
         self._start, self._pose = before_shear(pose, shear), pose
 
-    def settle(self, pose: ArrayLike, max_steps: int) -> Iterator[Contact]:
+    def settle(self, pose: ArrayLike, max_steps: int, label: np.ndarray | None = None) -> Iterator[Contact]:
         """Let a deformed tip settle at a pose, after start_from.
 
         Args:
-            pose: (6,), m and rad.
+            pose: (6,), m and rad, in the stimulus's frame.
             max_steps: Maximum number of time steps.
+            label: (6,), m and rad: the same pose relative to the surface where the tip touches it. Default: the pose.
 
         Yields:
             The contact after each step. Its slip fraction is 0, because nothing moves.
@@ -174,7 +175,7 @@ class ContactSimulator:
             with counted_warnings() as messages, contextlib.suppress(Diverged):
                 self.hold(pose)
             warnings += len(messages)
-            yield self._record(pose, shear_between(self._start, pose), warnings)
+            yield self._record(pose, shear_between(self._start, pose), warnings, label)
 
     def simulate_partial_shears(self, pose: ArrayLike, shear: ArrayLike, fractions: ArrayLike) -> Iterator[Contact]:
         """Simulate one contact and let it settle at several fractions of its shear.

@@ -50,6 +50,11 @@ class Configuration(DatasetOptions):
         return any(self.curvature_per_m)
 
     @property
+    def needs_sliding_tip(self) -> bool:
+        """Whether a learned tip must be one that slides (sim/fast_tip/sliding_tip.py), which also knows curved surfaces."""
+        return self.snapshots_per_contact > 1 or self.is_curved
+
+    @property
     def symmetries(self) -> tuple[Symmetry, ...]:
         """Symmetries that make samples of each contact."""
         return SYMMETRIES[self.task][: None if self.augment_symmetry else 1]

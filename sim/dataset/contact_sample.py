@@ -69,5 +69,9 @@ def simulator_for(configuration: Configuration, design: Design) -> RetryingSimul
         design: The set's design, or one with other mechanics.
     """
     c = configuration
-    curved = SolidStimulus(curved_surface(0.0, 0.0, 0.0), min_radius_m=1 / MAX_CURVATURE_PER_M) if c.is_curved else None
-    return RetryingSimulator(design, curved or c.task, c.fidelity, c.bounds)
+    return RetryingSimulator(design, curved_stimulus() if c.is_curved else c.task, c.fidelity, c.bounds)
+
+
+def curved_stimulus() -> SolidStimulus:
+    """Return the stimulus of contacts on curved surfaces, whose solid is to be replaced by that of each contact."""
+    return SolidStimulus(curved_surface(0.0, 0.0, 0.0), min_radius_m=1 / MAX_CURVATURE_PER_M)

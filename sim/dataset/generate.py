@@ -118,14 +118,12 @@ def _check_fast_tip(configuration: Configuration) -> None:
     if not c.fast_tip:
         return
     unlearned = {
-        "snapshots_per_contact": c.snapshots_per_contact > 1,
-        "curvature_per_m": c.is_curved,
         "keep_mesh": c.keep_mesh,
         "mechanics_randomization": not c.mechanics_randomization.is_identity,
     }
     for name, chosen in unlearned.items():
         if chosen:
-            raise TactipError(f"{name} needs a simulated tip: the learned tip knows single contacts of one tip only")
+            raise TactipError(f"{name} needs a simulated tip: the learned tip knows no mesh, and one tip only")
 
 
 def _check_mesh(configuration: Configuration) -> None:

@@ -1,6 +1,7 @@
 """Making of the samples of a contact in a worker: simulate or predict it, and write its images and its record."""
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -8,20 +9,26 @@ import numpy as np
 
 from tactip_twin.sim.contact.record import Contact
 from tactip_twin.sim.contact.simulator import RetryingSimulator
+from tactip_twin.sim.contact.solid_stimulus import SolidStimulus
+from tactip_twin.sim.contact.stimuli import stimulus_named
 from tactip_twin.sim.dataset.configuration import Configuration
-from tactip_twin.sim.dataset.contact_sample import ContactSample, sample_contact, simulator_for
+from tactip_twin.sim.dataset.contact_sample import ContactSample, curved_stimulus, sample_contact, simulator_for
 from tactip_twin.sim.dataset.format import checksum, encode_image, image_name, row_of
 from tactip_twin.sim.dataset.partial_record import pack_record, record_path, sample_indices
 from tactip_twin.sim.dataset.sampling import seed_text
 from tactip_twin.sim.dataset.shards import shard_dir
-from tactip_twin.sim.dataset.sliding import SlidingPath
+from tactip_twin.sim.dataset.sliding import SlidingPath, ground_truth_on
 from tactip_twin.sim.dataset.symmetry import SymmetricReader
 from tactip_twin.sim.fast_tip.corrected_contacts import CorrectedContacts
 from tactip_twin.sim.fast_tip.fast_contacts import FastContacts
 from tactip_twin.sim.fast_tip.fast_tip import read_fast_tip
-from tactip_twin.sim.pose import to_mm_deg
+from tactip_twin.sim.fast_tip.sliding_contact import SlidingContact, TouchedObject
+from tactip_twin.sim.fast_tip.sliding_tip import read_sliding_tip
+from tactip_twin.sim.pose import before_shear, sensor_in_contact, to_mm_deg
+from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.errors import TactipError, lookup
 from tactip_twin.tactip_model.files import write_file
+from tactip_twin.tactip_model.mesh import Mesh
 from tactip_twin.tactip_model.renderer import RENDERERS
 from tactip_twin.tactip_model.tactile_image import tactile_image
 
@@ -105,8 +112,10 @@ class SampleMaker:
         alike = [m for m in others if m._configuration.design == c.design and m._configuration.renderer == c.renderer]
         self._render = alike[0]._render if alike else lookup("renderer", c.renderer, RENDERERS)(c.design)
         same = [m for m in alike if _physics(m._configuration) == _physics(c)]
-        self._fast = _fast_contacts(c, fast_tip) if c.fast_tip else None
+        self._fast = _fast_contacts(c, fast_tip) if c.fast_tip and not c.needs_sliding_tip else None
         """Predictor of the contacts, if the set has one."""
+        self._sliding = _sliding_contact(c, fast_tip) if c.fast_tip and c.needs_sliding_tip else None
+        """Predictor of contacts that slide, if the set has one."""
         self._shared = same[0] if same else None
         self._own_simulator: RetryingSimulator | None = None
         self._readers: dict[int, SymmetricReader] = {}
@@ -131,7 +140,9 @@ class SampleMaker:
         sample = sample_contact(c, number)
         made = _MadeContact(sample_indices(c, number), shard_dir(c, self._folder, number), seed_text(*_seed(c, number)))
         predicted = self._fast.trusted(sample.pose, sample.shear, c.symmetries) if self._fast else None
-        if predicted is None:
+        if self._sliding:
+            self._slide(self._sliding, sample, made)
+        elif predicted is None:
             self._simulate(sample, made)
         else:
             self._write_images(predicted, made.indices, int(c.corrected), made)
@@ -140,9 +151,11 @@ class SampleMaker:
     def _simulate(self, sample: ContactSample, made: _MadeContact) -> None:
         """Simulate a contact, and write the images of its samples."""
         c = self._configuration
-        simulator, readers = self._simulator, self._readers
+        simulator = self._simulator
         if not c.mechanics_randomization.is_identity:
-            simulator, readers = simulator_for(c, sample.design), {}
+            # Another tip has other pins on the same mesh.
+            simulator = simulator_for(c, sample.design)
+            self._readers.clear()
         if sample.solid is not None:
             simulator.replace_solid(sample.solid)
         states = [simulator.last.scene.mesh.vertices]
@@ -159,15 +172,62 @@ class SampleMaker:
             if violations:
                 made.missed += [{"index": index, "seed": made.seed, "tries": [violations]} for index in own]
                 continue
-            contacts = [state]
-            if c.augment_symmetry:
-                skin, mesh = simulator.skin()  # of another mesh where the first one was too coarse for this contact
-                if mesh.surface_count not in readers:
-                    readers[mesh.surface_count] = SymmetricReader(sample.design, mesh, c.symmetries)
-                contacts = readers[mesh.surface_count].read(state, skin)
+            # The mesh is another one where the first was too coarse for this contact.
+            contacts = self._copies(sample.design, state, *simulator.skin())
             self._write_images(contacts, own, tries, made)
         if c.keep_mesh:
             made.states = states
+
+    def _slide(self, sliding: SlidingContact, sample: ContactSample, made: _MadeContact) -> None:
+        """Predict a contact and its sliding path, and write the images of its samples.
+
+        A first contact that cannot be trusted is simulated with all checks and tries, later motions as they are.
+        """
+        c, solid = self._configuration, sample.solid
+        path = SlidingPath(c.task, solid, c.pose, sample.pose, sample.rng)
+        stimulus = sliding.touched.stimulus
+        if isinstance(stimulus, SolidStimulus) and solid is not None:
+            stimulus.solid = solid
+        sliding.touched = TouchedObject(stimulus, path.truth, stimulus.distance)
+        before, there = (sensor_in_contact(label) for label in (before_shear(sample.pose, sample.shear), sample.pose))
+        contact = sliding.touch_down(before, there)
+        if contact is None:
+            if solid is not None:
+                self._simulator.replace_solid(solid)
+            contact, made.violations = self._simulator.simulate(sample.pose, sample.shear)
+            if len(made.violations) == self._simulator.tries:
+                made.failed = True
+                made.add(contact, made.indices[0], len(made.violations) + 1)
+                return
+            skin, mesh = self._simulator.skin()
+            if mesh is not sliding.mesh:
+                raise TactipError("the learned tip must have the mesh of the simulation that its contacts fall back to")
+            sliding.take_over(contact, skin)
+        # The label of a set is the pose that was drawn, also where the surface is not quite level.
+        contact = replace(contact, pose=sample.pose, shear=sample.shear)
+        each, low, high = len(c.symmetries), *c.pose.bounds().T
+        for k in range(c.snapshots_per_contact):
+            own = made.indices[k * each : (k + 1) * each]
+            simulated = k > 0 and np.isfinite(contact.penetration_m)
+            violations = contact.violations(c.bounds.while_sliding()) if simulated else []
+            label = to_mm_deg(contact.pose)
+            if not ((label > low - _ROUNDING) & (label < high + _ROUNDING)).all():
+                violations = [*violations, "its label on the curved surface is outside the ranges"]
+            if violations:
+                made.missed += [{"index": index, "seed": made.seed, "tries": [violations]} for index in own]
+            else:
+                contacts = self._copies(sample.design, contact, sliding.skin(), sliding.mesh)
+                self._write_images(contacts, own, len(made.violations) + (contact.steps > 0), made)
+            if k + 1 < c.snapshots_per_contact:
+                contact = sliding.move(sensor_in_contact(path.stride()))
+
+    def _copies(self, design: Design, contact: Contact, skin: np.ndarray, mesh: Mesh) -> list[Contact]:
+        """Return a contact under each symmetry of the set, with skin vertices (s, 3), m, of a mesh."""
+        if not self._configuration.augment_symmetry:
+            return [contact]
+        if mesh.surface_count not in self._readers:
+            self._readers[mesh.surface_count] = SymmetricReader(design, mesh, self._configuration.symmetries)
+        return self._readers[mesh.surface_count].read(contact, skin)
 
     def _write_images(self, contacts: list[Contact], indices: range, tries: int, made: _MadeContact) -> None:
         """Write the images of contacts, and note the contacts. The last contact of a set may have fewer indices."""
@@ -208,3 +268,13 @@ def _fast_contacts(configuration: Configuration, path: str) -> FastContacts | Co
     if tip.digest != c.fast_tip or tip.task != c.task:
         raise TactipError(f"{path} is not the learned tip of this set: its checksum is {tip.digest}, not {c.fast_tip}")
     return CorrectedContacts(tip, c.design, c.fidelity, c.bounds) if c.corrected else FastContacts(tip, c.design)
+
+
+def _sliding_contact(configuration: Configuration, path: str) -> SlidingContact:
+    """Return the predictor of a set's contacts that slide. Raises TactipError if the file holds another tip."""
+    c, tip = configuration, read_sliding_tip(path)
+    if tip.digest != c.fast_tip or tip.task != c.task:
+        raise TactipError(f"{path} is not the learned tip of this set: its checksum is {tip.digest}, not {c.fast_tip}")
+    stimulus = curved_stimulus() if c.is_curved else stimulus_named(c.task)
+    touched = TouchedObject(stimulus, ground_truth_on(c.task), stimulus.distance)
+    return SlidingContact(tip, c.design, touched, c.fidelity, c.corrected)

@@ -68,6 +68,11 @@ class _StraightEdgeGroundTruth:
         return label_of(np.linalg.inv(self.frame(T_object_sensor)) @ T_object_sensor)
 
 
+def ground_truth_on(task: str, solid: DistanceField | None = None) -> GroundTruth:
+    """Return the ground truth of a task on a solid; by default on the flat surface or the straight edge."""
+    return _StraightEdgeGroundTruth() if task == "edge" else SurfaceGroundTruth(solid or _Plane())
+
+
 class SlidingPath:
     """A random path along which a contact keeps sliding, stride by stride."""
 
@@ -84,7 +89,7 @@ class SlidingPath:
             rng: Generator of the path.
         """
         self._on_edge = task == "edge"
-        self.truth: GroundTruth = _StraightEdgeGroundTruth() if self._on_edge else SurfaceGroundTruth(solid or _Plane())
+        self.truth = ground_truth_on(task, solid)
         """Ground truth of labels on the object."""
         self._ranges, self._rng, self._free = ranges, rng, _POSITION_ON_OBJECT[task]
         self._T, self._label = sensor_in_contact(pose), self._local(pose)

@@ -21,8 +21,8 @@ from tactip_twin.sim.fast_tip.mesh_decoder import MeshDecoder
 from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.mesh import Mesh
 
-MIN_STEPS, MAX_STEPS = 2, 6
-"""Minimum and maximum number of steps of a correction. A simulated contact has more."""
+MIN_STEPS, MAX_STEPS = 2, 5
+"""Minimum and maximum number of steps of a correction. Every simulated contact or stride has more."""
 
 MAX_MOVED_M = 0.15e-3
 """Maximum mean distance by which a correction moves the pins, m: 1.7 times that of the worst of 400 validation contacts [M].

@@ -1,6 +1,7 @@
 """Records of contacts that the learned tip predicts."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,6 +26,46 @@ _UNMEASURED = dict.fromkeys(
     float("nan"),
 )
 """Measures of a simulated contact that a predicted one lacks."""
+
+
+_MEASURED = (
+    "normal_forces_n",
+    "tangential_forces_n",
+    "forces_n",
+    "effective_shears",
+    "slip_fractions",
+    "contact_areas_m2",
+)
+"""What measures.forces_and_patch returns."""
+
+
+def predicted_contact(
+    pose: np.ndarray, shear: np.ndarray, pin_tips: np.ndarray, directions: np.ndarray, measured: Mapping[str, Any]
+) -> Contact:
+    """Return the record of a predicted contact. Measures of a simulation, such as the penetration, are NaN.
+
+    Args:
+        pose: (6,) label, m and rad.
+        shear: (6,) m and rad.
+        pin_tips: (p, 3) m.
+        directions: (p, 3) unit.
+        measured: Values for one contact by the names that measures.forces_and_patch returns.
+    """
+    return Contact(
+        pose=pose,
+        shear=shear,
+        pin_tips=pin_tips,
+        directions=directions,
+        normal_force_n=float(measured["normal_forces_n"]),
+        tangential_force_n=float(measured["tangential_forces_n"]),
+        force_n=measured["forces_n"],
+        effective_shear=measured["effective_shears"],
+        slip_fraction=float(measured["slip_fractions"]),
+        contact_area_m2=float(measured["contact_areas_m2"]),
+        **_UNMEASURED,
+        warnings=0,
+        steps=0,
+    )
 
 
 class FastContacts:
@@ -61,21 +102,14 @@ class FastContacts:
         """
         poses, shears = np.asarray(poses, float), np.asarray(shears, float)
         p = self._tip.predict(self._decoder, poses, shears)
+        measured = {name: getattr(p, name) for name in _MEASURED}
         contacts = [
-            Contact(
-                pose=poses[k],
-                shear=shears[k],
-                pin_tips=p.pin_tips[k],
-                directions=p.directions[k],
-                normal_force_n=float(p.normal_forces_n[k]),
-                tangential_force_n=float(p.tangential_forces_n[k]),
-                force_n=p.forces_n[k],
-                effective_shear=p.effective_shears[k],
-                slip_fraction=float(p.slip_fractions[k]),
-                contact_area_m2=float(p.contact_areas_m2[k]),
-                **_UNMEASURED,
-                warnings=0,
-                steps=0,
+            predicted_contact(
+                poses[k],
+                shears[k],
+                p.pin_tips[k],
+                p.directions[k],
+                {name: value[k] for name, value in measured.items()},
             )
             for k in range(len(poses))
         ]

@@ -33,12 +33,18 @@ class MeshDecoder:
 
     def __call__(self, coefficients: np.ndarray) -> np.ndarray:
         """Return the vertices (k, n, 3), m, of deformed meshes for coefficients (k, modes) complex; sensor frame."""
-        parts = np.concatenate([coefficients.real, coefficients.imag], 1)
-        skin = parts @ self._to_skin
-        vertices = np.repeat(self._mesh.vertices[None], len(parts), axis=0)
-        vertices[:, : self._mesh.surface_count] += skin.reshape(len(parts), -1, 3)
-        vertices[:, self._inner] += (skin @ self._to_inner.T).reshape(len(parts), -1, 3)
+        moved = self._moved(coefficients)
+        vertices = np.repeat(self._mesh.vertices[None], len(moved), axis=0)
+        vertices[:, : self._mesh.surface_count] += moved.reshape(len(moved), -1, 3)
+        vertices[:, self._inner] += (moved @ self._to_inner.T).reshape(len(moved), -1, 3)
         return vertices
+
+    def skin(self, coefficients: np.ndarray) -> np.ndarray:
+        """Return the vertices (k, s, 3), m, of the skin alone for coefficients (k, modes) complex; sensor frame."""
+        return self._mesh.vertices[: self._mesh.surface_count] + self._moved(coefficients).reshape(len(coefficients), -1, 3)
+
+    def _moved(self, coefficients: np.ndarray) -> np.ndarray:
+        return np.concatenate([coefficients.real, coefficients.imag], 1) @ self._to_skin
 
 
 def _extension(mesh: Mesh, poisson: float) -> tuple[np.ndarray, np.ndarray]:

@@ -5,15 +5,16 @@ predicted state is settled by a few steps of the simulation (corrected_contacts.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from tactip_twin.sim.contact.fidelity import Fidelity
-from tactip_twin.sim.contact.record import QualityLimits
+from tactip_twin.sim.contact.record import Contact, QualityLimits
 from tactip_twin.sim.contact.simulator import ContactSimulator, Diverged
 from tactip_twin.sim.contact.stimuli import Stimulus
 from tactip_twin.sim.fast_tip.corrected_contacts import MAX_STEPS, MIN_STEPS
+from tactip_twin.sim.fast_tip.fast_contacts import predicted_contact
 from tactip_twin.sim.fast_tip.fast_tip import PinDecoder
 from tactip_twin.sim.fast_tip.measures import forces_and_patch
 from tactip_twin.sim.fast_tip.mesh_decoder import MeshDecoder
@@ -21,7 +22,7 @@ from tactip_twin.sim.fast_tip.overlap import dome_points, overlap_harmonics
 from tactip_twin.sim.fast_tip.skin_field import SkinSampler
 from tactip_twin.sim.fast_tip.sliding_tip import SlidingTip, Steps, motion_between
 from tactip_twin.sim.ground_truth import GroundTruth
-from tactip_twin.sim.pose import angle_between, interpolate, label_of
+from tactip_twin.sim.pose import angle_between, interpolate, label_of, shear_between
 from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.mesh import build_mesh
 from tactip_twin.tactip_model.pins import neutral_pins
@@ -32,46 +33,29 @@ shorter (sim/dataset/sliding.py)."""
 
 
 @dataclass(frozen=True)
-class SlidState:
-    """State of the tip after a motion, in the sensor frame. (p pins, s vertices of the skin)"""
+class TouchedObject:
+    """An object that a tip slides over."""
 
-    pin_tips: np.ndarray
-    """(p, 3) m."""
-    directions: np.ndarray
-    """(p, 3) unit, from the pins' roots to their tips."""
-    skin: np.ndarray
-    """(s, 3) m, vertices of the skin."""
-    force_n: np.ndarray
-    """(3,) N, force of the object on the tip."""
-    penetration_m: float
-    """Maximum penetration, m; NaN where it was predicted and not simulated."""
-    speed_m_s: float
-    """Speed of the fastest vertex, m/s; likewise."""
-    steps: int
-    """Number of time steps that were simulated for it; 0 where it was predicted."""
+    stimulus: Stimulus
+    """The object for the simulation."""
+    truth: GroundTruth
+    """Poses of a sensor on it."""
+    distance: Callable[[np.ndarray], np.ndarray]
+    """Signed distance (k,), m, to it at points (k, 3), m, in its frame."""
 
 
 class SlidingContact:
     """A tip and an object; the tip keeps its state from motion to motion."""
 
     def __init__(
-        self,
-        tip: SlidingTip,
-        design: Design,
-        stimulus: Stimulus,
-        truth: GroundTruth,
-        distance: Callable[[np.ndarray], np.ndarray],
-        fidelity: Fidelity,
-        corrected: bool = False,
+        self, tip: SlidingTip, design: Design, touched: TouchedObject, fidelity: Fidelity, corrected: bool = False
     ) -> None:
         """Prepare the prediction; the simulation is built when it is first needed.
 
         Args:
             tip: The sliding tip.
             design: Design with the shape and the materials that the tip learned.
-            stimulus: The object, for the simulation.
-            truth: Poses on the object.
-            distance: Signed distance (k,), m, to the object at points (k, 3), m, in its frame.
+            touched: The object.
             fidelity: Fidelity of the simulation.
             corrected: Whether the simulation corrects what is predicted.
 
@@ -79,16 +63,16 @@ class SlidingContact:
             TactipError: The design has another shape or other materials than those learned.
         """
         tip.check_design(design)
-        self._tip, self._design, self._stimulus, self._truth = tip, design, stimulus, truth
-        self._distance, self._fidelity, self._corrected = distance, fidelity, corrected
+        self._tip, self._design, self.touched = tip, design, touched
+        self._fidelity, self._corrected = fidelity, corrected
         self.mesh = build_mesh(design.shape, fidelity.mesh)
         """Undeformed mesh of the tip."""
         self._points = dome_points(design.shape.radius_m)
         self._pins = PinDecoder(design, tip.modes)
         self._meshes = MeshDecoder(self.mesh, fidelity.mesh.poisson_limit, tip.modes)
-        self._rest = neutral_pins(design)
+        self._undeformed = _undeformed(design)
         self._built: ContactSimulator | None = None
-        self._sampler: SkinSampler | None = None
+        self._sampler = SkinSampler(self.mesh)
         self.simulated_motions = 0
         """Number of motions that were simulated, because their prediction could not be trusted."""
         self.motions = 0
@@ -96,17 +80,29 @@ class SlidingContact:
 
     def reset_to(self, T_object_sensor: np.ndarray) -> None:
         """Place the sensor (4, 4) on the object, with the tip undeformed."""
-        self._T = np.array(T_object_sensor, float)
+        self._T = self._T_start = np.array(T_object_sensor, float)
         self._gap = float(self._distances(self._T).min())
-        self._coefficients = np.zeros((1, len(self._tip.modes.orders)), np.complex64)
-        self._state = self._undeformed()
+        self._lift_off()
 
-    def state(self) -> SlidState:
-        """Return the present state."""
-        return self._state
+    def touch_down(self, T_before: np.ndarray, T: np.ndarray) -> Contact | None:
+        """Press at a pose, and shear to the next, both (4, 4). Return the contact; None if it cannot be trusted."""
+        self.reset_to(T_before)
+        distances = self._distances(T)
+        stepped, pose = self._predict(distances, T, motion_between(T_before, T, self.touched.truth.frame(T)), touched=False)
+        self._gap, self._T = float(distances.min()), T
+        self.motions += 1
+        return self.contact if stepped and self._accept(stepped, pose, T) else None
 
-    def move(self, T_object_sensor: np.ndarray) -> SlidState:
-        """Move the sensor to a pose (4, 4) on a straight path, and return the state there.
+    def take_over(self, contact: Contact, skin: np.ndarray) -> None:
+        """Continue from a simulated contact with skin vertices (s, 3), m, at the pose of the last `touch_down`."""
+        self._coefficients = self._tip.modes.coefficients(self._sampler.harmonics(skin[None])).astype(np.complex64)
+        self.contact, self._skin = contact, skin
+
+    def move(self, T_object_sensor: np.ndarray) -> Contact:
+        """Move the sensor to a pose (4, 4) on a straight path, and return the contact there.
+
+        Its pose is the label on the object, its shear the whole motion since it touched down, and its steps are those that
+        were simulated; measures that only a simulation has are NaN where it was predicted.
 
         Raises:
             Diverged: A simulated motion diverged.
@@ -117,84 +113,104 @@ class SlidingContact:
         steps = 0
         for k in range(1, count + 1):
             self._advance(end if k == count else interpolate(start, end, k / count), last=k == count)
-            steps += self._state.steps
-        self._state = SlidState(**(vars(self._state) | {"steps": steps}))
-        return self._state
+            steps += self.contact.steps
+        self.contact = replace(self.contact, steps=steps)
+        return self.contact
+
+    def skin(self) -> np.ndarray:
+        """Return the vertices (s, 3), m, of the skin, in the sensor frame."""
+        return self._skin
 
     def _advance(self, T: np.ndarray, last: bool) -> None:
         """Move to a pose (4, 4) in one step. last: whether its state will be read."""
-        distances, before, touched = self._distances(T), self._T, self._gap < 0
-        gap, self._T, old_gap = float(distances.min()), T, self._gap
-        self._gap = gap
-        if gap >= 0:
-            self._coefficients = np.zeros_like(self._coefficients)
-            self._state = self._undeformed()
+        distances, before, old_gap = self._distances(T), self._T, self._gap
+        self._gap, self._T, touched = float(distances.min()), T, old_gap < 0
+        if self._gap >= 0:
+            self._T_start = T
+            self._lift_off()
             return
         self.motions += 1
-        frame = self._truth.frame(T)
-        motion = motion_between(before, T, frame)
+        motion = motion_between(before, T, self.touched.truth.frame(T))
         if not touched:
             # The shear is the part of the motion below the surface, without the approach itself.
-            motion *= -gap / max(old_gap - gap, 1e-12)
+            motion *= -self._gap / max(old_gap - self._gap, 1e-12)
             motion[2] = 0.0
-        pose = self._truth.label(T)
+        coefficients = self._coefficients
+        stepped, pose = self._predict(distances, T, motion, touched)
+        if stepped is None or not self._accept(stepped, pose, T, last):
+            self._coefficients = coefficients
+            self._simulate(before, T, pose)
+
+    def _predict(
+        self, distances: np.ndarray, T: np.ndarray, motion: np.ndarray, touched: bool
+    ) -> tuple[tuple[np.ndarray, np.ndarray] | None, np.ndarray]:
+        """Return states (1, n) and measures (1, 8) after a step to a pose (4, 4), None if untrusted; and its label (6,)."""
+        pose = self.touched.truth.label(T)
         steps = Steps(pose[None], motion[None], overlap_harmonics(distances[None]), np.array([touched]))
         stepped = self._tip.step(steps, self._coefficients)
-        if not stepped.trusted[0]:
-            self._simulate(before, T)
-            return
-        coefficients, self._coefficients = self._coefficients, stepped.states
-        vertices = self._meshes(stepped.states)[0]
-        if self._corrected and last:
-            if not self._correct(vertices, T):
-                self._coefficients = coefficients
-                self._simulate(before, T)
-            return
-        tips, directions = self._pins(stepped.states)
-        force = forces_and_patch(stepped.measures, pose[None])["forces_n"][0]
-        skin = vertices[: self.mesh.surface_count]
-        self._state = SlidState(tips[0], directions[0], skin, force, float("nan"), float("nan"), 0)
+        return ((stepped.states, stepped.measures) if stepped.trusted[0] else None), pose
 
-    def _correct(self, vertices: np.ndarray, T: np.ndarray) -> bool:
-        """Settle a predicted mesh (n, 3) at a pose (4, 4); return whether it then passes its checks."""
-        limits, pose = QualityLimits().while_sliding(), label_of(T)
-        self._simulator.start_from(vertices, pose)
-        for contact in self._simulator.settle(pose, MAX_STEPS):
+    def _accept(self, stepped: tuple[np.ndarray, np.ndarray], pose: np.ndarray, T: np.ndarray, last: bool = True) -> bool:
+        """Take over a predicted step, corrected if it is to be; return whether it passes its checks."""
+        self._coefficients, measures = stepped
+        measured = {name: value[0] for name, value in forces_and_patch(measures, pose[None]).items()}
+        if self._corrected and last:
+            return self._correct(pose, T, float(measured["slip_fractions"]))
+        tips, directions = self._pins(self._coefficients)
+        shear = shear_between(label_of(self._T_start), label_of(T))
+        self.contact = predicted_contact(pose, shear, tips[0], directions[0], measured)
+        self._skin = self._meshes.skin(self._coefficients)[0]
+        return True
+
+    def _correct(self, pose: np.ndarray, T: np.ndarray, slip_fraction: float) -> bool:
+        """Settle the predicted mesh at a pose (4, 4) with a label (6,); return whether it then passes its checks."""
+        limits, there = QualityLimits().while_sliding(), label_of(T)
+        vertices = self._meshes(self._coefficients)[0]
+        self._simulator.start_from(vertices, there, shear_between(label_of(self._T_start), there))
+        for contact in self._simulator.settle(there, MAX_STEPS, pose):
             if contact.steps >= MIN_STEPS and not contact.violations(limits):
-                self._read_simulation(contact.steps)
+                self.take_over(replace(contact, slip_fraction=slip_fraction), self._simulated_skin())
                 return True
         return False
 
-    def _simulate(self, before: np.ndarray, T: np.ndarray) -> None:
-        """Simulate the motion from a pose (4, 4), with the present deformation, to the next (4, 4)."""
+    def _simulate(self, before: np.ndarray, T: np.ndarray, pose: np.ndarray) -> None:
+        """Simulate the motion from a pose (4, 4), with the present deformation, to the next (4, 4), with its label (6,)."""
         self.simulated_motions += 1
-        self._simulator.start_from(self._meshes(self._coefficients)[0], label_of(before))
-        contact = self._simulator.slide(label_of(T), self._truth.label(T))
+        vertices, there = self._meshes(self._coefficients)[0], label_of(before)
+        self._simulator.start_from(vertices, there, shear_between(label_of(self._T_start), there))
+        contact = self._simulator.slide(label_of(T), pose)
         if not np.isfinite(contact.pin_tips).all():
             raise Diverged("the simulation diverged: the state of the tip is no longer finite")
-        self._read_simulation(contact.steps)
+        self.take_over(contact, self._simulated_skin())
 
-    def _read_simulation(self, steps: int) -> None:
-        """Take the state over from the simulation."""
-        scene = self._simulator.scene
-        skin = scene.vertices()[: self.mesh.surface_count]
-        tips, directions = self._simulator.reader.read(skin)
-        if self._sampler is None:
-            self._sampler = SkinSampler(self.mesh)
-        self._coefficients = self._tip.modes.coefficients(self._sampler.harmonics(skin[None])).astype(np.complex64)
-        force, speed = scene.contact_force(), scene.max_vertex_speed()
-        self._state = SlidState(tips, directions, skin, force, scene.penetration(), speed, steps)
+    def _simulated_skin(self) -> np.ndarray:
+        return self._simulator.scene.vertices()[: self.mesh.surface_count]
 
     @property
     def _simulator(self) -> ContactSimulator:
-        if self._built is None:
-            self._built = ContactSimulator(self._design, self._stimulus, self._fidelity)
+        if self._built is None or self._built.scene.stimulus is not self.touched.stimulus:
+            self._built = ContactSimulator(self._design, self.touched.stimulus, self._fidelity)
         return self._built
 
     def _distances(self, T: np.ndarray) -> np.ndarray:
         """Return the signed distances (k,), m, of the undeformed dome's points at a pose (4, 4) to the object."""
-        return self._distance(self._points @ T[:3, :3].T + T[:3, 3])
+        return self.touched.distance(self._points @ T[:3, :3].T + T[:3, 3])
 
-    def _undeformed(self) -> SlidState:
-        tips, directions = self._rest
-        return SlidState(tips, directions, self.mesh.vertices[: self.mesh.surface_count], np.zeros(3), 0.0, 0.0, 0)
+    def _lift_off(self) -> None:
+        """Make the tip undeformed."""
+        self._coefficients = np.zeros((1, len(self._tip.modes.orders)), np.complex64)
+        self.contact, self._skin = self._undeformed, self.mesh.vertices[: self.mesh.surface_count]
+
+
+def _undeformed(design: Design) -> Contact:
+    """Return the record of a tip that touches nothing."""
+    none = {
+        "normal_forces_n": 0.0,
+        "tangential_forces_n": 0.0,
+        "forces_n": np.zeros(3),
+        "effective_shears": np.zeros(6),
+        "slip_fractions": 0.0,
+        "contact_areas_m2": 0.0,
+    }
+    contact = predicted_contact(np.zeros(6), np.zeros(6), *neutral_pins(design), none)
+    return replace(contact, penetration_m=0.0, speed_m_s=0.0)

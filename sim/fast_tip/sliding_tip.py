@@ -7,6 +7,7 @@ set is one step, and a slide is a sequence of steps. An ensemble of networks pre
 spread tells whether a prediction can be trusted. Another network predicts forces and the like.
 """
 
+import hashlib
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -182,6 +183,11 @@ class SlidingTip:
         for k, network in enumerate((*self.networks, self.measure_network)):
             arrays |= network.arrays(f"network{k}")
         return arrays
+
+    @cached_property
+    def digest(self) -> str:
+        """Checksum of the file, in hex."""
+        return hashlib.sha256(self.to_bytes()).hexdigest()
 
     def to_bytes(self) -> bytes:
         """Return the content of a file."""

@@ -12,7 +12,7 @@ from tactip_twin.sim.contact.mujoco_warnings import counted_warnings
 from tactip_twin.sim.contact.signed_distance import SignedDistanceMesh
 from tactip_twin.sim.contact.solid_stimulus import SolidStimulus
 from tactip_twin.sim.contact.tip_state import TipState
-from tactip_twin.sim.fast_tip.sliding_contact import SlidingContact
+from tactip_twin.sim.fast_tip.sliding_contact import SlidingContact, TouchedObject
 from tactip_twin.sim.fast_tip.sliding_tip import SlidingTip
 from tactip_twin.sim.ground_truth import GroundTruth
 from tactip_twin.sim.pose import inverse
@@ -51,13 +51,13 @@ class FastMountedTip(TipOnArm):
             TactipError: The design has another shape or other materials than those learned.
         """
         super().__init__(design, solid, fidelity, arm_model, T_base_object)
-        stimulus = SolidStimulus(solid)
-        self.contact = SlidingContact(tip, design, stimulus, truth, solid.distance, fidelity, corrected)
+        touched = TouchedObject(SolidStimulus(solid), truth, solid.distance)
+        self.sliding = SlidingContact(tip, design, touched, fidelity, corrected)
         """The tip on the object, which counts the motions that were simulated."""
-        self.mesh = self.contact.mesh
+        self.mesh = self.sliding.mesh
 
     def _reset(self) -> None:
-        self.contact.reset_to(self._sensor())
+        self.sliding.reset_to(self._sensor())
 
     def _sensor(self) -> np.ndarray:
         """Return T_object_sensor (4, 4)."""
@@ -65,25 +65,25 @@ class FastMountedTip(TipOnArm):
 
     def go(self, T_base_tcp: np.ndarray) -> TipState:
         """Move to a pose and settle there: see TipOnArm."""
-        motion, force = self._motion, self.arm_model.pose[:3, :3] @ self.contact.state().force_n
+        motion, force = self._motion, self.arm_model.pose[:3, :3] @ self.sliding.contact.force_n
         fractions = self._set_target(T_base_tcp, motion.shear_step_m, 1.0)
         for fraction in (*fractions, *[1.0] * motion.pause_steps):
             self.arm_model.advance(fraction, motion.step_s, force, np.zeros(3))
         with counted_warnings() as messages:
-            self.contact.move(self._sensor())
+            self.sliding.move(self._sensor())
         self.warnings += len(messages)
         return self.tip_state()
 
     def tip_state(self) -> TipState:
         """Return the tip's present state."""
-        state = self.contact.state()
+        contact = self.sliding.contact
         return TipState(
-            pin_tips=state.pin_tips,
-            directions=state.directions,
-            skin=state.skin,
-            force=state.force_n,
-            penetration_m=state.penetration_m,
-            speed_m_s=state.speed_m_s,
-            steps=state.steps,
+            pin_tips=contact.pin_tips,
+            directions=contact.directions,
+            skin=self.sliding.skin(),
+            force=contact.force_n,
+            penetration_m=contact.penetration_m,
+            speed_m_s=contact.speed_m_s,
+            steps=contact.steps,
             clearance_m=self._clearance(),
         )

@@ -13,10 +13,12 @@ from tactip_twin.sim.contact.interactive import InteractiveContact
 from tactip_twin.sim.contact.simulator import Diverged
 from tactip_twin.sim.contact.tip_state import TipState
 from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES
+from tactip_twin.sim.fast_tip.fast_interactive import FastInteractiveContact
+from tactip_twin.sim.fast_tip.sliding_tip import SlidingTip
 from tactip_twin.sim.labels import COMPONENTS
 from tactip_twin.sim.pose import from_mm_deg, inverse, label_of, matrix, sensor_in_contact, to_mm_deg
 from tactip_twin.sim.view.geometry import OBJECT_COLOR, SKIN_COLOR, body_meshes, sensor_meshes
-from tactip_twin.sim.view.viser_utils import LOCAL, add_mesh, grey, pin_lines, rgb, serve, set_pose, stop
+from tactip_twin.sim.view.viser_utils import LOCAL, add_mesh, grey, penetration_text, pin_lines, rgb, serve, set_pose, stop
 from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.tactile_image import tactile_image
@@ -58,6 +60,8 @@ class LivePage:
         read: Callable[[np.ndarray], Mapping[str, float]] | None = None,
         host: str = LOCAL,
         port: int = 8080,
+        tip: SlidingTip | None = None,
+        corrected: bool = False,
     ) -> None:
         """Build the simulation and serve the page.
 
@@ -69,11 +73,16 @@ class LivePage:
             read: Function of a tactile image to the predicted label by component, mm and degrees; None without a network.
             host: Address to serve at.
             port: Port; the next free one is taken if it is in use.
+            tip: Learned tip that predicts the contact, of the task `name`; None simulates it.
+            corrected: Whether the simulation corrects what is predicted.
 
         Raises:
             TactipError: If the simulation cannot be built or the page cannot be served.
         """
-        self._contact = InteractiveContact(design, name, fidelity, from_mm_deg(_START_MM_DEG))
+        start = from_mm_deg(_START_MM_DEG)
+        self._contact = InteractiveContact(design, name, fidelity, start)
+        if tip is not None:
+            self._contact = FastInteractiveContact(tip, design, fidelity, start, corrected)
         self._design, self._name, self._render, self._read = design, name, render, read
         self._lock = threading.RLock()
         self._requested: np.ndarray | None = None
@@ -139,7 +148,7 @@ class LivePage:
         true: dict[str, tuple[str, float]] = dict(zip(COMPONENTS, label, strict=True))
         lines = [
             f"force {np.linalg.norm(state.force):.2f} N ({-state.force[2]:.2f} N along the axis), "
-            f"penetration {1e3 * state.penetration_m:.3f} mm",
+            f"{penetration_text(state.penetration_m)}",
             "at rest" if self._contact.at_rest else f"{1e3 * seconds / _STEPS_PER_UPDATE:.0f} ms per time step",
         ]
         if predicted:

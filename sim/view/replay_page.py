@@ -14,7 +14,7 @@ from tactip_twin.sim.pose import to_mm_deg
 from tactip_twin.sim.robot.recording import PHASES, RecordedScene
 from tactip_twin.sim.view.geometry import PATH_COLORS, SKIN_COLOR, SceneGeometry, path_lines
 from tactip_twin.sim.view.playback import SPEEDS, Playback
-from tactip_twin.sim.view.viser_utils import LOCAL, add_mesh, grey, pin_lines, rgb, serve, set_pose, stop
+from tactip_twin.sim.view.viser_utils import LOCAL, add_mesh, grey, penetration_text, pin_lines, rgb, serve, set_pose, stop
 from tactip_twin.tactip_model.errors import TactipError
 
 _PICTURES_HZ = 30.0
@@ -226,7 +226,7 @@ class ReplayPage:
         seconds = 1e3 * a["seconds"][k]
         lines = [
             f"**step {k}** of {self._record['steps'] - 1}, {PHASES[int(a['phase'][k])]}{self._pass_text(k)}",
-            f"force {np.linalg.norm(a['force_n'][k]):.2f} N, {_penetration_text(a['penetration_m'][k])}",
+            f"force {np.linalg.norm(a['force_n'][k]):.2f} N, {penetration_text(a['penetration_m'][k])}",
             f"{seconds.sum():.0f} ms: simulation {seconds[0]:.0f}, image {seconds[1]:.0f}, network {seconds[2]:.0f}",
         ]
         events = [e for e in self._record["events"] if e["step"] == k]
@@ -260,8 +260,3 @@ def _span(data: tuple[np.ndarray, ...]) -> tuple[float, float]:
 
 def _dot() -> uplot.Series:
     return uplot.Series(label="now", stroke="#2060c0", points=uplot.Series_Points(show=True, size=9))
-
-
-def _penetration_text(penetration_m: float) -> str:
-    """Return a text about a penetration; NaN where the contact was predicted."""
-    return f"penetration {1e3 * penetration_m:.3f} mm" if np.isfinite(penetration_m) else "predicted"

@@ -215,3 +215,8 @@ def rgb(color: Color) -> tuple[int, int, int]:
     """Return a color in whole numbers, as viser needs it."""
     red, green, blue = color
     return round(red), round(green), round(blue)
+
+
+def penetration_text(penetration_m: float) -> str:
+    """Return a text about a penetration; NaN where the contact was predicted."""
+    return f"penetration {1e3 * penetration_m:.3f} mm" if np.isfinite(penetration_m) else "predicted"

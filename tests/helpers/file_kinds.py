@@ -49,7 +49,9 @@ from tactip_twin.sim.fast_tip.fast_tip import (
 )
 from tactip_twin.sim.fast_tip.measures import MEASURES
 from tactip_twin.sim.fast_tip.network import Network
+from tactip_twin.sim.fast_tip.overlap import MAX_ORDER, RINGS, OverlapModes
 from tactip_twin.sim.fast_tip.skin_field import RING_ANGLES, Modes
+from tactip_twin.sim.fast_tip.sliding_tip import Inputs, SlidingTip, Steps, read_sliding_tip, write_sliding_tip
 from tactip_twin.sim.robot import objects
 from tactip_twin.sim.robot.recording import (
     ARRAYS,
@@ -144,6 +146,36 @@ def read_fast_tip_file(folder, root):
     tip.check_design(design)
     found = tip.predict(PinDecoder(design, tip.modes), np.zeros((1, 6)), np.zeros((1, 6)))
     return hashed(found.pin_tips, found.forces_n)
+
+
+def write_sliding_tip_file(folder, root):
+    """Write a sliding tip of random weights."""
+    rng, design = np.random.default_rng(0), design_named("nominal-127")
+    inputs = Inputs("surface", 2, 2)
+
+    def network(outputs):
+        sizes = ((8, inputs.count), (8, 8), (outputs, 8))
+        pairs = [(rng.normal(size=size), rng.normal(size=size[0])) for size in sizes]
+        skip = rng.normal(size=(outputs, inputs.count)).astype(np.float32)
+        return Network(tuple(array.astype(np.float32) for pair in pairs for array in pair), skip)
+
+    modes = Modes(np.array([0, 1, 2]), rng.normal(size=(3, 6 * len(RING_ANGLES))))
+    overlap = OverlapModes(np.array([0, 1]), rng.normal(size=(2, RINGS)))
+    ones, extents = np.ones(len(MEASURES)), inputs.extents(np.zeros((1, inputs.count))).shape[1]
+    tip = SlidingTip(
+        "surface", mechanics_of(design), modes, overlap, 2, np.zeros(inputs.count), np.ones(inputs.count),
+        (network(6), network(6)), np.ones(6), network(len(MEASURES)), 0 * ones, ones, np.tile([-1.0, 1.0], (extents, 1)),
+        1.0, {},
+    )  # fmt: skip
+    write_sliding_tip(tip, folder / "tip.npz")
+
+
+def read_sliding_tip_file(folder, root):
+    tip = read_sliding_tip(folder / "tip.npz")
+    tip.check_design(design_named("nominal-127"))
+    still = Steps(np.zeros((1, 6)), np.zeros((1, 6)), np.zeros((1, RINGS, MAX_ORDER + 1), np.complex64), np.array([True]))
+    found = tip.step(still, np.ones((1, len(tip.modes.orders)), np.complex64))
+    return hashed(found.states, found.measures)
 
 
 def read_set(folder, root):
@@ -401,6 +433,7 @@ KINDS = {
     "search": FileKind(write_search, read_search),
     "set of meshes": FileKind(write_set_of_meshes, read_set_of_meshes),
     "learned tip": FileKind(write_fast_tip_file, read_fast_tip_file),
+    "sliding tip": FileKind(write_sliding_tip_file, read_sliding_tip_file),
     "recording": FileKind(write_recording, read_run),
     "design": FileKind(write_design, read_designs),
     "layout": FileKind(write_layout, lambda folder, root: read_layout(folder / "layout.json") and None),

@@ -4,16 +4,22 @@ import numpy as np
 import pytest
 import torch
 
+from helpers.set_commands import contents
 from tactip_twin.commands import main as tactip
 from tactip_twin.learning import sliding_tip_training
 from tactip_twin.learning.sliding_paths import read_paths
 from tactip_twin.learning.sliding_tip_settings import SlidingTipSettings
 from tactip_twin.learning.sliding_tip_training import SLIDING_TIP, sliding_tip_errors, train_sliding_tip
 from tactip_twin.sim.contact.fidelity import fidelity_named
+from tactip_twin.sim.contact.interactive import InteractiveContact
 from tactip_twin.sim.contact.stimuli import stimulus_named
+from tactip_twin.sim.dataset.format import read_meta, read_rows
 from tactip_twin.sim.dataset.sampling import POSE_RANGES
 from tactip_twin.sim.dataset.sliding import SlidingPath
-from tactip_twin.sim.fast_tip.sliding_contact import SlidingContact
+from tactip_twin.sim.fast_tip.corrected_contacts import MAX_STEPS
+from tactip_twin.sim.fast_tip.fast_interactive import FastInteractiveContact
+from tactip_twin.sim.fast_tip.fast_tip import shipped_fast_tip
+from tactip_twin.sim.fast_tip.sliding_contact import SlidingContact, TouchedObject
 from tactip_twin.sim.fast_tip.sliding_tip import read_sliding_tip
 from tactip_twin.sim.pose import from_mm_deg, sensor_in_contact
 from tactip_twin.tactip_model.errors import Interrupted, TactipError
@@ -90,7 +96,7 @@ def contact_of(path, **changes):
     pose = from_mm_deg([0, 0, -3, 2, -4, 0])
     walk = SlidingPath("surface", None, POSE_RANGES["surface"], pose, np.random.default_rng(3))
     design = changes.pop("design", design_named("tactip-127"))
-    contact = SlidingContact(tip, design, stimulus, walk.truth, stimulus.distance, draft, **changes)
+    contact = SlidingContact(tip, design, TouchedObject(stimulus, walk.truth, stimulus.distance), draft, **changes)
     return contact, walk, pose
 
 
@@ -104,20 +110,20 @@ def test_predicted_slide_stays_near_the_simulated_one(taught, monkeypatch):
     monkeypatch.setattr(simulated, "_tip", Untrusted(read_sliding_tip(taught)))
     for contact in (predicted, simulated):
         contact.reset_to(above(pose))
-        assert contact.state().steps == 0
+        assert contact.contact.steps == 0
     poses = [sensor_in_contact(pose), *(sensor_in_contact(walk.stride()) for _ in range(5))]
     apart, moved = [], []
     for T in poses:
         a, b = predicted.move(T), simulated.move(T)
         apart.append(np.linalg.norm(a.pin_tips - b.pin_tips, axis=1).mean())
-        moved.append(np.linalg.norm(b.pin_tips - predicted._rest[0], axis=1).mean())
+        moved.append(np.linalg.norm(b.pin_tips - predicted._undeformed.pin_tips, axis=1).mean())
         assert b.steps > 0
         assert np.isfinite(b.penetration_m)
     assert simulated.simulated_motions == simulated.motions >= 6
     assert predicted.simulated_motions < predicted.motions
     assert np.mean(apart) < 0.5 * np.mean(moved)
     lifted = predicted.move(above(pose))
-    assert np.array_equal(lifted.pin_tips, predicted._rest[0])
+    assert np.array_equal(lifted.pin_tips, predicted._undeformed.pin_tips)
     assert not lifted.force_n.any()
 
 
@@ -144,20 +150,48 @@ def test_corrected_slide_passes_its_checks(taught):
         assert state.penetration_m < 0.15e-3
 
 
+def test_predicted_set_of_slides_is_the_same_with_any_worker_count(taught, tmp_path):
+    make = ["dataset", "make", "--fast-tip", str(taught), "--renderer", "raster", "--samples", "48"]
+    make += ["--snapshots-per-contact", "3", "--curvature-per-m", "-20", "60", "--augment-symmetry"]
+    for name, fidelity, workers in (("a", "fast", "1"), ("b", "fast", "2"), ("c", "corrected", "1")):
+        assert tactip.main([*make, "--fidelity", fidelity, "--workers", workers, "--out", str(tmp_path / name)]) == 0
+        assert tactip.main(["dataset", "verify", str(tmp_path / name)]) == 0
+    assert contents(tmp_path / "a") == contents(tmp_path / "b")
+    predicted, corrected = (
+        [int(row["steps"]) for row in read_rows(tmp_path / name, read_meta(tmp_path / name))] for name in "ac"
+    )
+    assert min(len(predicted), len(corrected)) > 24
+    assert min(predicted) == 0 < min(corrected) <= MAX_STEPS
+
+
+def test_slides_need_a_tip_that_slides(tmp_path, capsys):
+    tip = str(shipped_fast_tip("surface", "tactip-127"))
+    make = ["dataset", "make", "--fidelity", "fast", "--fast-tip", tip, "--snapshots-per-contact", "3"]
+    assert tactip.main([*make, "--out", str(tmp_path / "set")]) == 1
+    assert "must be a file of the format 'tactip-twin sliding tip'" in capsys.readouterr().err
+
+
 def test_tip_of_another_design_is_refused(taught):
     with pytest.raises(TactipError, match="the learned tip belongs to"):
         contact_of(taught, design=design_named("tactip-331"))
 
 
-@pytest.mark.parametrize(
-    ("damage", "words"),
-    [
-        (lambda data: data[:-30], "cannot be read|not a|damaged"),
-        (lambda data: data.replace(b'"surface"', b'"surfacf"', 1), "altered|damaged|cannot be read"),
-    ],
-)
-def test_damaged_file_is_refused(taught, tmp_path, damage, words):
-    path = tmp_path / "tip.npz"
-    path.write_bytes(damage(taught.read_bytes()))
-    with pytest.raises(TactipError, match=words):
-        read_sliding_tip(path)
+def test_live_contact_moves_as_predicted(taught):
+    target = from_mm_deg([0, 0, -3, 2, -4, 0])
+    live = FastInteractiveContact(read_sliding_tip(taught), design_named("tactip-127"), fidelity_named("draft"), target)
+    above = live.tip_state()
+    assert not live.at_rest
+    assert not above.force.any()
+    for _ in range(60):
+        state = live.advance(3)
+        if live.at_rest:
+            break
+    assert live.at_rest
+    assert np.linalg.norm(state.force) > 0.5
+    simulated = InteractiveContact(design_named("tactip-127"), "surface", fidelity_named("draft"), target)
+    while not simulated.at_rest:
+        true = simulated.advance(3)
+    moved = np.linalg.norm(true.pin_tips - above.pin_tips, axis=1).mean()
+    assert np.linalg.norm(state.pin_tips - true.pin_tips, axis=1).mean() < 0.5 * moved
+    live.lift()
+    assert np.array_equal(live.tip_state().pin_tips, above.pin_tips)
