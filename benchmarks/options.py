@@ -236,7 +236,9 @@ class SlidingTipOptions:
     paths: int = 800
     """Number of training paths: on surfaces, five eighths of them on curved ones."""
     test_paths: int = 50
-    """Number of test paths of each kind, and as many for validation."""
+    """Number of test paths of each kind."""
+    validation_paths: int = 30
+    """Number of validation paths of each kind."""
     data: Path = Path("data/slides")
     """Folder of the data sets: DATA/KIND/SPLIT."""
     runs: Path = Path("runs/sliding-tip")

@@ -21,6 +21,7 @@ from tactip_twin.learning.sliding_tip_training import SLIDING_TIP, sliding_tip_e
 from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.dataset.configuration import Configuration
 from tactip_twin.sim.dataset.generate import Job, make
+from tactip_twin.sim.dataset.options import DatasetOptions
 from tactip_twin.sim.dataset.sampling import SHEAR_RANGES, Ranges
 from tactip_twin.sim.labels import Task
 from tactip_twin.sim.parallel.worker_pool import worker_count
@@ -29,6 +30,9 @@ from tactip_twin.tactip_model.presets import load_design
 
 _STATES = 20
 """Number of states of a path."""
+
+_SHARD_SAMPLES = 4000
+"""Samples of a shard of the training sets: meshes of more would not fit into a file."""
 
 _FLAT_FRACTION = 0.375
 """Fraction of the surfaces' training paths that lie on flat ones [?]."""
@@ -41,7 +45,7 @@ _DEPTH_MM, _TILT_DEG = (-5.5, -0.3), (-18.0, 18.0)
 
 _RANGES: dict[Task, Ranges] = {
     "surface": Ranges(depth_mm=_DEPTH_MM, roll_deg=_TILT_DEG, pitch_deg=_TILT_DEG),
-    "edge": Ranges(x_mm=(-6, 6), depth_mm=_DEPTH_MM, roll_deg=_TILT_DEG, pitch_deg=_TILT_DEG, yaw_deg=(-45, 45)),
+    "edge": Ranges(x_mm=(-6.0, 6.0), depth_mm=_DEPTH_MM, roll_deg=_TILT_DEG, pitch_deg=_TILT_DEG, yaw_deg=(-45.0, 45.0)),
 }
 
 KINDS: dict[Task, tuple[str, ...]] = {"surface": ("flat", "curved"), "edge": ("edge",)}
@@ -65,11 +69,13 @@ def jobs(options: SlidingTipOptions) -> list[Job]:
     for kind in KINDS[options.task]:
         fraction = {"flat": _FLAT_FRACTION, "curved": 1 - _FLAT_FRACTION, "edge": 1.0}[kind]
         for split in ("train", "val", "test"):
-            paths = round(fraction * options.paths) if split == "train" else options.test_paths
+            paths = {"train": round(fraction * options.paths), "val": options.validation_paths}.get(
+                split, options.test_paths
+            )
             configuration = Configuration(
                 task=options.task,
                 split=split,
-                samples=_STATES * paths,
+                samples=_STATES * own[split],
                 renderer="raster",
                 design=load_design(DESIGN),
                 fidelity=fidelity_named("standard"),
@@ -79,7 +85,7 @@ def jobs(options: SlidingTipOptions) -> list[Job]:
                 keep_mesh=True,
                 curvature_per_m=CURVATURES_PER_M if kind == "curved" else (0.0, 0.0),
                 varying_curvature_fraction=_VARYING_FRACTION if kind == "curved" else 0.0,
-                shard_samples=4000,
+                shard_samples=_SHARD_SAMPLES if split == "train" else DatasetOptions().shard_samples,
             )
             out.append(Job(configuration, options.data / kind / split))
     return out

@@ -17,7 +17,7 @@ from tactip_twin.tactip_model.presets import design_named
 
 def test_sets_of_a_sliding_tip_are_valid_and_apart():
     for task, kinds in sliding_tip.KINDS.items():
-        found = sliding_tip.jobs(SlidingTipOptions(task=task, paths=16, test_paths=3, data=Path("d")))
+        found = sliding_tip.jobs(SlidingTipOptions(task=task, paths=16, test_paths=3, validation_paths=3, data=Path("d")))
         assert {str(job.folder) for job in found} == {f"d/{k}/{s}" for k in kinds for s in ("train", "val", "test")}
         for job in found:
             check(job.configuration)
