@@ -69,9 +69,7 @@ def jobs(options: SlidingTipOptions) -> list[Job]:
     for kind in KINDS[options.task]:
         fraction = {"flat": _FLAT_FRACTION, "curved": 1 - _FLAT_FRACTION, "edge": 1.0}[kind]
         for split in ("train", "val", "test"):
-            paths = {"train": round(fraction * options.paths), "val": options.validation_paths}.get(
-                split, options.test_paths
-            )
+            own = {"train": round(fraction * options.paths), "val": options.validation_paths, "test": options.test_paths}
             configuration = Configuration(
                 task=options.task,
                 split=split,
