@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, get_args
 
-from tactip_twin.sim.labels import FidelityName, LearnedFidelityName, Task
+from tactip_twin.sim.labels import FidelityName, Task
 from tactip_twin.sim.robot.arm_names import ArmName
 from tactip_twin.tactip_model.bounds import check, within
 from tactip_twin.tactip_model.errors import lookup
@@ -107,11 +107,11 @@ class ServoOptions:
     network of the task; for surfaces, the one trained on curved surfaces."""
     design: str = "tactip-127"
     """Sensor: tactip-127, tactip-331, or a design file (.json) as `tactip calibrate` writes it."""
-    fidelity: FidelityName | LearnedFidelityName = "standard"
-    """Fidelity of the contact simulation; fast: predict the contact by a learned tip; corrected: predict it, and let the
-    simulation correct it. Both simulate motions that the tip has not learned."""
+    fidelity: FidelityName | Literal["fast"] = "standard"
+    """Fidelity of the contact simulation; fast: predict the contact by a learned tip, and simulate the motions that it has
+    not learned."""
     sliding_tip: Path | None = None
-    """Learned tip of --fidelity fast or corrected, a file of `tactip sliding-tip`. Default: the shipped one of task and
+    """Learned tip of --fidelity fast, a file of `tactip sliding-tip`. Default: the shipped one of task and
     design."""
     arm: ArmName = "dynamic"
     """Arm model: none (the sensor moves exactly), kinematic (inverse kinematics), dynamic (with masses and motors)."""

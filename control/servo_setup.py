@@ -17,7 +17,6 @@ from tactip_twin.learning.model import Model, load_network
 from tactip_twin.sim.contact.fidelity import Motion, fidelity_named
 from tactip_twin.sim.fast_tip.sliding_tip import read_sliding_tip, shipped_sliding_tip
 from tactip_twin.sim.ground_truth import EdgeGroundTruth, SurfaceGroundTruth
-from tactip_twin.sim.labels import LEARNED_FIDELITIES
 from tactip_twin.sim.pose import from_mm_deg, inverse, sensor_in_contact
 from tactip_twin.sim.robot.arm_models import ArmModel, arm_model_named
 from tactip_twin.sim.robot.fast_mounted_tip import FastMountedTip
@@ -132,9 +131,9 @@ def _mounted_tip(
 ) -> TipOnArm:
     """Return the tip of the options' fidelity on its arm model."""
     solid, T_base_object = scene_object.solid, scene_object.T_base_object
-    if options.fidelity not in LEARNED_FIDELITIES:
+    if options.fidelity != "fast":
         if options.sliding_tip:
-            raise TactipError(f"--sliding-tip is for --fidelity fast or corrected, got --fidelity {options.fidelity}")
+            raise TactipError(f"--sliding-tip is for --fidelity fast, got --fidelity {options.fidelity}")
         fidelity = fidelity_named(options.fidelity)
         settle_steps = _settle_steps(options, fidelity.motion)
         return MountedTip(design, solid, fidelity, arm_model, T_base_object, settle_steps, options.speed_scale)
@@ -144,10 +143,7 @@ def _mounted_tip(
     tip = read_sliding_tip(path)
     if tip.task != options.task:
         raise TactipError(f"the learned tip in {path} is for {tip.task}, got --task {options.task}")
-    corrected = options.fidelity == "corrected"
-    return FastMountedTip(
-        tip, design, solid, fidelity_named("standard"), arm_model, T_base_object, truth, corrected=corrected
-    )
+    return FastMountedTip(tip, design, solid, fidelity_named("standard"), arm_model, T_base_object, truth)
 
 
 def _estimator(

@@ -52,7 +52,8 @@ class _Plan:
 
     def __init__(self, paths: SlidingPaths, settings: SlidingTipSettings) -> None:
         """Find the modes and the scales of some paths."""
-        self.settings, self.task = settings, paths.task
+        self.settings = settings
+        self.task: Task = paths.task
         shape = paths.poses.shape[:2]
         values, yaw = features(self.task, paths.poses.reshape(-1, 6), paths.motions.reshape(-1, 6))
         harmonics = paths.harmonics.reshape(-1, *paths.harmonics.shape[2:])

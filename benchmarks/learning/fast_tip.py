@@ -145,8 +145,9 @@ def _ways(tip: FastTip, test: TipContacts, count: int, log: Callable[[str], None
 
 def plot(result: dict[str, Any], path: Path) -> None:
     """Plot the mean pin error against `reference` over the CPU time per contact, one panel per task, into a PNG file."""
-    figure, panels = figure_of(1, len(result), (4.6 * len(result), 4.2))
-    for axis, (task, found) in zip(panels, result.items(), strict=True):
+    compared = {task: found for task, found in result.items() if "ways" in found}
+    figure, panels = figure_of(1, len(compared), (4.6 * len(compared), 4.2))
+    for axis, (task, found) in zip(panels, compared.items(), strict=True):
         rows = {row["way"]: row for row in found["ways"] if row["way"] != "reference"}
         for names, color in ((("draft", "standard"), "k"), (("fast, batch", "fast", "corrected"), COLORS[0])):
             points = [(rows[name]["seconds"], rows[name]["reference"]["pins_mm"]) for name in names]
@@ -211,7 +212,7 @@ def tables(result: dict[str, Any]) -> dict[str, str]:
             f"{100 * row['standard']['force']:.1f} %",
         ]
         for task, found in result.items()
-        for row in found["ways"]
+        for row in found.get("ways", [])
     ]
     way_head = ["task", "way", "CPU time, ms", "relative to standard", "contacts", "pins from standard, mm"]
     way_head += ["pins from reference, mm", "worst contact from standard, mm", "force from standard"]

@@ -60,7 +60,7 @@ _RUNS: dict[Task, dict[str, ServoOptions]] = {
 }
 """Servo runs by task."""
 
-_FIDELITIES = ("standard", "corrected", "fast")
+_FIDELITIES = ("standard", "fast")
 
 
 def jobs(options: SlidingTipOptions) -> list[Job]:

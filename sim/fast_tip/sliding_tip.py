@@ -77,7 +77,8 @@ class Inputs:
 
     def __init__(self, task: Task, overlap_modes: int, state_modes: int) -> None:
         """Take the task, and the numbers of modes of the overlap and of the state."""
-        self.task, self.overlap_modes, self.state_modes = task, overlap_modes, state_modes
+        self.task: Task = task
+        self.overlap_modes, self.state_modes = overlap_modes, state_modes
         first = COUNT[task]
         self.overlap = slice(first, first + 2 * overlap_modes)
         """Real, then imaginary parts of the overlap."""

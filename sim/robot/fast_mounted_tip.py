@@ -33,7 +33,6 @@ class FastMountedTip(TipOnArm):
         arm_model: ArmModel,
         T_base_object: ArrayLike,
         truth: GroundTruth,
-        corrected: bool,
     ) -> None:
         """Prepare the prediction.
 
@@ -45,14 +44,13 @@ class FastMountedTip(TipOnArm):
             arm_model: Model that positions the sensor.
             T_base_object: (4, 4).
             truth: Poses of the sensor on the object.
-            corrected: Whether the simulation corrects what is predicted.
 
         Raises:
             TactipError: The design has another shape or other materials than those learned.
         """
         super().__init__(design, solid, fidelity, arm_model, T_base_object)
         touched = TouchedObject(SolidStimulus(solid), truth, solid.distance)
-        self.sliding = SlidingContact(tip, design, touched, fidelity, corrected)
+        self.sliding = SlidingContact(tip, design, touched, fidelity)
         """The tip on the object, which counts the motions that were simulated."""
         self.mesh = self.sliding.mesh
 

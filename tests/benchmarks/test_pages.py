@@ -19,6 +19,7 @@ PAGES = {
     "fidelity": "physics.fidelity_page",
     "learning": "learning.learning",
     "fast_tip": "learning.fast_tip",
+    "sliding_tip": "learning.sliding_tip",
     "search": "learning.search",
     "performance": "scale.performance",
     "scale": "scale.scale",

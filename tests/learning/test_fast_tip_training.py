@@ -138,9 +138,9 @@ def test_contacts_that_are_not_trusted_are_simulated(taught, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--snapshots-per-contact", "2"], "snapshots_per_contact needs a simulated tip"),
+        (["--snapshots-per-contact", "2"], "must be a file of the format 'tactip-twin sliding tip'"),
         (["--keep-mesh"], "keep_mesh needs a simulated tip"),
-        (["--curvature-per-m", "0", "20"], "curvature_per_m needs a simulated tip"),
+        (["--curvature-per-m", "0", "20"], "must be a file of the format 'tactip-twin sliding tip'"),
         (["--randomize-mechanics", "real"], "mechanics_randomization needs a simulated tip"),
         (["--design", "tactip-331"], "the learned tip belongs to materials."),
         (["--task", "edge"], "is for surface, got --task edge"),

@@ -150,6 +150,7 @@ def test_corrected_slide_passes_its_checks(taught):
         assert state.penetration_m < 0.15e-3
 
 
+@pytest.mark.slow
 def test_predicted_set_of_slides_is_the_same_with_any_worker_count(taught, tmp_path):
     make = ["dataset", "make", "--fast-tip", str(taught), "--renderer", "raster", "--samples", "48"]
     make += ["--snapshots-per-contact", "3", "--curvature-per-m", "-20", "60", "--augment-symmetry"]

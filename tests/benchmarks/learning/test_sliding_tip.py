@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from tactip_twin.benchmarks.learning import fast_tip, sliding_tip
 from tactip_twin.benchmarks.options import SlidingTipOptions
@@ -26,6 +27,7 @@ def test_sets_of_a_sliding_tip_are_valid_and_apart():
         assert {job.configuration.samples for job in found if job.configuration.split != "train"} == {60}
 
 
+@pytest.mark.slow
 def test_ways_to_make_a_contact_are_compared_with_the_finest(tmp_path):
     design, task = design_named("tactip-127"), "surface"
     rng = np.random.default_rng(1)

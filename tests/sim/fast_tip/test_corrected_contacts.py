@@ -92,7 +92,7 @@ def test_mesh_without_deformation_is_the_undeformed_one(tip):
 
 
 def test_corrected_set_is_the_same_with_any_worker_count(tmp_path, capsys):
-    make = ["dataset", "make", "--fidelity", "corrected", "--task", "edge", "--samples", "24", "--augment-symmetry"]
+    make = ["dataset", "make", "--fidelity", "corrected", "--task", "edge", "--samples", "12", "--augment-symmetry"]
     for name, workers in (("a", "1"), ("b", "2")):
         out = ["--renderer", "raster", "--workers", workers, "--out", str(tmp_path / name)]
         assert tactip.main([*make, *out, "--pose.depth-mm", "-5.3", "-4"]) == 0
