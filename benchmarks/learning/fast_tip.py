@@ -27,7 +27,7 @@ from tactip_twin.sim.fast_tip.corrected_contacts import CorrectedContacts
 from tactip_twin.sim.fast_tip.fast_contacts import FastContacts
 from tactip_twin.sim.fast_tip.fast_tip import FastTip
 from tactip_twin.sim.parallel.worker_pool import worker_count
-from tactip_twin.sim.view.plot import COLORS, figure_of, log_axis, save_figure
+from tactip_twin.sim.view.plot import COLORS, figure_of, save_figure
 from tactip_twin.tactip_model.raster_renderer import Raster
 from tactip_twin.tactip_model.tactile_image import tactile_image
 
@@ -154,7 +154,7 @@ def plot(result: dict[str, Any], path: Path) -> None:
             axis.plot(*zip(*points, strict=True), "o-", ms=7, lw=1, color=color)
             for name, point in zip(names, points, strict=True):
                 axis.annotate(name, point, (6, 6), textcoords="offset points")
-        log_axis(axis, "x")
+        axis.set_xscale("log")
         axis.set(xlabel="CPU time per contact, s", title=f"{task} contacts", ylim=(0, None))
         axis.margins(x=0.2)
     panels[0].set_ylabel("mean pin error from reference, mm")
