@@ -15,6 +15,7 @@ from tactip_twin.sim.contact.limits import exceeds_max_tilt
 from tactip_twin.sim.contact.mujoco_warnings import counted_warnings
 from tactip_twin.sim.contact.record import QualityLimits
 from tactip_twin.sim.contact.simulator import TRIES, RetryingSimulator
+from tactip_twin.sim.dataset import contact_sample
 from tactip_twin.sim.dataset import generate as generation
 from tactip_twin.sim.dataset.generate import Job
 from tactip_twin.sim.dataset.sampling import SHEAR_RANGES, Ranges, generator
@@ -147,7 +148,7 @@ def test_too_steep_motion_is_sampled_again(design):
     c = configuration(design, pose=wide)
     again = 0
     for number in range(400):
-        draw, given = generator(0, "surface", "train", number), generation.sample_contact(c, number)
+        draw, given = generator(0, "surface", "train", number), contact_sample.sample_contact(c, number)
         assert not exceeds_max_tilt(given.pose, given.shear)
         pose, shear = wide.sample(draw), SHEAR_RANGES.sample(draw)
         again += exceeds_max_tilt(pose, shear)
@@ -155,7 +156,7 @@ def test_too_steep_motion_is_sampled_again(design):
     assert 0 < again < 20
     gentle = configuration(design)
     assert not any(
-        exceeds_max_tilt(d.pose, d.shear) for d in (generation.sample_contact(gentle, number) for number in range(50))
+        exceeds_max_tilt(d.pose, d.shear) for d in (contact_sample.sample_contact(gentle, number) for number in range(50))
     )
 
 
