@@ -94,7 +94,7 @@ class Inputs:
         return np.concatenate(parts, 1).astype(np.float32)
 
     def extents(self, inputs: np.ndarray) -> np.ndarray:
-        """Return what the learned range of inputs (k, count) is told by, (k, e): neither turns nor mirrors change it."""
+        """Return the quantities (k, e) of inputs (k, count) whose range is learned; turns and mirrors do not change them."""
         first, columns = 0, []
         for k in pairs(self.task):
             mirror = mirrored(self.task)
