@@ -252,6 +252,34 @@ class SlidingTipOptions:
 
 
 @dataclass(frozen=True)
+class AnyMaterialsOptions:
+    """Teach the tip that knows any materials; measure its errors, and calibrate sensors with it. Rerun to resume."""
+
+    contacts: int = 6000
+    """Number of training contacts."""
+    test_contacts: int = 500
+    """Number of contacts for validation, and as many for testing."""
+    steps: int = 30000
+    """Number of training steps of each network."""
+    width: int = 256
+    """Units per layer of the networks."""
+    real: tuple[Path, ...] = ()
+    """Folders of real sets of a 127-pin or 331-pin tip, with the number in their name, to calibrate a nominal design to."""
+    seed: int = 0
+    """Seed of the selection of frames."""
+    data: Path = Path("data/any-materials")
+    """Folder of the data sets: DATA/SPLIT."""
+    runs: Path = Path("runs/any-materials")
+    """Folder of the training and of the calibrations."""
+    out: Path = Path("docs")
+    """Folder for any_materials.json and any_materials.md."""
+    release: Path | None = None
+    """Folder that the tip is copied to, as surface-any-materials.npz. Default: no copy."""
+    workers: str = "auto"
+    """Number of worker processes that simulate contacts; auto: one per core."""
+
+
+@dataclass(frozen=True)
 class MissingNeutralImageOptions:
     """Fit a tip to frames alone, and compare its pins with those of the tip that was fitted to its neutral image."""
 
@@ -346,6 +374,7 @@ MEASUREMENTS = {
     "learning": Measurement("tactip_twin.benchmarks.learning.learning", LearningOptions, "learning.md"),
     "fast-tip": Measurement("tactip_twin.benchmarks.learning.fast_tip", FastTipOptions, "fast_tip.md"),
     "sliding-tip": Measurement("tactip_twin.benchmarks.learning.sliding_tip", SlidingTipOptions, "sliding_tip.md"),
+    "any-materials": Measurement("tactip_twin.benchmarks.learning.any_materials", AnyMaterialsOptions, "any_materials.md"),
     "search": Measurement("tactip_twin.benchmarks.learning.search", SearchOptions, "search.md"),
     "transfer": Measurement("tactip_twin.benchmarks.learning.transfer", TransferOptions, "transfer.md"),
     "release-models": Measurement("tactip_twin.benchmarks.learning.release_models", ReleaseModelsOptions, ""),

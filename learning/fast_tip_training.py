@@ -15,10 +15,12 @@ from tqdm import tqdm
 from tactip_twin.learning.fast_tip_settings import FastTipSettings
 from tactip_twin.learning.tip_networks import Perceptron, train_network, train_networks, turned_pairs
 from tactip_twin.sim.dataset.configuration import Configuration
+from tactip_twin.sim.dataset.contact_sample import sample_contact
 from tactip_twin.sim.dataset.format import labels_sha256, read_configuration, read_meta, read_rows
 from tactip_twin.sim.dataset.mesh_states import read_mesh_states
-from tactip_twin.sim.fast_tip.fast_tip import FastTip, PinDecoder, mechanics_of, read_fast_tip, write_fast_tip
+from tactip_twin.sim.fast_tip.fast_tip import REFERENCE_YOUNG_PA, FastTip, PinDecoder, read_fast_tip, write_fast_tip
 from tactip_twin.sim.fast_tip.features import COUNT, features, mirrored, pairs
+from tactip_twin.sim.fast_tip.materials import material_inputs, mechanics_of
 from tactip_twin.sim.fast_tip.measures import MEASURE_MIRROR, MEASURE_PAIRS, MEASURES, measures_of
 from tactip_twin.sim.fast_tip.network import Network
 from tactip_twin.sim.fast_tip.skin_field import Modes, SkinSampler
@@ -53,6 +55,14 @@ class TipContacts:
     """(k, MEASURES)."""
     skins: np.ndarray
     """(k, s, 3) float32 m, vertices of the skin."""
+    materials: np.ndarray
+    """(k, 5), materials.INPUTS of each contact's tip. If they vary, the forces are those on a gel of
+    REFERENCE_YOUNG_PA."""
+
+    @property
+    def knows_materials(self) -> bool:
+        """Whether the materials vary from contact to contact."""
+        return not self.configuration.mechanics_randomization.is_identity
 
     @property
     def task(self) -> Task:
@@ -64,8 +74,15 @@ class TipContacts:
 
     def first(self, count: int) -> "TipContacts":
         """Return the first `count` contacts; all for 0."""
-        names = ("poses", "shears", "harmonics", "measures", "skins")
-        return dataclasses.replace(self, **{name: getattr(self, name)[: count or None] for name in names})
+        return dataclasses.replace(self, **{name: getattr(self, name)[: count or None] for name in _COLUMNS})
+
+    def chosen(self, which: np.ndarray) -> "TipContacts":
+        """Return the contacts for which `which` (k,) bool holds."""
+        return dataclasses.replace(self, **{name: getattr(self, name)[which] for name in _COLUMNS})
+
+
+_COLUMNS = ("poses", "shears", "harmonics", "measures", "skins", "materials")
+"""Fields of TipContacts with a row for each contact."""
 
 
 def read_contacts(folders: Sequence[Path]) -> TipContacts:
@@ -80,8 +97,7 @@ def read_contacts(folders: Sequence[Path]) -> TipContacts:
     first = parts[0].configuration
     for folder, part in zip(folders, parts, strict=True):
         _check_same_tip(part, parts[0], folder, folders[0])
-    names = ("poses", "shears", "harmonics", "measures", "skins")
-    return TipContacts(first, **{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
+    return TipContacts(first, **{name: np.concatenate([getattr(part, name) for part in parts]) for name in _COLUMNS})
 
 
 def _check_same_tip(part: TipContacts, first: TipContacts, folder: Path, first_folder: Path) -> None:
@@ -92,6 +108,8 @@ def _check_same_tip(part: TipContacts, first: TipContacts, folder: Path, first_f
             raise TactipError(f"{folder} has another {name} than {first_folder}: a tip is learned from sets of one {name}")
     if mechanics_of(a.design) != mechanics_of(b.design):
         raise TactipError(f"{folder} has a tip of another shape or other materials than {first_folder}")
+    if part.knows_materials != first.knows_materials:
+        raise TactipError(f"the materials vary in one of {folder} and {first_folder}, but not in the other")
 
 
 def set_identity(folder: Path) -> dict[str, str | None]:
@@ -103,8 +121,8 @@ def set_identity(folder: Path) -> dict[str, str | None]:
 def _read_set(folder: Path) -> TipContacts:
     meta = read_meta(folder)
     configuration = read_configuration(meta, folder)
-    if configuration.is_curved or not configuration.mechanics_randomization.is_identity:
-        raise TactipError(f"the set in {folder} has curved surfaces or randomized mechanics, which a tip cannot learn yet")
+    if configuration.is_curved:
+        raise TactipError(f"the set in {folder} has curved surfaces, which a fast tip cannot learn: teach a sliding tip")
     each = configuration.samples_per_contact
     states = read_mesh_states(folder, meta).by_contact()
     # The first sample of a contact is the contact as simulated.
@@ -122,8 +140,13 @@ def _read_set(folder: Path) -> TipContacts:
 
     poses, shears = from_mm_deg(cells(LABELS)), from_mm_deg(cells(SHEARS))
     in_sensor = cells(("force_x_N", "force_y_N", "force_z_N"))
+    designs = [sample_contact(configuration, number).design for number in numbers]
+    materials = np.array([material_inputs(design.materials) for design in designs])
+    if not configuration.mechanics_randomization.is_identity:
+        stiffness = np.array([design.materials.gel_young_pa for design in designs]) / REFERENCE_YOUNG_PA
+        in_sensor /= stiffness[:, None]
     measures = measures_of(poses, in_sensor, cells(MEASURES[3:]))
-    return TipContacts(configuration, poses, shears, harmonics, measures, skins)
+    return TipContacts(configuration, poses, shears, harmonics, measures, skins, materials)
 
 
 class _Batches:
@@ -132,11 +155,12 @@ class _Batches:
     def __init__(
         self, task: Task, inputs: np.ndarray, coefficients: np.ndarray, measures: np.ndarray, orders: np.ndarray
     ) -> None:
-        """Take inputs (n, COUNT), coefficients (n, modes) complex, measures (n, MEASURES) and orders (modes,)."""
-        self.width = COUNT[task]
-        """Number of inputs."""
+        """Take inputs (n, width), coefficients (n, modes) complex, measures (n, MEASURES) and orders (modes,)."""
+        self.width = inputs.shape[1]
+        """Number of inputs: the features, and the materials if they vary."""
         self._pairs = pairs(task) if task == "surface" else []
-        self._mirror = torch.tensor(mirrored(task), dtype=torch.float32)
+        factors = np.concatenate([mirrored(task), np.ones(self.width - COUNT[task])])
+        self._mirror = torch.tensor(factors, dtype=torch.float32)
         self._inputs = torch.tensor(inputs, dtype=torch.float32)
         self._coefficients = torch.tensor(coefficients.astype(np.complex64))
         self._measures = torch.tensor(measures, dtype=torch.float32)
@@ -168,6 +192,8 @@ class _Plan:
         """Find the modes and the scales of some contacts."""
         task = contacts.task
         values, yaw = features(task, contacts.poses, contacts.shears)
+        if contacts.knows_materials:
+            values = np.concatenate([values, contacts.materials], 1)
         orders = np.arange(contacts.harmonics.shape[-1])
         canonical = contacts.harmonics * np.exp(1j * np.multiply.outer(yaw, orders))[:, None, None]
         self.modes = Modes.fit(canonical, settings.modes)
@@ -242,7 +268,7 @@ def train_fast_tip(
         networks = train_networks(partial(_train, plan, settings), settings.members + 1, settings.steps, out, quiet)
         tip = FastTip(
             task=contacts.task,
-            mechanics=mechanics_of(contacts.configuration.design),
+            mechanics=mechanics_of(contacts.configuration.design, contacts.knows_materials),
             modes=plan.modes,
             center=plan.center,
             scale=plan.scale,
@@ -254,8 +280,9 @@ def train_fast_tip(
             ranges=_ranges(contacts.configuration),
             max_spread_m=np.inf,
             provenance={},
+            materials=_range_of(contacts.materials) if contacts.knows_materials else None,
         )
-        _, spread = tip.coefficients(held_out.poses, held_out.shears)
+        _, spread = tip.coefficients(held_out.poses, held_out.shears, held_out.materials)
         tip = dataclasses.replace(tip, max_spread_m=float(np.quantile(spread, settings.trusted_fraction)))
         provenance = record | {"contacts": len(contacts), "errors": fast_tip_errors(tip, held_out)}
         tip = dataclasses.replace(tip, provenance=provenance)
@@ -274,6 +301,11 @@ def _ranges(configuration: Configuration) -> np.ndarray:
     return np.concatenate([from_mm_deg(ranges.bounds().T).T for ranges in (configuration.pose, configuration.shear)])
 
 
+def _range_of(values: np.ndarray) -> np.ndarray:
+    """Return low and high (k, 2) of values (n, k)."""
+    return np.stack([values.min(0), values.max(0)], 1)
+
+
 def fast_tip_errors(tip: FastTip, contacts: TipContacts) -> dict[str, float]:
     """Return the errors of a learned tip on simulated contacts that it has not seen.
 
@@ -288,7 +320,11 @@ def fast_tip_errors(tip: FastTip, contacts: TipContacts) -> dict[str, float]:
     """
     c = contacts.configuration
     pins, _ = PinReader(c.design, build_mesh(c.design.shape, c.fidelity.mesh)).read(contacts.skins)
-    found = tip.predict(PinDecoder(c.design, tip.modes), contacts.poses, contacts.shears)
+    design = c.design
+    if contacts.knows_materials:  # forces as in the measures; the skin's modulus is an input
+        materials = dataclasses.replace(design.materials, gel_young_pa=REFERENCE_YOUNG_PA, skin_young_pa=REFERENCE_YOUNG_PA)
+        design = dataclasses.replace(design, materials=materials)
+    found = tip.predict(PinDecoder(design, tip.modes), contacts.poses, contacts.shears, contacts.materials)
     distance = 1e3 * np.linalg.norm(found.pin_tips - pins, axis=-1)
     force = np.exp(contacts.measures[:, 0])
     shear = np.linalg.norm(1e3 * found.effective_shears[:, :2] - contacts.measures[:, 3:5], axis=1)
@@ -305,12 +341,12 @@ def fast_tip_errors(tip: FastTip, contacts: TipContacts) -> dict[str, float]:
 
 
 def _scales(task: Task, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return what features (n, COUNT) are centred by and divided by, so that turns and mirrors commute with both."""
+    """Return what inputs (n, width) are centred by and divided by, so that turns and mirrors commute with both."""
     center, scale = values.mean(0), values.std(0)
     for k in pairs(task):
         if task == "surface":
             center[k], scale[k : k + 2] = 0, np.sqrt((scale[k : k + 2] ** 2).mean())
-    center[mirrored(task) < 0] = 0
+    center[: COUNT[task]][mirrored(task) < 0] = 0
     if task == "surface":
         for k in pairs(task):
             center[k : k + 2] = 0

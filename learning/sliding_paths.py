@@ -17,7 +17,7 @@ from tactip_twin.sim.dataset.contact_sample import ContactSample, sample_contact
 from tactip_twin.sim.dataset.format import read_configuration, read_meta, read_rows
 from tactip_twin.sim.dataset.mesh_states import read_mesh_states
 from tactip_twin.sim.dataset.sliding import SlidingPath
-from tactip_twin.sim.fast_tip.fast_tip import mechanics_of
+from tactip_twin.sim.fast_tip.materials import mechanics_of
 from tactip_twin.sim.fast_tip.measures import MEASURES, measures_of
 from tactip_twin.sim.fast_tip.overlap import dome_points, overlap_harmonics
 from tactip_twin.sim.fast_tip.skin_field import SkinSampler

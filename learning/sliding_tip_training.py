@@ -16,8 +16,9 @@ from tactip_twin.learning.fast_tip_training import set_identity
 from tactip_twin.learning.sliding_paths import SlidingPaths, check_same_tip, read_paths
 from tactip_twin.learning.sliding_tip_settings import SlidingTipSettings
 from tactip_twin.learning.tip_networks import Perceptron, train_network, train_networks, turned_pairs
-from tactip_twin.sim.fast_tip.fast_tip import PinDecoder, mechanics_of
+from tactip_twin.sim.fast_tip.fast_tip import PinDecoder
 from tactip_twin.sim.fast_tip.features import COUNT, features, mirrored, pairs
+from tactip_twin.sim.fast_tip.materials import mechanics_of
 from tactip_twin.sim.fast_tip.measures import MEASURE_MIRROR, MEASURE_PAIRS, MEASURES
 from tactip_twin.sim.fast_tip.network import Network
 from tactip_twin.sim.fast_tip.overlap import OverlapModes

@@ -29,6 +29,8 @@ class MechanicsRandomization:
     """Thickness of the skin."""
     pin_length: float = within(1, 1.3, default=1.0)
     """Depth of the pin tips below the outer surface."""
+    slip_weakening: float = within(1, 4, default=1.0)
+    """Slip-weakening distance."""
 
     def __post_init__(self) -> None:
         check(self)
@@ -49,11 +51,12 @@ class MechanicsRandomization:
             skin_young_pa=m.skin_young_pa * factors["skin_young"],
             gel_young_pa=m.gel_young_pa * factors["gel_young"],
             skin_thickness_m=m.skin_thickness_m * factors["skin_thickness"],
+            slip_weakening_m=m.slip_weakening_m * factors["slip_weakening"],
         )
         return replace(design, materials=materials, pins=replace(pins, length_m=pins.length_m * factors["pin_length"]))
 
 
-MechanicsName = Literal["none", "real"]
+MechanicsName = Literal["none", "real", "wide"]
 """Name of a randomization of the mechanics."""
 
 MECHANICS_RANDOMIZATIONS: dict[str, MechanicsRandomization] = {
@@ -61,6 +64,11 @@ MECHANICS_RANDOMIZATIONS: dict[str, MechanicsRandomization] = {
     "real": MechanicsRandomization(
         friction=1.6, kinetic_fraction=1.4, skin_young=1.5, gel_young=1.5, skin_thickness=1.15, pin_length=1.1
     ),
+    "wide": MechanicsRandomization(
+        friction=1.8, kinetic_fraction=1.8, skin_young=3.0, skin_thickness=1.3, slip_weakening=2.5
+    ),
 }
 """By name. `real`: friction from 0.45 to 1.1 around the 0.7 of the calibrated 127-pin tip, which includes the 0.55 to 0.7 of
-a load cell [R]; the rest is estimated [?], and exceeds the deviations of a calibration (docs/calibration)."""
+a load cell [R]; the rest is estimated [?], and exceeds the deviations of a calibration (docs/calibration). `wide`: what a
+calibration may meet around the 127-pin tip, for a learned tip that knows materials. Deformations depend on the moduli by
+their ratio alone, so only one varies."""

@@ -80,8 +80,7 @@ class CorrectedContacts:
         predicted, trusted = self._predictor.predict(pose[None], shear[None])
         if not trusted[0]:
             return None
-        coefficients, _ = self._tip.coefficients(pose[None], shear[None])
-        vertices = self._decoder(coefficients)[0]
+        vertices = self._decoder(self._predictor.coefficients(pose[None], shear[None]))[0]
         start, _ = self._simulator.reader.read(vertices[: self.mesh.surface_count])
         self._simulator.start_from(vertices, pose, shear)
         for contact in self._simulator.settle(pose, MAX_STEPS):

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 from tactip_twin.sim.contact.record import Contact
 from tactip_twin.sim.dataset.symmetry import Symmetry
 from tactip_twin.sim.fast_tip.fast_tip import FastTip, PinDecoder
+from tactip_twin.sim.fast_tip.materials import material_inputs
 from tactip_twin.tactip_model.design import Design
 
 _UNMEASURED = dict.fromkeys(
@@ -83,11 +84,15 @@ class FastContacts:
         """
         tip.check_design(design)
         self._tip, self._decoder = tip, PinDecoder(design, tip.modes)
+        self._materials = material_inputs(design.materials)
 
     def pins(self, poses: np.ndarray, shears: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return pin tips (k, p, 3), m, and directions (k, p, 3) of contacts (k, 6), (k, 6) alone, trusted or not."""
-        coefficients, _ = self._tip.coefficients(poses, shears)
-        return self._decoder(coefficients)
+        return self._decoder(self.coefficients(poses, shears))
+
+    def coefficients(self, poses: np.ndarray, shears: np.ndarray) -> np.ndarray:
+        """Return the coefficients (k, n) of the skin's modes of contacts (k, 6), (k, 6) alone, trusted or not."""
+        return self._tip.coefficients(poses, shears, self._materials)[0]
 
     def predict(self, poses: ArrayLike, shears: ArrayLike) -> tuple[list[Contact], np.ndarray]:
         """Predict contacts.
@@ -101,7 +106,7 @@ class FastContacts:
             NaN, and the number of steps is 0.
         """
         poses, shears = np.asarray(poses, float), np.asarray(shears, float)
-        p = self._tip.predict(self._decoder, poses, shears)
+        p = self._tip.predict(self._decoder, poses, shears, self._materials)
         measured = {name: getattr(p, name) for name in _MEASURED}
         contacts = [
             predicted_contact(

@@ -5,8 +5,7 @@ prediction, and their spread tells whether it can be trusted. A second network p
 """
 
 import hashlib
-import json
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ import numpy as np
 from tactip_twin.assets import FAST_TIPS
 from tactip_twin.sim.fast_tip.archive import check_numbers, pack, unpack
 from tactip_twin.sim.fast_tip.features import COUNT, features
+from tactip_twin.sim.fast_tip.materials import INPUTS, check_inputs, check_mechanics, material_inputs
 from tactip_twin.sim.fast_tip.measures import MEASURES, forces_and_patch
 from tactip_twin.sim.fast_tip.network import Network, network_of
 from tactip_twin.sim.fast_tip.skin_field import RING_ANGLES, Modes
@@ -27,22 +27,8 @@ from tactip_twin.tactip_model.pins import neutral_pins, pin_lever_m
 
 FORMAT, VERSION = "tactip-twin learned tip", 1
 
-
-def mechanics_of(design: Design) -> dict[str, Any]:
-    """Return the part of a design that a learned tip depends on, as JSON: shape and materials."""
-    return json.loads(json.dumps({"shape": asdict(design.shape), "materials": asdict(design.materials)}))
-
-
-def check_mechanics(learned: dict[str, Any], design: Design) -> None:
-    """Raise TactipError if a design has another shape or other materials than those that a tip has learned."""
-    asked = mechanics_of(design)
-    for part, values in learned.items():
-        for name, value in values.items():
-            if asked[part].get(name) != value:
-                raise TactipError(
-                    f"the learned tip belongs to {part}.{name} {value}, but the design has {asked[part].get(name)}: "
-                    "teach one for this design"
-                )
+REFERENCE_YOUNG_PA = 1e4
+"""Young's modulus of the gel, Pa, for which a tip that knows any materials learns its forces."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +64,7 @@ class FastTip:
     task: Task
     """`surface` or `edge`."""
     mechanics: dict[str, Any]
-    """Shape and materials of the tip that it learned (mechanics_of)."""
+    """Shape and materials of the tip that it learned (materials.mechanics_of)."""
     modes: Modes
     """Modes of the skin's deformation."""
     center: np.ndarray
@@ -101,19 +87,31 @@ class FastTip:
     """Largest spread of a prediction that is trusted, m."""
     provenance: dict[str, Any]
     """Training sets, settings and errors, as JSON."""
+    materials: np.ndarray | None = None
+    """(5, 2) low and high of materials.INPUTS in the training set; None if it knows the materials of one tip only."""
 
     def check_design(self, design: Design) -> None:
         """Raise TactipError if a design has another shape or other materials than those learned."""
         check_mechanics(self.mechanics, design)
+        if self.materials is not None:
+            check_inputs(material_inputs(design.materials), self.materials)
 
     def outside(self, poses: np.ndarray, shears: np.ndarray) -> np.ndarray:
         """Return whether contacts (k, 6), (k, 6) lie outside the learned ranges, (k,) bool."""
         both = np.concatenate([poses, shears], 1)
         return np.any((both < self.ranges[:, 0] - 1e-9) | (both > self.ranges[:, 1] + 1e-9), axis=1)
 
-    def coefficients(self, poses: np.ndarray, shears: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the coefficients (k, n) complex64 of the skin's modes in the sensor's axes, and their spread (k,), m."""
-        scaled, yaw = self._scaled(poses, shears)
+    def coefficients(
+        self, poses: np.ndarray, shears: np.ndarray, materials: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the coefficients (k, n) complex64 of the skin's modes in the sensor's axes, and their spread (k,), m.
+
+        Args:
+            poses: (k, 6) m and rad.
+            shears: (k, 6) m and rad.
+            materials: materials.INPUTS (5,), or (k, 5), of the tips; needed, and used, if it knows any materials.
+        """
+        scaled, yaw = self._scaled(poses, shears, materials)
         outputs = np.stack([network(scaled) for network in self.networks]) * self.coefficient_scale
         count = len(self.modes.orders)
         mean = outputs.mean(0)
@@ -122,19 +120,24 @@ class FastTip:
         spread = 1e-3 * np.sqrt((((outputs - mean) ** 2).mean(0) * weight).sum(1))
         return self.modes.turned(mean[:, :count] + 1j * mean[:, count:], yaw), spread
 
-    def predict(self, decoder: "PinDecoder", poses: np.ndarray, shears: np.ndarray) -> Prediction:
+    def predict(
+        self, decoder: "PinDecoder", poses: np.ndarray, shears: np.ndarray, materials: np.ndarray | None = None
+    ) -> Prediction:
         """Predict contacts.
 
         Args:
             decoder: Pins of the design.
             poses: (k, 6) m and rad.
             shears: (k, 6) m and rad.
+            materials: As of `coefficients`; (5,).
         """
         poses, shears = np.asarray(poses, float), np.asarray(shears, float)
-        coefficients, spread = self.coefficients(poses, shears)
+        coefficients, spread = self.coefficients(poses, shears, materials)
         tips, directions = decoder(coefficients)
-        scaled, _ = self._scaled(poses, shears)
+        scaled, _ = self._scaled(poses, shears, materials)
         measures = self.measure_network(scaled) * self.measure_scale + self.measure_center
+        if self.materials is not None:
+            measures[:, 0] += np.log(decoder.gel_young_pa / REFERENCE_YOUNG_PA)
         return Prediction(
             pin_tips=tips,
             directions=directions,
@@ -143,8 +146,10 @@ class FastTip:
             trusted=~self.outside(poses, shears) & (spread <= self.max_spread_m),
         )
 
-    def _scaled(self, poses: np.ndarray, shears: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _scaled(self, poses: np.ndarray, shears: np.ndarray, materials: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
         values, yaw = features(self.task, poses, shears)
+        if self.materials is not None:
+            values = np.concatenate([values, np.broadcast_to(np.asarray(materials, float), (len(values), len(INPUTS)))], 1)
         return ((values - self.center) / self.scale).astype(np.float32), yaw
 
     @cached_property
@@ -171,7 +176,7 @@ class FastTip:
         }
         for k, network in enumerate((*self.networks, self.measure_network)):
             arrays |= network.arrays(f"network{k}")
-        return arrays
+        return arrays if self.materials is None else arrays | {"materials": self.materials}
 
 
 _ARRAYS = ("center", "scale", "coefficient_scale", "measure_center", "measure_scale", "ranges")
@@ -182,6 +187,8 @@ class PinDecoder:
 
     def __init__(self, design: Design, modes: Modes) -> None:
         """Evaluate the modes at the design's pins."""
+        self.gel_young_pa = design.materials.gel_young_pa
+        """Young's modulus of the design's gel, Pa."""
         self._tips, self._directions = neutral_pins(design)
         moved, turned = modes.at(-self._directions)
         shape = len(moved), -1
@@ -223,7 +230,8 @@ def read_fast_tip(path: str | Path) -> FastTip:
         if about["networks"] < 2:
             raise ValueError(f"it must have at least 2 networks, got {about['networks']}: a single one has no spread")
         outputs = [2 * count] * about["networks"] + [len(MEASURES)]
-        networks = [network_of(arrays, f"network{k}", COUNT[task], size) for k, size in enumerate(outputs)]
+        inputs = COUNT[task] + len(INPUTS) * ("materials" in arrays)
+        networks = [network_of(arrays, f"network{k}", inputs, size) for k, size in enumerate(outputs)]
         tip = FastTip(
             task=task,
             mechanics=about["mechanics"],
@@ -232,6 +240,7 @@ def read_fast_tip(path: str | Path) -> FastTip:
             measure_network=networks[-1],
             max_spread_m=float(about["max_spread_m"]),
             provenance=about["provenance"],
+            materials=arrays.get("materials"),
             **{name: arrays[name] for name in _ARRAYS},
         )
         _check_shapes(tip)
@@ -242,7 +251,8 @@ def read_fast_tip(path: str | Path) -> FastTip:
 
 def _check_shapes(tip: FastTip) -> None:
     """Raise ValueError where the arrays of a learned tip do not fit together."""
-    inputs, count = COUNT[tip.task], len(tip.modes.orders)
+    known = 0 if tip.materials is None else len(INPUTS)
+    inputs, count = COUNT[tip.task] + known, len(tip.modes.orders)
     shapes = {
         "center": (inputs,),
         "scale": (inputs,),
@@ -250,6 +260,6 @@ def _check_shapes(tip: FastTip) -> None:
         "measure_center": (len(MEASURES),),
         "measure_scale": (len(MEASURES),),
         "ranges": (12, 2),
-    }
+    } | ({} if tip.materials is None else {"materials": (len(INPUTS), 2)})
     check_numbers({name: getattr(tip, name) for name in shapes}, shapes)
     tip.modes.check()

@@ -4,6 +4,8 @@ The modes move the skin. The gel inside follows as a linear elastic body whose s
 is 0.04 to 0.07 mm off in the mean [M], which the first steps of a simulation remove, since nothing holds it inside.
 """
 
+from functools import cached_property
+
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.linalg import splu
@@ -16,7 +18,7 @@ class MeshDecoder:
     """Deformed meshes for coefficients of the skin's modes: linear maps, computed once."""
 
     def __init__(self, mesh: Mesh, poisson: float, modes: Modes) -> None:
-        """Evaluate the modes at the skin's vertices, and factorize the gel inside.
+        """Evaluate the modes at the skin's vertices; the gel inside is factorized when it is first needed.
 
         Args:
             mesh: Undeformed mesh.
@@ -29,14 +31,20 @@ class MeshDecoder:
         moved, _ = modes.at(outward / np.linalg.norm(outward, axis=1, keepdims=True))
         moved[:, mesh.bonded[:count]] = 0.0
         self._to_skin = moved.reshape(len(moved), -1)
-        self._inner, self._to_inner = _extension(mesh, poisson)
+        self._poisson = poisson
+
+    @cached_property
+    def _inside(self) -> tuple[np.ndarray, np.ndarray]:
+        """The free vertices inside, and the matrix from the skin's displacements to theirs."""
+        return _extension(self._mesh, self._poisson)
 
     def __call__(self, coefficients: np.ndarray) -> np.ndarray:
         """Return the vertices (k, n, 3), m, of deformed meshes for coefficients (k, modes) complex; sensor frame."""
         moved = self._moved(coefficients)
         vertices = np.repeat(self._mesh.vertices[None], len(moved), axis=0)
         vertices[:, : self._mesh.surface_count] += moved.reshape(len(moved), -1, 3)
-        vertices[:, self._inner] += (moved @ self._to_inner.T).reshape(len(moved), -1, 3)
+        inner, to_inner = self._inside
+        vertices[:, inner] += (moved @ to_inner.T).reshape(len(moved), -1, 3)
         return vertices
 
     def skin(self, coefficients: np.ndarray) -> np.ndarray:

@@ -11,6 +11,7 @@ import numpy as np
 
 from tactip_twin.sim.contact.fidelity import Fidelity
 from tactip_twin.sim.contact.record import Contact, QualityLimits
+from tactip_twin.sim.contact.rigid_points import RigidPoints
 from tactip_twin.sim.contact.simulator import ContactSimulator, Diverged
 from tactip_twin.sim.contact.stimuli import Stimulus
 from tactip_twin.sim.fast_tip.corrected_contacts import MAX_STEPS, MIN_STEPS
@@ -18,7 +19,7 @@ from tactip_twin.sim.fast_tip.fast_contacts import predicted_contact
 from tactip_twin.sim.fast_tip.fast_tip import PinDecoder
 from tactip_twin.sim.fast_tip.measures import forces_and_patch
 from tactip_twin.sim.fast_tip.mesh_decoder import MeshDecoder
-from tactip_twin.sim.fast_tip.overlap import dome_points, overlap_harmonics
+from tactip_twin.sim.fast_tip.overlap import NEAR_M, dome_points, overlap_harmonics
 from tactip_twin.sim.fast_tip.skin_field import SkinSampler
 from tactip_twin.sim.fast_tip.sliding_tip import SlidingTip, Steps, motion_between
 from tactip_twin.sim.ground_truth import GroundTruth
@@ -30,6 +31,9 @@ from tactip_twin.tactip_model.pins import neutral_pins
 _MAX_TRAVEL_M, _MAX_TURN_RAD = 1.5e-3, np.radians(6.0)
 """Longest motion that is predicted in one step, m and rad: longer ones are divided. Most strides of the training sets are
 shorter (sim/dataset/sliding.py)."""
+
+_DOME_GROUPS = 48
+"""Number of groups of the dome's points: more of them leave out more points, and cost a query each [M]."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +71,7 @@ class SlidingContact:
         self._fidelity, self._corrected = fidelity, corrected
         self.mesh = build_mesh(design.shape, fidelity.mesh)
         """Undeformed mesh of the tip."""
-        self._points = dome_points(design.shape.radius_m)
+        self._dome = RigidPoints(dome_points(design.shape.radius_m), _DOME_GROUPS)
         self._pins = PinDecoder(design, tip.modes)
         self._meshes = MeshDecoder(self.mesh, fidelity.mesh.poisson_limit, tip.modes)
         self._undeformed = _undeformed(design)
@@ -193,8 +197,11 @@ class SlidingContact:
         return self._built
 
     def _distances(self, T: np.ndarray) -> np.ndarray:
-        """Return the signed distances (k,), m, of the undeformed dome's points at a pose (4, 4) to the object."""
-        return self.touched.distance(self._points @ T[:3, :3].T + T[:3, 3])
+        """Return the signed distances (k,), m, of the undeformed dome's points at a pose (4, 4) to the object.
+
+        Those of points that do not count for the overlap are lower bounds.
+        """
+        return self._dome.distances(self.touched.distance, T, NEAR_M)
 
     def _lift_off(self) -> None:
         """Make the tip undeformed."""

@@ -18,8 +18,8 @@ from scipy.spatial.transform import Rotation
 
 from tactip_twin.assets import FAST_TIPS
 from tactip_twin.sim.fast_tip.archive import check_numbers, pack, unpack
-from tactip_twin.sim.fast_tip.fast_tip import check_mechanics
 from tactip_twin.sim.fast_tip.features import COUNT, features, mirrored, pairs
+from tactip_twin.sim.fast_tip.materials import check_mechanics
 from tactip_twin.sim.fast_tip.measures import MEASURES
 from tactip_twin.sim.fast_tip.network import Network, network_of
 from tactip_twin.sim.fast_tip.overlap import OverlapModes
@@ -114,7 +114,7 @@ class SlidingTip:
     task: Task
     """`surface` or `edge`."""
     mechanics: dict[str, Any]
-    """Shape and materials of the tip that it learned (fast_tip.mechanics_of)."""
+    """Shape and materials of the tip that it learned (materials.mechanics_of)."""
     modes: Modes
     """Modes of the skin's deformation."""
     overlap_modes: OverlapModes

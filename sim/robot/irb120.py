@@ -58,6 +58,7 @@ class Arm:
         """Lower and upper limit of each joint, (6, 2) rad."""
         self._task = mink.FrameTask("tcp", "site", position_cost=1.0, orientation_cost=1.0, lm_damping=1e-6)
         self._limits: list[mink.Limit] = [mink.ConfigurationLimit(self.model)]
+        self._configuration = mink.Configuration(self.model)
 
     def forward(self, angles: ArrayLike) -> np.ndarray:
         """Return T_base_tcp (4, 4) at joint angles (6,), rad."""
@@ -155,7 +156,8 @@ class Arm:
 
     def _iterate(self, T_base_tcp: np.ndarray, start: np.ndarray) -> tuple[np.ndarray | None, tuple[float, float]]:
         """Return joint angles (6,), or None without convergence, and the last residual, m and rad."""
-        configuration = mink.Configuration(self.model, q=np.array(start, float))
+        configuration = self._configuration
+        configuration.update(np.array(start, float))
         self._task.set_target(mink.SE3.from_matrix(np.asarray(T_base_tcp, float)))
         residual = (np.inf, np.inf)
         for _ in range(_ITERATIONS):

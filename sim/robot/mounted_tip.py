@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from tactip_twin.sim.contact.fidelity import Fidelity
 from tactip_twin.sim.contact.mujoco_warnings import counted_warnings
+from tactip_twin.sim.contact.rigid_points import RigidPoints
 from tactip_twin.sim.contact.scene import Scene
 from tactip_twin.sim.contact.signed_distance import SignedDistanceMesh
 from tactip_twin.sim.contact.simulator import LEVER_M, Diverged, motion_fractions
@@ -28,6 +29,9 @@ from tactip_twin.tactip_model.pins import PinReader
 _CLEAR_M = 0.5e-3
 """Gap between tip and object that counts as clear, m."""
 
+_HOUSING_GROUPS = 12
+"""Number of groups of the points on the housing."""
+
 
 class TipOnArm(ABC):
     """A tip on an arm model, and an object: what a servo moves."""
@@ -41,7 +45,7 @@ class TipOnArm(ABC):
         """Take the parts: see MountedTip."""
         self.arm_model, self.T_base_object = arm_model, np.array(T_base_object, float)
         self._solid, self._radius, self._motion = solid, design.shape.radius_m, fidelity.motion
-        self._housing = housing_points(self._radius)
+        self._housing = RigidPoints(housing_points(self._radius), _HOUSING_GROUPS)
         self.warnings = 0
         """Number of MuJoCo's warnings so far."""
 
@@ -95,7 +99,7 @@ class TipOnArm(ABC):
     def _clearance(self) -> float:
         """Return the distance, m, from the object to the nearest of the points on the housing."""
         T = inverse(self.T_base_object) @ self.arm_model.pose
-        return float(self._solid.distance(self._housing @ T[:3, :3].T + T[:3, 3]).min())
+        return float(self._housing.distances(self._solid.distance, T, -np.inf).min())
 
     def _set_target(self, T_base_tcp: np.ndarray, step_m: float, pace: float) -> np.ndarray:
         """Set the arm model's target (4, 4), and return the fractions (n,) of the path at the time steps to it.

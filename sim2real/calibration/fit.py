@@ -18,6 +18,7 @@ import numpy as np
 
 from tactip_twin.sim.parallel.parent_watch import end_with_parent
 from tactip_twin.sim2real.calibration.frames import Frames, sample_frames
+from tactip_twin.sim2real.calibration.moves import FAST, can_predict
 from tactip_twin.sim2real.calibration.parameters import UNKNOWN_CAMERA, Parameter, SensorOnRig, parameters
 from tactip_twin.sim2real.calibration.real_set import RealSet, read_real_set
 from tactip_twin.sim2real.calibration.rig import Rig
@@ -93,29 +94,35 @@ def calibrate(
     fit_frames = sample_frames(real, matcher, False, settings.fit_frames, rngs[0])
     chosen = parameters(design, _camera_prior(real, fit_frames, fitted_design, log))
     twin = _first_guess(real, fitted_design, chosen)
+    fidelities = settings.rounds
+    if FAST in fidelities and not can_predict(design):
+        fidelities = settings.simulated_rounds
+        log("the learned tip knows another shape or other fixed materials than this design: every contact is simulated")
     identity = {"real": str(Path(real_dir).name), "design": asdict(design), "settings": asdict(settings)}
     identity["parameters"] = [p.name for p in chosen]
     identity = json.loads(json.dumps(identity))
+    # The search takes many contacts: it is made with the learned tip if there is one.
+    with_search = FAST if FAST in fidelities else settings.test_fidelity
     rounds: list[dict[str, Any]] = []
     deviations = np.full(len(chosen), np.nan)
     if state_path.exists():
         twin, deviations, rounds = read_state(state_path, identity, twin, chosen, neutral.pins_px)
-        log(f"resuming after round {len(rounds)} of {len(settings.rounds)}")
+        log(f"resuming after round {len(rounds)} of {len(fidelities)}")
     with ProcessPoolExecutor(min(2, os.cpu_count() or 1), initializer=_start_worker) as executor:
         calibrator = Calibrator(fit_frames, neutral.pins_px, executor)
         try:
             if not rounds:
-                twin = first_azimuth(calibrator, twin, settings.rounds[0])
-            for fidelity in settings.rounds[len(rounds) :]:
+                twin = first_azimuth(calibrator, twin, fidelities[0])
+            for fidelity in fidelities[len(rounds) :]:
                 twin, deviations, figures = calibrator.round(twin, chosen, fidelity)
                 text = _round_text(figures)
-                if fidelity == settings.test_fidelity:
+                if fidelity == with_search:
                     twin, deviations, searched = calibrator.search(twin, chosen, deviations, fidelity)
                     figures["search"] = searched
                     text += f"; {searched['cost_after']:.3f} px² after the search for friction"
                 rounds.append(figures)
                 write_state(state_path, identity, twin, deviations, rounds, chosen)
-                log(f"round {len(rounds)} of {len(settings.rounds)} ({fidelity}): {text}")
+                log(f"round {len(rounds)} of {len(fidelities)} ({fidelity}): {text}")
             test_frames = sample_frames(real, matcher, True, settings.test_frames, rngs[1])
             along = calibrator.pins_along_moves(twin, settings.test_fidelity, test_frames)
             forces = calibrator.forces(twin, settings.test_fidelity)

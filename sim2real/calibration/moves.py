@@ -4,7 +4,7 @@ An image is not always taken at the pose of its label: cameras lag, so some fram
 The finished fraction of the move is therefore estimated from each frame.
 
 The functions `simulate_…` run in other processes: they get everything as one argument, and they keep their simulators,
-because meshing is slow.
+because meshing is slow. At the fidelity FAST, a learned tip that knows any materials predicts the contacts.
 """
 
 from collections.abc import Sequence
@@ -12,14 +12,23 @@ from functools import lru_cache
 
 import numpy as np
 
+from tactip_twin.assets import FAST_TIPS
 from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.contact.simulator import ContactSimulator
+from tactip_twin.sim.fast_tip.fast_tip import FastTip, PinDecoder, read_fast_tip
+from tactip_twin.sim.fast_tip.materials import check_mechanics, material_inputs
+from tactip_twin.sim.fast_tip.mesh_decoder import MeshDecoder
+from tactip_twin.sim.pose import before_shear, path, shear_between
 from tactip_twin.sim2real.calibration.rig import Rig, RigMotion
-from tactip_twin.tactip_model.design import Design
+from tactip_twin.tactip_model.design import Design, TipGeometry
+from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.mesh import build_mesh
 from tactip_twin.tactip_model.neutral_image import reference_pixels
 from tactip_twin.tactip_model.optics import Lens
 from tactip_twin.tactip_model.pins import PinReader
+
+FAST = "fast"
+"""Fidelity of contacts that a learned tip predicts, on the mesh of `standard`."""
 
 MOVE_FRACTIONS = np.linspace(0, 1, 6)
 """Fractions of a move at which a contact is simulated; in between, pins are interpolated linearly."""
@@ -46,6 +55,41 @@ def _skin(simulator: ContactSimulator) -> np.ndarray:
     return simulator.scene.vertices()[: simulator.scene.mesh.surface_count]
 
 
+@lru_cache(maxsize=1)
+def _learned_tip() -> FastTip:
+    return read_fast_tip(FAST_TIPS / "surface-any-materials.npz")
+
+
+def can_predict(design: Design) -> bool:
+    """Return whether the learned tip predicts contacts of a design, whatever its moduli, thickness and friction."""
+    try:
+        check_mechanics(_learned_tip().mechanics, design)
+    except TactipError:
+        return False
+    return True
+
+
+@lru_cache(maxsize=1)
+def _skin_decoder(shape: TipGeometry) -> MeshDecoder:
+    resolution = fidelity_named("standard").mesh
+    return MeshDecoder(build_mesh(shape, resolution), resolution.poisson_limit, _learned_tip().modes)
+
+
+def _learned_materials(design: Design) -> np.ndarray:
+    """Return the inputs (5,) of a design's materials, or the nearest that the learned tip knows."""
+    tip = _learned_tip()
+    if tip.materials is None:
+        raise ValueError("the learned tip must know any materials")
+    return np.clip(material_inputs(design.materials), *tip.materials.T)
+
+
+def _predicted(design: Design, contacts: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+    """Return the skins (n, s, 3) m of contacts, pairs of pose and shear (6,)."""
+    poses, shears = (np.array(part) for part in zip(*contacts, strict=True))
+    coefficients, _ = _learned_tip().coefficients(poses, shears, _learned_materials(design))
+    return _skin_decoder(design.shape).skin(coefficients)
+
+
 def simulate_at(job: tuple[Design, Rig, str, Commands, np.ndarray, Sequence[float] | np.ndarray]) -> np.ndarray:
     """Return the skins (n, s, 3) m of contacts.
 
@@ -53,10 +97,15 @@ def simulate_at(job: tuple[Design, Rig, str, Commands, np.ndarray, Sequence[floa
         job: Design, rig, fidelity, n commands, tap (6,), and the finished fraction of each move (n,).
     """
     design, rig, fidelity, commands, tap, fractions = job
-    simulator, motion = _simulator(_mechanical(design), fidelity), RigMotion(rig)
-    skins = []
-    for (pose, move), fraction in zip(commands, fractions, strict=True):
-        simulator.simulate(*motion.contact(pose, move, tap, fraction))
+    motion = RigMotion(rig)
+    contacts = [
+        motion.contact(pose, move, tap, fraction) for (pose, move), fraction in zip(commands, fractions, strict=True)
+    ]
+    if fidelity == FAST:
+        return _predicted(design, contacts)
+    simulator, skins = _simulator(_mechanical(design), fidelity), []
+    for contact in contacts:
+        simulator.simulate(*contact)
         skins.append(_skin(simulator))
     return np.array(skins)
 
@@ -68,11 +117,21 @@ def simulate_along(job: tuple[Design, Rig, str, Commands, np.ndarray]) -> np.nda
         job: As of `simulate_at`, without the fractions.
     """
     design, rig, fidelity, commands, tap = job
-    simulator, motion = _simulator(_mechanical(design), fidelity), RigMotion(rig)
-    contacts = (motion.contact(pose, move, tap) for pose, move in commands)
+    motion = RigMotion(rig)
+    contacts = [motion.contact(pose, move, tap) for pose, move in commands]
+    if fidelity == FAST:
+        partial = [part for contact in contacts for part in _partial_shears(*contact)]
+        return _predicted(design, partial).reshape(len(contacts), len(MOVE_FRACTIONS), -1, 3)
+    simulator = _simulator(_mechanical(design), fidelity)
     return np.array(
         [[_skin(simulator) for _ in simulator.simulate_partial_shears(*contact, MOVE_FRACTIONS)] for contact in contacts]
     )
+
+
+def _partial_shears(pose: np.ndarray, shear: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return the pose and the shear so far, (6,) each, at each fraction of a contact's shear."""
+    start = before_shear(pose, shear)
+    return [(label, shear_between(start, label)) for label in path(start, pose, MOVE_FRACTIONS)]
 
 
 def simulate_forces(job: tuple[Design, str]) -> np.ndarray:
@@ -81,6 +140,10 @@ def simulate_forces(job: tuple[Design, str]) -> np.ndarray:
     Args:
         job: Design and fidelity.
     """
+    if job[1] == FAST:
+        poses = np.array([[0, 0, -depth, 0, 0, 0] for depth in LOAD_CELL_N])
+        decoder = PinDecoder(job[0], _learned_tip().modes)
+        return _learned_tip().predict(decoder, poses, np.zeros((3, 6)), _learned_materials(job[0])).normal_forces_n
     simulator = _simulator(_mechanical(job[0]), job[1])
     return np.array([simulator.simulate([0, 0, -depth, 0, 0, 0], np.zeros(6)).normal_force_n for depth in LOAD_CELL_N])
 
@@ -89,7 +152,8 @@ def pin_pixels(design: Design, fidelity: str, skins: np.ndarray) -> np.ndarray:
     """Return the image positions (..., p, 2), px of 256, of a design's pins, given skins (..., s, 3) m of the mesh of a
     fidelity."""
     lens = Lens(design)
-    tips, _ = PinReader(design, build_mesh(design.shape, fidelity_named(fidelity).mesh)).read(skins)
+    resolution = fidelity_named("standard" if fidelity == FAST else fidelity).mesh
+    tips, _ = PinReader(design, build_mesh(design.shape, resolution)).read(skins)
     return reference_pixels(lens.project(tips), lens.width)
 
 

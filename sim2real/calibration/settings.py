@@ -7,7 +7,7 @@ from dataclasses import dataclass
 class FrameSelection:
     """Frames that a calibration uses."""
 
-    fit_frames: int = 60
+    fit_frames: int = 40
     """Number of frames to fit, sampled from one half of the set (rows 0, 2, 4 …); at least 10."""
     test_frames: int = 150
     """Number of frames to test the fit on, sampled from the other half (rows 1, 3, 5 …); at least 10."""
@@ -19,7 +19,9 @@ class FrameSelection:
 class Settings(FrameSelection):
     """Settings of a calibration run."""
 
-    rounds: tuple[str, ...] = ("draft", "draft", "standard", "standard")
-    """Fidelity of each round of the fit."""
+    rounds: tuple[str, ...] = (*["fast"] * 6, "standard")
+    """Fidelity of each round of the fit; `fast` is a learned tip that knows any materials."""
+    simulated_rounds: tuple[str, ...] = ("draft", "draft", "standard", "standard")
+    """Fidelity of each round for a design that the learned tip does not know."""
     test_fidelity: str = "standard"
     """Fidelity of the test."""

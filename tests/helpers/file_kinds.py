@@ -43,10 +43,10 @@ from tactip_twin.sim.dataset.verify import verify
 from tactip_twin.sim.fast_tip.fast_tip import (
     FastTip,
     PinDecoder,
-    mechanics_of,
     read_fast_tip,
     write_fast_tip,
 )
+from tactip_twin.sim.fast_tip.materials import mechanics_of
 from tactip_twin.sim.fast_tip.measures import MEASURES
 from tactip_twin.sim.fast_tip.network import Network
 from tactip_twin.sim.fast_tip.overlap import MAX_ORDER, RINGS, OverlapModes

@@ -1,0 +1,148 @@
+"""The learned tip of any materials, and calibrations with it: `tactip bench any-materials`.
+
+Makes sets whose materials vary from contact to contact, teaches a tip that has the materials as inputs, measures its errors,
+and calibrates sensors to real sets with it and without. Writes any_materials.md and any_materials.json.
+"""
+
+import shutil
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tactip_twin.benchmarks.hardware import machine, machine_text
+from tactip_twin.benchmarks.options import AnyMaterialsOptions
+from tactip_twin.benchmarks.report import read_results, table, write_results
+from tactip_twin.learning.fast_tip_settings import FastTipSettings
+from tactip_twin.learning.fast_tip_training import FAST_TIP, TipContacts, fast_tip_errors, read_contacts, train_fast_tip
+from tactip_twin.sim.contact.fidelity import fidelity_named
+from tactip_twin.sim.dataset.configuration import Configuration
+from tactip_twin.sim.dataset.generate import Job, make
+from tactip_twin.sim.dataset.mechanics_randomization import MECHANICS_RANDOMIZATIONS
+from tactip_twin.sim.dataset.sampling import Ranges
+from tactip_twin.sim.fast_tip.fast_tip import FastTip
+from tactip_twin.sim.fast_tip.materials import INPUTS
+from tactip_twin.sim.parallel.worker_pool import worker_count
+from tactip_twin.sim2real.calibration.fit import calibrate
+from tactip_twin.sim2real.calibration.report import figures_of
+from tactip_twin.sim2real.calibration.settings import Settings
+from tactip_twin.tactip_model.presets import load_design
+
+_SEED = 28
+"""Seed of the sets."""
+
+_POSES = Ranges(depth_mm=(-5.5, -0.2), roll_deg=(-20, 20), pitch_deg=(-20, 20))
+_SHEARS = Ranges(x_mm=(-6, 6), y_mm=(-6, 6), depth_mm=(-0.7, 0.7), roll_deg=(-5, 5), pitch_deg=(-5, 5), yaw_deg=(-5, 5))
+"""Ranges that include the commands of real rigs whose tool centre point is not the apex and whose depth is off [M]."""
+
+TIP_NAME = "surface-any-materials.npz"
+"""File name of the shipped tip."""
+
+
+def jobs(options: AnyMaterialsOptions) -> list[Job]:
+    """Return the sets."""
+    counts = {"val": options.test_contacts, "test": options.test_contacts, "train": options.contacts}
+    return [
+        Job(
+            Configuration(
+                task="surface",
+                split=split,
+                samples=count,
+                seed=_SEED,
+                renderer="raster",
+                design=load_design("tactip-127"),
+                fidelity=fidelity_named("standard"),
+                pose=_POSES,
+                shear=_SHEARS,
+                keep_mesh=True,
+                mechanics_randomization=MECHANICS_RANDOMIZATIONS["wide"],
+            ),
+            options.data / split,
+        )
+        for split, count in counts.items()
+    ]
+
+
+def run(options: AnyMaterialsOptions, log: Callable[[str], None] = print) -> dict[str, Any]:
+    """Teach and measure the tip, calibrate sensors, write any_materials.json and .md, and return the results."""
+    make(jobs(options), worker_count(options.workers), log)
+    settings = FastTipSettings(steps=options.steps, width=options.width)
+    tip = train_fast_tip([options.data / "train"], options.data / "val", settings, options.runs / "tip", log)
+    test = read_contacts([options.data / "test"])
+    if options.release:
+        options.release.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(options.runs / "tip" / FAST_TIP, options.release / TIP_NAME)
+    result = read_results(options.out / "any_materials.json")
+    result |= {"contacts": tip.provenance["contacts"], "rows": _rows(tip, test), "machine": machine()}
+    found = result.get("calibrations", [])
+    for real in options.real:
+        found = [row for row in found if row["real"] != real.name]
+        found += [_calibration(real, ways, options, log) for ways in ("fast", "simulated")]
+    result["calibrations"] = found
+    write_results("any_materials", result, tables(result), options.out)
+    return result
+
+
+def _rows(tip: FastTip, test: TipContacts) -> list[dict[str, Any]]:
+    """Return errors on all test contacts, and on the halves with low and high values of each input."""
+    rows = [{"contacts": "all", **fast_tip_errors(tip, test)}]
+    for k, name in enumerate(INPUTS):
+        middle = np.median(test.materials[:, k])
+        for half, chosen in (("low", test.materials[:, k] <= middle), ("high", test.materials[:, k] > middle)):
+            rows.append({"contacts": f"{half} {name}", **fast_tip_errors(tip, test.chosen(chosen))})
+    return rows
+
+
+def _calibration(real: Path, way: str, options: AnyMaterialsOptions, log: Callable[[str], None]) -> dict[str, Any]:
+    """Return time and errors of a calibration with the learned tip (`fast`), or by simulated contacts alone."""
+    design = load_design(f"nominal-{next(n for n in ('127', '331') if n in real.name)}")
+    settings = Settings(seed=options.seed)
+    if way == "simulated":
+        settings = Settings(seed=options.seed, fit_frames=60, rounds=settings.simulated_rounds)
+    start = time.perf_counter()
+    state = options.runs / f"calibration-{real.name}-{way}" / "state.json"
+    resumed = state.exists()
+    result = calibrate(real, design, settings, state, log)
+    seconds = None if resumed else time.perf_counter() - start
+    tested = figures_of(result)["frames_px"]["fitted_fraction"]
+    log(f"{real.name}, {way}: {tested}")
+    return {"real": real.name, "way": way, "frames": settings.fit_frames, "seconds": seconds, **tested}
+
+
+def tables(result: dict[str, Any]) -> dict[str, str]:
+    """Return the tables of docs/any_materials.md from any_materials.json."""
+    head = ["contacts", "pins, mean mm", "95 %, mm", "worst contact, mm", "normal force", "trusted", "pins of trusted, mm"]
+    errors = [
+        [
+            row["contacts"],
+            *(f"{row[name]:.3f}" for name in ("pins_mm", "pins_p95_mm")),
+            f"{row['worst_contact_mm']:.2f}",
+            f"{100 * row['force']:.1f} %",
+            f"{100 * row['trusted']:.1f} %",
+            f"{row['pins_trusted_mm']:.3f}",
+        ]
+        for row in result["rows"]
+    ]
+    calibrated = [
+        [
+            row["real"],
+            row["way"],
+            row["frames"],
+            "resumed" if row["seconds"] is None else f"{row['seconds']:.0f}",
+            *(f"{row[name]:.2f}" for name in ("rms", "median", "p90")),
+        ]
+        for row in result["calibrations"]
+    ]
+    calibrated_head = [
+        "real set",
+        "contacts of the fit",
+        "frames",
+        "time, s",
+        "test frames, rms px",
+        "median, px",
+        "90 %, px",
+    ]
+    note = f"\n\nMachine: {machine_text(result['machine'])}."
+    return {"errors": table(head, errors), "calibrations": table(calibrated_head, calibrated) + note}

@@ -1,0 +1,65 @@
+"""What a learned tip knows of the materials: the design's own, or, as inputs of its networks, those of any tip.
+
+In slow motions, a deformation depends on the two moduli by their ratio alone, and forces are proportional to the gel's.
+"""
+
+import json
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from tactip_twin.tactip_model.design import Design, Materials
+from tactip_twin.tactip_model.errors import TactipError
+
+INPUTS = ("log_modulus_ratio", "friction", "kinetic_fraction", "log_slip_weakening", "log_thickness")
+"""Materials as inputs of a network: natural logarithms of skin_young_pa over gel_young_pa, of slip_weakening_m and of
+skin_thickness_m; and as in Materials."""
+
+_VARIABLE = ("skin_young_pa", "gel_young_pa", "friction", "kinetic_fraction", "slip_weakening_m", "skin_thickness_m")
+"""Fields of Materials that INPUTS and the scale of forces describe."""
+
+
+def material_inputs(materials: Materials) -> np.ndarray:
+    """Return INPUTS (5,) of materials."""
+    m = materials
+    logarithms = np.log([m.skin_young_pa / m.gel_young_pa, m.slip_weakening_m, m.skin_thickness_m])
+    return np.array([logarithms[0], m.friction, m.kinetic_fraction, logarithms[1], logarithms[2]])
+
+
+def mechanics_of(design: Design, any_materials: bool = False) -> dict[str, Any]:
+    """Return the part of a design that a learned tip depends on, as JSON: shape and materials.
+
+    Args:
+        design: The design.
+        any_materials: Whether the tip knows the materials as inputs; these are then left out.
+    """
+    materials = asdict(design.materials)
+    if any_materials:
+        materials = {name: value for name, value in materials.items() if name not in _VARIABLE}
+    return json.loads(json.dumps({"shape": asdict(design.shape), "materials": materials}))
+
+
+def check_mechanics(learned: dict[str, Any], design: Design) -> None:
+    """Raise TactipError if a design has another shape or other materials than those that a tip has learned."""
+    asked = mechanics_of(design)
+    for part, values in learned.items():
+        for name, value in values.items():
+            if asked[part].get(name) != value:
+                raise TactipError(
+                    f"the learned tip belongs to {part}.{name} {value}, but the design has {asked[part].get(name)}: "
+                    "teach one for this design"
+                )
+
+
+def check_inputs(inputs: np.ndarray, ranges: np.ndarray) -> None:
+    """Raise TactipError if INPUTS (5,) lie outside of the ranges (5, 2) that a tip has learned."""
+    for name, value, (low, high) in zip(INPUTS, inputs, ranges, strict=True):
+        if not low - 1e-9 <= value <= high + 1e-9:
+            quantity = name.removeprefix("log_")
+            numbers = np.array([low, high, value])
+            allowed = np.exp(numbers) if quantity != name else numbers
+            raise TactipError(
+                f"the learned tip knows a {quantity} from {allowed[0]:.4g} to {allowed[1]:.4g}, but the design has "
+                f"{allowed[2]:.4g}: teach one for this design"
+            )
