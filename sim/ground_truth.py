@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tactip_twin.sim.contact.signed_distance import DistanceField
-from tactip_twin.sim.pose import FACING, inverse, label_of, matrix
+from tactip_twin.sim.pose import FACING, inverse, label_of, matrix, shortest_turn
 
 if TYPE_CHECKING:
     from tactip_twin.sim.robot.objects import Edge
@@ -40,7 +40,7 @@ class SurfaceGroundTruth:
         at = self._solid.nearest(apex[None])
         normal = self._solid.smooth_normal(apex[None])[0]
         axis = T_object_sensor[:3, 2]
-        return matrix(at.place[0], _shortest_turn(axis, -normal) * Rotation.from_matrix(T_object_sensor[:3, :3] @ FACING))
+        return matrix(at.place[0], shortest_turn(axis, -normal) * Rotation.from_matrix(T_object_sensor[:3, :3] @ FACING))
 
     def label(self, T_object_sensor: np.ndarray) -> np.ndarray:
         """Return the label (6,), m and rad, of a sensor (4, 4). x, y and yaw are zero: a surface does not define them."""
@@ -48,16 +48,6 @@ class SurfaceGroundTruth:
         label[2] = float(self._solid.distance(T_object_sensor[:3, 3]))
         label[:2] = label[5] = 0.0
         return label
-
-
-def _shortest_turn(start: np.ndarray, end: np.ndarray) -> Rotation:
-    """Return the smallest rotation that turns one unit vector (3,) into another."""
-    axis, cosine = np.cross(start, end), float(start @ end)
-    if cosine < -1 + 1e-12:  # half a turn, about any axis that is square to both
-        other = np.eye(3)[np.abs(start).argmin()]
-        axis = np.cross(start, other)
-        return Rotation.from_rotvec(np.pi * axis / np.linalg.norm(axis))
-    return Rotation.from_quat([1 + cosine, *axis], scalar_first=True)
 
 
 class EdgeGroundTruth:

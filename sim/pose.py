@@ -124,3 +124,13 @@ def interpolate(T_a: np.ndarray, T_b: np.ndarray, fraction: float) -> np.ndarray
 def angle_between(T_a: np.ndarray, T_b: np.ndarray) -> float:
     """Return the angle (rad) between the orientations of two poses (4, 4)."""
     return float(Rotation.from_matrix(T_a[:3, :3].T @ T_b[:3, :3]).magnitude())
+
+
+def shortest_turn(start: np.ndarray, end: np.ndarray) -> Rotation:
+    """Return the smallest rotation that turns one unit vector (3,) into another."""
+    axis, cosine = np.cross(start, end), float(start @ end)
+    if cosine < -1 + 1e-12:  # half a turn, about any axis that is square to both
+        other = np.eye(3)[np.abs(start).argmin()]
+        axis = np.cross(start, other)
+        return Rotation.from_rotvec(np.pi * axis / np.linalg.norm(axis))
+    return Rotation.from_quat([1 + cosine, *axis], scalar_first=True)

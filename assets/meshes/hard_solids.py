@@ -3,6 +3,8 @@
 Conventions are those of solids.py.
 """
 
+from itertools import pairwise
+
 import numpy as np
 
 from tactip_twin.assets.meshes.solids import ball, ellipsoid, joined, limb, without
@@ -59,7 +61,7 @@ def vase(points_mm: np.ndarray) -> np.ndarray:
     hollow = np.maximum(r - outer + 4, -z - 75)
     d = without(wall, hollow, 1.5)
     arc = [[36, 0, 42], [60, 0, 40], [68, 0, 10], [58, 0, -22], [40, 0, -30]]
-    for start, end in zip(arc[:-1], arc[1:], strict=True):
+    for start, end in pairwise(arc):
         handle = limb(p, start, end, 6, 6)
         d = joined(d, np.maximum(handle, outer - 3 - r), 3.0)
     return d

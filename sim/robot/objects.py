@@ -83,8 +83,8 @@ _ROTATIONS = {
     "head": _FACE_UP,
     "vase": Rotation.from_matrix(np.array([[0, 1, 0], [0, 0, 1], [1, 0, 0]], float)),
 }
-"""Default rotations of the project's own objects: busts and heads lie on their back, face up, with the crown towards the arm;
-the vase lies on its side, with the handle up."""
+"""Default rotations of the project's own objects: busts and heads lie on their back, face up, with the crown towards the
+arm; the vase lies on its side, with the handle up."""
 
 
 _MIDDLES_M = {"bust": (80e-3, 0.0, 55e-3), "bust-sharp": (80e-3, 0.0, 55e-3), "head": (85e-3, 0.0, 5e-3)}
