@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from tactip_twin.control.estimator import Estimate, Estimator
 from tactip_twin.control.obstacles import LeftOut, Obstacle, Tries
@@ -20,7 +21,7 @@ from tactip_twin.learning.labels import Labels
 from tactip_twin.sim.contact.simulator import Diverged
 from tactip_twin.sim.contact.tip_state import TipState
 from tactip_twin.sim.labels import COMPONENTS
-from tactip_twin.sim.pose import from_mm_deg, interpolate, inverse, sensor_in_contact, shortest_turn, to_mm_deg
+from tactip_twin.sim.pose import from_mm_deg, interpolate, inverse, matrix, sensor_in_contact, shortest_turn, to_mm_deg
 from tactip_twin.sim.robot.irb120 import Unreachable
 from tactip_twin.sim.robot.mounted_tip import TipOnArm
 from tactip_twin.tactip_model.errors import TactipError
@@ -65,6 +66,12 @@ _SLOW_DEG = {"surface": 2.0, "edge": 0.0}
 
 _MIN_STEP_FRACTION = 0.2
 """Smallest fraction of the tangential step, - [?]."""
+
+_MAX_MOTION_M, _MAX_TURN_RAD = 2e-3, np.radians(4.0)
+"""Longest motion and largest turn of a control step, m and rad: a turn about the apex moves the tip's flanks [?]."""
+
+_CONFINED_PACE = 0.3
+"""Fraction of these where the image differs by more than Settings.max_difference, -."""
 
 _EASE_MM, _MAX_EASE_MM = 0.2, 1.5
 """Decrease per step, and maximum, of the depth by which the tip presses less, mm."""
@@ -171,7 +178,16 @@ class ContourFollower:
             self._T_good, self._followed_to_m = measured, route.travelled_m
             self._tries.followed(route.travelled_m)
             along = measured[:3, :3].T @ (self._step_fraction(estimate) * self._settings.step_mm / 1e3 * direction)
-        return self._go(measured @ self._controller.move(self._eased(estimate), along), self._clock() - start)
+        motion = self._controller.move(self._eased(estimate), along)
+        return self._go(measured @ self._limited(motion, estimate), self._clock() - start)
+
+    def _limited(self, motion: np.ndarray, estimate: Estimate) -> np.ndarray:
+        """Return a motion (4, 4) of the sensor, shortened to what is safe: less where the skin touches all around."""
+        pace = _CONFINED_PACE if estimate.touching > self._settings.max_difference else 1.0
+        turn = Rotation.from_matrix(motion[:3, :3]).as_rotvec()
+        sizes = np.linalg.norm(motion[:3, 3]) / (pace * _MAX_MOTION_M), np.linalg.norm(turn) / (pace * _MAX_TURN_RAD)
+        share = 1 / max(1.0, *sizes)
+        return matrix(share * motion[:3, 3], Rotation.from_rotvec(share * turn))
 
     def _get_past(self, obstacle: Obstacle, route: Route) -> Estimate | None:
         """Try to go on after an obstacle until there is contact. Return the estimate there; None at the end of the route."""
@@ -213,9 +229,11 @@ class ContourFollower:
             Obstacle: There is no way, or no contact.
         """
         here, s = self._mounted_tip.arm_model.measured_pose(), self._settings
-        over = [_moved(pose, direction, -s.clearance_mm) for pose in (here, T)]
-        self._travel(over[0], watched=False)
-        self._travel(over[1], watched=True)
+        try:
+            self._travel(_moved(here, direction, -s.clearance_mm), watched=False)
+        except Obstacle:
+            self._travel(self._T_free, watched=False)
+        self._travel(_moved(T, direction, -s.clearance_mm), watched=True)
         return self._search(2 * s.clearance_mm, 2 * s.search_step_mm, direction)
 
     def _travel(self, T: np.ndarray, watched: bool) -> None:
