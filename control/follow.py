@@ -133,7 +133,7 @@ class ContourFollower:
         Raises:
             TactipError: The start is inside the object.
         """
-        self._T_free, self._wrist_rad = T_start, route.wrist_rad
+        self._T_free, self._wrist_rad, self._trail = T_start, route.wrist_rad, list[np.ndarray]()
         try:
             self._mounted_tip.reset_to(T_start, route.wrist_rad)
         except Unreachable as error:
@@ -231,8 +231,9 @@ class ContourFollower:
         here, s = self._mounted_tip.arm_model.measured_pose(), self._settings
         try:
             self._travel(_moved(here, direction, -s.clearance_mm), watched=False)
-        except Obstacle:
-            self._travel(self._T_free, watched=False)
+        except Obstacle:  # out of reach: go back the way it came
+            for pose in reversed(self._trail):
+                self._go(pose)
         self._travel(_moved(T, direction, -s.clearance_mm), watched=True)
         return self._search(2 * s.clearance_mm, 2 * s.search_step_mm, direction)
 
@@ -354,6 +355,8 @@ class ContourFollower:
         estimate = self._estimator.estimate(self._touch, arm.pose)
         if estimate.touching < _FREE * self._settings.contact_threshold:
             self._T_free, self._wrist_rad = arm.measured_pose(), float(np.nan_to_num(arm.angles[5]))
+            self._trail = []
+        self._trail.append(arm.measured_pose())
         seconds = {
             "simulation": simulation_s,
             "image": estimate.image_s,
