@@ -32,9 +32,6 @@ class Settings:
     contact_threshold: float = within(0.01, 0.99, default=0.12)
     """Difference between an image and that of the undeformed tip, 0 to 1, above which the tip is in contact [?]. Presses of
     0.5 mm on a ball and a rim gave 0.1, presses of 1 mm 0.2."""
-    max_difference: float = within(0.1, 0.99, default=0.82)
-    """The same difference above which the tip presses less deep [M]: in a hollow that is narrower than the tip, the skin
-    touches all around, and the estimates say nothing of it. Along the face of the bust it is 0.8 at most."""
     search_mm: float = within(0, 50, default=12.0)
     """Distance along the sensor's axis over which contact is searched for, mm."""
     search_step_mm: float = within(0.05, 2, default=0.5)
@@ -44,18 +41,13 @@ class Settings:
     range_margin: float = within(0, 10, default=0.5)
     """Distance beyond the trained label range at which an estimate is rejected, as a fraction of the range's half
     width."""
-    max_force_n: float = within(0.1, 100, default=5.0)
-    """Contact force at which the arm retracts, N [?]. It is about the force of the deepest press in the training sets."""
+    max_force_n: float = within(0.1, 100, default=8.0)
+    """Contact force at which the arm retracts, N [?]. It is above the force of the deepest press in the training
+    sets."""
     retract_mm: float = within(0.1, 20, default=2.0)
     """Distance of a retraction along the sensor's axis, mm."""
-    max_recoveries: int = within(0, 1000, default=2)
-    """Number of times that contact is sought on the spot after a failure, before a piece of the route is skipped."""
-    skip_mm: float = within(0.1, 100, default=4.0)
-    """Length of the first piece of the route that is skipped at an obstacle, mm; it doubles twice."""
-    max_skips: int = within(0, 1000, default=4)
-    """Number of pieces that are skipped at one obstacle before the rest of the pass is left out, or the edge given up."""
-    clearance_mm: float = within(1, 200, default=20.0)
-    """Distance by which the tip is lifted over an obstacle, mm."""
+    max_recoveries: int = within(0, 1000, default=5)
+    """Maximum number of recoveries in a row with fewer than three good steps between them."""
     max_steps: int = within(1, 1000000, default=20000)
     """Maximum number of steps of a run."""
 

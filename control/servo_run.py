@@ -82,7 +82,6 @@ def run_servo(
     outcome = {
         "closed": setup.route.closed,
         "stopped_because": follower.stopped_because,
-        "left_out": [dataclasses.asdict(stretch) for stretch in follower.left_out],
         "warnings": setup.mounted_tip.warnings,
     }
     finished, arrays = recorder.results(outcome)

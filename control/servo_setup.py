@@ -20,7 +20,7 @@ from tactip_twin.sim.ground_truth import EdgeGroundTruth, SurfaceGroundTruth
 from tactip_twin.sim.pose import from_mm_deg, inverse, sensor_in_contact
 from tactip_twin.sim.robot.arm_models import ArmModel, arm_model_named
 from tactip_twin.sim.robot.fast_mounted_tip import FastMountedTip
-from tactip_twin.sim.robot.mounted_tip import MountedTip, TipOnArm, clear_pose
+from tactip_twin.sim.robot.mounted_tip import MountedTip, TipOnArm
 from tactip_twin.sim.robot.objects import SceneObject, load_object
 from tactip_twin.tactip_model.bounds import require
 from tactip_twin.tactip_model.design import Design
@@ -104,7 +104,6 @@ def prepare(
     mounted_tip = _mounted_tip(options, design, scene_object, arm_model, truth)
     depth_mm = _depth_mm(options, model.labels)
     T_start, route, targets = _plan(options, scene_object, truth)
-    T_start = clear_pose(mounted_tip, T_start)
     network = model if isinstance(chosen, NetworkEstimator) else None
     controller = Servo(gains, depth_mm) if controller is None else controller
     return ServoSetup(

@@ -29,12 +29,6 @@ from tactip_twin.tactip_model.pins import PinReader
 _CLEAR_M = 0.5e-3
 """Gap between tip and object that counts as clear, m."""
 
-_BACK_M, _MAX_BACKS = 1e-3, 100
-"""Step by which a pose is moved back, m, and the number of such steps."""
-
-MAX_FORCE_N = 100.0
-"""Force on the tip above which the simulation counts as diverged, N: some twenty times that of the deepest press."""
-
 _HOUSING_GROUPS = 12
 """Number of groups of the points on the housing."""
 
@@ -124,27 +118,6 @@ class TipOnArm(ABC):
         return motion_fractions(self.arm_model.set_target(T_base_tcp, count, motion.step_s), motion)[1:]
 
 
-def check_force(force_n: np.ndarray) -> None:
-    """Raise Diverged if a force (3,), N, on the tip is beyond MAX_FORCE_N."""
-    size = float(np.linalg.norm(force_n))
-    if not size <= MAX_FORCE_N:
-        raise Diverged(f"the simulation diverged: a force of {size:.0f} N on the tip (at most {MAX_FORCE_N:g} N)")
-
-
-def clear_pose(mounted_tip: TipOnArm, T_base_tcp: np.ndarray) -> np.ndarray:
-    """Return a pose (4, 4), moved back along the sensor's axis until the undeformed tip is clear of the object.
-
-    In a narrow hollow, the tip's flanks touch before its apex does.
-    """
-    back = np.eye(4)
-    back[2, 3] = -_BACK_M
-    for _ in range(_MAX_BACKS):
-        if mounted_tip.gap(T_base_tcp) > _CLEAR_M:
-            break
-        T_base_tcp = T_base_tcp @ back
-    return T_base_tcp
-
-
 class MountedTip(TipOnArm):
     """A simulated tip on an arm model, and an object."""
 
@@ -205,7 +178,6 @@ class MountedTip(TipOnArm):
         state = read_tip_state(self.scene, self._reader, self._steps_since_read, self._clearance())
         if not (np.isfinite(state.skin).all() and np.abs(state.skin).max() < 4 * self._radius):
             raise Diverged("the simulation diverged: the tip is deformed beyond four times its radius")
-        check_force(state.force)
         self._steps_since_read = 0
         return state
 

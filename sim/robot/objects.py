@@ -41,7 +41,7 @@ _MAX_HOLE_UNEVENNESS = 0.02
 _FOOT_M = (0.38, 0.0, 0.0)
 """Default position of the middle of an object's underside, base frame, m."""
 
-_FEET_M = {"bust": (0.40, 0.0, 0.07), "bust-sharp": (0.40, 0.0, 0.07), "head": (0.40, 0.0, 0.06)}
+_FEET_M = {"bust": (0.40, 0.0, 0.07)}
 """The same for objects that need another: on the table, the bust's face would bring the wrist close to singular."""
 
 
@@ -75,20 +75,12 @@ class SceneObject:
     """Repairs of the mesh, as sentences."""
 
 
-_FACE_UP = Rotation.from_matrix(np.array([[0, 0, -1], [0, 1, 0], [1, 0, 0]], float))
-
-_ROTATIONS = {
-    "bust": _FACE_UP,
-    "bust-sharp": _FACE_UP,
-    "head": _FACE_UP,
-    "vase": Rotation.from_matrix(np.array([[0, 1, 0], [0, 0, 1], [1, 0, 0]], float)),
-}
-"""Default rotations of the project's own objects: busts and heads lie on their back, face up, with the crown towards the
-arm; the vase lies on its side, with the handle up."""
+_ROTATIONS = {"bust": Rotation.from_matrix(np.array([[0, 0, -1], [0, 1, 0], [1, 0, 0]], float))}
+"""Default rotations of the project's own objects: the bust lies on its back, face up, with its crown towards the arm."""
 
 
-_MIDDLES_M = {"bust": (80e-3, 0.0, 55e-3), "bust-sharp": (80e-3, 0.0, 55e-3), "head": (85e-3, 0.0, 5e-3)}
-"""Middle of a route, if not the middle of the object, in the object's frame, m: the face."""
+_MIDDLES_M = {"bust": (80e-3, 0.0, 55e-3)}
+"""Middle of a route, if not the middle of the object, in the object's frame, m: the bust's face."""
 
 
 def object_names() -> list[str]:
