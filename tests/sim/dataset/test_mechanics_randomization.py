@@ -25,14 +25,19 @@ REAL = MECHANICS_RANDOMIZATIONS["real"]
 def value(design, name):
     part = design.pins if name == "pin_length" else design.materials
     return getattr(part, {"pin_length": "length_m", "skin_young": "skin_young_pa", "gel_young": "gel_young_pa"}.get(
-        name, {"skin_thickness": "skin_thickness_m"}.get(name, name)))  # fmt: skip
+        name, {"skin_thickness": "skin_thickness_m", "slip_weakening": "slip_weakening_m"}.get(name, name)))  # fmt: skip
 
 
-def test_sample_factors_fill_their_ranges(design):
-    samples = [REAL.sample(design, np.random.default_rng(seed)) for seed in range(400)]
+@pytest.mark.parametrize("name", ["real", "wide"])
+def test_sample_factors_fill_their_ranges(design, name):
+    randomization = MECHANICS_RANDOMIZATIONS[name]
+    samples = [randomization.sample(design, np.random.default_rng(seed)) for seed in range(400)]
     for f in fields(MechanicsRandomization):
-        maximum = getattr(REAL, f.name)
+        maximum = getattr(randomization, f.name)
         factors = np.array([value(d, f.name) for d in samples]) / value(design, f.name)
+        if maximum == 1:
+            assert (factors == 1).all()
+            continue
         assert factors.min() > 0.999 / maximum and factors.max() < 1.001 * maximum
         assert factors.min() < maximum**-0.95
         assert f.name == "kinetic_fraction" or factors.max() > maximum**0.95
