@@ -50,7 +50,8 @@ class Make(Command):
     """Sensor: tactip-127, tactip-331, or a design file (.json) as `tactip calibrate` writes it."""
     randomize_mechanics: MechanicsName = "none"
     """Randomization of the mechanics; with real, stiffness, friction, thickness and pin length of the tip differ from
-    contact to contact (sim/dataset/mechanics_randomization.py)."""
+    contact to contact as between real tips; with wide, the materials differ more, and the pins do not
+    (sim/dataset/mechanics_randomization.py)."""
     json: bool = False
     """Print a JSON list with one object per set, and nothing else."""
     options: Annotated[DatasetOptions, tyro.conf.arg(name="")] = field(default_factory=DatasetOptions)

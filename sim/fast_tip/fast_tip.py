@@ -27,6 +27,9 @@ from tactip_twin.tactip_model.pins import neutral_pins, pin_lever_m
 
 FORMAT, VERSION = "tactip-twin learned tip", 1
 
+ANY_MATERIALS = FAST_TIPS / "surface-any-materials.npz"
+"""File of the shipped tip that knows flat surfaces and any materials."""
+
 REFERENCE_YOUNG_PA = 1e4
 """Young's modulus of the gel, Pa, for which a tip that knows any materials learns its forces."""
 
@@ -205,8 +208,13 @@ class PinDecoder:
 
 
 def shipped_fast_tip(task: Task, design: str) -> Path:
-    """Return the file of the shipped learned tip of a task and a design. Raises TactipError that lists those there are."""
+    """Return the file of the shipped learned tip of a task and a design: its own, or on surfaces that of any materials.
+
+    Raises TactipError that lists those there are.
+    """
     path = FAST_TIPS / f"{task}-{design}.npz"
+    if not path.exists() and task == "surface":
+        return ANY_MATERIALS
     if not path.exists():
         known = ", ".join(sorted(one.stem for one in FAST_TIPS.glob("*.npz"))) or "none"
         raise TactipError(

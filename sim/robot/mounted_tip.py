@@ -30,7 +30,7 @@ _CLEAR_M = 0.5e-3
 """Gap between tip and object that counts as clear, m."""
 
 _HOUSING_GROUPS = 12
-"""Number of groups of the points on the housing."""
+"""Number of groups of the points on the housing [M]."""
 
 
 class TipOnArm(ABC):

@@ -12,10 +12,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from tactip_twin.assets import FAST_TIPS
 from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.contact.simulator import ContactSimulator
-from tactip_twin.sim.fast_tip.fast_tip import FastTip, PinDecoder, read_fast_tip
+from tactip_twin.sim.fast_tip.fast_tip import ANY_MATERIALS, FastTip, PinDecoder, read_fast_tip
 from tactip_twin.sim.fast_tip.materials import check_mechanics, material_inputs
 from tactip_twin.sim.fast_tip.mesh_decoder import MeshDecoder
 from tactip_twin.sim.pose import before_shear, path, shear_between
@@ -57,13 +56,14 @@ def _skin(simulator: ContactSimulator) -> np.ndarray:
 
 @lru_cache(maxsize=1)
 def _learned_tip() -> FastTip:
-    return read_fast_tip(FAST_TIPS / "surface-any-materials.npz")
+    return read_fast_tip(ANY_MATERIALS)
 
 
 def can_predict(design: Design) -> bool:
     """Return whether the learned tip predicts contacts of a design, whatever its moduli, thickness and friction."""
+    learned = _learned_tip().mechanics
     try:
-        check_mechanics(_learned_tip().mechanics, design)
+        check_mechanics(learned, design)
     except TactipError:
         return False
     return True

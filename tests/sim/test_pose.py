@@ -12,6 +12,7 @@ from tactip_twin.sim.pose import (
     label_of,
     path,
     sensor_in_contact,
+    shortest_turn,
     to_mm_deg,
     turn_between,
 )
@@ -29,6 +30,15 @@ def test_label_of_inverts_sensor_in_contact(label):
 def test_inverse_times_transform_is_identity(label):
     T = sensor_in_contact(label)
     assert np.allclose(T @ inverse(T), np.eye(4), atol=1e-12)
+
+
+@given(labels, labels)
+def test_shortest_turn_is_square_to_both_directions(one, other):
+    start, end = (sensor_in_contact(label)[:3, 2] for label in (one, other))
+    for goal in (end, start, -start):
+        turn = shortest_turn(start, goal)
+        assert np.allclose(turn.apply(start), goal, atol=1e-6)
+        assert turn.magnitude() <= np.arccos(np.clip(start @ goal, -1, 1)) + 1e-6
 
 
 @given(labels)

@@ -106,6 +106,6 @@ def test_corrected_set_is_the_same_with_any_worker_count(tmp_path, capsys):
 
 
 def test_corrections_need_a_learned_tip(tmp_path, capsys):
-    arguments = ["dataset", "make", "--fidelity", "corrected", "--design", "tactip-331", "--out", str(tmp_path / "set")]
-    assert tactip.main(arguments) == 1
-    assert "there is no shipped learned tip for surface and tactip-331" in capsys.readouterr().err
+    arguments = ["dataset", "make", "--fidelity", "corrected", "--task", "edge", "--design", "tactip-331"]
+    assert tactip.main([*arguments, "--out", str(tmp_path / "set")]) == 1
+    assert "there is no shipped learned tip for edge and tactip-331" in capsys.readouterr().err

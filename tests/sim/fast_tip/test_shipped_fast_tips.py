@@ -1,5 +1,7 @@
 """Shipped learned tips against contacts that are simulated here."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -8,7 +10,7 @@ from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.contact.simulator import ContactSimulator
 from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES
 from tactip_twin.sim.fast_tip.fast_contacts import FastContacts
-from tactip_twin.sim.fast_tip.fast_tip import read_fast_tip, shipped_fast_tip
+from tactip_twin.sim.fast_tip.fast_tip import ANY_MATERIALS, read_fast_tip, shipped_fast_tip
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.presets import design_named
 
@@ -16,10 +18,13 @@ MAX_MM = {"surface": 0.08, "edge": 0.15}
 """Mean distance of pins over six contacts of another seed: about three times the mean of docs/fast_tip.md."""
 
 
-@pytest.mark.parametrize("task", ["surface", "edge"])
-def test_shipped_tip_predicts_contacts_of_another_seed(task):
-    """One of the surface contacts is not trusted: there `standard` itself is 0.7 mm from `reference`."""
-    design, path = design_named("tactip-127"), shipped_fast_tip(task, "tactip-127")
+@pytest.mark.parametrize(("task", "name"), [("surface", "tactip-127"), ("edge", "tactip-127"), ("surface", "tactip-331")])
+def test_shipped_tip_predicts_contacts_of_another_seed(task, name):
+    """One of the surface contacts is not trusted: there `standard` itself is 0.7 mm from `reference`.
+
+    The tip of 331 pins has no learned tip of its own: it is that of any materials.
+    """
+    design, path = design_named(name), shipped_fast_tip(task, name)
     assert path.stat().st_size < 5_000_000
     tip = read_fast_tip(path)
     rng = np.random.default_rng(3)
@@ -38,7 +43,29 @@ def test_shipped_tip_predicts_contacts_of_another_seed(task):
     assert np.linalg.norm(found - true, axis=1).sum() < 0.1 * np.linalg.norm(true, axis=1).sum()
 
 
+def test_tip_of_any_materials_refuses_what_it_does_not_know():
+    tip, design = read_fast_tip(ANY_MATERIALS), design_named("tactip-127")
+    slippery = dataclasses.replace(design, materials=dataclasses.replace(design.materials, friction=0.1))
+    with pytest.raises(TactipError, match=r"knows a friction from 0\.38\d+ to 1\.2\d+, but the design has 0\.1"):
+        tip.check_design(slippery)
+    smaller = dataclasses.replace(design, shape=dataclasses.replace(design.shape, cylinder_m=5e-3))
+    with pytest.raises(TactipError, match=r"belongs to shape\.cylinder_m 0\.0, but the design has 0\.005"):
+        tip.check_design(smaller)
+
+
+def test_force_of_the_tip_of_any_materials_scales_with_both_moduli():
+    tip, design = read_fast_tip(ANY_MATERIALS), design_named("tactip-127")
+    m = design.materials
+    twice = dataclasses.replace(m, skin_young_pa=2 * m.skin_young_pa, gel_young_pa=2 * m.gel_young_pa)
+    pose, shear = np.array([[0, 0, -3e-3, 0.1, 0, 0]]), np.array([[2e-3, 0, 0, 0, 0, 0]])
+    soft, stiff = (
+        FastContacts(tip, d).predict(pose, shear)[0][0] for d in (design, dataclasses.replace(design, materials=twice))
+    )
+    assert np.allclose(stiff.force_n, 2 * soft.force_n, rtol=1e-6)
+    assert np.allclose(stiff.pin_tips, soft.pin_tips, atol=1e-9)
+
+
 def test_unknown_tip_gives_the_list_of_those_there_are():
-    with pytest.raises(TactipError, match="there is no shipped learned tip for surface and mine"):
-        shipped_fast_tip("surface", "mine")
+    with pytest.raises(TactipError, match="there is no shipped learned tip for edge and mine"):
+        shipped_fast_tip("edge", "mine")
     assert {path.suffix for path in FAST_TIPS.iterdir()} == {".npz"}

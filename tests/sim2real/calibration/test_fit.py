@@ -12,7 +12,18 @@ from helpers.rig_sets import RIG, TAP, hidden_twin, write_set
 from tactip_twin.commands import main as tactip
 from tactip_twin.sim2real.calibration.fit import calibrate
 from tactip_twin.sim2real.calibration.frames import Frames
-from tactip_twin.sim2real.calibration.moves import LOAD_CELL_N, MOVE_FRACTIONS, best_fraction, distances
+from tactip_twin.sim2real.calibration.moves import (
+    FAST,
+    LOAD_CELL_N,
+    MOVE_FRACTIONS,
+    best_fraction,
+    can_predict,
+    distances,
+    pin_pixels,
+    simulate_along,
+    simulate_at,
+    simulate_forces,
+)
 from tactip_twin.sim2real.calibration.parameters import SensorOnRig, parameters
 from tactip_twin.sim2real.calibration.report import figures_of, write_report
 from tactip_twin.sim2real.calibration.rounds import Calibrator, robust_cost
@@ -95,6 +106,25 @@ def test_calibrate_rounds_lower_cost_and_resume(real, tmp_path):
     (tmp_path / "state.json").write_text("{")
     with pytest.raises(TactipError, match="remove it"):
         calibrate(real, start(), settings, tmp_path / "state.json")
+
+
+def test_predicted_moves_are_close_to_simulated_ones():
+    commands = [(np.array([0, -1e-3, 0, 0, 0, 0.1]), np.array([2e-3, 0, 0, 0, 0, 0.05]))]
+    design, tap = design_named("tactip-331"), np.asarray(TAP, float)
+    jobs = {name: (design, RIG, name, commands, tap) for name in (FAST, "standard")}
+    predicted, simulated = (pin_pixels(design, name, simulate_along(job)) for name, job in jobs.items())
+    assert predicted.shape == simulated.shape
+    assert distances(predicted, simulated).max() < 0.6  # px of 256; the move itself shifts pins by several
+    assert np.linalg.norm(simulated[0, -1] - simulated[0, 0], axis=-1).mean() > 2
+    again = simulate_at((design, RIG, FAST, commands, tap, [1.0]))
+    assert np.allclose(pin_pixels(design, FAST, again)[0], predicted[0, -1], atol=1e-3)
+    assert np.allclose(simulate_forces((design, FAST)), simulate_forces((design, "standard")), rtol=0.05)
+
+
+def test_tips_of_another_shape_are_not_predicted():
+    design = design_named("tactip-127")
+    assert can_predict(design)
+    assert not can_predict(replace(design, shape=replace(design.shape, radius_m=22e-3)))
 
 
 @pytest.mark.slow

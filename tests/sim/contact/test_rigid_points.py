@@ -1,0 +1,29 @@
+"""Distances of a rigid set of points, against those of every point."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from tactip_twin.sim.contact.rigid_points import RigidPoints
+from tactip_twin.sim.fast_tip.overlap import NEAR_M, dome_points
+from tactip_twin.sim.pose import matrix
+from tactip_twin.sim.robot.objects import load_object
+
+
+@pytest.mark.parametrize("near_m", [NEAR_M, -np.inf])
+@pytest.mark.parametrize("groups", [1, 20, 10_000])
+def test_distances_are_exact_where_they_matter_and_lower_bounds_elsewhere(groups, near_m):
+    solid, rng = load_object("bust").solid, np.random.default_rng(2)
+    points = dome_points(20e-3)
+    rigid, left_out = RigidPoints(points, groups), 0
+    for _ in range(20):
+        start = solid.vertices[rng.integers(len(solid.vertices))] + rng.normal(0, 5e-3, 3)
+        T = matrix(start, Rotation.random(rng=rng))
+        exact = solid.distance(points @ T[:3, :3].T + T[:3, 3])
+        found = rigid.distances(solid.distance, T, near_m)
+        # Products of matrices of different sizes round differently.
+        assert found.min() == pytest.approx(exact.min(), abs=1e-15)
+        assert np.allclose(found[exact <= near_m], exact[exact <= near_m], rtol=0, atol=1e-15)
+        assert (found <= exact + 1e-12).all() and (found[exact > near_m] > min(near_m, exact.min()) - 1e-12).all()
+        left_out += int((np.abs(found - exact) > 1e-12).sum())
+    assert (left_out > 0) == (groups == 20)
