@@ -14,6 +14,17 @@ _MM, _DEG = 1e3, float(np.degrees(1.0))
 class DifferentiableTip(torch.nn.Module):
     """Pins of contacts, with derivatives by all that they depend on. It has no trainable parameters."""
 
+    center: torch.Tensor
+    scale: torch.Tensor
+    coefficient_scale: torch.Tensor
+    orders: torch.Tensor
+    moved: torch.Tensor
+    turned: torch.Tensor
+    tips: torch.Tensor
+    directions: torch.Tensor
+    lever_m: torch.Tensor
+    own_materials: torch.Tensor
+
     def __init__(self, tip: FastTip, design: Design, dtype: torch.dtype = torch.float32) -> None:
         """Take over a learned tip.
 
