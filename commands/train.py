@@ -1,7 +1,7 @@
 """tactip train: a network on a data set."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import tyro
@@ -45,10 +45,12 @@ class Train(Command):
         """Return the defaults: network and training of --config, or of --recipe for the task of --data, with --init-from's
         network."""
         data, recipe = _train_set(arguments), _recipe(arguments)
-        training = recipe.settings
+        network, training = recipe.network, recipe.settings
         if data is not None and not _is_simulated(data):
-            training = _without_rendered_images(training)
-        return cls(data=tyro.MISSING, out=tyro.MISSING, network=recipe.network, training=training)
+            training = replace(training, augmented_fraction=0.0)  # without pins, no images can be rendered
+            if last_value(arguments, "init-from") is None and last_value(arguments, "config") is None:
+                network = replace(network, quantities=False)
+        return cls(data=tyro.MISSING, out=tyro.MISSING, network=network, training=training)
 
     def run(self) -> int:
         with DelayedStatus("reading the sets"):
@@ -110,10 +112,3 @@ def _task(folder: Path | None) -> str:
 def _is_simulated(folder: Path) -> bool:
     """Return whether a set, or a shard of it, has the positions of its pins."""
     return next(folder.glob("**/pins.npz"), None) is not None
-
-
-def _without_rendered_images(training: TrainSettings) -> TrainSettings:
-    """Return the settings for a set without pins, whose images cannot be rendered with other optics."""
-    from dataclasses import replace
-
-    return replace(training, augmented_fraction=0.0)

@@ -46,6 +46,10 @@ class Estimate:
     """Time for the image, s."""
     network_s: float = 0.0
     """Time for the network, s."""
+    deviations: np.ndarray | None = None
+    """(6,) standard deviations of the label, m and rad; None if the estimator has none."""
+    contact: float | None = None
+    """Estimated probability that the tip touches; None if the estimator has none."""
 
 
 @runtime_checkable
@@ -115,12 +119,17 @@ class ImageEstimator:
         start = time.perf_counter()
         image = self._image(touch.pin_tips, touch.directions)
         rendered = time.perf_counter()
-        label = self._label(image)
+        label, deviations, contact = self._estimate(image)
         end = time.perf_counter()
         white = image > 127
         union = int((white | self._neutral).sum())
         difference = 1 - int((white & self._neutral).sum()) / union if union else 0.0
-        return Estimate(from_mm_deg(label), difference, image, rendered - start, end - rendered)
+        found = None if deviations is None else from_mm_deg(deviations)
+        return Estimate(from_mm_deg(label), difference, image, rendered - start, end - rendered, found, contact)
+
+    def _estimate(self, image: np.ndarray) -> tuple[np.ndarray, np.ndarray | None, float | None]:
+        """Return label (6,) and standard deviations (6,), mm and degrees, and the probability of contact, of an image."""
+        return self._label(image), None, None
 
 
 class NetworkEstimator(ImageEstimator):
@@ -138,7 +147,19 @@ class NetworkEstimator(ImageEstimator):
             raise TactipError(
                 f"the images of the design must be {model.size} px wide, as the network's, got {design.image.size_px} px"
             )
+        self._model = model
         super().__init__(model.predict, model.labels.components, design, renderer, noise_grey, seed)
+
+    def _estimate(self, image: np.ndarray) -> tuple[np.ndarray, np.ndarray | None, float | None]:
+        """Return what the network estimates; see ImageEstimator."""
+        estimates, label = self._model.estimate(image[None]), np.zeros(6)
+        label[self._rows] = estimates.means[0, : len(self._rows)]
+        contact = None if estimates.contact is None else float(estimates.contact[0])
+        if estimates.deviations is None:
+            return label, None, contact
+        deviations = np.zeros(6)
+        deviations[self._rows] = estimates.deviations[0, : len(self._rows)]
+        return label, deviations, contact
 
 
 class Oracle:

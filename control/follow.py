@@ -5,12 +5,13 @@ protective stop, as robots have.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from tactip_twin.control.estimator import Estimate, Estimator
 from tactip_twin.control.options import Settings
+from tactip_twin.control.pose_filter import PoseFilter
 from tactip_twin.control.routes import Route
 from tactip_twin.control.servo import Controller, pose_error
 from tactip_twin.learning.labels import Labels
@@ -52,7 +53,9 @@ class Step:
     touch: TipState
     """State of the tip."""
     estimate: Estimate
-    """Estimate for that state."""
+    """Estimate for that state, fused with earlier ones if there is a filter."""
+    label_from_image: np.ndarray
+    """(6,), m and rad: the label estimated from this step's image alone."""
     seconds: dict[str, float]
     """Time for simulation, image, network and control, s."""
 
@@ -80,6 +83,7 @@ class ContourFollower:
         record: Callable[[Step], None],
         clock: Callable[[], float],
         note: Callable[[Event], None] = lambda event: None,
+        pose_filter: PoseFilter | None = None,
     ) -> None:
         """Prepare to follow.
 
@@ -92,10 +96,11 @@ class ContourFollower:
             record: Called with each step.
             clock: Returns the time, s.
             note: Called with each event.
+            pose_filter: Filter of estimates that have deviations; None: each step uses its own image alone.
         """
         self._mounted_tip, self._estimator, self._controller = mounted_tip, estimator, controller
         self._labels, self._settings = labels, settings
-        self._record, self._clock, self._on_event = record, clock, note
+        self._record, self._clock, self._on_event, self._filter = record, clock, note, pose_filter
         self._phase, self._part, self._steps = "search", 0, 0
         self.events: list[Event] = []
         """Events so far."""
@@ -195,6 +200,8 @@ class ContourFollower:
         """Search for contact; unless contact was lost, retract first. Return the new estimate."""
         self._phase = "search"
         self._controller.reset()
+        if self._filter is not None:
+            self._filter.reset()
         if kind != "contact lost":
             self._go(self._mounted_tip.arm_model.measured_pose() @ _shift(-self._settings.retract_mm))
         return self._search(self._settings.search_mm / 2)
@@ -250,7 +257,8 @@ class ContourFollower:
         if not self._steps:
             self._touch = self._mounted_tip.tip_state()
         arm = self._mounted_tip.arm_model
-        estimate = self._estimator.estimate(self._touch, arm.pose)
+        own = self._estimator.estimate(self._touch, arm.pose)
+        estimate = self._filtered(own, arm.measured_pose())
         seconds = {
             "simulation": simulation_s,
             "image": estimate.image_s,
@@ -258,10 +266,30 @@ class ContourFollower:
             "control": control_s,
         }
         self._record(
-            Step(self._phase, self._part, arm.pose, arm.measured_pose(), arm.angles, self._touch, estimate, seconds)
+            Step(
+                self._phase,
+                self._part,
+                arm.pose,
+                arm.measured_pose(),
+                arm.angles,
+                self._touch,
+                estimate,
+                own.label,
+                seconds,
+            )
         )
         self._steps += 1
         return estimate
+
+    def _filtered(self, estimate: Estimate, T_base_tcp_measured: np.ndarray) -> Estimate:
+        """Return an estimate fused with those before it; as it is without a filter, without deviations or in the air."""
+        if self._filter is None or estimate.deviations is None:
+            return estimate
+        if estimate.touching < self._settings.contact_threshold:
+            self._filter.reset()
+            return estimate
+        fused = self._filter.step(T_base_tcp_measured, estimate.label, estimate.deviations)
+        return replace(estimate, label=fused.label, deviations=fused.deviations)
 
     def _note(self, kind: str, what: str) -> None:
         self.events.append(Event(self._steps, kind, what))

@@ -12,6 +12,7 @@ import numpy as np
 from tactip_twin.control.estimator import Estimator, LabelFunction
 from tactip_twin.control.follow import ContourFollower, Event, Step
 from tactip_twin.control.options import ServoOptions
+from tactip_twin.control.pose_filter import PoseFilter
 from tactip_twin.control.score import score
 from tactip_twin.control.servo import Controller, reference_mm_deg
 from tactip_twin.control.servo_setup import ServoSetup, prepare
@@ -71,6 +72,7 @@ def run_servo(
         record,
         time.perf_counter,
         note,
+        PoseFilter(options.task, options.filter) if options.filter.enabled else None,
     )
     interrupted = False
     try:
@@ -136,6 +138,8 @@ def _row(step: Step, label: np.ndarray) -> dict[str, Any]:
         "skin_m": step.touch.skin,
         "force_n": step.touch.force,
         "predicted": step.estimate.label,
+        "predicted_from_image": step.label_from_image,
+        "deviations": np.full(6, np.nan) if step.estimate.deviations is None else step.estimate.deviations,
         "true": label,
         "touching": step.estimate.touching,
         "penetration_m": step.touch.penetration_m,

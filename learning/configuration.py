@@ -89,6 +89,10 @@ class PoseNetConfig:
     """Weight of the L2 penalty on dense and output layers; 1e-4 to 1e-1 [P]."""
     batch_size: int = within(1, 4096, default=32)
     """Number of images per training step; 16, 32, 64 or 128 [P]."""
+    deviations: bool = False
+    """Estimate a standard deviation for each component; not in the paper."""
+    quantities: bool = False
+    """Estimate shear, force, slip and contact beside the pose (learning/quantities.py); not in the paper."""
 
     def __post_init__(self) -> None:
         check(self)
@@ -159,6 +163,9 @@ class TrainSettings:
     """Factor on the ranges of `optics_ranges`."""
     optics_ranges: OpticsName = "lens"
     """Ranges of the randomized optics (learning/optics_ranges.py); `-clean` leaves image noise out."""
+    beta: float = within(0, 1, default=0.5)
+    """Exponent of the standard deviations as weights of the negative log likelihood, where they are estimated
+    (learning/outputs.py); 0 weighs all errors alike, 1 as a mean squared error does."""
 
     def __post_init__(self) -> None:
         check(self)
@@ -254,6 +261,8 @@ _LAPTOP = PoseNetConfig(
     l1=0.0,
     l2=0.0,
     batch_size=32,
+    deviations=True,
+    quantities=True,
 )
 
 _LAPTOP_TRAINING = TrainSettings(

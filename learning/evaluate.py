@@ -10,8 +10,9 @@ import numpy as np
 from tactip_twin.learning.data import Samples, check_compatible
 from tactip_twin.learning.image_check import image_check
 from tactip_twin.learning.labels import Labels
-from tactip_twin.learning.model import Model
+from tactip_twin.learning.model import Estimates, Model
 from tactip_twin.learning.posenet import parameter_count
+from tactip_twin.learning.uncertainty import by_force, by_rejection, contact_figures, negative_log_likelihood, reliability
 from tactip_twin.tactip_model.design_file import design_from_dict
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.pin_detection import find_blobs
@@ -34,6 +35,8 @@ class Evaluation:
     """(n, k), mm and degrees."""
     errors: np.ndarray
     """(n, k), prediction minus label, mm and degrees."""
+    deviations: np.ndarray | None
+    """(n, k) estimated standard deviations, mm and degrees; None if the network has none."""
     figures: dict[str, Any]
     """Figures that `tactip evaluate --json` prints, as JSON."""
 
@@ -90,7 +93,9 @@ def _outside_fraction(predictions: np.ndarray, labels: Labels) -> float:
 def evaluate(model: Model, samples: Samples) -> Evaluation:
     """Evaluate a model on samples. Raises TactipError if their tasks or image sizes differ."""
     check_compatible(samples, model.labels.task, model.size, "the model")
-    predictions = model.predict(samples.images)
+    estimates = model.estimate(samples.images)
+    k = len(model.labels.names)
+    predictions = estimates.means[:, :k]
     check = image_check(model)
     unlike = check.of(samples.images) if check else (None, "")
     errors = predictions - samples.targets
@@ -115,7 +120,32 @@ def evaluate(model: Model, samples: Samples) -> Evaluation:
         "latency_ms": latency_ms(model),
         "parameters": parameter_count(model.net),
     }
-    return Evaluation(predictions, errors, figures)
+    deviations = None if estimates.deviations is None else estimates.deviations[:, :k]
+    return Evaluation(predictions, errors, deviations, figures | _of_quantities(model, samples, estimates))
+
+
+def _of_quantities(model: Model, samples: Samples, estimates: Estimates) -> dict[str, Any]:
+    """Return the figures of what a network estimates beside the pose, and of its deviations, as JSON; empty if nothing."""
+    names, k, out = list(model.columns), len(model.labels.names), {}
+    targets = np.concatenate([samples.targets, samples.quantities], 1)[:, : len(names)]
+    errors = estimates.means - targets
+    known = np.isfinite(errors).any(0)
+    if known[k:].any():
+        chosen = [i for i in range(k, len(names)) if known[i]]
+        out["quantities"] = {names[i]: float(np.nanmean(np.abs(errors[:, i]))) for i in chosen}
+    if estimates.contact is not None and np.isfinite(samples.contact).any():
+        out["contact"] = contact_figures(estimates.contact, samples.contact)
+    if estimates.deviations is None:
+        return out
+    seen = [i for i in range(len(names)) if known[i]]
+    shown, of_shown, deviations = [names[i] for i in seen], errors[:, seen], estimates.deviations[:, seen]
+    out["reliability"] = reliability(of_shown, deviations, shown)
+    out["nll"] = dict(zip(shown, map(float, negative_log_likelihood(of_shown, deviations)), strict=True))
+    out["rejection"] = by_rejection(errors[:, :k], estimates.deviations[:, :k], model.labels.scale, names[:k])
+    forces = samples.dataset.measures["normal_force_N"][samples.rows]
+    if np.isfinite(forces).all():
+        out["by_force"] = by_force(of_shown, deviations, forces, shown)
+    return out
 
 
 def tables(evaluation: Evaluation, samples: Samples, labels: Labels) -> dict[str, Any]:

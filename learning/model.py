@@ -20,7 +20,9 @@ from tactip_twin.assets import MODELS
 from tactip_twin.learning.configuration import PoseNetConfig
 from tactip_twin.learning.device import one_thread
 from tactip_twin.learning.labels import Labels
+from tactip_twin.learning.outputs import Layout
 from tactip_twin.learning.posenet import PoseNet
+from tactip_twin.learning.quantities import QUANTITIES
 from tactip_twin.tactip_model.design_file import from_dict
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.files import write_file
@@ -30,6 +32,18 @@ FORMAT = "tactip-twin PoseNet"
 VERSION = 2
 
 WEIGHTS, DESCRIPTION = "model.pt", "model.json"
+
+
+@dataclass(frozen=True)
+class Estimates:
+    """Estimates from n images: poses and, if the network has them, other quantities and deviations. (c components)"""
+
+    means: np.ndarray
+    """(n, c) in the units of Model.columns."""
+    deviations: np.ndarray | None
+    """(n, c) standard deviations, or None."""
+    contact: np.ndarray | None
+    """(n,) probability that the tip touches, or None."""
 
 
 @dataclass(frozen=True)
@@ -63,18 +77,51 @@ class Model:
         images = np.asarray(images)
         if images.ndim == 2:
             return self.predict(images[None], batch)[0]
+        return self.estimate(images, batch).means[:, : len(self.labels.components)]
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Columns (c) of what the network estimates: components of the pose, then, if it has them, QUANTITIES."""
+        return (*self.labels.names, *(q.name for q in QUANTITIES if self.config.quantities))
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Units (c) of the columns."""
+        return (*self.labels.units, *(q.unit for q in QUANTITIES if self.config.quantities))
+
+    @property
+    def scales(self) -> np.ndarray:
+        """Scales (c) of the columns, in their units."""
+        return np.array([*self.labels.scale, *(q.scale for q in QUANTITIES if self.config.quantities)])
+
+    def estimate(self, images: np.ndarray, batch: int = 256) -> Estimates:
+        """Estimate all that the network does from tactile images (n, size, size) uint8.
+
+        Args:
+            images: The images.
+            batch: Maximum number of images per forward pass.
+
+        Raises:
+            TactipError: If the images have another size or type.
+        """
         if images.ndim != 3 or images.shape[1:] != (self.size, self.size) or images.dtype != np.uint8:
             raise TactipError(
                 f"images must be uint8 of shape (n, {self.size}, {self.size}), got {images.dtype} of shape {images.shape}"
             )
-        device = next(self.net.parameters()).device
+        device, layout = next(self.net.parameters()).device, Layout(self.config, len(self.labels.components))
         self.net.eval()
-        out = []
+        out = [torch.zeros((0, layout.size))]
         with torch.inference_mode(), one_thread() if len(images) == 1 else contextlib.nullcontext():
             for start in range(0, len(images), batch):
                 some = torch.from_numpy(np.ascontiguousarray(images[start : start + batch])).to(device)
-                out.append(self.net(to_input(some)).double().cpu().numpy())
-        return np.concatenate(out) * self.labels.scale if out else np.zeros((0, len(self.labels.scale)))
+                out.append(self.net(to_input(some)).cpu())
+            split = layout.split(torch.cat(out).double())
+            logs, logits = split.log_deviations, split.contact
+            return Estimates(
+                split.means.numpy() * self.scales,
+                None if logs is None else logs.exp().numpy() * self.scales,
+                None if logits is None else torch.sigmoid(logits).numpy(),
+            )
 
 
 def to_input(images: torch.Tensor) -> torch.Tensor:
@@ -235,7 +282,7 @@ def load_model(folder: str | Path, device: str = "cpu") -> Model:
         raise TactipError(
             f"the weights in {folder} do not match the checksum in {path}: train again, or copy both files again"
         )
-    net = PoseNet(config, size, len(labels.components))
+    net = PoseNet(config, size, Layout(config, len(labels.components)).size)
     try:
         state = tensors_from_bytes(data)
         if not all(isinstance(tensor, torch.Tensor) and torch.isfinite(tensor).all() for tensor in state.values()):

@@ -1,6 +1,7 @@
 """State of a training in memory, and its epochs.
 
-    loss = sum over components of the mean squared error over scale² + L1 and L2 of the dense and output weights
+    loss = sum over components of the mean squared error over scale², or of a negative log likelihood (outputs.py),
+           + L1 and L2 of the dense and output weights
     optimizer: Adam, or Muon and Adam
     early stopping on the validation error, without penalties; the best weights are kept
 
@@ -20,10 +21,13 @@ from tactip_twin.learning.augmentation import OpticsAugmentation
 from tactip_twin.learning.configuration import DeviceName, PoseNetConfig, ScheduleName, TrainSettings
 from tactip_twin.learning.data import Samples
 from tactip_twin.learning.device import device_named, is_half
+from tactip_twin.learning.labels import Labels
 from tactip_twin.learning.model import Model, to_device, to_input
 from tactip_twin.learning.muon import Muon, inner_weights
 from tactip_twin.learning.optics_ranges import OPTICS
+from tactip_twin.learning.outputs import Layout, losses
 from tactip_twin.learning.posenet import PoseNet
+from tactip_twin.learning.quantities import QUANTITIES
 from tactip_twin.tactip_model.errors import TactipError
 
 
@@ -83,33 +87,41 @@ class Training:
             TactipError: If the network or the initial network does not match the images.
         """
         self.config, self.settings, self.labels, self.size = config, settings, train.labels, train.size
+        knows = init_from is not None and init_from.config.quantities
+        if config.quantities and not knows and not np.isfinite(train.quantities).all(1).any():
+            raise TactipError(
+                f"the set in {train.folder} has no forces to learn from, as simulated sets have: add --network.no-quantities"
+            )
+        self.layout = Layout(config, len(self.labels.components))
+        """Arrangement of the outputs."""
         self.device = device_named(device)
         self._half = is_half(settings.precision, self.device)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(settings.seed)
-            net = PoseNet(config, train.size, len(self.labels.components))
+            net = PoseNet(config, train.size, self.layout.size)
         if init_from is not None:
-            net.load_state_dict(initial_state(init_from, config, train))
+            net.load_state_dict(initial_state(init_from, config, train, net.state_dict()))
         self.net = to_device(net, self.device)
         self._optimizers = _optimizers(self.net, settings, self._half)
         # The whole set is kept on the device, as bytes.
-        self._images, self._targets = self._to_device(train)
+        self._images, self._targets, self._contact = self._to_device(train)
         self._augmentation = (
             OpticsAugmentation(train, settings.augmentation_strength, OPTICS[settings.optics_ranges], self.device)
             if settings.augmented_fraction
             else None
         )
-        self._val_images, self._val_targets = self._to_device(val)
+        self._val_images, self._val_targets, self._val_contact = self._to_device(val)
         self.epoch = 0
         self.history: list[dict[str, float]] = []
         """Figures of each epoch so far."""
         self.best: dict[str, torch.Tensor] = {}
         """State dict of the network after the best epoch; empty before the first epoch."""
 
-    def _to_device(self, samples: Samples) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return images (n, size, size) uint8 and targets (n, k) over their scales, on the device."""
-        targets = torch.from_numpy((samples.targets / self.labels.scale).astype(np.float32))
-        return torch.from_numpy(samples.images).to(self.device), targets.to(self.device)
+    def _to_device(self, samples: Samples) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Return images (n, size, size) uint8, targets (n, k) over their scales, and contact (n,), on the device."""
+        values = scaled_targets(samples, self.labels, self.config)
+        targets, contact = (torch.from_numpy(x.astype(np.float32)).to(self.device) for x in (values, samples.contact))
+        return torch.from_numpy(samples.images).to(self.device), targets, contact
 
     @property
     def steps_per_epoch(self) -> int:
@@ -150,7 +162,7 @@ class Training:
         with torch.random.fork_rng(devices=devices):
             torch.manual_seed(int(rng.integers(2**62)))
             loss = self._train_steps(order, progress)
-        val = self.error(self._val_images, self._val_targets)
+        val = self.validation_loss()
         if not math.isfinite(loss) or not math.isfinite(val):
             raise TrainingDiverged(
                 f"the training diverged in epoch {self.epoch + 1} (loss {loss}, validation loss {val}): "
@@ -180,7 +192,8 @@ class Training:
             chosen = order[i * self.config.batch_size : (i + 1) * self.config.batch_size]
             with torch.autocast(self.device, dtype=torch.bfloat16, enabled=self._half):
                 out = self.net(to_input(self._batch(chosen)))
-            loss = (out - self._targets[chosen]).square().sum(1).mean() + self.net.penalty()
+            each = losses(self.layout.split(out), self._targets[chosen], self._contact[chosen], self.settings.beta)
+            loss = each.mean() + self.net.penalty()
             self.net.zero_grad(set_to_none=True)
             loss.backward()
             for optimizer, rate in self._optimizers:
@@ -191,20 +204,20 @@ class Training:
             progress()
         return float(total) / len(order)
 
-    def error(self, images: torch.Tensor, targets: torch.Tensor, batch: int = 256) -> float:
-        """Return the sum over components of the mean squared error over scale², in single precision as in prediction.
+    def validation_loss(self, batch: int = 256) -> float:
+        """Return the mean loss of the validation set, without weights and penalties, in single precision as in prediction.
 
         Args:
-            images: (n, size, size) uint8.
-            targets: (n, k) targets over their scales.
             batch: Number of images per forward pass.
         """
+        images, targets, contact = self._val_images, self._val_targets, self._val_contact
         self.net.eval()
         total = torch.zeros((), device=self.device)
         with torch.inference_mode():
             for start in range(0, len(images), batch):
-                out = self.net(to_input(images[start : start + batch]))
-                total += (out - targets[start : start + batch]).square().sum()
+                part = slice(start, start + batch)
+                split = self.layout.split(self.net(to_input(images[part])))
+                total += losses(split, targets[part], contact[part], beta=0.0).sum()
         return float(total) / len(images)
 
     def state(self) -> dict[str, Any]:
@@ -242,19 +255,35 @@ def _shapes(state: dict[str, torch.Tensor]) -> dict[str, torch.Size]:
     return {name: tensor.shape for name, tensor in state.items()}
 
 
-def initial_state(init_from: Model, config: PoseNetConfig, samples: Samples) -> dict[str, torch.Tensor]:
+def scaled_targets(samples: Samples, labels: Labels, config: PoseNetConfig) -> np.ndarray:
+    """Return the targets (n, k) of a network over their scales; NaN where the set does not have them."""
+    pose = samples.targets / labels.scale
+    return np.concatenate([pose, samples.quantities / [q.scale for q in QUANTITIES]], 1) if config.quantities else pose
+
+
+def initial_state(
+    init_from: Model, config: PoseNetConfig, samples: Samples, random: dict[str, torch.Tensor] | None = None
+) -> dict[str, torch.Tensor]:
     """Return the state dict of a model as initial weights, its outputs rescaled to the samples' labels.
 
     Args:
         init_from: Model with the initial weights.
         config: Network to be trained.
         samples: Training set.
+        random: State dict of the network with random weights, for outputs that the model does not have; None to check
+            only, or if it has all.
 
     Raises:
         TactipError: If the model has other layers than `config`, or another image size or components than the samples.
     """
-    expected = {**config.shape(), "image width": samples.size, "components": samples.labels.components}
-    initial = {**init_from.config.shape(), "image width": init_from.size, "components": init_from.labels.components}
+    outputs = {"deviations": None, "quantities": None}  # the initial network may have fewer or more
+    expected = {**config.shape(), **outputs, "image width": samples.size, "components": samples.labels.components}
+    initial = {
+        **init_from.config.shape(),
+        **outputs,
+        "image width": init_from.size,
+        "components": init_from.labels.components,
+    }
     differences = [
         f"{name} is {initial[name]}, expected {value}" for name, value in expected.items() if initial[name] != value
     ]
@@ -263,8 +292,19 @@ def initial_state(init_from: Model, config: PoseNetConfig, samples: Samples) -> 
     state = {name: tensor.detach().cpu().clone() for name, tensor in init_from.net.state_dict().items()}
     ratio = torch.from_numpy((init_from.labels.scale / samples.labels.scale).astype(np.float32))
     last = len(init_from.net.dense) - 1
-    state[f"dense.{last}.weight"] *= ratio[:, None]
-    state[f"dense.{last}.bias"] *= ratio
+    components = len(samples.labels.components)
+    old, new = Layout(init_from.config, components), Layout(config, components)
+    weight, bias = f"dense.{last}.weight", f"dense.{last}.bias"
+    state[weight][:components] *= ratio[:, None]
+    state[bias][:components] *= ratio
+    if init_from.config.deviations:
+        state[bias][old.components : old.components + components] += ratio.log()
+    if random is not None and old.size != new.size:
+        own, old_rows = zip(*new.rows_of(old), strict=True)
+        for name in (weight, bias):
+            values = random[name].clone()
+            values[list(own)] = state[name][list(old_rows)]
+            state[name] = values
     return state
 
 

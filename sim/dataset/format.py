@@ -62,6 +62,9 @@ MEASURES = (
     "steps",
     "tries",
 )
+READ_MEASURES = ("normal_force_N", *FORCES, *EFFECTIVE_SHEARS, "slip_fraction", "contact_area_mm2")
+"""Measures of the contact, as far as readers use them; the others describe the simulation."""
+
 COLUMNS = ("sensor_image", *LABELS, *SHEARS, *MEASURES, "index", "seed")
 """Columns of targets.csv of a simulated set; every set has the first thirteen."""
 
@@ -176,6 +179,8 @@ class Dataset:
     """(n, 6) labels, mm and degrees."""
     shears: np.ndarray
     """(n, 6), mm and degrees."""
+    measures: dict[str, np.ndarray]
+    """(n,) each of READ_MEASURES, by column; NaN where the set does not have it."""
     ends: tuple[int, ...]
     """Row after the last of each shard; a set without shards counts as one."""
     checksums: tuple[str, ...]
@@ -310,18 +315,23 @@ def read_dataset(folder: str | Path) -> Dataset:
     """Read the labels and image names of a finished set. Raises TactipError if it cannot be read or was altered."""
     folder = Path(folder)
     meta = read_meta(folder)
-    names, poses, shears, ends, checksums = [], [], [], [], []
+    names, poses, shears, measures, ends, checksums = [], [], [], [], [], []
     for part, own in read_parts(folder, meta):
         rows = _rows_of(part, own)
         try:
             poses.append(np.array([[float(row[c]) for c in LABELS] for row in rows]).reshape(-1, 6))
             shears.append(np.array([[float(row[c]) for c in SHEARS] for row in rows]).reshape(-1, 6))
+            values = [[float(row.get(c, "nan")) for c in READ_MEASURES] for row in rows]
+            measures.append(np.array(values).reshape(-1, len(READ_MEASURES)))
         except (TypeError, ValueError) as error:
             raise TactipError(f"{part / 'targets.csv'} has a cell that is not a number: {error}") from error
         names += [row["sensor_image"] for row in rows]
         checksums += [own["images"][row["sensor_image"]] for row in rows]
         ends.append(len(names))
-    return Dataset(folder, meta, tuple(names), np.concatenate(poses), np.concatenate(shears), tuple(ends), tuple(checksums))
+    by_column = dict(zip(READ_MEASURES, np.concatenate(measures).T, strict=True))
+    return Dataset(
+        folder, meta, tuple(names), np.concatenate(poses), np.concatenate(shears), by_column, tuple(ends), tuple(checksums)
+    )
 
 
 def read_pins(folder: str | Path, meta: dict[str, Any]) -> tuple[np.ndarray, np.ndarray]:

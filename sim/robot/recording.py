@@ -36,7 +36,7 @@ from tactip_twin.tactip_model.input_files import (
     with_checksum,
 )
 
-FORMAT, VERSION = "tactip-twin recording", 4
+FORMAT, VERSION = "tactip-twin recording", 5
 
 RECORDING, SCENERY, STEPS, LOG = "recording.json", "scenery.npz", "steps.npz", "steps.log"
 
@@ -60,6 +60,8 @@ ARRAYS: dict[str, tuple[int | None, ...]] = {
     "skin_m": (None, 3),
     "force_n": (3,),
     "predicted": (6,),
+    "predicted_from_image": (6,),
+    "deviations": (6,),
     "true": (6,),
     "touching": (),
     "penetration_m": (),
@@ -78,7 +80,9 @@ pin_tips_m           pin tips, sensor frame, m
 directions       directions of the pins, sensor frame
 skin_m           vertices of the skin, sensor frame, m
 force_n          force on the tip, sensor frame, N
-felt             predicted label, m and rad
+predicted        predicted label, m and rad; in a servo run with a filter, fused over steps
+predicted_from_image  label predicted from the image of the step alone
+deviations       standard deviations of the predicted label, m and rad; NaN where the estimator has none
 true             true label, m and rad
 touching         difference of the image from that of a tip in the air
 penetration_m    penetration, m

@@ -120,7 +120,7 @@ class _Rows:
         tips, directions = simulator.reader.read(skin)
         image = tactile_image(self._render(tips, directions), self._design.image)
         force = scene.contact_force()
-        T = self._T_base_object @ sensor_in_contact(label)
+        T, predicted = self._T_base_object @ sensor_in_contact(label), self._predicted(image)
         self._tries.setdefault(simulator, []).append({
             "T_base_tcp": T,
             "T_base_tcp_measured": T,
@@ -129,7 +129,9 @@ class _Rows:
             "directions": directions,
             "skin_m": skin,
             "force_n": force,
-            "predicted": self._predicted(image),
+            "predicted": predicted,
+            "predicted_from_image": predicted,
+            "deviations": np.full(6, np.nan),
             "true": self.true_label(sensor_in_contact(label)) if self.true_label else label,
             "touching": float(np.linalg.norm(force) > _MIN_CONTACT_N),
             "penetration_m": scene.penetration(),

@@ -16,12 +16,13 @@ import torch
 from tqdm import tqdm
 
 from tactip_twin.learning.augmentation import OpticsAugmentation
-from tactip_twin.learning.configuration import DeviceName
+from tactip_twin.learning.configuration import DeviceName, TrainSettings
 from tactip_twin.learning.data import Samples
 from tactip_twin.learning.device import device_named
 from tactip_twin.learning.model import DESCRIPTION, WEIGHTS, Model, net_sha256, read_description, save_model, to_input
 from tactip_twin.learning.optics_ranges import OPTICS
-from tactip_twin.learning.training import cosine_rate
+from tactip_twin.learning.outputs import Layout, losses
+from tactip_twin.learning.training import cosine_rate, scaled_targets
 from tactip_twin.sim.parallel.resume import check_resumable
 from tactip_twin.tactip_model.bounds import check, within
 from tactip_twin.tactip_model.errors import Interrupted, TactipError, lookup
@@ -110,13 +111,16 @@ def _recorded(folder: Path, record: dict[str, Any]) -> dict[str, Any] | None:
 
 def _steps(model: Model, simulated: Samples, real: Samples, settings: FineTuning, device: str) -> dict[str, torch.Tensor]:
     """Return the state dict of the network after the steps."""
-    net = model.net.to(device)
+    net, layout = model.net.to(device), Layout(model.config, len(model.labels.components))
     before = {name: tensor.clone() for name, tensor in net.state_dict().items()}
-    scale = model.labels.scale
     augmented = OpticsAugmentation(simulated, 1.0, OPTICS[settings.optics_ranges], device)
     images = torch.from_numpy(real.images).to(device)
-    real_targets, simulated_targets = (
-        torch.from_numpy((samples.targets / scale).astype(np.float32)).to(device) for samples in (real, simulated)
+    targets, contact = (
+        [torch.from_numpy(values.astype(np.float32)).to(device) for values in pair]
+        for pair in (
+            [scaled_targets(samples, model.labels, model.config) for samples in (real, simulated)],
+            [samples.contact for samples in (real, simulated)],
+        )
     )
     half = settings.batch // 2
     optimizer = torch.optim.Adam(net.parameters(), lr=settings.learning_rate)
@@ -127,8 +131,9 @@ def _steps(model: Model, simulated: Samples, real: Samples, settings: FineTuning
         real_rows = torch.randint(len(images), (half,), device=device)
         simulated_rows = torch.randint(len(simulated), (settings.batch - half,), device=device)
         batch = torch.cat([_shifted(images[real_rows], settings.shift_px), augmented.render(simulated_rows)])
-        targets = torch.cat([real_targets[real_rows], simulated_targets[simulated_rows]])
-        loss = (net(to_input(batch)) - targets).square().sum(1).mean()
+        rows = real_rows, simulated_rows
+        wanted, touching = (torch.cat([a[r] for a, r in zip(pair, rows, strict=True)]) for pair in (targets, contact))
+        loss = losses(layout.split(net(to_input(batch))), wanted, touching, TrainSettings().beta).mean()
         optimizer.zero_grad(set_to_none=True)
         loss.backward()
         optimizer.step()

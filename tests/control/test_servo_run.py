@@ -102,7 +102,9 @@ def test_servo_same_run_twice_gives_equal_arrays(ran, tmp_path):
     assert tactip.main([*QUICK, *SHORT, "--out", str(tmp_path / "again")]) == 0
     _, arrays = read_recording(tmp_path / "again")
     for name, values in ran[3].items():
-        assert name == "seconds" or np.array_equal(values, arrays[name], equal_nan=name == "angles_rad"), name
+        assert name == "seconds" or np.array_equal(values, arrays[name], equal_nan=name in ("angles_rad", "deviations")), (
+            name
+        )
 
 
 def test_servo_json_prints_one_object(tmp_path, capsys):

@@ -171,7 +171,7 @@ def test_error_weights_components_by_scale(splits):
         for parameter in training.net.parameters():
             parameter.zero_()
     expected = ((val.targets / [5, 15, 15]) ** 2).sum(1).mean()
-    assert training.error(training._val_images, training._val_targets) == pytest.approx(expected, rel=1e-5)
+    assert training.validation_loss() == pytest.approx(expected, rel=1e-5)
 
 
 def test_train_killed_before_it_is_pruned_is_pruned_after_the_same_epoch(splits, tmp_path):

@@ -1,0 +1,129 @@
+"""The filter of poses against geometry on planes and edges, and against the statistics of simulated estimates."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+
+from tactip_twin.control.options import FilterSettings
+from tactip_twin.control.pose_filter import PoseFilter
+from tactip_twin.sim.ground_truth import SurfaceGroundTruth
+from tactip_twin.sim.labels import COMPONENTS, LEARNED
+from tactip_twin.sim.pose import from_mm_deg, label_of, matrix, sensor_in_contact, to_mm_deg
+
+IDEAL = FilterSettings(bend_deg_per_mm=0.0, rest_mm=0.0, rest_deg=0.0, correlated_estimates=1.0)
+"""A filter that assumes straight objects and independent estimates."""
+
+STARTS = {"surface": [0, 0, -2.5, 6, -4, 0], "edge": [1.5, 0, -3, 5, -7, 20]}
+"""Labels, mm and degrees."""
+
+
+def rows(task):
+    return [COMPONENTS.index(c) for c in LEARNED[task]]
+
+
+def label_on_straight(task, T_world_sensor):
+    """Return the label (6,) of a sensor on the plane z = 0, or on the edge along y there."""
+    label = label_of(T_world_sensor)
+    return np.array([label[0], 0, *label[2:]]) if task == "edge" else SurfaceGroundTruth(Plane()).label(T_world_sensor)
+
+
+class Plane:
+    """The plane z = 0 as a distance field."""
+
+    def nearest(self, points):
+        return SimpleNamespace(place=points * [1, 1, 0])
+
+    def smooth_normal(self, points):
+        return np.array([[0.0, 0, 1]])
+
+    def distance(self, points):
+        return points[2]
+
+
+def random_motion(rng):
+    return matrix(rng.normal(0, 6e-4, 3), Rotation.from_rotvec(np.radians(rng.normal(0, 1.5, 3))))
+
+
+@pytest.mark.parametrize("task", ["surface", "edge"])
+def test_pose_filter_with_worthless_estimates_follows_the_motion_exactly(task):
+    rng, T = np.random.default_rng(1), sensor_in_contact(from_mm_deg(STARTS[task]))
+    pose_filter = PoseFilter(task, IDEAL)
+    pose_filter.step(T, label_on_straight(task, T), from_mm_deg([0.1] * 3 + [0.5] * 3))
+    for _ in range(20):
+        T = T @ random_motion(rng)
+        worthless = label_on_straight(task, T) + from_mm_deg([1] * 3 + [5] * 3)
+        found = pose_filter.step(T, worthless, from_mm_deg([1e6] * 3 + [1e6] * 3))
+        assert np.allclose(to_mm_deg(found.label), to_mm_deg(label_on_straight(task, T)), atol=1e-5)
+
+
+@pytest.mark.parametrize("task", ["surface", "edge"])
+def test_pose_filter_covariance_matches_its_errors(task):
+    """With independent estimates, the squared errors over the covariance follow a chi-squared distribution."""
+    k, deviations, normalized, raw = rows(task), from_mm_deg([0.3] * 3 + [1.5] * 3), [], []
+    for seed in range(200):
+        rng, T = np.random.default_rng(seed), sensor_in_contact(from_mm_deg(STARTS[task]))
+        pose_filter = PoseFilter(task, replace(IDEAL, gate_probability=0.999999))
+        for _ in range(12):
+            estimated = label_on_straight(task, T)
+            estimated[k] += rng.normal(0, deviations[k])
+            found = pose_filter.step(T, estimated, deviations)
+            last, T = T, T @ random_motion(rng)
+        error = np.roll(_log(sensor_in_contact(label_on_straight(task, last)), sensor_in_contact(found.label)), 3)[k]
+        normalized.append(error @ np.linalg.solve(found.covariance[np.ix_(k, k)], error))
+        raw.append(np.abs(found.label - label_on_straight(task, last))[k] / deviations[k])
+    # The mean of 200 such values has a standard deviation of sqrt(2 k / 200).
+    assert np.mean(normalized) == pytest.approx(len(k), abs=4 * np.sqrt(2 * len(k) / 200))
+    assert np.mean(np.array(normalized) > chi2.ppf(0.9, len(k))) == pytest.approx(0.1, abs=0.08)
+    assert np.mean(raw) < 0.4  # of a deviation; single estimates err by 0.8
+
+
+def _log(T, T_mean):
+    """Return rotation vector and translation (6,) of T over T_mean."""
+    from scipy.spatial.transform import RigidTransform
+
+    return RigidTransform.from_matrix(T @ np.linalg.inv(T_mean)).as_exp_coords()
+
+
+def test_pose_filter_error_of_tilt_becomes_one_of_depth():
+    """After a step of d, the variance of depth has grown by d² times that of the tilt along it."""
+    pose_filter, T = PoseFilter("surface", IDEAL), sensor_in_contact(from_mm_deg([0, 0, -2, 0, 0, 0]))
+    small, large = from_mm_deg([0.1] * 3 + [2.0] * 3), from_mm_deg([1e6] * 6)
+    before = pose_filter.step(T, label_on_straight("surface", T + 1e-12), small).covariance
+    T = T @ matrix([3e-3, 0, 0], Rotation.identity())
+    after = pose_filter.step(T, from_mm_deg([0, 0, -2, 0, 0, 0]), large).covariance
+    assert after[2, 2] - before[2, 2] == pytest.approx(3e-3**2 * before[4, 4], rel=1e-3)
+    assert after[0].tolist() == [0.0] * 6
+
+
+def test_pose_filter_rejects_an_outlier_and_restarts_after_several():
+    pose_filter, T = PoseFilter("edge", FilterSettings(max_rejected=2)), np.eye(4)
+    label, deviations = from_mm_deg([0.5, 0, -3, 0, 0, 10]), from_mm_deg([0.2] * 3 + [1.0] * 3)
+    for _ in range(3):
+        assert pose_filter.step(T, label, deviations).accepted
+    wrong = label + from_mm_deg([0, 0, 0, 0, 0, 40])
+    for _ in range(2):
+        found = pose_filter.step(T, wrong, deviations)
+        assert not found.accepted
+        assert np.allclose(found.label, label)
+    found = pose_filter.step(T, wrong, deviations)
+    assert found.accepted
+    assert np.allclose(found.label, wrong)
+
+
+def test_pose_filter_bends_and_correlated_estimates_raise_the_deviation():
+    T, label, deviations = np.eye(4), from_mm_deg([0, 0, -2, 0, 0, 0]), from_mm_deg([0.1] * 3 + [1.0] * 3)
+    D = matrix([0, 1e-3, 0], Rotation.identity())
+
+    def deviation(settings):
+        pose_filter = PoseFilter("surface", settings)
+        pose_filter.step(T, label, deviations)
+        return pose_filter.step(T @ D, label, deviations).deviations[3]
+
+    alone = deviation(IDEAL)
+    assert np.degrees(alone) == pytest.approx(np.sqrt(0.5), rel=0.05)
+    assert deviation(replace(IDEAL, bend_deg_per_mm=3.0)) > 1.2 * alone
+    assert deviation(replace(IDEAL, correlated_estimates=4.0)) == pytest.approx(2 * alone, rel=0.05)
