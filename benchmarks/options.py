@@ -109,10 +109,8 @@ class LearningOptions:
     """Number of training contacts of most rows, as in the paper."""
     large_contacts: int = 8000
     """Number of training contacts of the row `laptop-large`, whose network is shipped."""
-    curved_contacts: int = 2000
-    """Number of training contacts of the row `laptop-curved`, on curved surfaces."""
-    fast_contacts: int = 32000
-    """Number of training contacts of the row `laptop-fast`, which the learned tip predicts."""
+    fast_images: int = 48000
+    """Number of training images of the rows `laptop-fast` and `laptop-curved`, whose contacts the learned tip predicts."""
     snapshot_contacts: int = 350
     """Number of training contacts of the row `laptop-snapshots`, with 20 images each."""
     test_contacts: int = 2000
@@ -131,6 +129,22 @@ class LearningOptions:
     """Names of the rows to measure; default: all. Other rows of this version remain on the page."""
     paper: bool = False
     """Train the paper's own network, too. It needs a GPU."""
+
+
+@dataclass(frozen=True)
+class UncertaintyOptions:
+    """Measure what the shipped networks tell by normal force, their standard deviations, and what they do not know."""
+
+    data: Path = Path("data/learning")
+    """Folder of the data sets of `tactip bench learning`."""
+    test_contacts: int = 1000
+    """Number of test contacts of each task."""
+    light_test_contacts: int = 500
+    """Number of test contacts with light ones."""
+    out: Path = Path("docs")
+    """Folder for uncertainty.json, uncertainty.md and uncertainty.png."""
+    workers: str = "auto"
+    """Number of worker processes that simulate contacts; auto: one per core."""
 
 
 @dataclass(frozen=True)
@@ -372,6 +386,7 @@ MEASUREMENTS = {
     "mesh-contact": Measurement("tactip_twin.benchmarks.physics.mesh_contact", MeshContactOptions, "mesh_contact.md"),
     "scene-cost": Measurement("tactip_twin.benchmarks.physics.scene_cost", SceneCostOptions, "scene_cost.md"),
     "learning": Measurement("tactip_twin.benchmarks.learning.learning", LearningOptions, "learning.md"),
+    "uncertainty": Measurement("tactip_twin.benchmarks.learning.uncertainty", UncertaintyOptions, "uncertainty.md"),
     "fast-tip": Measurement("tactip_twin.benchmarks.learning.fast_tip", FastTipOptions, "fast_tip.md"),
     "sliding-tip": Measurement("tactip_twin.benchmarks.learning.sliding_tip", SlidingTipOptions, "sliding_tip.md"),
     "any-materials": Measurement("tactip_twin.benchmarks.learning.any_materials", AnyMaterialsOptions, "any_materials.md"),

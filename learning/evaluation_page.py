@@ -10,6 +10,8 @@ from tactip_twin.learning.data import Samples
 from tactip_twin.learning.evaluate import Evaluation, tables
 from tactip_twin.learning.labels import Labels
 from tactip_twin.learning.model import Model
+from tactip_twin.learning.quantities import QUANTITIES
+from tactip_twin.learning.uncertainty import uncertainty
 from tactip_twin.sim.view.plot import COLORS, figure_of, save_figure
 from tactip_twin.tactip_model.files import write_file
 
@@ -18,7 +20,7 @@ _SMOOTHING = 0.08
 
 
 def write_evaluation(evaluation: Evaluation, samples: Samples, model: Model, folder: str | Path) -> None:
-    """Write evaluation.json, evaluation.md, errors.png and worst.png to a folder. Raises OSError."""
+    """Write evaluation.json, evaluation.md and its figures to a folder. Raises OSError."""
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     record = evaluation.figures | tables(evaluation, samples, model.labels)
@@ -26,7 +28,11 @@ def write_evaluation(evaluation: Evaluation, samples: Samples, model: Model, fol
     write_file(folder / "evaluation.json", (json.dumps(record, indent=1) + "\n").encode())
     write_file(folder / "evaluation.md", markdown(record, model.labels).encode())
     _plot_errors(evaluation, samples, model.labels, folder / "errors.png")
-    _plot_worst(evaluation, samples, model.labels, folder / "worst.png")
+    _plot_frames(evaluation, samples, worst(evaluation, model.labels, 8), folder / "worst.png")
+    if evaluation.deviations is not None:
+        _plot_uncertainty(record, model.labels, folder / "uncertainty.png")
+        order = np.argsort(uncertainty(evaluation.deviations, model.labels.scale), kind="stable")
+        _plot_frames(evaluation, samples, np.concatenate([order[:4], order[-4:]]), folder / "certain.png")
 
 
 def markdown(record: dict[str, Any], labels: Labels) -> str:
@@ -57,7 +63,47 @@ def markdown(record: dict[str, Any], labels: Labels) -> str:
         cells = (" ".join(f"{x:.2f}" for x in w[key]) for key in ("label", "prediction", "shear"))
         lines.append(f"| {w['image']} | " + " | ".join(cells) + " |")
     lines += ["", "![worst](worst.png)"]
-    return "\n".join(lines) + "\n"
+    return "\n".join(lines + _beside_the_pose(record) + _uncertainty(record, units)) + "\n"
+
+
+def _beside_the_pose(record: dict[str, Any]) -> list[str]:
+    """Return the lines on shear, force, slip and contact; none if the network or the set has none."""
+    lines, units = [], {q.name: q.unit for q in QUANTITIES}
+    if "quantities" in record:
+        lines += ["", "## Shear, force and slip", "", "| quantity | mean absolute error |", "|---|---|"]
+        lines += [f"| {name} | {value:.3f} {units[name]} |" for name, value in record["quantities"].items()]
+    if "contact" in record:
+        c = record["contact"]
+        lines += ["", f"Contact: {100 * c['missed_fraction']:.1f} % of {c['samples_in_contact']} contacts missed, "]
+        lines[-1] += f"{100 * c['false_fraction']:.1f} % of {c['samples_without']} images without contact taken for one."
+    return lines
+
+
+def _uncertainty(record: dict[str, Any], units: dict[str, str]) -> list[str]:
+    """Return the lines on standard deviations; none if the network has none. units: unit by component of the pose."""
+    if "reliability" not in record:
+        return []
+    lines = ["", "## Standard deviations", "", "![uncertainty](uncertainty.png)", ""]
+    lines += ["Fraction of the labels inside of the interval of each probability about the estimate:", ""]
+    names = list(record["reliability"][0]["coverage"])
+    lines += ["| probability | " + " | ".join(names) + " |", "|" + "---|" * (len(names) + 1)]
+    for row in record["reliability"]:
+        lines.append(f"| {row['level']:.0%} | " + " | ".join(f"{100 * row['coverage'][n]:.1f} %" for n in names) + " |")
+    lines += ["", "Mean absolute errors of what is kept when the least certain estimates are left out:", ""]
+    lines += ["| left out | " + " | ".join(units) + " |", "|" + "---|" * (len(units) + 1)]
+    for row in record["rejection"]:
+        lines.append(f"| {row['left_out']:.0%} | " + " | ".join(f"{row['mae'][n]:.3f} {u}" for n, u in units.items()) + " |")
+    if "by_force" in record:
+        lines += ["", "By normal force: mean absolute error, and the labels inside of the 68 % and 95 % intervals:", ""]
+        lines += ["| normal force, N | samples | " + " | ".join(units) + " |", "|" + "---|" * (len(units) + 2)]
+        for row in record["by_force"]:
+            band = f"{row['from_N']:g} to {row['to_N']:g}" if row["to_N"] is not None else f"above {row['from_N']:g}"
+            cells = [
+                f"{row['mae'][n]:.3f} {u} ({100 * row['coverage_68'][n]:.0f} %, {100 * row['coverage_95'][n]:.0f} %)"
+                for n, u in units.items()
+            ]
+            lines.append(f"| {band} | {row['samples']} | " + " | ".join(cells) + " |")
+    return [*lines, "", "The four most certain estimates, and the four least certain:", "", "![certain](certain.png)"]
 
 
 def _smoothed(values: np.ndarray, errors: np.ndarray, at: np.ndarray, width: float) -> tuple[np.ndarray, np.ndarray]:
@@ -102,15 +148,48 @@ def _plot_errors(evaluation: Evaluation, samples: Samples, labels: Labels, path:
     save_figure(figure, path)
 
 
-def _plot_worst(evaluation: Evaluation, samples: Samples, labels: Labels, path: Path) -> None:
-    """Plot the worst samples, with label and prediction."""
-    worst = np.argsort(-((evaluation.errors / labels.scale) ** 2).sum(1))[:8]
+def _plot_uncertainty(record: dict[str, Any], labels: Labels, path: Path) -> None:
+    """Plot coverage over probability, error over what is left out, and error over force, of the pose's components."""
+    figure, axes = figure_of(1, 3, (13, 4.0))
+    for name, unit, color in zip(labels.names, labels.units, COLORS, strict=False):
+        rows = record["reliability"]
+        axes[0].plot([r["level"] for r in rows], [r["coverage"][name] for r in rows], "o-", color=color, ms=3, label=name)
+        rows = record["rejection"]
+        axes[1].plot([r["left_out"] for r in rows], [r["mae"][name] / rows[0]["mae"][name] for r in rows], "o-", color=color)
+        rows = record.get("by_force", [])
+        at = range(len(rows))
+        axes[2].plot(at, [r["mae"][name] for r in rows], "o-", color=color, label=f"{name}, {unit}")
+        # The mean absolute value of a normal variable is 0.8 of its deviation.
+        axes[2].plot(at, [np.sqrt(2 / np.pi) * r["deviation"][name] for r in rows], "--", color=color, lw=0.8)
+    axes[0].plot([0.5, 1], [0.5, 1], color="k", lw=0.6)
+    axes[0].set(xlabel="probability of the interval", ylabel="fraction of labels inside")
+    axes[0].legend(fontsize=8)
+    axes[1].set(xlabel="fraction of estimates left out", ylabel="error / error of all", ylim=(0, None))
+    axes[2].set(xlabel="normal force, N", ylabel="mean absolute error, mm or ° (dashed: expected)", yscale="log")
+    axes[2].set_xticks(range(len(record.get("by_force", []))))
+    axes[2].set_xticklabels(
+        [f"{r['from_N']:g}–{r['to_N']:g}" if r["to_N"] else f"> {r['from_N']:g}" for r in record.get("by_force", [])]
+    )
+    axes[2].legend(fontsize=8)
+    save_figure(figure, path)
+
+
+def worst(evaluation: Evaluation, labels: Labels, count: int) -> np.ndarray:
+    """Return the indices (count,) of the samples with the largest errors over the scales, the largest first."""
+    return np.argsort(-((evaluation.errors / labels.scale) ** 2).sum(1))[:count]
+
+
+def _plot_frames(evaluation: Evaluation, samples: Samples, chosen: np.ndarray, path: Path) -> None:
+    """Plot eight samples with indices `chosen`, with label and prediction, and deviations if there are any."""
     figure, axes = figure_of(2, 4, (12, 6.6))
     for axis in axes:
         axis.axis("off")
-    for axis, i in zip(axes, worst, strict=False):
+    for axis, i in zip(axes, chosen, strict=False):
         axis.imshow(samples.images[i], cmap="gray", interpolation="nearest")
         label = " ".join(f"{x:.1f}" for x in samples.targets[i])
         prediction = " ".join(f"{x:.1f}" for x in evaluation.predictions[i])
-        axis.set_title(f"label {label}\npredicted {prediction}", fontsize=8)
+        title = f"label {label}\npredicted {prediction}"
+        if evaluation.deviations is not None:
+            title += "\n± " + " ".join(f"{x:.2g}" for x in evaluation.deviations[i])
+        axis.set_title(title, fontsize=8)
     save_figure(figure, path)

@@ -26,9 +26,10 @@ from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.dataset.configuration import Configuration
 from tactip_twin.sim.dataset.format import read_meta
 from tactip_twin.sim.dataset.generate import Job, make
-from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES, Ranges
+from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES, Ranges, Split
 from tactip_twin.sim.dataset.symmetry import SYMMETRIES
 from tactip_twin.sim.fast_tip.fast_tip import read_fast_tip, shipped_fast_tip
+from tactip_twin.sim.fast_tip.sliding_tip import read_sliding_tip, shipped_sliding_tip
 from tactip_twin.sim.labels import Task
 from tactip_twin.sim.parallel.worker_pool import worker_count
 from tactip_twin.sim.view.plot import COLORS, figure_of, log_axis, save_figure
@@ -50,11 +51,18 @@ TARGETS = {
 _FINE_TUNING = {"epochs": 16, "learning_rate": 7e-4, "muon_learning_rate": 0.007}
 """Settings of fine-tuning: half of the learning rates, and fewer epochs; estimates [?]."""
 
-_FAST_EPOCHS = 4
-"""Number of epochs on predicted contacts, which are many: estimate [?]."""
+_FAST_TRAINING = {"learning_rate": 1e-3, "muon_learning_rate": 0.01}
+"""Settings of trainings on predicted contacts, which start from a shipped network but add outputs to it [?]."""
 
-_FAST_SEED = 1
-"""Seed of predicted contacts: those of seed 0 are what the learned tip was taught on."""
+_FAST_EPOCHS: dict[Task, int] = {"surface": 8, "edge": 14}
+"""Number of epochs on predicted contacts; surfaces need fewer [?]."""
+
+_FAST_SEED, _FAST_VAL_SEED, _LIGHT_SEED = 11, 12, 13
+"""Seeds of predicted contacts, of their validation contacts, and of the test contacts with light ones. The learned tip was
+taught on contacts of seed 0."""
+
+_LIGHT_DEPTH_MM = (-5.0, 0.0)
+"""Depths of contacts from none at all: the paper's begin at 1 mm, where a servo has long touched."""
 
 FILTERS = (4, 8, 16)
 """Numbers of filters of the first layer of smaller networks."""
@@ -68,6 +76,9 @@ and one trained on these alone errs by 0.2 mm of depth on a sphere [M]."""
 
 SNAPSHOTS = 20
 """Number of images per contact of the row `laptop-snapshots`."""
+
+_CURVED_DEPTH_MM = (-5.0, -0.5)
+"""Depths of contacts on curved surfaces: shallower ones may miss a surface that bends away."""
 
 CURVED_SHEARS = replace(SHEAR_RANGES, x_mm=(-8, 8), y_mm=(-8, 8))
 """Shears on curved surfaces. The paper's are too short for deep contacts to slide, as they always do in servoing."""
@@ -118,11 +129,11 @@ def rows(task: Task, paper: bool) -> list[Row]:
     out.append(Row("laptop-large", "`laptop` on more contacts", "large", laptop))
     start, tuned = f"{task}-{DESIGN}", replace(laptop, settings=replace(laptop.settings, **_FINE_TUNING))
     out.append(Row("laptop-fine-tuned", f"`{start}` fine-tuned on the contacts of `laptop-large`", "large", tuned, start))
-    predicted = f"`{start}` fine-tuned on contacts that the learned tip predicts"
-    few = replace(tuned, settings=replace(tuned.settings, epochs=_FAST_EPOCHS))
-    out.append(Row("laptop-fast", predicted, "fast", few, start))
+    predicted = replace(laptop, settings=replace(laptop.settings, epochs=_FAST_EPOCHS[task], **_FAST_TRAINING))
+    on = "fine-tuned on contacts that the learned tip predicts"
+    out.append(Row("laptop-fast", f"`{start}` {on}, light ones among them", "fast", predicted, start))
     if task == "surface":
-        out.append(Row("laptop-curved", f"`{start}` fine-tuned on curved surfaces", "curved", tuned, start))
+        out.append(Row("laptop-curved", f"`{start}` {on} on curved surfaces", "curved", predicted, start))
     return out
 
 
@@ -131,51 +142,84 @@ def jobs(options: LearningOptions, kinds: Collection[str]) -> list[Job]:
     validation sets of rows of some kinds (Row.kind)."""
     task, still = options.task, Ranges()
     each = len(SYMMETRIES[task])
-    wanted = [("plain", "test", options.test_contacts, SHEAR_RANGES)]
-    wanted += [("taps", "test", options.other_test_contacts, still)]
+    usual, light = POSE_RANGES[task], replace(POSE_RANGES[task], depth_mm=_LIGHT_DEPTH_MM)
+    wanted = [_Wanted("plain", "test", options.test_contacts, usual, SHEAR_RANGES)]
+    wanted += [_Wanted("light", "test", options.other_test_contacts, light, SHEAR_RANGES, _LIGHT_SEED)]
+    wanted += [_Wanted("taps", "test", options.other_test_contacts, usual, still)]
     if {"plain", "symmetric", "large"} & set(kinds):
         # The other rows use a part of the set of `laptop-large` if it exists.
         large = "large" in kinds or _holds(options.data / "symmetric" / task / "train", options.large_contacts * each)
         contacts = options.large_contacts if large else options.contacts
-        wanted += [("symmetric", "train", contacts * each, SHEAR_RANGES)]
+        wanted += [_Wanted("symmetric", "train", contacts * each, usual, SHEAR_RANGES)]
     if "fast" in kinds:
-        wanted += [("fast", "train", options.fast_contacts * each, SHEAR_RANGES)]
-    if {"plain", "symmetric", "large", "fast", "snapshots"} & set(kinds):
-        wanted += [("plain", "val", options.test_contacts, SHEAR_RANGES)]
+        wanted += [_Wanted("fast", "train", options.fast_images, light, SHEAR_RANGES, _FAST_SEED)]
+        wanted += [_Wanted("fast", "val", options.test_contacts, light, SHEAR_RANGES, _FAST_VAL_SEED)]
+    if {"plain", "symmetric", "large", "snapshots"} & set(kinds):
+        wanted += [_Wanted("plain", "val", options.test_contacts, usual, SHEAR_RANGES)]
     if "snapshots" in kinds:
-        wanted += [("snapshots", "train", options.snapshot_contacts * SNAPSHOTS, SHEAR_RANGES)]
+        wanted += [_Wanted("snapshots", "train", options.snapshot_contacts * SNAPSHOTS, usual, SHEAR_RANGES)]
     if "taps" in kinds:
-        wanted += [("taps", "train", options.contacts, still), ("taps", "val", options.other_test_contacts, still)]
+        wanted += [_Wanted("taps", "train", options.contacts, usual, still)]
+        wanted += [_Wanted("taps", "val", options.other_test_contacts, usual, still)]
     if task == "surface":
-        wanted += [("curved", "test", options.other_test_contacts, CURVED_SHEARS)]
+        wanted += [_Wanted("curved", "test", options.other_test_contacts, usual, CURVED_SHEARS)]
         if "curved" in kinds:
-            wanted += [("curved", "train", options.curved_contacts * each, CURVED_SHEARS)]
-            wanted += [("curved", "val", options.other_test_contacts, CURVED_SHEARS)]
-    out, tip = [], shipped_fast_tip(task, DESIGN) if "fast" in kinds else None
-    for kind, split, samples, shear in wanted:
-        augmented = (kind, split) in (("symmetric", "train"), ("fast", "train"), ("curved", "train"))
-        of_tip = tip if kind == "fast" else None
-        configuration = Configuration(
-            task=task,
-            split=split,
-            samples=samples,
-            seed=_FAST_SEED if of_tip else 0,
-            # OpenGL takes longer for eight images than the contact itself. Test sets are rendered by it nevertheless.
-            renderer="raster" if augmented else "pyrender",
-            design=load_design(DESIGN),
-            fidelity=fidelity_named(FIDELITY),
-            pose=POSE_RANGES[task],
-            shear=shear,
-            augment_symmetry=augmented,
-            curvature_per_m=CURVATURES_PER_M if kind == "curved" else (0.0, 0.0),
-            varying_curvature_fraction=VARYING_FRACTION if kind == "curved" else 0.0,
-            snapshots_per_contact=SNAPSHOTS if kind == "snapshots" else 1,
-            # The sets of the networks also teach and test the learned tip.
-            keep_mesh=of_tip is None and (augmented or kind == "plain"),
-            fast_tip=read_fast_tip(of_tip).digest if of_tip else "",
-        )
-        out.append(Job(configuration, options.data / kind / task / split, of_tip))
-    return out
+            touching = replace(usual, depth_mm=_CURVED_DEPTH_MM)
+            wanted += [_Wanted("curved", "train", options.fast_images, touching, CURVED_SHEARS, _FAST_SEED)]
+            wanted += [_Wanted("curved", "val", options.other_test_contacts, touching, CURVED_SHEARS, _FAST_VAL_SEED)]
+    return [_job(options, one) for one in wanted]
+
+
+@dataclass(frozen=True)
+class _Wanted:
+    """A set of the benchmark."""
+
+    kind: str
+    """Kind of contacts (Row.kind, or light)."""
+    split: Split
+    """Its split."""
+    samples: int
+    """Number of samples."""
+    pose: Ranges
+    """Ranges of the poses."""
+    shear: Ranges
+    """Ranges of the shears."""
+    seed: int = 0
+    """Seed."""
+
+
+def _job(options: LearningOptions, wanted: _Wanted) -> Job:
+    """Return the set of a task, with the learned tip that predicts its contacts if one does."""
+    task, kind, split = options.task, wanted.kind, wanted.split
+    augmented = (kind, split) in (("symmetric", "train"), ("fast", "train"), ("curved", "train"))
+    tip: Path | None = None
+    digest = ""
+    if (kind, split) == ("fast", "train"):
+        tip = shipped_fast_tip(task, DESIGN)
+        digest = read_fast_tip(tip).digest
+    elif (kind, split) == ("curved", "train"):
+        tip = shipped_sliding_tip(task, DESIGN)
+        digest = read_sliding_tip(tip).digest
+    configuration = Configuration(
+        task=task,
+        split=split,
+        samples=wanted.samples,
+        seed=wanted.seed,
+        # OpenGL takes longer for eight images than the contact itself. Test sets are rendered by it nevertheless.
+        renderer="raster" if augmented else "pyrender",
+        design=load_design(DESIGN),
+        fidelity=fidelity_named(FIDELITY),
+        pose=wanted.pose,
+        shear=wanted.shear,
+        augment_symmetry=augmented,
+        curvature_per_m=CURVATURES_PER_M if kind == "curved" else (0.0, 0.0),
+        varying_curvature_fraction=VARYING_FRACTION if kind == "curved" else 0.0,
+        snapshots_per_contact=SNAPSHOTS if kind == "snapshots" else 1,
+        # The sets of the networks also teach and test the learned tip.
+        keep_mesh=kind in ("symmetric", "plain"),
+        fast_tip=digest,
+    )
+    return Job(configuration, options.data / kind / task / split, tip)
 
 
 def _holds(folder: Path, samples: int) -> bool:
@@ -196,9 +240,9 @@ class Sets:
         Raises:
             TactipError: A set is missing or damaged.
         """
-        if kind in ("taps", "curved"):
+        if kind in ("taps", "curved", "fast"):
             return read_splits(self._folder(kind))
-        if kind in ("snapshots", "fast"):
+        if kind == "snapshots":
             return read_samples(self._folder(kind) / "train"), read_samples(self._folder("plain") / "val")
         if self._large is None:
             self._large = read_samples(self._folder("symmetric") / "train")
@@ -212,7 +256,9 @@ class Sets:
 
     def tests(self) -> dict[str, Samples]:
         """Return test samples by kind of contact. Raises TactipError if a set is missing or damaged."""
-        kinds = {"sheared": "plain", "taps": "taps"} | ({"curved": "curved"} if self._options.task == "surface" else {})
+        kinds = {"sheared": "plain", "light": "light", "taps": "taps"} | (
+            {"curved": "curved"} if self._options.task == "surface" else {}
+        )
         return {name: read_samples(self._folder(kind) / "test") for name, kind in kinds.items()}
 
     def _folder(self, kind: str) -> Path:

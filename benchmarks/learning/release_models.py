@@ -29,8 +29,8 @@ MAX_BYTES = 5_000_000
 _COUNT_OPTIONS = {
     "laptop-large": "large_contacts",
     "laptop-fine-tuned": "large_contacts",
-    "laptop-curved": "curved_contacts",
-    "laptop-fast": "fast_contacts",
+    "laptop-curved": "fast_images",
+    "laptop-fast": "fast_images",
 }
 """Option of `tactip bench learning` for the number of contacts of a row, if it is not `contacts`."""
 
@@ -133,6 +133,7 @@ def card(model: Model, record: Mapping[str, Any], options: ReleaseModelsOptions)
         lines.append(f"| {name} | " + " | ".join(cells) + " |")
     fidelity = "fast" if made.get("fast_tip") else made["fidelity"]["name"]
     count = _COUNT_OPTIONS.get(options.row, "contacts").replace("_", "-")
+    number = samples if count == "fast-images" else contacts
     network = ", ".join(f"{key} {value}" for key, value in p["network"].items())
     training = ", ".join(f"{key} {value}" for key, value in settings.items())
     lines += [
@@ -149,7 +150,7 @@ def card(model: Model, record: Mapping[str, Any], options: ReleaseModelsOptions)
         "Commands that make it again:",
         "",
         "```",
-        f"tactip bench learning --task {task} --{count} {contacts} --only {options.row}",
+        f"tactip bench learning --task {task} --{count} {number} --only {options.row}",
         f"tactip bench release-models --task {task} --row {options.row}",
         "```",
     ]

@@ -16,12 +16,13 @@ from tactip_twin.tactip_model.presets import design_named
 class _Contact:
     """The part of a contact's record that a row of targets.csv needs."""
 
-    normal_force_n = tangential_force_n = penetration_m = speed_m_s = slip_fraction = contact_area_m2 = 0.0
-    force_n, effective_shear = np.zeros(3), np.zeros(6)
-    volume_ratio, warnings, steps = 1.0, 0, 1
+    tangential_force_n = penetration_m = speed_m_s = contact_area_m2 = 0.0
+    slip_fraction, volume_ratio, warnings, steps = 0.5, 1.0, 0, 1
 
     def __init__(self, pose, shear):
-        self.pose, self.shear = pose, shear
+        self.pose, self.shear, self.effective_shear = pose, shear, 0.5 * shear
+        self.normal_force_n = max(-1e3 * float(pose[2]) - 2, 0.0)  # 1 N per mm beyond 2 mm
+        self.force_n = np.array([0, 0, -self.normal_force_n])
 
 
 def picture(pose_mm_deg, size):

@@ -1,0 +1,246 @@
+"""What an image tells of pose, shear and force, and how well networks know it: `tactip bench uncertainty`.
+
+Evaluates the shipped networks on test contacts, light ones among them, by band of normal force, beside a bound: the error
+that pins at known positions would leave. Writes uncertainty.md, uncertainty.json and uncertainty.png.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tactip_twin.benchmarks.hardware import machine, machine_text
+from tactip_twin.benchmarks.learning.learning import DESIGN, jobs
+from tactip_twin.benchmarks.options import LearningOptions, UncertaintyOptions
+from tactip_twin.benchmarks.report import table, write_results
+from tactip_twin.learning.data import Samples, read_samples
+from tactip_twin.learning.evaluate import Evaluation, evaluate
+from tactip_twin.learning.image_check import ImageCheck, image_check
+from tactip_twin.learning.labels import Labels
+from tactip_twin.learning.model import Model, load_network
+from tactip_twin.learning.quantities import QUANTITIES
+from tactip_twin.learning.uncertainty import FORCE_BANDS_N, uncertainty
+from tactip_twin.sim.dataset.format import read_pins
+from tactip_twin.sim.dataset.generate import make
+from tactip_twin.sim.dataset.sampling import SHEAR_RANGES
+from tactip_twin.sim.fast_tip.fast_tip import PinDecoder, read_fast_tip, shipped_fast_tip
+from tactip_twin.sim.labels import COMPONENTS, TASKS, Task
+from tactip_twin.sim.parallel.worker_pool import worker_count
+from tactip_twin.sim.pose import from_mm_deg
+from tactip_twin.sim.view.plot import COLORS, figure_of, log_axis, save_figure
+from tactip_twin.tactip_model.design import Design
+from tactip_twin.tactip_model.pins import neutral_pins
+from tactip_twin.tactip_model.presets import design_named, load_design
+from tactip_twin.tactip_model.raster_renderer import Raster
+from tactip_twin.tactip_model.tactile_image import tactile_image
+
+PIN_NOISE_MM = 0.03
+"""Standard deviation of each coordinate of a pin in the bound, mm: a tenth of a pixel of a 128 px image, about the error of
+a blob's centre [?]."""
+
+_STEP_MM_DEG = np.array([0.05] * 3 + [0.25] * 3)
+"""Differences for the derivatives of the pins, mm and degrees."""
+
+_ODD_IMAGES = 200
+"""Number of images of each kind that no network has seen."""
+
+
+def run(options: UncertaintyOptions, log: Callable[[str], None] = print) -> dict[str, Any]:
+    """Evaluate the networks, write page and figure, and return the results. Raises TactipError."""
+    result: dict[str, Any] = {"pin_noise_mm": PIN_NOISE_MM, "tasks": {}}
+    for task in TASKS:
+        sets = jobs(
+            LearningOptions(
+                task=task,
+                data=options.data,
+                test_contacts=options.test_contacts,
+                other_test_contacts=options.light_test_contacts,
+            ),
+            (),
+        )
+        needed = [job for job in sets if job.folder.parts[-3] in ("plain", "light")]
+        make(needed, worker_count(options.workers), log)
+        usual, light = (read_samples(job.folder) for job in needed)
+        log(f"{task}: {len(usual)} test contacts, {len(light)} with light ones")
+        result["tasks"][task] = _task(load_network(f"{task}-{DESIGN}"), usual, light)
+    result["machine"] = machine()
+    write_results("uncertainty", result, tables(result), options.out)
+    plot(result, options.out / "uncertainty.png")
+    return result
+
+
+def _task(model: Model, usual: Samples, light: Samples) -> dict[str, Any]:
+    """Return the results of a task: the figures of its test sets, the bound by force, and odd images."""
+    evaluated = {name: evaluate(model, samples) for name, samples in (("usual", usual), ("light", light))}
+    out: dict[str, Any] = {name: evaluation.figures for name, evaluation in evaluated.items()}
+    out["bound"] = bound_by_force(usual)
+    out["odd_images"] = _odd_images(model, usual, evaluated["usual"])
+    return out
+
+
+def bound_by_force(samples: Samples) -> list[dict[str, float]]:
+    """Return the mean absolute error of the best unbiased estimate, by component and band of normal force, as JSON.
+
+    It is the Cramér–Rao bound for pins whose positions in plan view are known with PIN_NOISE_MM, with the shear unknown
+    within its range as the labels are within theirs. The pins' derivatives are those of the learned tip.
+    """
+    labels, design = samples.labels, load_design(DESIGN)
+    poses, shears = from_mm_deg(samples.dataset.poses), from_mm_deg(samples.shears)
+    tip = read_fast_tip(shipped_fast_tip(_task_of(labels), DESIGN))
+    decoder = PinDecoder(design, tip.modes)
+    pose_rows = [COMPONENTS.index(c) for c in labels.components]
+    shear_widths = np.ptp(SHEAR_RANGES.bounds(), axis=1)
+    shear_rows = [k for k in range(6) if shear_widths[k] > 0]
+    columns = []
+    for rows, which in ((pose_rows, 0), (shear_rows, 1)):
+        for row in rows:
+            step = np.zeros(6)
+            step[row] = _STEP_MM_DEG[row]
+            moved = []
+            for sign in (1, -1):
+                changed = [poses, shears]
+                changed[which] = changed[which] + from_mm_deg(sign * step)
+                moved.append(1e3 * tip.predict(decoder, *changed).pin_tips[..., :2])
+            columns.append(((moved[0] - moved[1]) / (2 * step[row])).reshape(len(poses), -1))
+    jacobians = np.stack(columns, -1)
+    widths = np.concatenate([np.subtract(labels.high, labels.low), shear_widths[shear_rows]])
+    information = jacobians.transpose(0, 2, 1) @ jacobians / PIN_NOISE_MM**2 + np.diag(12 / widths**2)
+    covariances = np.linalg.inv(information)
+    deviations = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))[:, : len(pose_rows)]
+    forces = samples.dataset.measures["normal_force_N"][samples.rows]
+    out = []
+    for low, high in pairwise(FORCE_BANDS_N):
+        chosen = (forces >= low) & (forces < high)
+        if chosen.any():
+            expected = np.sqrt(2 / np.pi) * deviations[chosen].mean(0)
+            out.append({"from_N": low, **dict(zip(labels.names, map(float, expected), strict=True))})
+    return out
+
+
+def _task_of(labels: Labels) -> Task:
+    return "edge" if labels.task == "edge" else "surface"
+
+
+def _odd_images(model: Model, samples: Samples, evaluation: Evaluation) -> list[dict[str, Any]]:
+    """Return how many images of each kind are flagged, by the check of images and by their deviations, as JSON.
+
+    The deviations flag an image if they are larger than for 99 % of the usual ones.
+    """
+    check = image_check(model)
+    images = samples.images[:_ODD_IMAGES]
+    kinds = {"as learned": images, **_altered(samples, load_design(DESIGN))}
+    limit = None
+    if evaluation.deviations is not None:
+        limit = float(np.quantile(uncertainty(evaluation.deviations, model.labels.scale), 0.99))
+    return [{"images": name, **_flagged(model, check, some, limit)} for name, some in kinds.items()]
+
+
+def _flagged(model: Model, check: ImageCheck | None, images: np.ndarray, limit: float | None) -> dict[str, float]:
+    """Return the fractions of images (n, size, size) that are flagged by check, by deviations, and by either, as JSON."""
+    by_check = np.array([bool(check.problem(image)) if check else False for image in images])
+    deviations = model.estimate(images).deviations
+    by_deviation = np.zeros(len(images), bool)
+    if deviations is not None and limit is not None:
+        k = len(model.labels.names)
+        by_deviation = uncertainty(deviations[:, :k], model.labels.scale) > limit
+    both = {"check": by_check, "deviation": by_deviation, "either": by_check | by_deviation}
+    return {name: float(flags.mean()) for name, flags in both.items()}
+
+
+def _altered(samples: Samples, design: Design) -> dict[str, np.ndarray]:
+    """Return images that no network has seen, by kind: another layout of pins, a covered lens, missing pins."""
+    tips, directions = (part[samples.rows][:_ODD_IMAGES] for part in read_pins(samples.folder, samples.dataset.meta))
+    rng, size = np.random.default_rng(0), design.image.size_px
+    images = samples.images[:_ODD_IMAGES]
+    covered = images.copy()
+    covered[:, :, : size // 2] = 0
+    half = np.array([rng.permutation(tips.shape[1])[: tips.shape[1] // 2] for _ in tips])
+    raster = Raster(design)
+
+    def rendered(of: Design, some: np.ndarray, their: np.ndarray, by: Raster) -> np.ndarray:
+        """Return the image (size, size) of pins (p, 3), (p, 3) under the optics of a design."""
+        return tactile_image(by.render(some.astype(float), their.astype(float)), of.image)
+
+    missing = [rendered(design, t[k], d[k], raster) for t, d, k in zip(tips, directions, half, strict=True)]
+    other = replace(design_named("tactip-331"), image=replace(design_named("tactip-331").image, size_px=size))
+    moves = tips - neutral_pins(design)[0]
+    their_tips, their_directions = neutral_pins(other)
+    nearest = np.linalg.norm(their_tips[:, None, :2] - neutral_pins(design)[0][None, :, :2], axis=2).argmin(1)
+    other_raster = Raster(other)
+    pressed = [rendered(other, their_tips + move[nearest], their_directions, other_raster) for move in moves]
+    return {
+        "331 pins": np.stack(pressed),
+        "half of the lens covered": covered,
+        "half of the pins missing": np.stack(missing),
+        "mirrored": np.ascontiguousarray(images[:, :, ::-1]),
+    }
+
+
+def tables(result: Mapping[str, Any]) -> dict[str, str]:
+    """Return the tables of docs/uncertainty.md from uncertainty.json."""
+    out = {}
+    for task, values in result["tasks"].items():
+        names, figures = list(values["usual"]["mae"]), values["usual"]
+        head = ["normal force, N", "contacts", *names]
+        rows = []
+        for row, bound in zip(figures["by_force"], values["bound"], strict=True):
+            band = f"{row['from_N']:g} to {row['to_N']:g}" if row["to_N"] is not None else f"above {row['from_N']:g}"
+            cells = [f"{row['mae'][n]:.3f} ({bound[n]:.3f})" for n in names]
+            rows.append([band, row["samples"], *cells])
+        rows.append(["all", figures["samples"], *(f"{figures['mae'][n]:.3f}" for n in names)])
+        out[f"{task}-errors"] = table(head, rows)
+        covered = [
+            [
+                f"{row['from_N']:g} to {row['to_N']:g}" if row["to_N"] is not None else f"above {row['from_N']:g}",
+                *(f"{100 * row['coverage_68'][n]:.0f} %, {100 * row['coverage_95'][n]:.0f} %" for n in names),
+            ]
+            for row in figures["by_force"]
+        ]
+        out[f"{task}-coverage"] = table(["normal force, N", *names], covered)
+        left = [[f"{row['left_out']:.0%}", *(f"{row['mae'][n]:.3f}" for n in names)] for row in figures["rejection"]]
+        out[f"{task}-rejection"] = table(["left out", *names], left)
+    tasks = list(result["tasks"])
+    units = {q.name: q.unit for q in QUANTITIES}
+    quantities = [
+        [f"{name}, {unit}" if unit else name, *(f"{result['tasks'][t]['usual']['quantities'][name]:.3f}" for t in tasks)]
+        for name, unit in units.items()
+    ]
+    for key, text in (("missed_fraction", "contacts missed"), ("false_fraction", "images without contact taken for one")):
+        cells = []
+        for task in tasks:
+            contact = result["tasks"][task]["light"]["contact"]
+            count = contact["samples_in_contact" if key == "missed_fraction" else "samples_without"]
+            cells.append(f"{100 * contact[key]:.1f} % of {count}" if count else "–")
+        quantities.append([text, *cells])
+    out["quantities"] = table(["quantity", *tasks], quantities)
+    odd = [
+        [task, row["images"], *(f"{100 * row[key]:.0f} %" for key in ("check", "deviation", "either"))]
+        for task in tasks
+        for row in result["tasks"][task]["odd_images"]
+    ]
+    note = f"\n\nMachine: {machine_text(result['machine'])}."
+    out["odd"] = table(["task", "images", "flagged by the check", "by deviations", "by either"], odd) + note
+    return out
+
+
+def plot(result: Mapping[str, Any], path: Path) -> None:
+    """Plot error over normal force, with what the network expects and the bound, one panel per task, into a PNG file."""
+    figure, axes = figure_of(1, len(result["tasks"]), (6.2 * len(result["tasks"]), 4.6))
+    for axis, (task, values) in zip(axes, result["tasks"].items(), strict=True):
+        bands = values["usual"]["by_force"]
+        at = range(len(bands))
+        for name, color in zip(values["usual"]["mae"], COLORS, strict=False):
+            unit = "°" if "_R" in name else "mm"
+            axis.plot(at, [row["mae"][name] for row in bands], "o-", color=color, ms=4, label=f"{name}, {unit}")
+            expected = [np.sqrt(2 / np.pi) * row["deviation"][name] for row in bands]
+            axis.plot(at, expected, "--", color=color, lw=0.9)
+            axis.plot(at, [row[name] for row in values["bound"]], ":", color=color, lw=1.2)
+        axis.set_xticks(list(at))
+        axis.set_xticklabels([f"{r['from_N']:g}–{r['to_N']:g}" if r["to_N"] else f"> {r['from_N']:g}" for r in bands])
+        log_axis(axis, "y")
+        axis.set(xlabel="normal force, N", ylabel="mean absolute error, mm or °", title=task)
+        axis.legend(fontsize=8, title="dashed: expected; dotted: bound", title_fontsize=8)
+    save_figure(figure, path)

@@ -1,0 +1,132 @@
+"""Outputs of a network: losses against closed forms, and what initial weights keep."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from scipy.stats import norm
+
+from helpers.learning_sets import write_fake_splits
+from helpers.trainings import NET, QUICK, quiet
+from tactip_twin.learning.configuration import PoseNetConfig
+from tactip_twin.learning.data import read_splits
+from tactip_twin.learning.model import load_model
+from tactip_twin.learning.outputs import Layout, Split, losses
+from tactip_twin.learning.quantities import QUANTITIES
+from tactip_twin.learning.training import Training
+from tactip_twin.sim.dataset.sampling import POSE_RANGES
+from tactip_twin.tactip_model.errors import TactipError
+
+FULL = replace(NET, deviations=True, quantities=True)
+
+
+def random_split(m=40, n=3, contact=True):
+    generator = torch.Generator().manual_seed(0)
+    numbers = torch.randn(3, m, n, generator=generator, dtype=torch.float64)
+    return Split(numbers[0], 0.3 * numbers[1] - 1, numbers[2, :, 0] if contact else None), numbers[2]
+
+
+def test_losses_with_deviations_are_negative_log_likelihoods():
+    split, targets = random_split(contact=False)
+    expected = -norm.logpdf(targets.numpy(), split.means.numpy(), split.log_deviations.exp().numpy()).sum(1)
+    found = losses(split, targets, torch.zeros(40), beta=0.0)
+    assert np.allclose(found.numpy(), expected - 3 * 0.5 * np.log(2 * np.pi))
+
+
+def test_losses_without_deviations_are_squared_errors():
+    split, targets = random_split(contact=False)
+    found = losses(Split(split.means, None, None), targets, torch.zeros(40), beta=0.5)
+    assert np.allclose(found, (split.means - targets).square().sum(1))
+
+
+def test_losses_beta_one_gives_means_the_gradient_of_squared_errors():
+    """β = 1 weighs errors as half a squared error does; the deviation of the largest likelihood stays where it is."""
+    split, targets = random_split(contact=False)
+    means = split.means.clone().requires_grad_()
+    losses(Split(means, split.log_deviations, None), targets, torch.zeros(40), beta=1.0).sum().backward()
+    assert means.grad is not None
+    assert torch.allclose(means.grad, split.means - targets)
+    logs = (split.means - targets).abs().log().requires_grad_()
+    losses(Split(split.means, logs, None), targets, torch.zeros(40), beta=0.5).sum().backward()
+    assert logs.grad is not None
+    assert torch.allclose(logs.grad, torch.zeros_like(logs), atol=1e-12)
+
+
+def test_losses_unknown_targets_do_not_count():
+    split, targets = random_split()
+    contact = torch.ones(40, dtype=torch.float64)
+    whole = losses(split, targets, contact, 0.5)
+    targets[3, 1], contact[5] = torch.nan, torch.nan
+    found = losses(split, targets, contact, 0.5)
+    assert torch.isfinite(found).all()
+    assert (found != whole).nonzero().flatten().tolist() == [3, 5]
+    poses = Split(split.means[5:6], split.log_deviations[5:6], None)
+    assert found[5] == losses(poses, targets[5:6], contact, 0.5)[0]
+
+
+@pytest.mark.parametrize(("deviations", "quantities"), [(False, False), (True, False), (False, True), (True, True)])
+def test_layout_parts_fill_the_outputs(deviations, quantities):
+    layout = Layout(PoseNetConfig(deviations=deviations, quantities=quantities), 3)
+    split = layout.split(torch.randn(2, layout.size))
+    assert layout.components == split.means.shape[1] == 3 + quantities * len(QUANTITIES)
+    assert (split.log_deviations is not None) == deviations
+    assert (split.contact is not None) == quantities
+    parts = layout.components * (1 + deviations) + quantities
+    assert layout.size == parts
+
+
+def test_initial_weights_keep_the_pose_when_outputs_are_added(splits, tmp_path):
+    quiet(*splits, NET, QUICK, tmp_path / "pose")
+    pose = load_model(tmp_path / "pose")
+    images = splits[1].images
+    training = Training(*splits, FULL, QUICK, init_from=pose)
+    training.net.eval()
+    with torch.inference_mode():
+        found = training.net(torch.from_numpy(images[:, None] / np.float32(255)))[:, :3].numpy() * pose.labels.scale
+    assert np.allclose(found, pose.predict(images), atol=1e-4)
+
+
+def test_initial_weights_keep_the_deviations_when_the_ranges_change(splits, tmp_path):
+    """Deviations are in mm, so labels with another scale need other biases."""
+    quiet(*splits, FULL, QUICK, tmp_path / "full")
+    model = load_model(tmp_path / "full")
+    deeper = replace(POSE_RANGES["surface"], depth_mm=(-10, -1))
+    wide = read_splits(write_fake_splits(tmp_path / "wide", samples=8, pose=deeper))
+    training = Training(*wide, FULL, QUICK, init_from=model)
+    training.net.eval()
+    images = splits[1].images
+    with torch.inference_mode():
+        split = training.layout.split(training.net(torch.from_numpy(images[:, None] / np.float32(255))))
+    found, expected = (
+        split.log_deviations.exp().numpy() * [10, 15, 15, *(q.scale for q in QUANTITIES)],
+        model.estimate(images),
+    )
+    assert np.allclose(found, expected.deviations, rtol=0.02)
+    assert np.allclose(split.means[:, 0] * 10, expected.means[:, 0], atol=1e-4)
+
+
+def test_training_quantities_need_a_set_that_has_them(splits):
+    train, val = splits
+    unknown = replace(train, quantities=np.full_like(train.quantities, np.nan))
+    with pytest.raises(TactipError, match="no forces to learn from"):
+        Training(unknown, val, FULL, QUICK)
+
+
+def test_model_estimates_what_its_set_shows(splits, tmp_path):
+    """The image shows the depth, and the force follows from it: both are learned, with deviations that fit the errors."""
+    train, val = splits
+    settings = replace(QUICK, epochs=120, learning_rate=3e-3)
+    quiet(train, val, replace(FULL, dropout=0.0), settings, tmp_path / "run")
+    model = load_model(tmp_path / "run")
+    found = model.estimate(train.images)
+    assert model.columns[:3] == ("pose_z", "pose_Rx", "pose_Ry")
+    assert found.means.shape == found.deviations.shape == (len(train), 3 + len(QUANTITIES))
+    force = model.columns.index("force_z_N")
+    truth = train.dataset.measures["force_z_N"]
+    assert np.abs(found.means[:, force] - truth).mean() < 0.4 * np.abs(truth - truth.mean()).mean()
+    assert np.array_equal(found.means[:, :3], model.predict(train.images))
+    z = (found.means - np.concatenate([train.targets, train.quantities], 1)) / found.deviations
+    assert 0.3 < np.nanstd(z[:, :3]) < 3
+    touching = train.contact == 1
+    assert found.contact[touching].mean() > found.contact[~touching].mean() + 0.1
