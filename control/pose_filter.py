@@ -7,9 +7,13 @@ contact frame (translation, then rotation vector):
 
 The sensor's measured motion D in its own frame leads to exp(ξ) · T_mean · D, so the error stays the same in the old contact
 frame. The new one lies below the sensor again: moving the frame by G moves the error to Ad(G) ξ, by which an error of tilt
-becomes one of depth. How the object is bent along the step is unknown and adds to P. An estimate from an image is fused
-with the covariance that the network gives it. This is the filter of Lloyd & Lepora, "Pose-and-shear-based tactile servoing"
-(IJRR 43(7), 2024) [R], for poses alone, with a gate: an estimate far from what is predicted does not count.
+becomes one of depth. G also turns the frame, because the object is bent. Its bends are part of the state, three numbers
+that change over a distance: the curvatures of a surface along x and y and its twist, or the turns of an edge's frame along
+it. Without them, a filter lags behind every bend. An estimate from an image is fused with the covariance that the network
+gives it.
+
+This extends the filter of Lloyd & Lepora, "Pose-and-shear-based tactile servoing" (IJRR 43(7), 2024) [R], by the bends and
+by a gate: an estimate far from what is predicted does not count.
 """
 
 from dataclasses import dataclass
@@ -31,6 +35,9 @@ class FilteredPose:
     """(6,), m and rad (sim/pose.py)."""
     covariance: np.ndarray
     """(6, 6) of ξ, m and rad; zero where the task does not define a component."""
+    bends: np.ndarray
+    """(3,) rad/m. Surface: curvature along x, twist, curvature along y, convex positive. Edge: turns about x, y and z of the
+    contact frame per distance along y."""
     accepted: bool
     """Whether the last estimate was fused."""
 
@@ -40,8 +47,11 @@ class FilteredPose:
         return np.sqrt(np.diag(self.covariance))
 
 
-_BEND_DEG_PER_MM: dict[Task, float] = {"surface": 2.0, "edge": 1.0}
-"""Default of FilterSettings.bend_deg_per_mm: a radius of 29 mm on surfaces, 57 mm along edges [?]."""
+_BENDS: dict[Task, tuple[float, float]] = {"surface": (2.0, 10.0), "edge": (1.0, 40.0)}
+"""Defaults of FilterSettings.bend_deg_per_mm and bend_length_mm: radii of 29 mm on surfaces, 57 mm along edges [?]."""
+
+_BEND = slice(6, 9)
+"""Rows of the bends in the state."""
 
 
 class PoseFilter:
@@ -52,16 +62,17 @@ class PoseFilter:
         self._rows = [COMPONENTS.index(c) for c in LEARNED[task]]
         self._task, self._settings = task, settings
         self._limit = float(chi2.ppf(settings.gate_probability, len(self._rows)))
-        per_mm = _BEND_DEG_PER_MM[task] if settings.bend_deg_per_mm is None else settings.bend_deg_per_mm
-        self._bend_rad_per_m = np.radians(per_mm) * 1e3
+        per_mm, length_mm = _BENDS[task]
+        per_mm = per_mm if settings.bend_deg_per_mm is None else settings.bend_deg_per_mm
+        self._bend_rad_per_m = float(np.radians(per_mm)) * 1e3
+        self._bend_length_m = (length_mm if settings.bend_length_mm is None else settings.bend_length_mm) / 1e3
         self._rest = from_mm_deg([settings.rest_mm] * 3 + [settings.rest_deg] * 3)
         self.reset()
 
     def reset(self) -> None:
         """Forget the state, because contact was lost and the next estimate belongs to another place."""
         self._started, self._T, self._T_base_tcp = False, np.eye(4), np.eye(4)
-        self._P = np.zeros((6, 6))
-        self._rejected = 0
+        self._bends, self._P, self._rejected = np.zeros(3), np.zeros((9, 9)), 0
 
     def step(self, T_base_tcp: np.ndarray, label: np.ndarray, deviations: np.ndarray) -> FilteredPose:
         """Take the next estimate, and return the state after it.
@@ -79,26 +90,32 @@ class PoseFilter:
         k = self._rows
         innovation = _log(sensor_in_contact(label) @ inverse(self._T))[k]
         S = self._P[np.ix_(k, k)] + R[np.ix_(k, k)]
-        weighted = np.linalg.solve(S, innovation)
-        if float(innovation @ weighted) > self._limit:
+        if float(innovation @ np.linalg.solve(S, innovation)) > self._limit:
             self._rejected += 1
             if self._rejected > self._settings.max_rejected:
                 return self._start(T_base_tcp, label, R)
-            return FilteredPose(label_of(self._T), self._P.copy(), accepted=False)
+            return self._state(accepted=False)
         self._rejected = 0
         gain = self._P[:, k] @ np.linalg.inv(S)
-        self._T = _exp(gain @ innovation) @ self._T
-        kept = np.eye(6)
+        correction = gain @ innovation
+        self._T = _exp(correction[:6]) @ self._T
+        self._bends = self._bends + correction[_BEND]
+        kept = np.eye(9)
         kept[:, k] -= gain
-        self._P = _symmetric(kept @ self._P)
-        self._place_frame()
-        return FilteredPose(label_of(self._T), self._P.copy(), accepted=True)
+        self._P = kept @ self._P
+        self._place_frame(self._shift())
+        return self._state(accepted=True)
+
+    def _state(self, accepted: bool) -> FilteredPose:
+        return FilteredPose(label_of(self._T), self._P[:6, :6].copy(), self._bends.copy(), accepted)
 
     def _start(self, T_base_tcp: np.ndarray, label: np.ndarray, R: np.ndarray) -> FilteredPose:
         """Start from an estimate with the covariance R (6, 6)."""
-        self._T, self._T_base_tcp, self._P, self._rejected = sensor_in_contact(label), np.array(T_base_tcp), R, 0
-        self._started = True
-        return FilteredPose(label_of(self._T), R.copy(), accepted=True)
+        self._T, self._T_base_tcp, self._rejected, self._started = sensor_in_contact(label), np.array(T_base_tcp), 0, True
+        self._bends, self._P = np.zeros(3), np.zeros((9, 9))
+        self._P[:6, :6] = R
+        self._P[_BEND, _BEND] = self._bend_rad_per_m**2 * np.eye(3)
+        return self._state(accepted=True)
 
     def _error_covariance(self, label: np.ndarray, deviations: np.ndarray) -> np.ndarray:
         """Return the covariance (6, 6) of ξ for an estimate: a label (6,) with standard deviations (6,)."""
@@ -111,42 +128,62 @@ class PoseFilter:
         M[3:, 3:] = turn
         M[:3, 3:] = _cross(label[:3]) @ turn
         factor = self._settings.correlated_estimates
-        return self._cleared(M @ np.diag(factor * (known * deviations) ** 2) @ M.T)
+        R, defined = M @ np.diag(factor * (known * deviations) ** 2) @ M.T, np.ix_(self._rows, self._rows)
+        out = np.zeros((6, 6))
+        out[defined] = R[defined]
+        return out
 
     def _move(self, D: np.ndarray) -> None:
         """Predict the state after a motion (4, 4) of the sensor in its own frame."""
         self._T = self._T @ D
-        travelled = self._place_frame()
-        added = self._rest**2
-        # A bend by an unknown angle over the distance travelled, and what it changes beside.
-        bend = self._bend_rad_per_m * travelled
-        added = added + np.array([*[(0.5 * bend * travelled) ** 2] * 3, *[bend**2] * 3])
-        self._P = self._cleared(self._P + np.diag(added))
+        shift = self._shift()
+        travelled = float(np.linalg.norm(shift))
+        kept = np.exp(-travelled / self._bend_length_m)
+        B = self._turn_by_bends(shift)
+        F = np.eye(9)
+        F[3:6, _BEND] = -B
+        F[_BEND, _BEND] = kept * np.eye(3)
+        G = matrix(np.zeros(3), Rotation.from_rotvec(-B @ self._bends)) @ matrix(-shift, Rotation.identity())
+        F[:6, :6] = _adjoint(G)
+        self._T, self._bends = G @ self._T, kept * self._bends
+        added = np.concatenate([self._rest**2, np.full(3, self._bend_rad_per_m**2 * (1 - kept**2))])
+        self._P = F @ self._P @ F.T + np.diag(added)
+        self._place_frame(self._shift())
 
-    def _place_frame(self) -> float:
-        """Move the contact frame below the sensor, so the label has the task's components only. Return how far, m."""
-        label = label_of(self._T)
-        shift = np.zeros(3)
-        shift[[i for i in range(2) if i not in self._rows]] = [label[i] for i in range(2) if i not in self._rows]
-        turn = Rotation.identity()
+    def _shift(self) -> np.ndarray:
+        """Return the position (3,), m, of the sensor in the contact frame along what the task does not define."""
+        free = np.array([0 not in self._rows, 1 not in self._rows, False])
+        return np.where(free, self._T[:3, 3], 0.0)
+
+    def _turn_by_bends(self, shift: np.ndarray) -> np.ndarray:
+        """Return the matrix (3, 3) from the bends to the turn of the contact frame over a shift (3,), m."""
+        x, y, _ = shift
+        if self._task == "edge":
+            return y * np.eye(3)
+        # The normal of a convex surface leans towards the shift.
+        return np.array([[0, -x, -y], [x, y, 0], [0, 0, 0]])
+
+    def _place_frame(self, shift: np.ndarray) -> None:
+        """Move the contact frame by a shift (3,), m, and turn it, so the label has the task's components only."""
+        turn, spin = Rotation.identity(), np.eye(3)
         if 5 not in self._rows:
-            w, _, _, z = Rotation.from_rotvec(label[3:]).as_quat(scalar_first=True)
-            turn = Rotation.from_rotvec([0, 0, -2 * np.arctan2(z, w)])
+            w, _, _, z = Rotation.from_rotvec(label_of(self._T)[3:]).as_quat(scalar_first=True)
+            angle = -2 * np.arctan2(z, w)
+            turn, spin = Rotation.from_rotvec([0, 0, angle]), _spun_curvatures(angle)
         G = matrix(turn.apply(-shift), turn)
-        self._T = G @ self._T
-        A = _adjoint(G)
-        self._P = self._cleared(A @ self._P @ A.T)
-        return float(np.linalg.norm(shift))
-
-    def _cleared(self, P: np.ndarray) -> np.ndarray:
-        """Return a covariance (6, 6) without the components that the task does not define."""
-        out, k = np.zeros((6, 6)), np.ix_(self._rows, self._rows)
-        out[k] = P[k]
-        return _symmetric(out)
+        F = np.zeros((9, 9))
+        F[:6, :6], F[_BEND, _BEND] = _adjoint(G), spin
+        self._T, self._bends = G @ self._T, spin @ self._bends
+        P = F @ self._P @ F.T
+        defined = [*self._rows, 6, 7, 8]
+        self._P = np.zeros((9, 9))
+        self._P[np.ix_(defined, defined)] = 0.5 * (P + P.T)[np.ix_(defined, defined)]
 
 
-def _symmetric(P: np.ndarray) -> np.ndarray:
-    return 0.5 * (P + P.T)
+def _spun_curvatures(angle: float) -> np.ndarray:
+    """Return the matrix (3, 3) by which curvatures along x and y and their twist change when vectors turn about z."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c * c, -2 * c * s, s * s], [c * s, c * c - s * s, -c * s], [s * s, 2 * c * s, c * c]])
 
 
 def _cross(v: np.ndarray) -> np.ndarray:

@@ -127,3 +127,42 @@ def test_pose_filter_bends_and_correlated_estimates_raise_the_deviation():
     assert np.degrees(alone) == pytest.approx(np.sqrt(0.5), rel=0.05)
     assert deviation(replace(IDEAL, bend_deg_per_mm=3.0)) > 1.2 * alone
     assert deviation(replace(IDEAL, correlated_estimates=4.0)) == pytest.approx(2 * alone, rel=0.05)
+
+
+def test_pose_filter_finds_the_bend_of_a_rim_and_does_not_lag():
+    """Along a circle of 50 mm the frame turns by 1.15° per mm, more than a filter without bends could follow."""
+    radius, step = 0.05, 1e-3
+    rng, deviations = np.random.default_rng(3), from_mm_deg([0.3, 0, 0.1, 1.0, 1.5, 4.0])
+    in_contact = from_mm_deg([0.4, 0, -2, 2, -3, 5])
+    late, bends = [], []
+    pose_filter = PoseFilter("edge", FilterSettings())
+    for k in range(120):
+        turn = Rotation.from_euler("z", k * step / radius)
+        T_world_contact = matrix(turn.apply([radius, 0, 0]), turn)
+        estimated = in_contact + rng.normal(0, deviations) * [1, 0, 1, 1, 1, 1]
+        found = pose_filter.step(T_world_contact @ sensor_in_contact(in_contact), estimated, deviations)
+        if k >= 20:
+            late.append(to_mm_deg(found.label - in_contact))
+            bends.append(found.bends[2])
+    assert np.mean(bends) * radius == pytest.approx(1, abs=0.25)
+    assert abs(np.mean(late, 0)[5]) < 0.6  # without bends it lags by 3 degrees and more
+    assert (np.std(late, 0)[[0, 2, 3, 4, 5]] < 0.7 * to_mm_deg(deviations)[[0, 2, 3, 4, 5]]).all()
+
+
+def test_pose_filter_finds_the_curvatures_of_a_cylinder():
+    """Of a cylinder along y, convex along x; the sensor is guided along x, back, and along y."""
+    radius, rng = 0.03, np.random.default_rng(4)
+    deviations = from_mm_deg([0, 0, 0.05, 0.5, 0.5, 0])
+    pose_filter = PoseFilter("surface", FilterSettings(bend_length_mm=1e3))
+    angles = [*np.linspace(0, 0.4, 25), *np.linspace(0.4, 0.1, 20), *[0.1] * 15]
+    along_y = [*[0.0] * 45, *np.linspace(0, 0.012, 15)]
+    for angle, y in zip(angles, along_y, strict=True):
+        turn = Rotation.from_euler("y", angle)
+        T_world_contact = matrix(turn.apply([0, 0, radius]) + [0, y, 0], turn)
+        true = from_mm_deg([0, 0, -2, 0, 0, 0])
+        estimated = true + rng.normal(0, 1, 6) * deviations
+        found = pose_filter.step(T_world_contact @ sensor_in_contact(true), estimated, deviations)
+    along_x, twist, across = found.bends
+    assert along_x == pytest.approx(1 / radius, rel=0.15)
+    assert abs(twist) < 6
+    assert abs(across) < 10
