@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from tactip_twin.commands._parsing import Command
+from tactip_twin.learning.filter_settings import FilterSettings
 from tactip_twin.sim2real.sensor.preprocessing_options import ImagePreprocessing
 from tactip_twin.tactip_model.bounds import check, within
 
@@ -43,6 +44,8 @@ class Camera(Command):
     """Port of the page; if it is taken, the next free one."""
     frames: int = within(0, 10**9, default=0)
     """Number of frames after which to stop; 0: read to the end."""
+    filter: FilterSettings = field(default_factory=lambda: FilterSettings(rest_mm=0.2, rest_deg=1.0))
+    """Filter of poses over frames, for networks that estimate deviations."""
     preprocessing: Annotated[ImagePreprocessing, tyro.conf.arg(name="")] = field(
         default_factory=lambda: ImagePreprocessing(threshold=(61, -5.0))
     )
@@ -69,7 +72,7 @@ class Camera(Command):
             count, faults, last = 0, 0, 0.0
             # A camera has no end: Ctrl-C ends the command.
             with suppress(KeyboardInterrupt):
-                for sight in LiveSensor(source, self.preprocessing, model, neutral):
+                for sight in LiveSensor(source, self.preprocessing, model, neutral, self.filter):
                     print(dumps(sight.as_json()), flush=True)
                     count, faults, last = count + 1, faults + bool(sight.fault), sight.time_s
                     if page:

@@ -11,10 +11,10 @@ import numpy as np
 
 from tactip_twin.control.estimator import Estimate, Estimator
 from tactip_twin.control.options import Settings
-from tactip_twin.control.pose_filter import PoseFilter
 from tactip_twin.control.routes import Route
 from tactip_twin.control.servo import Controller, pose_error
 from tactip_twin.learning.labels import Labels
+from tactip_twin.learning.pose_filter import PoseFilter
 from tactip_twin.sim.contact.simulator import Diverged
 from tactip_twin.sim.contact.tip_state import TipState
 from tactip_twin.sim.labels import COMPONENTS

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, get_args
 
+from tactip_twin.learning.filter_settings import FilterSettings
 from tactip_twin.sim.labels import FidelityName, Task
 from tactip_twin.sim.robot.arm_names import ArmName
 from tactip_twin.tactip_model.bounds import check, within
@@ -50,31 +51,6 @@ class Settings:
     """Maximum number of recoveries in a row with fewer than three good steps between them."""
     max_steps: int = within(1, 1000000, default=20000)
     """Maximum number of steps of a run."""
-
-    def __post_init__(self) -> None:
-        check(self)
-
-
-@dataclass(frozen=True)
-class FilterSettings:
-    """Settings of the filter of poses over steps (control/pose_filter.py), for networks that estimate deviations."""
-
-    enabled: bool = True
-    """Fuse the estimates of successive steps."""
-    bend_deg_per_mm: float | None = within(0, 20, default=None)
-    """Standard deviation of the object's bends, degrees per mm. Default: 2 on surfaces, 1 along edges."""
-    bend_length_mm: float | None = within(0.1, 1e4, default=None)
-    """Distance over which the object's bends change, mm. Default: 10 on surfaces, 40 along edges."""
-    rest_mm: float = within(0, 5, default=0.03)
-    """Standard deviation that every step adds to each position, mm [?]."""
-    rest_deg: float = within(0, 45, default=0.1)
-    """Standard deviation that every step adds to each angle, degrees [?]."""
-    correlated_estimates: float = within(1, 1000, default=2.0)
-    """Number of successive estimates that count as one, because their errors are alike [?]."""
-    gate_probability: float = within(0.5, 0.999999, default=0.999)
-    """Probability with which a correct estimate passes the gate."""
-    max_rejected: int = within(0, 1000, default=3)
-    """Maximum number of estimates in a row that the gate rejects; the next one restarts the filter."""
 
     def __post_init__(self) -> None:
         check(self)

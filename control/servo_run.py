@@ -12,11 +12,11 @@ import numpy as np
 from tactip_twin.control.estimator import Estimator, LabelFunction
 from tactip_twin.control.follow import ContourFollower, Event, Step
 from tactip_twin.control.options import ServoOptions
-from tactip_twin.control.pose_filter import PoseFilter
 from tactip_twin.control.score import score
 from tactip_twin.control.servo import Controller, reference_mm_deg
 from tactip_twin.control.servo_setup import ServoSetup, prepare
 from tactip_twin.control.trajectory_figure import write_figure
+from tactip_twin.learning.pose_filter import PoseFilter
 from tactip_twin.sim.pose import inverse
 from tactip_twin.sim.robot.recording import RecordedScene, Recorder, RecordingFullError
 from tactip_twin.sim.view.replay_video import render_frames

@@ -2,12 +2,16 @@
 
 import time
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from tactip_twin.learning.filter_settings import FilterSettings
 from tactip_twin.learning.image_check import image_check
+from tactip_twin.learning.pose_filter import PoseFilter
+from tactip_twin.sim.labels import COMPONENTS
+from tactip_twin.sim.pose import from_mm_deg, to_mm_deg
 from tactip_twin.sim2real.sensor.preprocess import MIN_PIN_FRACTION, FrameReader
 from tactip_twin.sim2real.sensor.preprocessing_options import ImagePreprocessing
 from tactip_twin.tactip_model.errors import TactipError
@@ -15,6 +19,9 @@ from tactip_twin.tactip_model.pin_detection import find_blobs
 
 if TYPE_CHECKING:
     from tactip_twin.learning.model import Model
+
+_MIN_CONTACT_PROBABILITY = 0.5
+"""Probability of contact below which the filter of poses starts again."""
 
 _MIN_PINS = 20
 """Minimum number of pins in the first frame."""
@@ -33,10 +40,13 @@ class Reading:
     image: np.ndarray
     """(size, size) uint8, the tactile image."""
     predicted: dict[str, float]
-    """Predicted components, mm and degrees; empty without a network, or if the frame is unusable."""
+    """Predicted components, mm and degrees, and other quantities that the network estimates; empty without a network, or if
+    the frame is unusable."""
     fault: str
     """Why the frame is unusable; empty if it is usable."""
 
+    deviations: dict[str, float] = field(default_factory=dict)
+    """Standard deviations of the predicted values; empty if the network has none."""
     unlike: str = ""
     """In what the image is unlike those that the network learned, in words; empty if in nothing, or without a network."""
 
@@ -44,6 +54,7 @@ class Reading:
         """Return the Reading as a dict of JSON types, without its image."""
         row: dict[str, Any] = {"frame": self.number, "time_s": round(self.time_s, 4), "pins": self.pins}
         row |= {name: round(value, 4) for name, value in self.predicted.items()}
+        row |= {f"{name}_deviation": round(value, 4) for name, value in self.deviations.items()}
         return row | {name: text for name, text in (("fault", self.fault), ("unlike", self.unlike)) if text}
 
 
@@ -56,6 +67,7 @@ class LiveSensor:
         options: ImagePreprocessing,
         model: "Model | None" = None,
         neutral: np.ndarray | None = None,
+        settings: FilterSettings | None = None,
     ) -> None:
         """Prepare to read frames.
 
@@ -64,6 +76,7 @@ class LiveSensor:
             options: Preprocessing of the frames.
             model: Network that predicts the pose.
             neutral: (h, w, 3) uint8, image of the undeformed tip; the first frame if None.
+            settings: Settings of the filter that fuses the poses of successive frames; None: each frame stands alone.
 
         Raises:
             TactipError: If the network takes images of another size.
@@ -71,6 +84,9 @@ class LiveSensor:
         if model and model.size != options.size_px:
             raise TactipError(f"size_px must be {model.size} for this network, got {options.size_px}")
         self._frames, self._options, self._model, self._neutral = frames, options, model, neutral
+        self._filter = None
+        if model and settings and settings.enabled and model.config.deviations:
+            self._filter = PoseFilter("edge" if model.labels.task == "edge" else "surface", settings)
 
     def __iter__(self) -> Iterator[Reading]:
         """Yield Readings.
@@ -95,9 +111,9 @@ class LiveSensor:
                 continue
             pins = len(find_blobs(binary).centres)
             fault = "" if pins >= MIN_PIN_FRACTION * usual else f"{pins} pins detected, the undeformed tip has {usual}"
-            predicted = {} if fault or self._model is None else _predicted(self._model, image)
+            predicted, deviations = ({}, {}) if fault or self._model is None else self._predicted(self._model, image)
             unlike = check.problem(image) if check and predicted else ""
-            yield Reading(number, time.perf_counter() - start, pins, image, predicted, fault, unlike)
+            yield Reading(number, time.perf_counter() - start, pins, image, predicted, fault, deviations, unlike)
 
     def _reader(self, neutral: np.ndarray) -> tuple[FrameReader, int, float]:
         """Return a FrameReader, the number of pins of the undeformed tip, and the time now, s."""
@@ -112,7 +128,32 @@ class LiveSensor:
             )
         return reader, usual, time.perf_counter()
 
+    def _predicted(self, model: "Model", image: np.ndarray) -> tuple[dict[str, float], dict[str, float]]:
+        """Return a network's estimates and their standard deviations by column, from a tactile image (size, size)."""
+        found = model.estimate(image[None])
+        values, deviations = found.means[0], None if found.deviations is None else found.deviations[0]
+        if self._filter is not None and deviations is not None:
+            values, deviations = _fused(self._filter, model, values, deviations, found.contact)
+        predicted = dict(zip(model.columns, map(float, values), strict=True))
+        if found.contact is not None:
+            predicted["contact"] = float(found.contact[0])
+        return predicted, {} if deviations is None else dict(zip(model.columns, map(float, deviations), strict=True))
 
-def _predicted(model: "Model", image: np.ndarray) -> dict[str, float]:
-    """Return a network's prediction by component from a tactile image (size, size)."""
-    return dict(zip(model.labels.names, (float(v) for v in model.predict(image[None])[0]), strict=True))
+
+def _fused(
+    pose_filter: PoseFilter, model: "Model", values: np.ndarray, deviations: np.ndarray, contact: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return estimates and deviations (c,) whose pose is fused with those of earlier frames, while the tip touches.
+
+    The sensor's motion is unknown: the filter takes it for slow (FilterSettings.rest_mm and rest_deg).
+    """
+    if contact is not None and contact[0] < _MIN_CONTACT_PROBABILITY:
+        pose_filter.reset()
+        return values, deviations
+    rows = [COMPONENTS.index(c) for c in model.labels.components]
+    label, spread = np.zeros(6), np.zeros(6)
+    label[rows], spread[rows] = values[: len(rows)], deviations[: len(rows)]
+    state = pose_filter.step(np.eye(4), from_mm_deg(label), from_mm_deg(spread))
+    fused, their = values.copy(), deviations.copy()
+    fused[: len(rows)], their[: len(rows)] = to_mm_deg(state.label)[rows], to_mm_deg(state.deviations)[rows]
+    return fused, their

@@ -29,7 +29,10 @@ class CameraPage:
         """Show a Reading, and the rate, frames per second."""
         lines = [f"frame {reading.number}, {reading.pins} pins, {rate:.1f} frames/s"]
         if reading.predicted:
-            rows = [f"| {name} | {value:.2f} {'°' if '_R' in name else 'mm'} |" for name, value in reading.predicted.items()]
+            rows = [
+                f"| {name} | {_cell(name, value, reading.deviations.get(name))} |"
+                for name, value in reading.predicted.items()
+            ]
             lines.append("\n".join(["| | predicted |", "|---|---|", *rows]))
         lines += [f"**{reading.fault}**"] if reading.fault else []
         with self._server.atomic():
@@ -42,3 +45,10 @@ class CameraPage:
     def close(self) -> None:
         """Stop serving."""
         stop(self._server)
+
+
+def _cell(name: str, value: float, deviation: float | None) -> str:
+    """Return a value with its unit, and with its standard deviation if there is one."""
+    unit = "°" if "_R" in name or name.endswith("_deg") else "N" if name.endswith("_N") else "mm"
+    unit = "" if name in ("slip_fraction", "contact") else f" {unit}"
+    return f"{value:.2f}{unit}" if deviation is None else f"{value:.2f} ± {deviation:.2f}{unit}"

@@ -8,8 +8,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from tactip_twin.control.options import FilterSettings
-from tactip_twin.control.pose_filter import PoseFilter
+from tactip_twin.learning.filter_settings import FilterSettings
+from tactip_twin.learning.pose_filter import PoseFilter
 from tactip_twin.sim.ground_truth import SurfaceGroundTruth
 from tactip_twin.sim.labels import COMPONENTS, LEARNED
 from tactip_twin.sim.pose import from_mm_deg, label_of, matrix, sensor_in_contact, to_mm_deg
@@ -134,18 +134,21 @@ def test_pose_filter_finds_the_bend_of_a_rim_and_does_not_lag():
     radius, step = 0.05, 1e-3
     rng, deviations = np.random.default_rng(3), from_mm_deg([0.3, 0, 0.1, 1.0, 1.5, 4.0])
     in_contact = from_mm_deg([0.4, 0, -2, 2, -3, 5])
-    late, bends = [], []
-    pose_filter = PoseFilter("edge", FilterSettings())
+    late, without, bends = [], [], []
+    pose_filter, straight = PoseFilter("edge", FilterSettings()), PoseFilter("edge", FilterSettings(bend_deg_per_mm=0.0))
     for k in range(120):
         turn = Rotation.from_euler("z", k * step / radius)
         T_world_contact = matrix(turn.apply([radius, 0, 0]), turn)
         estimated = in_contact + rng.normal(0, deviations) * [1, 0, 1, 1, 1, 1]
-        found = pose_filter.step(T_world_contact @ sensor_in_contact(in_contact), estimated, deviations)
+        T = T_world_contact @ sensor_in_contact(in_contact)
+        found, other = (one.step(T, estimated, deviations) for one in (pose_filter, straight))
         if k >= 20:
+            without.append(to_mm_deg(other.label - in_contact))
             late.append(to_mm_deg(found.label - in_contact))
             bends.append(found.bends[2])
     assert np.mean(bends) * radius == pytest.approx(1, abs=0.25)
-    assert abs(np.mean(late, 0)[5]) < 0.6  # without bends it lags by 3 degrees and more
+    assert abs(np.mean(late, 0)[5]) < 0.9
+    assert abs(np.mean(without, 0)[5]) > 3
     assert (np.std(late, 0)[[0, 2, 3, 4, 5]] < 0.7 * to_mm_deg(deviations)[[0, 2, 3, 4, 5]]).all()
 
 

@@ -1,4 +1,4 @@
-"""Kalman filter on SE(3) of the sensor's pose on the object, over the steps of a servo run.
+"""Kalman filter on SE(3) of the sensor's pose on the object, over the steps of a servo run or the frames of a camera.
 
 The state is the sensor's pose in the contact frame with a normally distributed error ξ, six exponential coordinates in the
 contact frame (translation, then rotation vector):
@@ -22,7 +22,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.stats import chi2
 
-from tactip_twin.control.options import FilterSettings
+from tactip_twin.learning.filter_settings import FilterSettings
 from tactip_twin.sim.labels import COMPONENTS, LEARNED, Task
 from tactip_twin.sim.pose import from_mm_deg, inverse, label_of, matrix, sensor_in_contact
 
