@@ -47,7 +47,8 @@ class Train(Command):
         data, recipe = _train_set(arguments), _recipe(arguments)
         network, training = recipe.network, recipe.settings
         if data is not None and not _is_simulated(data):
-            training = replace(training, augmented_fraction=0.0)  # without pins, no images can be rendered
+            # Without pins, no images can be rendered.
+            training = replace(training, augmented_fraction=0.0, undeformed_fraction=0.0)
             if last_value(arguments, "init-from") is None and last_value(arguments, "config") is None:
                 network = replace(network, quantities=False)
         return cls(data=tyro.MISSING, out=tyro.MISSING, network=network, training=training)

@@ -37,7 +37,7 @@ _ARC_DISCS = 24
 
 
 class OpticsAugmentation:
-    """Images of the samples of a set under random optics."""
+    """Images of the n samples of a set under random optics, and, as sample n, of the undeformed tip."""
 
     def __init__(
         self, samples: Samples, fraction: float = 1.0, ranges: OpticsRanges = OPTICS["lens"], device: str = "cpu"
@@ -54,7 +54,13 @@ class OpticsAugmentation:
             TactipError: If the set has no pins.
         """
         tips, directions = _read_pins(samples)
+        self.undeformed = len(tips)
+        """Index of the undeformed tip."""
         design = design_from_dict(samples.dataset.meta["configuration"]["design"], f"{samples.folder}: design")
+        neutral = neutral_pins(design)
+        tips, directions = (
+            np.concatenate([a, b[None].astype(a.dtype)]) for a, b in zip((tips, directions), neutral, strict=True)
+        )
         centres, radii = _project_discs(tips, directions, design, samples.size)
         self._size, self._device = samples.size, device
         self._centres, self._radii = torch.from_numpy(centres).to(device), torch.from_numpy(radii).to(device)

@@ -76,7 +76,15 @@ def save_checkpoint(training: Training, folder: Path, record: dict[str, Any]) ->
     write_file(folder / METRICS, lines.encode())
     if finished or best["epoch"] == training.epoch:
         outcome = {"finished": finished, "epochs": training.epoch, "best_epoch": best["epoch"], "val_loss": best["val_loss"]}
-        save_model(folder, training.best, training.config, training.labels, training.size, record | {"outcome": outcome})
+        save_model(
+            folder,
+            training.best,
+            training.config,
+            training.labels,
+            training.size,
+            record | {"outcome": outcome},
+            training.deviation_scale(),
+        )
 
 
 def load_checkpoint(folder: Path, record: dict[str, Any]) -> dict[str, Any] | Literal["finished"] | None:

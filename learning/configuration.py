@@ -163,6 +163,9 @@ class TrainSettings:
     """Factor on the ranges of `optics_ranges`."""
     optics_ranges: OpticsName = "lens"
     """Ranges of the randomized optics (learning/optics_ranges.py); `-clean` leaves image noise out."""
+    undeformed_fraction: float = within(0, 0.5, default=0.0)
+    """Fraction of the training images that show the undeformed tip, for networks that estimate contact: few contacts of a
+    set are as light. They are rendered, so the set needs pins; 0 [P]."""
     beta: float = within(0, 1, default=0.5)
     """Exponent of the standard deviations as weights of the negative log likelihood, where they are estimated
     (learning/outputs.py); 0 weighs all errors alike, 1 as a mean squared error does."""
@@ -274,6 +277,7 @@ _LAPTOP_TRAINING = TrainSettings(
     schedule="cosine",
     augmented_fraction=0.4,
     augmentation_strength=0.2,
+    undeformed_fraction=0.05,
 )
 
 RECIPES: dict[RecipeName, dict[str, Recipe]] = {

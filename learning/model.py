@@ -8,7 +8,7 @@ import json
 import zipfile
 import zlib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +18,13 @@ from numpy.typing import ArrayLike
 
 from tactip_twin.assets import MODELS
 from tactip_twin.learning.configuration import PoseNetConfig
+from tactip_twin.learning.deviation_scale import DeviationScale, fit_deviation_scale
 from tactip_twin.learning.device import one_thread
 from tactip_twin.learning.labels import Labels
 from tactip_twin.learning.outputs import Layout
 from tactip_twin.learning.posenet import PoseNet
 from tactip_twin.learning.quantities import QUANTITIES
+from tactip_twin.sim.dataset.format import FORCES
 from tactip_twin.tactip_model.design_file import from_dict
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.files import write_file
@@ -60,6 +62,8 @@ class Model:
     """Width of its images, px."""
     provenance: dict[str, Any]
     """Data and settings of its training, as JSON."""
+    deviation_scale: DeviationScale | None = None
+    """Factors on the standard deviations as the network estimates them; None: 1."""
 
     def predict(self, images: ArrayLike, batch: int = 256) -> np.ndarray:
         """Predict poses from tactile images.
@@ -117,11 +121,32 @@ class Model:
                 out.append(self.net(to_input(some)).cpu())
             split = layout.split(torch.cat(out).double())
             logs, logits = split.log_deviations, split.contact
-            return Estimates(
-                split.means.numpy() * self.scales,
-                None if logs is None else logs.exp().numpy() * self.scales,
-                None if logits is None else torch.sigmoid(logits).numpy(),
-            )
+            means = split.means.numpy() * self.scales
+            deviations = None if logs is None else logs.exp().numpy() * self.scales
+            if deviations is not None and self.deviation_scale is not None:
+                deviations = deviations * self.deviation_scale.at(self._forces(means))
+            return Estimates(means, deviations, None if logits is None else torch.sigmoid(logits).numpy())
+
+    def _forces(self, means: np.ndarray) -> np.ndarray:
+        """Return the magnitudes (n,), N, of estimated forces; zeros if the network estimates none. means: (n, c)."""
+        if not self.config.quantities:
+            return np.zeros(len(means))
+        return np.linalg.norm(means[:, [self.columns.index(name) for name in FORCES]], axis=1)
+
+    def with_fitted_scale(self, images: np.ndarray, targets: np.ndarray) -> "Model":
+        """Return the model with the factors on its deviations fitted to held-out samples; itself if it has no deviations.
+
+        Args:
+            images: (n, size, size) uint8.
+            targets: (n, c) in the units of the columns; NaN where unknown.
+        """
+        if not self.config.deviations:
+            return self
+        plain = replace(self, deviation_scale=None)
+        found = plain.estimate(images)
+        assert found.deviations is not None  # noqa: S101
+        forces = self._forces(found.means) if self.config.quantities else None
+        return replace(plain, deviation_scale=fit_deviation_scale(found.means - targets, found.deviations, forces))
 
 
 def to_input(images: torch.Tensor) -> torch.Tensor:
@@ -169,6 +194,7 @@ def save_model(
     labels: Labels,
     size: int,
     provenance: dict[str, Any],
+    deviation_scale: DeviationScale | None = None,
 ) -> None:
     """Write a model to a folder.
 
@@ -179,6 +205,7 @@ def save_model(
         labels: Components that it predicts, and their ranges.
         size: Width of its images, px.
         provenance: Data and settings of its training, as JSON.
+        deviation_scale: Factors on its standard deviations, if it estimates any.
 
     Raises:
         OSError: If a file cannot be written.
@@ -194,6 +221,8 @@ def save_model(
         "weights": {"file": WEIGHTS, "sha256": hashlib.sha256(data).hexdigest()},
         "provenance": provenance,
     }
+    if deviation_scale is not None:
+        description["deviation_scale"] = dataclasses.asdict(deviation_scale)
     # The description contains the weights' checksum, so the reader detects a kill between the two writes.
     write_file(folder / WEIGHTS, data)
     write_file(folder / DESCRIPTION, (json.dumps(with_checksum(description), indent=1) + "\n").encode())
@@ -292,4 +321,10 @@ def load_model(folder: str | Path, device: str = "cpu") -> Model:
         raise TactipError(
             f"the weights in {folder} do not match the network in {path}: {str(error).splitlines()[0]}"
         ) from error
-    return Model(to_device(net, device), config, labels, size, description["provenance"])
+    scale = None
+    if "deviation_scale" in description:
+        scale = from_dict(DeviationScale, description["deviation_scale"], f"{path}: deviation_scale")
+    model = Model(to_device(net, device), config, labels, size, description["provenance"], scale)
+    if scale is not None and (not config.deviations or len(scale.factors[0]) != len(model.columns)):
+        raise TactipError(f"{path}: deviation_scale must have a factor for each of {', '.join(model.columns)}")
+    return model

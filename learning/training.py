@@ -20,6 +20,7 @@ import torch
 from tactip_twin.learning.augmentation import OpticsAugmentation
 from tactip_twin.learning.configuration import DeviceName, PoseNetConfig, ScheduleName, TrainSettings
 from tactip_twin.learning.data import Samples
+from tactip_twin.learning.deviation_scale import DeviationScale
 from tactip_twin.learning.device import device_named, is_half
 from tactip_twin.learning.labels import Labels
 from tactip_twin.learning.model import Model, to_device, to_input
@@ -28,6 +29,7 @@ from tactip_twin.learning.optics_ranges import OPTICS
 from tactip_twin.learning.outputs import Layout, losses
 from tactip_twin.learning.posenet import PoseNet
 from tactip_twin.learning.quantities import QUANTITIES
+from tactip_twin.sim.dataset.format import EFFECTIVE_SHEARS, FORCES
 from tactip_twin.tactip_model.errors import TactipError
 
 
@@ -105,11 +107,16 @@ class Training:
         self._optimizers = _optimizers(self.net, settings, self._half)
         # The whole set is kept on the device, as bytes.
         self._images, self._targets, self._contact = self._to_device(train)
+        self._count = len(train)
+        undeformed = settings.undeformed_fraction if config.quantities else 0.0
         self._augmentation = (
             OpticsAugmentation(train, settings.augmentation_strength, OPTICS[settings.optics_ranges], self.device)
-            if settings.augmented_fraction
+            if settings.augmented_fraction or undeformed
             else None
         )
+        self._undeformed = undeformed
+        if self._augmentation and undeformed:
+            self._add_undeformed_tip(self._augmentation)
         self._val_images, self._val_targets, self._val_contact = self._to_device(val)
         self.epoch = 0
         self.history: list[dict[str, float]] = []
@@ -123,10 +130,20 @@ class Training:
         targets, contact = (torch.from_numpy(x.astype(np.float32)).to(self.device) for x in (values, samples.contact))
         return torch.from_numpy(samples.images).to(self.device), targets, contact
 
+    def _add_undeformed_tip(self, augmentation: OpticsAugmentation) -> None:
+        """Append the undeformed tip to the images and targets: without force, slip or contact, at an unknown pose."""
+        zero = [*FORCES, *EFFECTIVE_SHEARS]
+        known = [0.0 if q.name in zero else np.nan for q in QUANTITIES]
+        targets = torch.tensor([np.nan] * len(self.labels.components) + known, device=self.device)
+        image = augmentation.render_plain(torch.tensor([augmentation.undeformed], device=self.device))
+        self._images = torch.cat([self._images, image])
+        self._targets = torch.cat([self._targets, targets[None].to(self._targets.dtype)])
+        self._contact = torch.cat([self._contact, torch.zeros(1, device=self.device)])
+
     @property
     def steps_per_epoch(self) -> int:
         """Number of steps per epoch."""
-        return -(-len(self._images) // self.config.batch_size)
+        return -(-self._count // self.config.batch_size)
 
     @property
     def epochs(self) -> int:
@@ -157,7 +174,7 @@ class Training:
         """
         start = time.perf_counter()
         rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(self.settings.seed, spawn_key=(self.epoch,))))
-        order = torch.from_numpy(rng.permutation(len(self._images))).to(self.device)
+        order = torch.from_numpy(rng.permutation(self._count)).to(self.device)
         devices = [torch.cuda.current_device()] if self.device == "cuda" else []
         with torch.random.fork_rng(devices=devices):
             torch.manual_seed(int(rng.integers(2**62)))
@@ -177,7 +194,7 @@ class Training:
 
     def _batch(self, chosen: torch.Tensor) -> torch.Tensor:
         """Return images (m, size, size) uint8 of samples `chosen` (m,) int, a fraction of them augmented."""
-        if not self._augmentation:
+        if not self._augmentation or not self.settings.augmented_fraction:
             return self._images[chosen]
         plain = torch.rand(len(chosen), 1, 1, device=self.device) >= self.settings.augmented_fraction
         return torch.where(plain, self._images[chosen], self._augmentation.render(chosen))
@@ -190,6 +207,9 @@ class Training:
         for i in range(steps):
             fraction = schedule(self.settings, self.epoch * steps + i, self.epochs * steps) / self.settings.learning_rate
             chosen = order[i * self.config.batch_size : (i + 1) * self.config.batch_size]
+            if self._undeformed:
+                some = torch.rand(len(chosen), device=self.device) < self._undeformed
+                chosen = torch.where(some, torch.full_like(chosen, self._count), chosen)
             with torch.autocast(self.device, dtype=torch.bfloat16, enabled=self._half):
                 out = self.net(to_input(self._batch(chosen)))
             each = losses(self.layout.split(out), self._targets[chosen], self._contact[chosen], self.settings.beta)
@@ -219,6 +239,16 @@ class Training:
                 split = self.layout.split(self.net(to_input(images[part])))
                 total += losses(split, targets[part], contact[part], beta=0.0).sum()
         return float(total) / len(images)
+
+    def deviation_scale(self) -> DeviationScale | None:
+        """Return the factors on the best network's deviations that fit the validation set; None if it has none."""
+        if not self.config.deviations:
+            return None
+        net = PoseNet(self.config, self.size, self.layout.size)
+        net.load_state_dict(self.best)
+        model = Model(to_device(net, self.device), self.config, self.labels, self.size, {})
+        targets = self._val_targets.double().cpu().numpy() * model.scales
+        return model.with_fitted_scale(self._val_images.cpu().numpy(), targets).deviation_scale
 
     def state(self) -> dict[str, Any]:
         """Return everything the next epoch depends on: tensors, numbers and text by name."""

@@ -54,6 +54,9 @@ _FINE_TUNING = {"epochs": 16, "learning_rate": 7e-4, "muon_learning_rate": 0.007
 _FAST_TRAINING = {"learning_rate": 1e-3, "muon_learning_rate": 0.01}
 """Settings of trainings on predicted contacts, which start from a shipped network but add outputs to it [?]."""
 
+_LAST_TRAINING = {"epochs": 2, "min_steps": 0, "learning_rate": 3e-4, "muon_learning_rate": 0.003}
+"""Settings of the row that adds images of the undeformed tip [?]."""
+
 _FAST_EPOCHS: dict[Task, int] = {"surface": 8, "edge": 14}
 """Number of epochs on predicted contacts; surfaces need fewer [?]."""
 
@@ -108,7 +111,7 @@ class Row:
     recipe: Recipe
     """Network and training."""
     init_from: str = ""
-    """Shipped network whose weights are the initial weights; empty: random weights."""
+    """Shipped network, or earlier row, whose weights are the initial weights; empty: random weights."""
 
 
 def rows(task: Task, paper: bool) -> list[Row]:
@@ -130,10 +133,15 @@ def rows(task: Task, paper: bool) -> list[Row]:
     start, tuned = f"{task}-{DESIGN}", replace(laptop, settings=replace(laptop.settings, **_FINE_TUNING))
     out.append(Row("laptop-fine-tuned", f"`{start}` fine-tuned on the contacts of `laptop-large`", "large", tuned, start))
     predicted = replace(laptop, settings=replace(laptop.settings, epochs=_FAST_EPOCHS[task], **_FAST_TRAINING))
-    on = "fine-tuned on contacts that the learned tip predicts"
-    out.append(Row("laptop-fast", f"`{start}` {on}, light ones among them", "fast", predicted, start))
+    contacts_only = replace(predicted, settings=replace(predicted.settings, undeformed_fraction=0.0))
+    last = replace(predicted, settings=replace(predicted.settings, **_LAST_TRAINING))
+    on = "on contacts that the learned tip predicts"
+    out.append(Row("laptop-fast", f"`{start}` fine-tuned {on}, light ones among them", "fast", contacts_only, start))
+    out.append(
+        Row("laptop-contact", "`laptop-fast` fine-tuned with images of the undeformed tip", "fast", last, "laptop-fast")
+    )
     if task == "surface":
-        out.append(Row("laptop-curved", f"`{start}` {on} on curved surfaces", "curved", predicted, start))
+        out.append(Row("laptop-curved", f"`{start}` fine-tuned {on} on curved surfaces", "curved", predicted, start))
     return out
 
 
@@ -287,7 +295,8 @@ def run(options: LearningOptions, log: Callable[[str], None] = print) -> dict[st
         folder = options.runs / options.task / row.name
         log(f"{row.name}: {row.what}")
         training, validation = sets.training(row.kind)
-        initial = load_network(row.init_from) if row.init_from else None
+        earlier = options.runs / options.task / row.init_from
+        initial = load_network(earlier if row.init_from in order else row.init_from) if row.init_from else None
         history = train(training, validation, row.recipe.network, row.recipe.settings, folder, log=log, init_from=initial)
         model = load_model(folder)
         figures = {name: evaluate(model, samples).figures for name, samples in tests.items()}

@@ -31,6 +31,7 @@ _COUNT_OPTIONS = {
     "laptop-fine-tuned": "large_contacts",
     "laptop-curved": "fast_images",
     "laptop-fast": "fast_images",
+    "laptop-contact": "fast_images",
 }
 """Option of `tactip bench learning` for the number of contacts of a row, if it is not `contacts`."""
 
@@ -96,8 +97,10 @@ def _initial_weights(model: Model, options: ReleaseModelsOptions) -> list[str]:
     """Return a line on the initial weights of a training; none if they were random."""
     if "initial_weights" not in model.provenance:
         return []
-    (start,) = (row.init_from for row in rows(options.task, False) if row.name == options.row)
-    same = net_sha256(load_network(start).net) == model.provenance["initial_weights"]
+    table = {row.name: row for row in rows(options.task, False)}
+    start = table[options.row].init_from
+    source = options.runs / options.task / start if start in table else start
+    same = net_sha256(load_network(source).net) == model.provenance["initial_weights"]
     its = "" if same else " of an earlier version"
     return [f"- Initial weights: `{start}`{its} (checksum {model.provenance['initial_weights'][:16]})."]
 

@@ -266,7 +266,7 @@ class Experiment:
         val = min(VAL_FRAMES, round(_MAX_VAL_FRACTION * count))
         known = self.split.known.take(slice(0, count))
         recipe = self._recipe()
-        plain = replace(recipe.settings, augmented_fraction=0.0, seed=self.settings.seed)
+        plain = replace(recipe.settings, augmented_fraction=0.0, undeformed_fraction=0.0, seed=self.settings.seed)
         network = replace(recipe.network, quantities=False)  # real frames have no forces
         folder = self.out / f"network-real-{count}"
         train(known.take(slice(val, None)), known.take(slice(0, val)), network, plain, folder, self._device, self._log)

@@ -98,7 +98,7 @@ def fine_tune(
             raise Interrupted("fine-tuning keeps no partial results: run the same command to start again") from None
     folder.mkdir(parents=True, exist_ok=True)
     remove_leftovers(folder)
-    save_model(folder, state, model.config, model.labels, model.size, model.provenance | record)
+    save_model(folder, state, model.config, model.labels, model.size, model.provenance | record, model.deviation_scale)
 
 
 def _recorded(folder: Path, record: dict[str, Any]) -> dict[str, Any] | None:

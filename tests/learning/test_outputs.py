@@ -7,16 +7,21 @@ import pytest
 import torch
 from scipy.stats import norm
 
-from helpers.learning_sets import write_fake_splits
+from helpers.learning_sets import add_pins, write_fake_set, write_fake_splits
 from helpers.trainings import NET, QUICK, quiet
 from tactip_twin.learning.configuration import PoseNetConfig
-from tactip_twin.learning.data import read_splits
+from tactip_twin.learning.data import read_samples, read_splits
 from tactip_twin.learning.model import load_model
 from tactip_twin.learning.outputs import Layout, Split, losses
 from tactip_twin.learning.quantities import QUANTITIES
 from tactip_twin.learning.training import Training
+from tactip_twin.sim.dataset.format import EFFECTIVE_SHEARS, FORCES
 from tactip_twin.sim.dataset.sampling import POSE_RANGES
 from tactip_twin.tactip_model.errors import TactipError
+from tactip_twin.tactip_model.pins import neutral_pins
+from tactip_twin.tactip_model.presets import design_named
+from tactip_twin.tactip_model.raster_renderer import Raster
+from tactip_twin.tactip_model.tactile_image import tactile_image
 
 FULL = replace(NET, deviations=True, quantities=True)
 
@@ -130,3 +135,25 @@ def test_model_estimates_what_its_set_shows(splits, tmp_path):
     assert 0.3 < np.nanstd(z[:, :3]) < 3
     touching = train.contact == 1
     assert found.contact[touching].mean() > found.contact[~touching].mean() + 0.1
+
+
+def test_undeformed_tip_is_part_of_the_training(tmp_path):
+    """It shows the neutral pins, has no contact, force and effective shear, and does not say where the sensor is."""
+    design = design_named("nominal-127")
+    folder = write_fake_set(tmp_path / "train", samples=6, size=128)
+    tips, directions = neutral_pins(design)
+    add_pins(folder, np.repeat(tips[None], 6, 0), np.repeat(directions[None], 6, 0))
+    samples = read_samples(folder)
+    training = Training(samples, samples, FULL, replace(QUICK, undeformed_fraction=0.3))
+    assert training.steps_per_epoch == 1  # it is not a sample of its own
+    image = tactile_image(Raster(design).render(tips, directions), design.image)
+    assert np.mean(training._images[6].numpy() != image) < 0.02
+    known = training._targets[6].numpy()[3:]
+    assert training._contact[6] == 0
+    assert np.isnan(training._targets[6, :3]).all()
+    assert [q.name for q, value in zip(QUANTITIES, known, strict=True) if value == 0] == [*EFFECTIVE_SHEARS, *FORCES]
+    assert np.isnan(known).sum() == len(QUANTITIES) - 6
+    training.train_epoch()
+    assert all(torch.isfinite(p).all() for p in training.net.parameters())
+    with pytest.raises(TactipError, match="only simulated sets have pins"):
+        Training(read_samples(write_fake_set(tmp_path / "real", samples=4)), samples, FULL, training.settings)
