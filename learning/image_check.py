@@ -1,7 +1,7 @@
 """Whether images are like those that a network learned: pins, white area and their places against the neutral image.
 
 The neutral image is rendered from the design that the training records, so nothing else is kept with a network. Contacts
-move pins, tilt them and hide some, within limits that were measured (docs/learning.md).
+move pins, tilt them and hide some, within limits that were measured (docs/uncertainty.md).
 """
 
 from dataclasses import dataclass

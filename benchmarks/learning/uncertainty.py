@@ -1,7 +1,7 @@
 """What an image tells of pose, shear and force, and how well networks know it: `tactip bench uncertainty`.
 
-Evaluates the shipped networks on test contacts, light ones among them, by band of normal force, beside a bound: the error
-that pins at known positions would leave. Writes uncertainty.md, uncertainty.json and uncertainty.png.
+Evaluates the shipped networks on test contacts, light ones among them, by band of normal force, beside what pins at
+known positions would tell. Writes uncertainty.md, uncertainty.json and uncertainty.png.
 """
 
 from collections.abc import Callable, Mapping
@@ -21,15 +21,15 @@ from tactip_twin.learning.evaluate import Evaluation, evaluate
 from tactip_twin.learning.image_check import ImageCheck, image_check
 from tactip_twin.learning.labels import Labels
 from tactip_twin.learning.model import Model, load_network
+from tactip_twin.learning.pose_from_pins import PinModel, most_likely
 from tactip_twin.learning.quantities import QUANTITIES
 from tactip_twin.learning.uncertainty import FORCE_BANDS_N, uncertainty
 from tactip_twin.sim.dataset.format import read_pins
 from tactip_twin.sim.dataset.generate import make
-from tactip_twin.sim.dataset.sampling import SHEAR_RANGES
+from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES
 from tactip_twin.sim.fast_tip.fast_tip import PinDecoder, read_fast_tip, shipped_fast_tip
 from tactip_twin.sim.labels import COMPONENTS, TASKS, Task
 from tactip_twin.sim.parallel.worker_pool import worker_count
-from tactip_twin.sim.pose import from_mm_deg
 from tactip_twin.sim.view.plot import COLORS, figure_of, log_axis, save_figure
 from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.pins import neutral_pins
@@ -41,8 +41,8 @@ PIN_NOISE_MM = 0.03
 """Standard deviation of each coordinate of a pin in the bound, mm: a tenth of a pixel of a 128 px image, about the error of
 a blob's centre [?]."""
 
-_STEP_MM_DEG = np.array([0.05] * 3 + [0.25] * 3)
-"""Differences for the derivatives of the pins, mm and degrees."""
+_TIP_ERROR_MM: dict[Task, float] = {"surface": 0.02, "edge": 0.04}
+"""Standard deviation of each coordinate of a pin by what the learned tip has wrong, mm (docs/fast_tip.md) [M]."""
 
 _ODD_IMAGES = 200
 """Number of images of each kind that no network has seen."""
@@ -73,50 +73,43 @@ def run(options: UncertaintyOptions, log: Callable[[str], None] = print) -> dict
 
 
 def _task(model: Model, usual: Samples, light: Samples) -> dict[str, Any]:
-    """Return the results of a task: the figures of its test sets, the bound by force, and odd images."""
+    """Return the results of a task: the figures of its test sets, estimates from pins by force, and odd images."""
     evaluated = {name: evaluate(model, samples) for name, samples in (("usual", usual), ("light", light))}
     out: dict[str, Any] = {name: evaluation.figures for name, evaluation in evaluated.items()}
-    out["bound"] = bound_by_force(usual)
+    out["pins"] = yardsticks_by_force(usual)
     out["odd_images"] = _odd_images(model, usual, evaluated["usual"])
     return out
 
 
-def bound_by_force(samples: Samples) -> list[dict[str, float]]:
-    """Return the mean absolute error of the best unbiased estimate, by component and band of normal force, as JSON.
+def yardsticks_by_force(samples: Samples) -> list[dict[str, Any]]:
+    """Return mean absolute errors of estimates from pins instead of images, by component and band of normal force, as JSON.
 
-    It is the Cramér–Rao bound for pins whose positions in plan view are known with PIN_NOISE_MM, with the shear unknown
-    within its range as the labels are within theirs. The pins' derivatives are those of the learned tip.
+    bound: the Cramér-Rao bound for pins that are known with PIN_NOISE_MM in plan view, with the shear unknown within its
+    range as the labels are within theirs. likelihood: poses of maximum likelihood through the learned tip, from simulated
+    pins with that noise, found from the true pose on. What the learned tip has wrong adds to the noise.
     """
-    labels, design = samples.labels, load_design(DESIGN)
-    poses, shears = from_mm_deg(samples.dataset.poses), from_mm_deg(samples.shears)
-    tip = read_fast_tip(shipped_fast_tip(_task_of(labels), DESIGN))
-    decoder = PinDecoder(design, tip.modes)
-    pose_rows = [COMPONENTS.index(c) for c in labels.components]
-    shear_widths = np.ptp(SHEAR_RANGES.bounds(), axis=1)
-    shear_rows = [k for k in range(6) if shear_widths[k] > 0]
-    columns = []
-    for rows, which in ((pose_rows, 0), (shear_rows, 1)):
-        for row in rows:
-            step = np.zeros(6)
-            step[row] = _STEP_MM_DEG[row]
-            moved = []
-            for sign in (1, -1):
-                changed = [poses, shears]
-                changed[which] = changed[which] + from_mm_deg(sign * step)
-                moved.append(1e3 * tip.predict(decoder, *changed).pin_tips[..., :2])
-            columns.append(((moved[0] - moved[1]) / (2 * step[row])).reshape(len(poses), -1))
-    jacobians = np.stack(columns, -1)
-    widths = np.concatenate([np.subtract(labels.high, labels.low), shear_widths[shear_rows]])
-    information = jacobians.transpose(0, 2, 1) @ jacobians / PIN_NOISE_MM**2 + np.diag(12 / widths**2)
-    covariances = np.linalg.inv(information)
-    deviations = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))[:, : len(pose_rows)]
-    forces = samples.dataset.measures["normal_force_N"][samples.rows]
-    out = []
+    labels, task = samples.labels, _task_of(samples.labels)
+    tip = read_fast_tip(shipped_fast_tip(task, DESIGN))
+    model = PinModel(tip, PinDecoder(load_design(DESIGN), tip.modes), POSE_RANGES[task], SHEAR_RANGES)
+    truth = np.concatenate([samples.dataset.poses, samples.shears], 1)
+    rows = [COMPONENTS.index(c) for c in labels.components]
+    information = model.information(model.jacobians(truth[:, model.free]), PIN_NOISE_MM)
+    bound = np.zeros(truth.shape)
+    bound[:, model.free] = np.sqrt(np.diagonal(np.linalg.inv(information), axis1=1, axis2=2))
+    tips, _ = read_pins(samples.folder, samples.dataset.meta)
+    pins = 1e3 * tips[samples.rows][..., :2].astype(float)
+    pins += np.random.default_rng(0).normal(0, PIN_NOISE_MM, pins.shape)
+    found = most_likely(model, pins, truth, float(np.hypot(PIN_NOISE_MM, _TIP_ERROR_MM[task])))
+    expected = np.sqrt(2 / np.pi) * bound[:, rows]
+    errors = np.abs(found.poses - samples.dataset.poses)[:, rows]
+    forces, out = samples.dataset.measures["normal_force_N"][samples.rows], []
     for low, high in pairwise(FORCE_BANDS_N):
         chosen = (forces >= low) & (forces < high)
         if chosen.any():
-            expected = np.sqrt(2 / np.pi) * deviations[chosen].mean(0)
-            out.append({"from_N": low, **dict(zip(labels.names, map(float, expected), strict=True))})
+            means = {"bound": expected[chosen].mean(0), "likelihood": errors[chosen].mean(0)}
+            out.append(
+                {"from_N": low} | {key: dict(zip(labels.names, map(float, x), strict=True)) for key, x in means.items()}
+            )
     return out
 
 
@@ -186,20 +179,21 @@ def tables(result: Mapping[str, Any]) -> dict[str, str]:
         names, figures = list(values["usual"]["mae"]), values["usual"]
         head = ["normal force, N", "contacts", *names]
         rows = []
-        for row, bound in zip(figures["by_force"], values["bound"], strict=True):
+        for row, pins in zip(figures["by_force"], values["pins"], strict=True):
             band = f"{row['from_N']:g} to {row['to_N']:g}" if row["to_N"] is not None else f"above {row['from_N']:g}"
-            cells = [f"{row['mae'][n]:.3f} ({bound[n]:.3f})" for n in names]
+            cells = [f"{row['mae'][n]:.3f} ({pins['likelihood'][n]:.3f}, {pins['bound'][n]:.3f})" for n in names]
             rows.append([band, row["samples"], *cells])
         rows.append(["all", figures["samples"], *(f"{figures['mae'][n]:.3f}" for n in names)])
         out[f"{task}-errors"] = table(head, rows)
         covered = [
             [
                 f"{row['from_N']:g} to {row['to_N']:g}" if row["to_N"] is not None else f"above {row['from_N']:g}",
+                row["samples"],
                 *(f"{100 * row['coverage_68'][n]:.0f} %, {100 * row['coverage_95'][n]:.0f} %" for n in names),
             ]
-            for row in figures["by_force"]
+            for row in values["light"]["by_force"]
         ]
-        out[f"{task}-coverage"] = table(["normal force, N", *names], covered)
+        out[f"{task}-coverage"] = table(["normal force, N", "contacts", *names], covered)
         left = [[f"{row['left_out']:.0%}", *(f"{row['mae'][n]:.3f}" for n in names)] for row in figures["rejection"]]
         out[f"{task}-rejection"] = table(["left out", *names], left)
     tasks = list(result["tasks"])
@@ -237,10 +231,10 @@ def plot(result: Mapping[str, Any], path: Path) -> None:
             axis.plot(at, [row["mae"][name] for row in bands], "o-", color=color, ms=4, label=f"{name}, {unit}")
             expected = [np.sqrt(2 / np.pi) * row["deviation"][name] for row in bands]
             axis.plot(at, expected, "--", color=color, lw=0.9)
-            axis.plot(at, [row[name] for row in values["bound"]], ":", color=color, lw=1.2)
+            axis.plot(at, [row["likelihood"][name] for row in values["pins"]], ":", color=color, lw=1.4)
         axis.set_xticks(list(at))
         axis.set_xticklabels([f"{r['from_N']:g}–{r['to_N']:g}" if r["to_N"] else f"> {r['from_N']:g}" for r in bands])
         log_axis(axis, "y")
         axis.set(xlabel="normal force, N", ylabel="mean absolute error, mm or °", title=task)
-        axis.legend(fontsize=8, title="dashed: expected; dotted: bound", title_fontsize=8)
+        axis.legend(fontsize=8, title="dashed: expected; dotted: from pins", title_fontsize=8)
     save_figure(figure, path)

@@ -18,6 +18,8 @@ PAGES = {
     "stability": "physics.stability",
     "fidelity": "physics.fidelity_page",
     "learning": "learning.learning",
+    "uncertainty": "learning.uncertainty",
+    "any_materials": "learning.any_materials",
     "fast_tip": "learning.fast_tip",
     "sliding_tip": "learning.sliding_tip",
     "search": "learning.search",
