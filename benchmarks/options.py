@@ -109,14 +109,18 @@ class LearningOptions:
     """Number of training contacts of most rows, as in the paper."""
     large_contacts: int = 8000
     """Number of training contacts of the row `laptop-large`, whose network is shipped."""
+    curved_contacts: int = 400
+    """Number of training contacts of the row `laptop-curved`, on curved surfaces, with 15 images and 8 symmetries each."""
+    curved_test_contacts: int = 40
+    """Number of curved contacts for validation, and as many for testing, with 15 images each."""
     fast_images: int = 48000
-    """Number of training images of the rows `laptop-fast` and `laptop-curved`, whose contacts the learned tip predicts."""
+    """Number of training images of the rows `laptop-fast` and `laptop-contact`, whose contacts the learned tip predicts."""
     snapshot_contacts: int = 350
     """Number of training contacts of the row `laptop-snapshots`, with 20 images each."""
     test_contacts: int = 2000
     """Number of sheared contacts for validation, and as many for testing."""
     other_test_contacts: int = 500
-    """The same for contacts without shear, and for contacts on curved surfaces."""
+    """The same for contacts without shear, and for tests with light contacts."""
     data: Path = Path("data/learning")
     """Folder of the data sets: DATA/KIND/TASK/SPLIT."""
     runs: Path = Path("runs/learning")

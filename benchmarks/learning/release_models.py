@@ -29,7 +29,7 @@ MAX_BYTES = 5_000_000
 _COUNT_OPTIONS = {
     "laptop-large": "large_contacts",
     "laptop-fine-tuned": "large_contacts",
-    "laptop-curved": "fast_images",
+    "laptop-curved": "curved_contacts",
     "laptop-fast": "fast_images",
     "laptop-contact": "fast_images",
 }

@@ -31,6 +31,8 @@ def options(tmp_path, monkeypatch):
         contacts=2,
         large_contacts=3,
         fast_images=4,
+        curved_contacts=1,
+        curved_test_contacts=1,
         snapshot_contacts=1,
         test_contacts=8,
         other_test_contacts=8,
@@ -90,7 +92,7 @@ def test_existing_larger_set_is_used_in_part(options):
 def test_curved_surfaces_belong_to_the_surface_task():
     jobs = [j.configuration for j in learned.jobs(LearningOptions(), KINDS) if j.folder.parts[-3] == "curved"]
     sets = {c.split: (c.samples, c.augment_symmetry) for c in jobs}
-    assert sets == {"train": (48000, True), "val": (500, False), "test": (500, False)}
+    assert sets == {"train": (48000, True), "val": (600, False), "test": (600, False)}
     assert {c.curvature_per_m for c in jobs} == {learned.CURVATURES_PER_M}
     assert all(any(r.kind == "curved" for r in learned.rows(task, False)) == (task == "surface") for task in learned.PAPER)
 
