@@ -61,7 +61,7 @@ class OpticsAugmentation:
         tips, directions = (
             np.concatenate([a, b[None].astype(a.dtype)]) for a, b in zip((tips, directions), neutral, strict=True)
         )
-        centres, radii = _project_discs(tips, directions, design, samples.size)
+        centres, radii = project_discs(tips, directions, design, samples.size)
         self._size, self._device = samples.size, device
         self._centres, self._radii = torch.from_numpy(centres).to(device), torch.from_numpy(radii).to(device)
         r = ranges
@@ -212,7 +212,7 @@ def _read_pins(samples: Samples) -> tuple[np.ndarray, np.ndarray]:
     return tips[samples.rows], directions[samples.rows]
 
 
-def _project_discs(tips: np.ndarray, directions: np.ndarray, design: Design, size: int) -> tuple[np.ndarray, np.ndarray]:
+def project_discs(tips: np.ndarray, directions: np.ndarray, design: Design, size: int) -> tuple[np.ndarray, np.ndarray]:
     """Return centres (n, p, 2) and radii (n, p), px, float32, of the pins in tactile images `size` px wide.
 
     Args:

@@ -64,8 +64,8 @@ _CURVED_EPOCHS = 4
 """Number of epochs on curved surfaces [?]."""
 
 CURVED_SNAPSHOTS = 15
-"""Number of images per contact on curved surfaces. The learned tip predicts the slides between them, as in a servo run, while
-the first contact is mostly simulated and takes seconds."""
+"""Number of images per contact on curved surfaces. The learned tip predicts the slides between them, as in a servo run; the
+first contact is mostly simulated and takes seconds."""
 
 _FAST_SEED, _FAST_VAL_SEED, _LIGHT_SEED = 11, 12, 13
 """Seeds of predicted contacts, of their validation contacts, and of the test contacts with light ones. The learned tip was
@@ -90,7 +90,7 @@ SNAPSHOTS = 20
 _CURVED_DEPTH_MM = (-5.0, -0.5)
 """Depths of contacts on curved surfaces: shallower ones may miss a surface that bends away."""
 
-CURVED_SHEARS = replace(SHEAR_RANGES, x_mm=(-8, 8), y_mm=(-8, 8))
+CURVED_SHEARS = replace(SHEAR_RANGES, x_mm=(-8.0, 8.0), y_mm=(-8.0, 8.0))
 """Shears on curved surfaces. The paper's are too short for deep contacts to slide, as they always do in servoing."""
 
 DESIGN, FIDELITY = "tactip-127", "standard"

@@ -16,6 +16,7 @@ from tactip_twin.benchmarks.options import LearningOptions, ReleaseModelsOptions
 from tactip_twin.learning.data import read_samples
 from tactip_twin.learning.evaluate import evaluate, tables
 from tactip_twin.learning.model import DESCRIPTION, WEIGHTS, Model, load_model, load_network, net_sha256
+from tactip_twin.learning.quantities import QUANTITIES
 from tactip_twin.sim.dataset.format import labels_sha256
 from tactip_twin.sim.dataset.generate import make
 from tactip_twin.sim.dataset.symmetry import SYMMETRIES
@@ -105,6 +106,34 @@ def _initial_weights(model: Model, options: ReleaseModelsOptions) -> list[str]:
     return [f"- Initial weights: `{start}`{its} (checksum {model.provenance['initial_weights'][:16]})."]
 
 
+def _earlier_row(options: ReleaseModelsOptions) -> list[str]:
+    """Return the row whose network is the start of the released one, in a list; empty if it starts from a shipped one."""
+    table = {row.name: row for row in rows(options.task, False)}
+    start = table[options.row].init_from
+    return [start] if start in table else []
+
+
+def _by_force(record: Mapping[str, Any], units: Mapping[str, str]) -> list[str]:
+    """Return the lines on errors by force and on other quantities; none if the network has no deviations."""
+    if "by_force" not in record:
+        return []
+    lines = [
+        "",
+        "A light touch does not determine the pose, and the deviations say so. Mean errors by normal force, and the",
+    ]
+    lines[-1] += " labels inside of the 68 % and 95 % intervals:"
+    lines += ["", "| normal force, N | contacts | " + " | ".join(units) + " |", "|" + "---|" * (2 + len(units))]
+    for row in record["by_force"]:
+        band = f"{row['from_N']:g} to {row['to_N']:g}" if row["to_N"] is not None else f"above {row['from_N']:g}"
+        cells = [
+            f"{row['mae'][n]:.3f} {u} ({100 * row['coverage_68'][n]:.0f} %, {100 * row['coverage_95'][n]:.0f} %)"
+            for n, u in units.items()
+        ]
+        lines.append(f"| {band} | {row['samples']} | " + " | ".join(cells) + " |")
+    found = {q.name: f"{record['quantities'][q.name]:.3f} {q.unit}".strip() for q in QUANTITIES}
+    return [*lines, "", "Mean errors beside the pose: " + ", ".join(f"{k} {v}" for k, v in found.items()) + "."]
+
+
 def card(model: Model, record: Mapping[str, Any], options: ReleaseModelsOptions) -> str:
     """Return the Markdown of a network's card, from its evaluation."""
     task, p, labels = model.labels.task, model.provenance, model.labels
@@ -139,6 +168,7 @@ def card(model: Model, record: Mapping[str, Any], options: ReleaseModelsOptions)
     number = samples if count == "fast-images" else contacts
     network = ", ".join(f"{key} {value}" for key, value in p["network"].items())
     training = ", ".join(f"{key} {value}" for key, value in settings.items())
+    lines += _by_force(record, dict(zip(labels.names, labels.units, strict=True)))
     lines += [
         "",
         f"Evaluated on {record['samples']} test contacts that were not used for training. {record['parameters']} "
@@ -153,7 +183,7 @@ def card(model: Model, record: Mapping[str, Any], options: ReleaseModelsOptions)
         "Commands that make it again:",
         "",
         "```",
-        f"tactip bench learning --task {task} --{count} {number} --only {options.row}",
+        f"tactip bench learning --task {task} --{count} {number} --only {' '.join([*_earlier_row(options), options.row])}",
         f"tactip bench release-models --task {task} --row {options.row}",
         "```",
     ]

@@ -11,11 +11,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from tactip_twin.benchmarks.hardware import machine, machine_text
 from tactip_twin.benchmarks.learning.learning import DESIGN, jobs
 from tactip_twin.benchmarks.options import LearningOptions, UncertaintyOptions
 from tactip_twin.benchmarks.report import table, write_results
+from tactip_twin.learning.augmentation import project_discs
 from tactip_twin.learning.data import Samples, read_samples
 from tactip_twin.learning.evaluate import Evaluation, evaluate
 from tactip_twin.learning.image_check import ImageCheck, image_check
@@ -32,14 +34,17 @@ from tactip_twin.sim.labels import COMPONENTS, TASKS, Task
 from tactip_twin.sim.parallel.worker_pool import worker_count
 from tactip_twin.sim.view.plot import COLORS, figure_of, log_axis, save_figure
 from tactip_twin.tactip_model.design import Design
+from tactip_twin.tactip_model.pin_detection import find_blobs
 from tactip_twin.tactip_model.pins import neutral_pins
 from tactip_twin.tactip_model.presets import design_named, load_design
 from tactip_twin.tactip_model.raster_renderer import Raster
 from tactip_twin.tactip_model.tactile_image import tactile_image
 
-PIN_NOISE_MM = 0.03
-"""Standard deviation of each coordinate of a pin in the bound, mm: a tenth of a pixel of a 128 px image, about the error of
-a blob's centre [?]."""
+SIZES_PX = (128, 256)
+"""Widths of images in which pins are detected."""
+
+_MAX_PIN_ERROR_MM = 0.5
+"""Distance, mm in plan view, beyond which a detected blob is not the nearest pin."""
 
 _TIP_ERROR_MM: dict[Task, float] = {"surface": 0.02, "edge": 0.04}
 """Standard deviation of each coordinate of a pin by what the learned tip has wrong, mm (docs/fast_tip.md) [M]."""
@@ -50,7 +55,7 @@ _ODD_IMAGES = 200
 
 def run(options: UncertaintyOptions, log: Callable[[str], None] = print) -> dict[str, Any]:
     """Evaluate the networks, write page and figure, and return the results. Raises TactipError."""
-    result: dict[str, Any] = {"pin_noise_mm": PIN_NOISE_MM, "tasks": {}}
+    result: dict[str, Any] = {"tasks": {}}
     for task in TASKS:
         sets = jobs(
             LearningOptions(
@@ -76,41 +81,76 @@ def _task(model: Model, usual: Samples, light: Samples) -> dict[str, Any]:
     """Return the results of a task: the figures of its test sets, estimates from pins by force, and odd images."""
     evaluated = {name: evaluate(model, samples) for name, samples in (("usual", usual), ("light", light))}
     out: dict[str, Any] = {name: evaluation.figures for name, evaluation in evaluated.items()}
-    out["pins"] = yardsticks_by_force(usual)
+    out["pins"] = {str(size): pin_noise(usual, size) for size in SIZES_PX}
+    out["from_pins"] = from_pins_by_force(usual, {size: pins["noise_mm"] for size, pins in out["pins"].items()})
     out["odd_images"] = _odd_images(model, usual, evaluated["usual"])
     return out
 
 
-def yardsticks_by_force(samples: Samples) -> list[dict[str, Any]]:
+def from_pins_by_force(samples: Samples, noises_mm: Mapping[str, float]) -> list[dict[str, Any]]:
     """Return mean absolute errors of estimates from pins instead of images, by component and band of normal force, as JSON.
 
-    bound: the Cramér-Rao bound for pins that are known with PIN_NOISE_MM in plan view, with the shear unknown within its
-    range as the labels are within theirs. likelihood: poses of maximum likelihood through the learned tip, from simulated
-    pins with that noise, found from the true pose on. What the learned tip has wrong adds to the noise.
+    bound: the Cramér-Rao bound for pins whose coordinates in plan view are known with a noise; the shear is unknown within
+    its range, as the labels are within theirs. likelihood: poses of maximum likelihood through the learned tip, from
+    simulated pins with that noise, found from the true pose on. What the learned tip has wrong adds to the noise.
+
+    Args:
+        samples: Test contacts.
+        noises_mm: Noise of a coordinate, mm, by width of the image, px.
     """
     labels, task = samples.labels, _task_of(samples.labels)
     tip = read_fast_tip(shipped_fast_tip(task, DESIGN))
     model = PinModel(tip, PinDecoder(load_design(DESIGN), tip.modes), POSE_RANGES[task], SHEAR_RANGES)
     truth = np.concatenate([samples.dataset.poses, samples.shears], 1)
     rows = [COMPONENTS.index(c) for c in labels.components]
-    information = model.information(model.jacobians(truth[:, model.free]), PIN_NOISE_MM)
-    bound = np.zeros(truth.shape)
-    bound[:, model.free] = np.sqrt(np.diagonal(np.linalg.inv(information), axis1=1, axis2=2))
+    jacobians = model.jacobians(truth[:, model.free])
     tips, _ = read_pins(samples.folder, samples.dataset.meta)
     pins = 1e3 * tips[samples.rows][..., :2].astype(float)
-    pins += np.random.default_rng(0).normal(0, PIN_NOISE_MM, pins.shape)
-    found = most_likely(model, pins, truth, float(np.hypot(PIN_NOISE_MM, _TIP_ERROR_MM[task])))
-    expected = np.sqrt(2 / np.pi) * bound[:, rows]
-    errors = np.abs(found.poses - samples.dataset.poses)[:, rows]
+    columns = {}
+    for size, noise in noises_mm.items():
+        bound = np.zeros(truth.shape)
+        information = model.information(jacobians, noise)
+        bound[:, model.free] = np.sqrt(np.diagonal(np.linalg.inv(information), axis1=1, axis2=2))
+        noisy = pins + np.random.default_rng(0).normal(0, noise, pins.shape)
+        found = most_likely(model, noisy, truth, float(np.hypot(noise, _TIP_ERROR_MM[task])))
+        columns[f"bound_{size}"] = np.sqrt(2 / np.pi) * bound[:, rows]
+        columns[f"likelihood_{size}"] = np.abs(found.poses - samples.dataset.poses)[:, rows]
     forces, out = samples.dataset.measures["normal_force_N"][samples.rows], []
     for low, high in pairwise(FORCE_BANDS_N):
         chosen = (forces >= low) & (forces < high)
         if chosen.any():
-            means = {"bound": expected[chosen].mean(0), "likelihood": errors[chosen].mean(0)}
+            means = {key: values[chosen].mean(0) for key, values in columns.items()}
             out.append(
                 {"from_N": low} | {key: dict(zip(labels.names, map(float, x), strict=True)) for key, x in means.items()}
             )
     return out
+
+
+def pin_noise(samples: Samples, size_px: int) -> dict[str, float]:
+    """Return how well the pins of the first samples are found in images of a width, as JSON.
+
+    noise_mm: standard deviation of a coordinate of a detected pin, mm in plan view; found_fraction: detected pins over all,
+    -; pins that touch in the image are detected as one.
+    """
+    design = load_design(DESIGN)
+    design = replace(design, image=replace(design.image, size_px=size_px))
+    raster, neutral = Raster(design), neutral_pins(design)
+    tips, directions = (part[samples.rows][:_ODD_IMAGES] for part in read_pins(samples.folder, samples.dataset.meta))
+    centres, _ = project_discs(tips, directions, design, size_px)
+    of_neutral, _ = project_discs(neutral[0][None], neutral[1][None], design, size_px)
+    mm_per_px = 1e3 * np.ptp(neutral[0][:, :2], axis=0).mean() / np.ptp(of_neutral[0], axis=0).mean()
+    errors, found = [], 0
+    for k in range(len(tips)):
+        image = tactile_image(raster.render(tips[k].astype(float), directions[k].astype(float)), design.image)
+        blobs = find_blobs(image).centres
+        distances, nearest = cKDTree(centres[k]).query(blobs)
+        near = distances * mm_per_px < _MAX_PIN_ERROR_MM
+        errors.append((blobs - centres[k][nearest])[near])
+        found += int(near.sum())
+    return {
+        "noise_mm": float(np.concatenate(errors).std() * mm_per_px),
+        "found_fraction": found / (len(tips) * tips.shape[1]),
+    }
 
 
 def _task_of(labels: Labels) -> Task:
@@ -179,9 +219,9 @@ def tables(result: Mapping[str, Any]) -> dict[str, str]:
         names, figures = list(values["usual"]["mae"]), values["usual"]
         head = ["normal force, N", "contacts", *names]
         rows = []
-        for row, pins in zip(figures["by_force"], values["pins"], strict=True):
+        for row, pins in zip(figures["by_force"], values["from_pins"], strict=True):
             band = f"{row['from_N']:g} to {row['to_N']:g}" if row["to_N"] is not None else f"above {row['from_N']:g}"
-            cells = [f"{row['mae'][n]:.3f} ({pins['likelihood'][n]:.3f}, {pins['bound'][n]:.3f})" for n in names]
+            cells = [" / ".join(f"{of[n]:.3f}" for of in (row["mae"], pins["bound_128"], pins["bound_256"])) for n in names]
             rows.append([band, row["samples"], *cells])
         rows.append(["all", figures["samples"], *(f"{figures['mae'][n]:.3f}" for n in names)])
         out[f"{task}-errors"] = table(head, rows)
@@ -197,6 +237,19 @@ def tables(result: Mapping[str, Any]) -> dict[str, str]:
         left = [[f"{row['left_out']:.0%}", *(f"{row['mae'][n]:.3f}" for n in names)] for row in figures["rejection"]]
         out[f"{task}-rejection"] = table(["left out", *names], left)
     tasks = list(result["tasks"])
+    seen = [
+        [
+            task,
+            size,
+            f"{pins['noise_mm']:.3f}",
+            f"{100 * pins['found_fraction']:.0f} %",
+            *(_range(result["tasks"][task], f"{kind}_{size}") for kind in ("bound", "likelihood")),
+        ]
+        for task in tasks
+        for size, pins in result["tasks"][task]["pins"].items()
+    ]
+    head = ["task", "image, px", "noise of a pin, mm", "pins found", "bound above 0.5 N", "maximum likelihood above 0.5 N"]
+    out["pins"] = table(head, seen)
     units = {q.name: q.unit for q in QUANTITIES}
     quantities = [
         [f"{name}, {unit}" if unit else name, *(f"{result['tasks'][t]['usual']['quantities'][name]:.3f}" for t in tasks)]
@@ -220,6 +273,19 @@ def tables(result: Mapping[str, Any]) -> dict[str, str]:
     return out
 
 
+def _range(values: Mapping[str, Any], key: str) -> str:
+    """Return the mean errors of the components above 0.5 N, in their order, as text. values: results of a task."""
+    weights = {row["from_N"]: row["samples"] for row in values["usual"]["by_force"] if row["from_N"] >= _FIRM_N}
+    rows = [row for row in values["from_pins"] if row["from_N"] in weights]
+    names = list(values["usual"]["mae"])
+    means = [np.average([row[key][n] for row in rows], weights=[weights[row["from_N"]] for row in rows]) for n in names]
+    return ", ".join(f"{mean:.3f}" for mean in means)
+
+
+_FIRM_N = 0.5
+"""Normal force, N, from which on a contact is firm [?]."""
+
+
 def plot(result: Mapping[str, Any], path: Path) -> None:
     """Plot error over normal force, with what the network expects and the bound, one panel per task, into a PNG file."""
     figure, axes = figure_of(1, len(result["tasks"]), (6.2 * len(result["tasks"]), 4.6))
@@ -231,10 +297,10 @@ def plot(result: Mapping[str, Any], path: Path) -> None:
             axis.plot(at, [row["mae"][name] for row in bands], "o-", color=color, ms=4, label=f"{name}, {unit}")
             expected = [np.sqrt(2 / np.pi) * row["deviation"][name] for row in bands]
             axis.plot(at, expected, "--", color=color, lw=0.9)
-            axis.plot(at, [row["likelihood"][name] for row in values["pins"]], ":", color=color, lw=1.4)
+            axis.plot(at, [row["bound_128"][name] for row in values["from_pins"]], ":", color=color, lw=1.4)
         axis.set_xticks(list(at))
         axis.set_xticklabels([f"{r['from_N']:g}–{r['to_N']:g}" if r["to_N"] else f"> {r['from_N']:g}" for r in bands])
         log_axis(axis, "y")
         axis.set(xlabel="normal force, N", ylabel="mean absolute error, mm or °", title=task)
-        axis.legend(fontsize=8, title="dashed: expected; dotted: from pins", title_fontsize=8)
+        axis.legend(fontsize=8, title="dashed: expected; dotted: bound, 128 px", title_fontsize=8)
     save_figure(figure, path)
