@@ -44,7 +44,7 @@ class Camera(Command):
     """Port of the page; if it is taken, the next free one."""
     frames: int = within(0, 10**9, default=0)
     """Number of frames after which to stop; 0: read to the end."""
-    filter: FilterSettings = field(default_factory=lambda: FilterSettings(rest_mm=0.2, rest_deg=1.0))
+    filter: FilterSettings = field(default_factory=lambda: FilterSettings(rest_mm=0.5, rest_deg=3.0, max_rejected=0))
     """Filter of poses over frames, for networks that estimate deviations."""
     preprocessing: Annotated[ImagePreprocessing, tyro.conf.arg(name="")] = field(
         default_factory=lambda: ImagePreprocessing(threshold=(61, -5.0))

@@ -24,7 +24,18 @@ Precision = Literal["auto", "float32", "bfloat16"]
 DeviceName = Literal["auto", "cpu", "cuda"]
 """Names of the devices (device.device_named)."""
 
-OpticsName = Literal["lens", "real", "rim", "steady", "lens-clean", "real-clean", "rim-clean", "steady-clean"]
+OpticsName = Literal[
+    "lens",
+    "lens-jitter",
+    "real",
+    "rim",
+    "steady",
+    "lens-clean",
+    "lens-jitter-clean",
+    "real-clean",
+    "rim-clean",
+    "steady-clean",
+]
 """Names of the ranges of optics (optics_ranges.OPTICS)."""
 
 RecipeName = Literal["laptop", "paper"]

@@ -67,12 +67,14 @@ _NO_NOISE = dict.fromkeys(("pin_each", "jitter_px", "missing", "merged_px", "spe
 
 OPTICS: dict[str, OpticsRanges] = {
     "lens": OpticsRanges(),
+    "lens-jitter": OpticsRanges(jitter_px=0.5),
     "real": _REAL,
     "rim": replace(_REAL, rim_lights=8.0),
     "steady": replace(_REAL, **_STEADY),
 }
 OPTICS |= {f"{name}-clean": replace(ranges, **_NO_NOISE) for name, ranges in OPTICS.items()}
-"""Ranges by name: `lens`, day-to-day changes of one sensor; `real`, differences between real sensors of the same design
+"""Ranges by name: `lens`, day-to-day changes of one sensor; `lens-jitter`, also the chance by which a renderer or a threshold
+makes a pixel white, without which the undeformed tip is recognized by single pixels; `real`, differences between real sensors of the same design
 after calibration to a neutral image; `rim`, the same with light at the rim, for frames that are not masked; `steady`, as
 `real`, for a camera whose zoom and drift since the neutral image were measured. Measuring them matters, because both zoom
 and a deeper contact move pins outwards. Each also exists with the suffix `-clean`, without pin noise and lights."""

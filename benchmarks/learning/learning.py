@@ -54,7 +54,13 @@ _FINE_TUNING = {"epochs": 16, "learning_rate": 7e-4, "muon_learning_rate": 0.007
 _FAST_TRAINING = {"learning_rate": 1e-3, "muon_learning_rate": 0.01}
 """Settings of trainings on predicted contacts, which start from a shipped network but add outputs to it [?]."""
 
-_LAST_TRAINING = {"epochs": 2, "min_steps": 0, "learning_rate": 3e-4, "muon_learning_rate": 0.003}
+_LAST_TRAINING = {
+    "epochs": 2,
+    "min_steps": 0,
+    "learning_rate": 3e-4,
+    "muon_learning_rate": 0.003,
+    "optics_ranges": "lens-jitter",
+}
 """Settings of the row that adds images of the undeformed tip [?]."""
 
 _FAST_EPOCHS: dict[Task, int] = {"surface": 8, "edge": 14}
