@@ -16,7 +16,7 @@ from tactip_twin.sim2real.transfer.settings import TransferSettings
 ExperimentName = Literal["zero-shot", "ablate", "few-shot", "gap"]
 """Names of the experiments on a real set (sim2real/transfer/experiments.py)."""
 
-ServoGroup = Literal["objects", "oracle", "arm", "fidelity", "robust", "starts"]
+ServoGroup = Literal["objects", "oracle", "arm", "fidelity", "robust", "filter", "starts"]
 """Groups of servo runs (benchmarks/servo/servo.py)."""
 
 PerformanceGroup = Literal["samples", "images", "learning", "servo", "shared-cores"]

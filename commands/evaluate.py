@@ -1,8 +1,10 @@
 """tactip evaluate: the errors of a network on a set."""
 
 import sys
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from tactip_twin.commands._parsing import Command
 from tactip_twin.commands._progress import DelayedStatus
@@ -67,7 +69,29 @@ class Evaluate(Command):
         for name, unit in zip(model.labels.names, model.labels.units, strict=True):
             mae, rmse, bias = (figures[key][name] for key in ("mae", "rmse", "bias"))
             print(f"{name}: mean error {mae:.3f} {unit}, rms {rmse:.3f} {unit}, bias {bias:+.3f} {unit}")
+        for line in _beside_the_pose(figures):
+            print(line)
         print(f"{figures['samples']} samples; {figures['parameters']} parameters; {figures['latency_ms']:.1f} ms per image")
         if self.out:
             print(f"{self.out / 'evaluation.md'} written")
         return 0
+
+
+def _beside_the_pose(figures: Mapping[str, Any]) -> Iterator[str]:
+    """Yield lines on what a network estimates beside the pose, and on its standard deviations, if it has any."""
+    from tactip_twin.learning.quantities import QUANTITIES
+
+    units = {q.name: q.unit for q in QUANTITIES}
+    for name, error in figures.get("quantities", {}).items():
+        yield f"{name}: mean error {error:.3f} {units[name]}".rstrip()
+    if "contact" in figures:
+        c = figures["contact"]
+        missed, false = 100 * c["missed_fraction"], 100 * c["false_fraction"]
+        yield (
+            f"contact: {missed:.1f} % of {c['samples_in_contact']} contacts missed, {false:.1f} % of {c['samples_without']} "
+            "images without contact taken for one"
+        )
+    for row in figures.get("reliability", []):
+        if row["level"] in (0.68, 0.95):
+            inside = ", ".join(f"{name} {100 * row['coverage'][name]:.0f} %" for name in figures["mae"])
+            yield f"labels inside of the {row['level']:.0%} intervals: {inside}"

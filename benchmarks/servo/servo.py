@@ -22,8 +22,10 @@ from tactip_twin.benchmarks.hardware import machine, machine_text
 from tactip_twin.benchmarks.options import ServoBenchOptions
 from tactip_twin.benchmarks.report import read_results, table, write_results
 from tactip_twin.benchmarks.servo.contact_patch import RADII_MM, contact_patch_normal
+from tactip_twin.benchmarks.servo.filter_table import WITHOUT, filter_table
 from tactip_twin.control.options import RouteOptions, ServoOptions, Settings
 from tactip_twin.control.servo_run import SCORE, run_servo
+from tactip_twin.learning.filter_settings import FilterSettings
 from tactip_twin.learning.model import load_network, weights_sha256
 from tactip_twin.sim.parallel.worker_pool import WorkerPool, worker_count
 from tactip_twin.sim.robot.objects import load_object
@@ -43,7 +45,7 @@ _START_STEPS = 45
 _MAX_START_MM = 35.0
 """Maximum distance of a random start on a surface from the middle of its region, mm."""
 
-GROUPS = ("objects", "oracle", "arm", "fidelity", "robust", "starts")
+GROUPS = ("objects", "oracle", "arm", "fidelity", "robust", "filter", "starts")
 """Groups of runs."""
 
 
@@ -61,6 +63,12 @@ class Case:
 
 DEPTHS_MM = (1.5, 2.0, 2.5, 3.0, 4.0)
 """Commanded depths in the group `robust`, mm."""
+
+LIGHT_DEPTHS_MM = (1.0, 1.5, 2.0, 3.0)
+"""Commanded depths in the group `filter`, mm."""
+
+_FILTERED = ("rim-round", "rim-uneven")
+"""Whole rims in the group `filter`; the bust is followed on one pass."""
 
 _DEEP = "{:g} mm deep"
 _ON_THE_BUST = [f"bust, {_DEEP.format(mm)}" for mm in DEPTHS_MM]
@@ -110,6 +118,13 @@ def cases(options: ServoBenchOptions) -> list[Case]:
         if others[name]:
             changes |= {"other network": {"model": others[name]}}
         out += [Case("robust", f"{name}, {what}", replace(run, **change)) for what, change in changes.items()]
+    changes = {_DEEP.format(mm): {"depth_mm": mm} for mm in LIGHT_DEPTHS_MM}
+    changes |= {f"noise of {grey:g} grey levels": {"noise_grey": grey} for grey in (15.0, 30.0)}
+    runs = {f"{name}, {what}": replace(_LONG[name], **change) for name in _FILTERED for what, change in changes.items()}
+    runs |= {f"bust, {what}": replace(_SHORT["bust"], **change) for what, change in changes.items()}
+    for name, run in runs.items():
+        out.append(Case("filter", name, run))
+        out.append(Case("filter", f"{name}, {WITHOUT}", replace(run, filter=FilterSettings(enabled=False))))
     for name, run in _LONG.items():
         middle = load_object(name).middle_m
         for seed in range(STARTS):
@@ -251,11 +266,15 @@ _ERRORS = {
 def tables(record: dict[str, Any]) -> dict[str, str]:
     """Return the tables of docs/servo.md from servo.json."""
     groups = record["groups"]
-    out: dict[str, str] = dict.fromkeys(("objects", "arm", "fidelity", "robust", "patches", "starts"), "Not measured.")
+    out: dict[str, str] = dict.fromkeys(
+        ("objects", "arm", "fidelity", "robust", "filter", "patches", "starts"), "Not measured."
+    )
     for group in {"arm", "fidelity", "robust"} & set(groups):
         out[group] = _short_runs(groups[group], speed=group == "fidelity")
     if "objects" in groups:
         out["objects"] = _objects(groups["objects"], groups.get("oracle", []))
+    if "filter" in groups:
+        out["filter"] = filter_table(groups["filter"])
     if "starts" in groups:
         out["starts"] = _starts(groups["starts"])
     if "patches" in record:

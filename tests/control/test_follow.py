@@ -11,7 +11,9 @@ from tactip_twin.control.follow import ContourFollower
 from tactip_twin.control.options import Settings
 from tactip_twin.control.routes import EdgePath, PlanarPath
 from tactip_twin.control.servo import Gains, Servo
+from tactip_twin.learning.filter_settings import FilterSettings
 from tactip_twin.learning.labels import Labels
+from tactip_twin.learning.pose_filter import PoseFilter
 from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.contact.simulator import Diverged
 from tactip_twin.sim.ground_truth import EdgeGroundTruth, SurfaceGroundTruth
@@ -51,7 +53,7 @@ class World:
             self.scene_object.T_base_object @ self.truth.frame(T) @ sensor_in_contact(from_mm_deg([0, 0, off_mm, 0, 0, 0]))
         )
 
-    def follow(self, T, route, estimator=None, **settings):
+    def follow(self, T, route, estimator=None, pose_filter=None, **settings):
         follower = ContourFollower(
             self.mounted_tip,
             estimator or self.oracle,
@@ -60,6 +62,7 @@ class World:
             Settings(**settings),
             self.steps.append,
             time.perf_counter,
+            pose_filter=pose_filter,
         )
         follower.run(T, route)
         return follower
@@ -68,6 +71,38 @@ class World:
         """Return the true labels (n, 6), mm and degrees, of the steps of a phase."""
         to_object = inverse(self.scene_object.T_base_object)
         return np.array([to_mm_deg(self.truth.label(to_object @ s.T_base_tcp)) for s in self.steps if s.phase == phase])
+
+
+class NoisyOracle:
+    """The ground truth with noise, and the noise's deviations."""
+
+    deviations = from_mm_deg([0, 0, 0.2, 3.0, 3.0, 0])
+
+    def __init__(self, oracle):
+        self._oracle, self._rng = oracle, np.random.default_rng(0)
+
+    def estimate(self, touch, T_base_tcp):
+        estimate = self._oracle.estimate(touch, T_base_tcp)
+        noisy = estimate.label + self._rng.normal(0, 1, 6) * self.deviations
+        return replace(estimate, label=noisy, deviations=self.deviations)
+
+
+def test_follower_with_a_filter_follows_noisy_estimates_more_closely():
+    """The recorded label is the fused one, beside that of the image alone; in the air nothing is fused."""
+    errors = {}
+    for name, pose_filter in (("alone", None), ("fused", PoseFilter("surface", FilterSettings(correlated_estimates=1.0)))):
+        world = World("sphere")
+        follower = world.follow(world.start([0, 0, 0.06]), over(world), NoisyOracle(world.oracle), pose_filter)
+        assert follower.stopped_because == "route completed"
+        labels = world.true_labels()
+        errors[name] = np.hypot(labels[:, 3], labels[:, 4]).mean()
+        following = [s for s in world.steps if s.phase == "follow"]
+        same = [np.array_equal(s.estimate.label, s.label_from_image) for s in following]
+        assert all(same) if pose_filter is None else not any(same)
+        assert all(np.array_equal(s.estimate.label, s.label_from_image) for s in world.steps if not s.estimate.touching)
+        if pose_filter is not None:
+            assert all((s.estimate.deviations[2:5] < NoisyOracle.deviations[2:5]).all() for s in following)
+    assert errors["fused"] < 0.75 * errors["alone"]
 
 
 def over(world, length_m=0.012):
