@@ -190,7 +190,14 @@ def _altered(samples: Samples, design: Design) -> dict[str, np.ndarray]:
     images = samples.images[:_ODD_IMAGES]
     covered = images.copy()
     covered[:, :, : size // 2] = 0
-    half = np.array([rng.permutation(tips.shape[1])[: tips.shape[1] // 2] for _ in tips])
+    # A missing pin is drawn on top of one that is there.
+    pins = tips.shape[1]
+    half = []
+    for _ in tips:
+        order = rng.permutation(pins)
+        kept = np.arange(pins)
+        kept[order[: pins // 2]] = order[-1]
+        half.append(kept)
     raster = Raster(design)
 
     def rendered(of: Design, some: np.ndarray, their: np.ndarray, by: Raster) -> np.ndarray:

@@ -18,8 +18,10 @@ from helpers.learning_sets import add_pins, mend_checksums, write_fake_set, writ
 from tactip_twin.learning.checkpoint import METRICS, load_checkpoint, provenance, read_metrics, save_checkpoint
 from tactip_twin.learning.configuration import PoseNetConfig, SearchSpace, TrainSettings, TuneSettings
 from tactip_twin.learning.data import read_samples, read_splits
+from tactip_twin.learning.deviation_scale import DeviationScale
 from tactip_twin.learning.labels import labels_of
 from tactip_twin.learning.model import load_model, save_model
+from tactip_twin.learning.outputs import Layout as OutputLayout
 from tactip_twin.learning.posenet import PoseNet
 from tactip_twin.learning.recipes import read_recipe
 from tactip_twin.learning.search_space import network_of_values
@@ -211,14 +213,17 @@ def read_shards(folder, root):
 
 
 def write_model(folder, root):
-    config = PoseNetConfig(conv_layers=2, filters=2, dense_units=4)
+    config = PoseNetConfig(conv_layers=2, filters=2, dense_units=4, deviations=True, quantities=True)
     labels = labels_of({"task": "surface", "pose": {"depth_mm": [-5, -1], "roll_deg": [-15, 15], "pitch_deg": [-15, 15]}})
     torch.manual_seed(0)
-    save_model(folder, PoseNet(config, 40, 3).state_dict(), config, labels, 40, {})
+    layout = OutputLayout(config, len(labels.components))
+    scale = DeviationScale((0.1, 1.0), ((1.5,) * layout.components, (1.1,) * layout.components))
+    save_model(folder, PoseNet(config, 40, layout.size).state_dict(), config, labels, 40, {}, scale)
 
 
 def read_model(folder, root):
-    return hashed(load_model(folder).predict(np.full((1, 40, 40), 255, np.uint8)))
+    found = load_model(folder).estimate(np.full((1, 40, 40), 255, np.uint8))
+    return hashed(found.means, found.deviations, found.contact)
 
 
 NET, EPOCHS = PoseNetConfig(conv_layers=2, filters=2, dense_units=4), TrainSettings(epochs=3)
