@@ -54,6 +54,7 @@ class ReplayPage:
             raise TactipError("the recording has no steps to show")
         self._record, self._arrays, self._geometry = record, arrays, SceneGeometry(scenery)
         self._predicted, self._true = to_mm_deg(arrays["predicted"]), to_mm_deg(arrays["true"])
+        self._deviations = to_mm_deg(arrays["deviations"])
         self._lines, self._line_counts = path_lines(arrays)
         if not len(self._lines):
             self._lines = np.zeros((1, 2, 3), np.float32)  # viser needs a line
@@ -164,12 +165,20 @@ class ReplayPage:
             if COMPONENTS[k] in LEARNED[self._record["task"]]:
                 data = (steps, self._true[:, k].copy(), self._predicted[:, k].copy())
                 series = [uplot.Series(label="step"), uplot.Series(label="true", stroke="black", width=2)]
-                series += [uplot.Series(label="estimated", stroke="#c0392b", width=1), _dot()]
+                series += [uplot.Series(label="estimated", stroke="#c0392b", width=1)]
+                bands = ()
+                if np.isfinite(self._deviations[:, k]).any():
+                    spread = _BAND * self._deviations[:, k]
+                    data += (self._predicted[:, k] + spread, self._predicted[:, k] - spread)
+                    series += [uplot.Series(label=label, width=0) for label in ("highest", "lowest")]
+                    bands = (uplot.Band(series=(3, 4), fill="rgba(192, 57, 43, 0.2)"),)
+                series += [_dot()]
                 chart = gui.add_uplot(
                     (*data, _mark(data, 0)),
                     tuple(series),
                     title=f"{name}, {unit}",
-                    scales={"x": uplot.Scale(time=False), "y": uplot.Scale(range=_span(data))},
+                    bands=bands,
+                    scales={"x": uplot.Scale(time=False), "y": uplot.Scale(range=_span(data[:3]))},
                     legend=uplot.Legend(show=False),
                     aspect=3.0,
                 )
@@ -242,6 +251,10 @@ class ReplayPage:
         number, odd = divmod(int(self._arrays["part"][k]), 2)
         count = int(self._arrays["part"].max() + 1) // 2 + 1
         return f", between passes {number + 1} and {number + 2}" if odd else f", pass {number + 1} of {count}"
+
+
+_BAND = 2.0
+"""Half width of the band about the estimates, in standard deviations: it contains 95 % of the true values."""
 
 
 def _mark(data: tuple[np.ndarray, ...], k: int) -> np.ndarray:

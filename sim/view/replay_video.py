@@ -79,6 +79,10 @@ def render_frames(
         yield frame
 
 
+_BAND = 2.0
+"""Half width of the band about the estimates, in standard deviations: it contains 95 % of the true values."""
+
+
 def _curves(arrays: Mapping[str, np.ndarray], task: str) -> tuple[np.ndarray, float, float]:
     """Plot predictions and ground truth over the steps.
 
@@ -86,13 +90,16 @@ def _curves(arrays: Mapping[str, np.ndarray], task: str) -> tuple[np.ndarray, fl
         Image (h, w, 3) uint8, and the columns of its first and last step, px.
     """
     plt = pyplot()
-    predicted, true = to_mm_deg(arrays["predicted"]), to_mm_deg(arrays["true"])
+    predicted, true, deviations = (to_mm_deg(arrays[name]) for name in ("predicted", "true", "deviations"))
     touching = arrays["touching"] > 0
     wide, high = WIDTH - _VIEW, HEIGHT - _IMAGE - 32
     names = _CURVES[task]
     figure, axes = plt.subplots(len(names), 1, figsize=(wide / 100, high / 100), dpi=100, sharex=True)
     for axis, (name, k) in zip(axes, names, strict=True):
         axis.plot(true[:, k], color="0.15", lw=1.2, label="true")
+        if np.isfinite(deviations[touching, k]).all():
+            low, top = predicted[:, k] - _BAND * deviations[:, k], predicted[:, k] + _BAND * deviations[:, k]
+            axis.fill_between(range(len(low)), low, top, where=touching, color="C3", alpha=0.2, lw=0)
         axis.plot(predicted[:, k], color="C3", lw=0.8, label="estimated")
         values = np.concatenate([true[touching, k], [-1.0, 1.0]])
         low, top = np.percentile(values, [1, 99])

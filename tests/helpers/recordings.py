@@ -40,6 +40,7 @@ def arrays_of(task="edge"):
         "pin_tips_m": rng.normal(size=(STEPS, 5, 3)),
         "directions": np.repeat([[[0.0, 0, -1]]], STEPS, 0).repeat(5, 1),
         "predicted": np.repeat(from_mm_deg([0, 0, -3, 0, 0, 0])[None], STEPS, 0),
+        "deviations": np.repeat(from_mm_deg([0, 0, 0.2, 1, 1, 0])[None], STEPS, 0),
         "true": np.repeat(from_mm_deg([0, 0, -2.9, 0, 0, 0])[None], STEPS, 0),
         "phase": np.array([0, 0, *[PHASES.index("follow")] * (STEPS - 2)], np.uint8),
         "part": np.zeros(STEPS, int),
