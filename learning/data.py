@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from tactip_twin.learning.labels import Labels, labels_of
-from tactip_twin.learning.quantities import contact_of, quantities_of
+from tactip_twin.learning.quantities import quantities_of
 from tactip_twin.sim.dataset.format import Dataset, read_dataset
 from tactip_twin.tactip_model.errors import TactipError
 
@@ -32,8 +32,6 @@ class Samples:
     """(n, 6) float, mm and degrees."""
     quantities: np.ndarray
     """(n, q) float: quantities.QUANTITIES, NaN where the set does not have them."""
-    contact: np.ndarray
-    """(n,) float: 1 in contact, 0 without; NaN where the set does not tell."""
     rows: np.ndarray
     """(n,) int, rows of the samples in the set's table."""
 
@@ -52,7 +50,7 @@ class Samples:
 
     def take(self, chosen: slice | np.ndarray) -> "Samples":
         """Return some of the samples. chosen: slice, or indices (m,) int."""
-        names = ("images", "targets", "shears", "quantities", "contact", "rows")
+        names = ("images", "targets", "shears", "quantities", "rows")
         arrays: dict[str, Any] = {name: getattr(self, name)[chosen] for name in names}
         return replace(self, **arrays)
 
@@ -87,8 +85,8 @@ def read_samples(folder: str | Path) -> Samples:
                 f"image {name} in {folder} is {image.shape[1]} by {image.shape[0]} px, but the first image is "
                 f"{shape[1]} by {shape[0]} px: all must be square and of the same size"
             )
-    quantities, contact = quantities_of(dataset), contact_of(dataset)
-    return Samples(dataset, labels, np.stack(images), targets, dataset.shears, quantities, contact, np.arange(len(images)))
+    rows = np.arange(len(images))
+    return Samples(dataset, labels, np.stack(images), targets, dataset.shears, quantities_of(dataset), rows)
 
 
 def _check_targets(folder: str | Path, names: tuple[str, ...], labels: Labels, targets: np.ndarray) -> None:

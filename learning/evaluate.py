@@ -12,6 +12,7 @@ from tactip_twin.learning.image_check import image_check
 from tactip_twin.learning.labels import Labels
 from tactip_twin.learning.model import Estimates, Model
 from tactip_twin.learning.posenet import parameter_count
+from tactip_twin.learning.quantities import forces_of
 from tactip_twin.learning.uncertainty import by_force, by_rejection, contact_figures, negative_log_likelihood, reliability
 from tactip_twin.tactip_model.design_file import design_from_dict
 from tactip_twin.tactip_model.errors import TactipError
@@ -129,12 +130,13 @@ def _of_quantities(model: Model, samples: Samples, estimates: Estimates) -> dict
     names, k, out = list(model.columns), len(model.labels.names), {}
     targets = np.concatenate([samples.targets, samples.quantities], 1)[:, : len(names)]
     errors = estimates.means - targets
-    known = np.isfinite(errors).any(0)
+    known = np.asarray(np.isfinite(errors).any(0))
     if known[k:].any():
         chosen = [i for i in range(k, len(names)) if known[i]]
         out["quantities"] = {names[i]: float(np.nanmean(np.abs(errors[:, i]))) for i in chosen}
-    if estimates.contact is not None and np.isfinite(samples.contact).any():
-        out["contact"] = contact_figures(estimates.contact, samples.contact)
+    forces = forces_of(samples.quantities)
+    if estimates.contact is not None and np.isfinite(forces).any():
+        out["contact"] = contact_figures(estimates.contact, forces)
     if estimates.deviations is None:
         return out
     seen = [i for i in range(len(names)) if known[i]]
@@ -142,9 +144,9 @@ def _of_quantities(model: Model, samples: Samples, estimates: Estimates) -> dict
     out["reliability"] = reliability(of_shown, deviations, shown)
     out["nll"] = dict(zip(shown, map(float, negative_log_likelihood(of_shown, deviations)), strict=True))
     out["rejection"] = by_rejection(errors[:, :k], estimates.deviations[:, :k], model.labels.scale, names[:k])
-    forces = samples.dataset.measures["normal_force_N"][samples.rows]
-    if np.isfinite(forces).all():
-        out["by_force"] = by_force(of_shown, deviations, forces, shown)
+    normal = samples.dataset.measures["normal_force_N"][samples.rows]
+    if np.isfinite(normal).all():
+        out["by_force"] = by_force(of_shown, deviations, normal, shown)
     return out
 
 

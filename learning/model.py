@@ -23,7 +23,7 @@ from tactip_twin.learning.device import one_thread
 from tactip_twin.learning.labels import Labels
 from tactip_twin.learning.outputs import Layout
 from tactip_twin.learning.posenet import PoseNet
-from tactip_twin.learning.quantities import QUANTITIES
+from tactip_twin.learning.quantities import QUANTITIES, contact_probability
 from tactip_twin.sim.dataset.format import FORCES
 from tactip_twin.tactip_model.design_file import from_dict
 from tactip_twin.tactip_model.errors import TactipError
@@ -45,7 +45,7 @@ class Estimates:
     deviations: np.ndarray | None
     """(n, c) standard deviations, or None."""
     contact: np.ndarray | None
-    """(n,) probability that the tip touches, or None."""
+    """(n,) probability that the force is at least quantities.CONTACT_FORCE_N; None without deviations of forces."""
 
 
 @dataclass(frozen=True)
@@ -120,18 +120,25 @@ class Model:
                 some = torch.from_numpy(np.ascontiguousarray(images[start : start + batch])).to(device)
                 out.append(self.net(to_input(some)).cpu())
             split = layout.split(torch.cat(out).double())
-            logs, logits = split.log_deviations, split.contact
             means = split.means.numpy() * self.scales
-            deviations = None if logs is None else logs.exp().numpy() * self.scales
-            if deviations is not None and self.deviation_scale is not None:
-                deviations = deviations * self.deviation_scale.at(self._forces(means))
-            return Estimates(means, deviations, None if logits is None else torch.sigmoid(logits).numpy())
+            if split.log_deviations is None:
+                return Estimates(means, None, None)
+            deviations, forces = split.log_deviations.exp().numpy() * self.scales, self._forces(means)
+            if self.deviation_scale is not None:
+                deviations = deviations * self.deviation_scale.at(forces)
+            contact = contact_probability(forces, deviations[:, self._force_columns]) if self.config.quantities else None
+            return Estimates(means, deviations, contact)
+
+    @property
+    def _force_columns(self) -> list[int]:
+        """Columns of the force; the network must estimate it."""
+        return [self.columns.index(name) for name in FORCES]
 
     def _forces(self, means: np.ndarray) -> np.ndarray:
         """Return the magnitudes (n,), N, of estimated forces; zeros if the network estimates none. means: (n, c)."""
         if not self.config.quantities:
             return np.zeros(len(means))
-        return np.linalg.norm(means[:, [self.columns.index(name) for name in FORCES]], axis=1)
+        return np.linalg.norm(means[:, self._force_columns], axis=1)
 
     def with_fitted_scale(self, images: np.ndarray, targets: np.ndarray) -> "Model":
         """Return the model with the factors on its deviations fitted to held-out samples; itself if it has no deviations.

@@ -1,6 +1,6 @@
-"""Outputs of a network and their loss: means of pose and other quantities, with standard deviations and contact.
+"""Outputs of a network and their loss: means of pose and other quantities, with standard deviations.
 
-    n components: means (n), if `deviations` log standard deviations (n), if `quantities` the logit of contact (1)
+    n components: means (n), if `deviations` log standard deviations (n)
 
 All are over the components' scales. Components are those of the pose, then, if `quantities`, QUANTITIES.
 
@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from torch.nn.functional import binary_cross_entropy_with_logits, softplus
+from torch.nn.functional import softplus
 
 from tactip_twin.learning.configuration import PoseNetConfig
 from tactip_twin.learning.quantities import QUANTITIES
@@ -34,8 +34,6 @@ class Split:
     """(m, n)."""
     log_deviations: torch.Tensor | None
     """(m, n), or None if the network does not estimate them."""
-    contact: torch.Tensor | None
-    """(m,) logits, or None."""
 
 
 class Layout:
@@ -45,12 +43,12 @@ class Layout:
         """Take the network, and the number of its components of the pose."""
         self.components = components + (len(QUANTITIES) if config.quantities else 0)
         """Number of means."""
-        self._deviations, self._contact = config.deviations, config.quantities
+        self._deviations = config.deviations
 
     @property
     def size(self) -> int:
         """Number of outputs."""
-        return self.components * (2 if self._deviations else 1) + int(self._contact)
+        return self.components * (2 if self._deviations else 1)
 
     def split(self, raw: torch.Tensor) -> Split:
         """Return the parts of outputs (m, size)."""
@@ -59,7 +57,7 @@ class Layout:
         if self._deviations:
             # Above the minimum, and nearly the identity well above it.
             logs = _MIN_LOG_DEVIATION + softplus(raw[:, n : 2 * n] + _INITIAL_LOG_DEVIATION - _MIN_LOG_DEVIATION)
-        return Split(raw[:, :n], logs, raw[:, -1] if self._contact else None)
+        return Split(raw[:, :n], logs)
 
     def rows_of(self, earlier: "Layout") -> list[tuple[int, int]]:
         """Return pairs of output rows, of this layout and of an `earlier` one of the same pose, that mean the same."""
@@ -67,33 +65,23 @@ class Layout:
         pairs = [(k, k) for k in range(shared)]
         if self._deviations and earlier._deviations:
             pairs += [(self.components + k, earlier.components + k) for k in range(shared)]
-        if self._contact and earlier._contact:
-            pairs.append((self.size - 1, earlier.size - 1))
         return pairs
 
 
-def losses(split: Split, targets: torch.Tensor, contact: torch.Tensor, beta: float) -> torch.Tensor:
+def losses(split: Split, targets: torch.Tensor, beta: float) -> torch.Tensor:
     """Return the loss of each sample, (m,); targets that are NaN do not count.
 
     Args:
         split: Outputs.
         targets: (m, n) over the components' scales.
-        contact: (m,) 1 or 0, or NaN.
         beta: Exponent β of the negative log likelihoods; 0: without weights.
     """
     known = torch.isfinite(targets)
     errors = torch.where(known, split.means - torch.where(known, targets, 0.0), 0.0)
     if split.log_deviations is None:
-        total = errors.square().sum(1)
-    else:
-        logs = split.log_deviations
-        each = 0.5 * errors.square() * torch.exp(-2 * logs) + logs
-        if beta:
-            each = each * torch.exp(2 * beta * logs.detach())
-        total = torch.where(known, each, 0.0).sum(1)
-    if split.contact is None:
-        return total
-    told = torch.isfinite(contact)
-    return total + torch.where(
-        told, binary_cross_entropy_with_logits(split.contact, torch.where(told, contact, 0.0), reduction="none"), 0.0
-    )
+        return errors.square().sum(1)
+    logs = split.log_deviations
+    each = 0.5 * errors.square() * torch.exp(-2 * logs) + logs
+    if beta:
+        each = each * torch.exp(2 * beta * logs.detach())
+    return torch.where(known, each, 0.0).sum(1)

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import norm
 
 from tactip_twin.sim.dataset.format import EFFECTIVE_SHEARS, FORCES, Dataset
 from tactip_twin.sim.labels import SHEARS
@@ -29,19 +30,29 @@ QUANTITIES = (
 """The commanded shear along the surface, the effective one, the force in the sensor frame, and the fraction of the normal
 force that slides. Lloyd & Lepora (IJRR 2024) estimate pose and commanded shear [R]; only a simulation knows the others."""
 
-CONTACT_FORCE_N = 0.01
-"""Force on the tip above which it touches the object, N. The lightest simulated contacts have some 0.005 N [M]."""
+CONTACT_FORCE_N = 0.05
+"""Force on the tip, N, from which on it counts as touching: an image of 128 px does not tell smaller ones from none [M]."""
 
 
 def quantities_of(dataset: Dataset) -> np.ndarray:
-    """Return the QUANTITIES (n, q) of a set's samples; NaN where the set does not have them, and the slip of no contact."""
+    """Return the QUANTITIES (n, q) of a set's samples; NaN where the set does not have them, as for the slip of no contact."""
     shears = dict(zip(SHEARS, dataset.shears.T, strict=True))
     values = np.stack([shears[q.name] if q.name in shears else dataset.measures[q.name] for q in QUANTITIES], 1)
-    values[~(contact_of(dataset) > 0), -1] = np.nan
+    values[forces_of(values) == 0, -1] = np.nan
     return values
 
 
-def contact_of(dataset: Dataset) -> np.ndarray:
-    """Return whether the tip touches, (n,) float: 1 or 0; NaN where the set does not have forces."""
-    force = np.linalg.norm([dataset.measures[name] for name in FORCES], axis=0)
-    return np.where(np.isfinite(force), (force >= CONTACT_FORCE_N).astype(float), np.nan)
+def forces_of(quantities: np.ndarray) -> np.ndarray:
+    """Return the magnitudes (n,), N, of the forces in QUANTITIES (n, q)."""
+    names = [q.name for q in QUANTITIES]
+    return np.linalg.norm(quantities[:, [names.index(name) for name in FORCES]], axis=1)
+
+
+def contact_probability(forces: np.ndarray, deviations: np.ndarray) -> np.ndarray:
+    """Return the probability (n,) that a force is at least CONTACT_FORCE_N.
+
+    Args:
+        forces: (n,) estimated magnitudes, N.
+        deviations: (n, 3) standard deviations of the force's components, N.
+    """
+    return norm.cdf((forces - CONTACT_FORCE_N) / np.sqrt((deviations**2).mean(1)))

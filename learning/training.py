@@ -106,7 +106,7 @@ class Training:
         self.net = to_device(net, self.device)
         self._optimizers = _optimizers(self.net, settings, self._half)
         # The whole set is kept on the device, as bytes.
-        self._images, self._targets, self._contact = self._to_device(train)
+        self._images, self._targets = self._to_device(train)
         self._count = len(train)
         undeformed = settings.undeformed_fraction if config.quantities else 0.0
         self._augmentation = (
@@ -117,28 +117,26 @@ class Training:
         self._undeformed = undeformed
         if self._augmentation and undeformed:
             self._add_undeformed_tip(self._augmentation)
-        self._val_images, self._val_targets, self._val_contact = self._to_device(val)
+        self._val_images, self._val_targets = self._to_device(val)
         self.epoch = 0
         self.history: list[dict[str, float]] = []
         """Figures of each epoch so far."""
         self.best: dict[str, torch.Tensor] = {}
         """State dict of the network after the best epoch; empty before the first epoch."""
 
-    def _to_device(self, samples: Samples) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Return images (n, size, size) uint8, targets (n, k) over their scales, and contact (n,), on the device."""
-        values = scaled_targets(samples, self.labels, self.config)
-        targets, contact = (torch.from_numpy(x.astype(np.float32)).to(self.device) for x in (values, samples.contact))
-        return torch.from_numpy(samples.images).to(self.device), targets, contact
+    def _to_device(self, samples: Samples) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return images (n, size, size) uint8 and targets (n, k) over their scales, on the device."""
+        targets = torch.from_numpy(scaled_targets(samples, self.labels, self.config).astype(np.float32))
+        return torch.from_numpy(samples.images).to(self.device), targets.to(self.device)
 
     def _add_undeformed_tip(self, augmentation: OpticsAugmentation) -> None:
-        """Append the undeformed tip to the images and targets: without force, slip or contact, at an unknown pose."""
+        """Append the undeformed tip to the images and targets: without force, at an unknown pose."""
         zero = [*FORCES, *EFFECTIVE_SHEARS]
         known = [0.0 if q.name in zero else np.nan for q in QUANTITIES]
         targets = torch.tensor([np.nan] * len(self.labels.components) + known, device=self.device)
         image = augmentation.render_plain(torch.tensor([augmentation.undeformed], device=self.device))
         self._images = torch.cat([self._images, image])
         self._targets = torch.cat([self._targets, targets[None].to(self._targets.dtype)])
-        self._contact = torch.cat([self._contact, torch.zeros(1, device=self.device)])
 
     @property
     def steps_per_epoch(self) -> int:
@@ -212,7 +210,7 @@ class Training:
                 chosen = torch.where(some, torch.full_like(chosen, self._count), chosen)
             with torch.autocast(self.device, dtype=torch.bfloat16, enabled=self._half):
                 out = self.net(to_input(self._batch(chosen)))
-            each = losses(self.layout.split(out), self._targets[chosen], self._contact[chosen], self.settings.beta)
+            each = losses(self.layout.split(out), self._targets[chosen], self.settings.beta)
             loss = each.mean() + self.net.penalty()
             self.net.zero_grad(set_to_none=True)
             loss.backward()
@@ -230,14 +228,14 @@ class Training:
         Args:
             batch: Number of images per forward pass.
         """
-        images, targets, contact = self._val_images, self._val_targets, self._val_contact
+        images, targets = self._val_images, self._val_targets
         self.net.eval()
         total = torch.zeros((), device=self.device)
         with torch.inference_mode():
             for start in range(0, len(images), batch):
                 part = slice(start, start + batch)
                 split = self.layout.split(self.net(to_input(images[part])))
-                total += losses(split, targets[part], contact[part], beta=0.0).sum()
+                total += losses(split, targets[part], beta=0.0).sum()
         return float(total) / len(images)
 
     def deviation_scale(self) -> DeviationScale | None:

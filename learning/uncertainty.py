@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from scipy.stats import norm
 
+from tactip_twin.learning.quantities import CONTACT_FORCE_N
+
 FORCE_BANDS_N = (0.0, 0.2, 0.5, 1.0, 2.0, np.inf)
 """Ends of the bands of normal force, N, by which errors are reported."""
 
@@ -94,15 +96,16 @@ def reliability(errors: np.ndarray, deviations: np.ndarray, names: list[str]) ->
     ]
 
 
-def contact_figures(probabilities: np.ndarray, contact: np.ndarray) -> dict[str, float]:
+def contact_figures(probabilities: np.ndarray, forces: np.ndarray) -> dict[str, float]:
     """Return how well contact is told from none at a probability of one half, as JSON.
+
+    Contacts of less than twice CONTACT_FORCE_N are neither: an image cannot tell on which side of it they are.
 
     Args:
         probabilities: (n,) estimated probabilities of contact.
-        contact: (n,) 1 or 0, or NaN.
+        forces: (n,) magnitudes of the true forces, N; NaN where unknown.
     """
-    said, known = probabilities >= 0.5, np.isfinite(contact)
-    touching, free = known & (contact == 1), known & (contact == 0)
+    said, touching, free = probabilities >= 0.5, forces >= 2 * CONTACT_FORCE_N, forces == 0
     return {
         "samples_in_contact": int(touching.sum()),
         "samples_without": int(free.sum()),

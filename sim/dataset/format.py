@@ -328,7 +328,7 @@ def read_dataset(folder: str | Path) -> Dataset:
         names += [row["sensor_image"] for row in rows]
         checksums += [own["images"][row["sensor_image"]] for row in rows]
         ends.append(len(names))
-    by_column = dict(zip(READ_MEASURES, np.concatenate(measures).T, strict=True))
+    by_column: dict[str, np.ndarray] = dict(zip(READ_MEASURES, np.concatenate(measures).T, strict=True))
     return Dataset(
         folder, meta, tuple(names), np.concatenate(poses), np.concatenate(shears), by_column, tuple(ends), tuple(checksums)
     )

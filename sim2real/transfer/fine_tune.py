@@ -115,13 +115,10 @@ def _steps(model: Model, simulated: Samples, real: Samples, settings: FineTuning
     before = {name: tensor.clone() for name, tensor in net.state_dict().items()}
     augmented = OpticsAugmentation(simulated, 1.0, OPTICS[settings.optics_ranges], device)
     images = torch.from_numpy(real.images).to(device)
-    targets, contact = (
-        [torch.from_numpy(values.astype(np.float32)).to(device) for values in pair]
-        for pair in (
-            [scaled_targets(samples, model.labels, model.config) for samples in (real, simulated)],
-            [samples.contact for samples in (real, simulated)],
-        )
-    )
+    targets = [
+        torch.from_numpy(scaled_targets(samples, model.labels, model.config).astype(np.float32)).to(device)
+        for samples in (real, simulated)
+    ]
     half = settings.batch // 2
     optimizer = torch.optim.Adam(net.parameters(), lr=settings.learning_rate)
     net.train()
@@ -131,9 +128,8 @@ def _steps(model: Model, simulated: Samples, real: Samples, settings: FineTuning
         real_rows = torch.randint(len(images), (half,), device=device)
         simulated_rows = torch.randint(len(simulated), (settings.batch - half,), device=device)
         batch = torch.cat([_shifted(images[real_rows], settings.shift_px), augmented.render(simulated_rows)])
-        rows = real_rows, simulated_rows
-        wanted, touching = (torch.cat([a[r] for a, r in zip(pair, rows, strict=True)]) for pair in (targets, contact))
-        loss = losses(layout.split(net(to_input(batch))), wanted, touching, TrainSettings().beta).mean()
+        wanted = torch.cat([targets[0][real_rows], targets[1][simulated_rows]])
+        loss = losses(layout.split(net(to_input(batch))), wanted, TrainSettings().beta).mean()
         optimizer.zero_grad(set_to_none=True)
         loss.backward()
         optimizer.step()

@@ -13,7 +13,7 @@ from tactip_twin.learning.configuration import PoseNetConfig
 from tactip_twin.learning.data import read_samples, read_splits
 from tactip_twin.learning.model import load_model
 from tactip_twin.learning.outputs import Layout, Split, losses
-from tactip_twin.learning.quantities import QUANTITIES
+from tactip_twin.learning.quantities import CONTACT_FORCE_N, QUANTITIES, contact_probability, forces_of
 from tactip_twin.learning.training import Training
 from tactip_twin.sim.dataset.format import EFFECTIVE_SHEARS, FORCES
 from tactip_twin.sim.dataset.sampling import POSE_RANGES
@@ -26,48 +26,46 @@ from tactip_twin.tactip_model.tactile_image import tactile_image
 FULL = replace(NET, deviations=True, quantities=True)
 
 
-def random_split(m=40, n=3, contact=True):
+def random_split(m=40, n=3):
     generator = torch.Generator().manual_seed(0)
     numbers = torch.randn(3, m, n, generator=generator, dtype=torch.float64)
-    return Split(numbers[0], 0.3 * numbers[1] - 1, numbers[2, :, 0] if contact else None), numbers[2]
+    return Split(numbers[0], 0.3 * numbers[1] - 1), numbers[2]
 
 
 def test_losses_with_deviations_are_negative_log_likelihoods():
-    split, targets = random_split(contact=False)
+    split, targets = random_split()
     expected = -norm.logpdf(targets.numpy(), split.means.numpy(), split.log_deviations.exp().numpy()).sum(1)
-    found = losses(split, targets, torch.zeros(40), beta=0.0)
+    found = losses(split, targets, beta=0.0)
     assert np.allclose(found.numpy(), expected - 3 * 0.5 * np.log(2 * np.pi))
 
 
 def test_losses_without_deviations_are_squared_errors():
-    split, targets = random_split(contact=False)
-    found = losses(Split(split.means, None, None), targets, torch.zeros(40), beta=0.5)
+    split, targets = random_split()
+    found = losses(Split(split.means, None), targets, beta=0.5)
     assert np.allclose(found, (split.means - targets).square().sum(1))
 
 
 def test_losses_beta_one_gives_means_the_gradient_of_squared_errors():
     """β = 1 weighs errors as half a squared error does; the deviation of the largest likelihood stays where it is."""
-    split, targets = random_split(contact=False)
+    split, targets = random_split()
     means = split.means.clone().requires_grad_()
-    losses(Split(means, split.log_deviations, None), targets, torch.zeros(40), beta=1.0).sum().backward()
+    losses(Split(means, split.log_deviations), targets, beta=1.0).sum().backward()
     assert means.grad is not None
     assert torch.allclose(means.grad, split.means - targets)
     logs = (split.means - targets).abs().log().requires_grad_()
-    losses(Split(split.means, logs, None), targets, torch.zeros(40), beta=0.5).sum().backward()
+    losses(Split(split.means, logs), targets, beta=0.5).sum().backward()
     assert logs.grad is not None
     assert torch.allclose(logs.grad, torch.zeros_like(logs), atol=1e-12)
 
 
 def test_losses_unknown_targets_do_not_count():
     split, targets = random_split()
-    contact = torch.ones(40, dtype=torch.float64)
-    whole = losses(split, targets, contact, 0.5)
-    targets[3, 1], contact[5] = torch.nan, torch.nan
-    found = losses(split, targets, contact, 0.5)
+    whole = losses(split, targets, 0.5)
+    targets[3, 1], targets[5] = torch.nan, torch.nan
+    found = losses(split, targets, 0.5)
     assert torch.isfinite(found).all()
     assert (found != whole).nonzero().flatten().tolist() == [3, 5]
-    poses = Split(split.means[5:6], split.log_deviations[5:6], None)
-    assert found[5] == losses(poses, targets[5:6], contact, 0.5)[0]
+    assert found[5] == 0
 
 
 @pytest.mark.parametrize(("deviations", "quantities"), [(False, False), (True, False), (False, True), (True, True)])
@@ -76,9 +74,7 @@ def test_layout_parts_fill_the_outputs(deviations, quantities):
     split = layout.split(torch.randn(2, layout.size))
     assert layout.components == split.means.shape[1] == 3 + quantities * len(QUANTITIES)
     assert (split.log_deviations is not None) == deviations
-    assert (split.contact is not None) == quantities
-    parts = layout.components * (1 + deviations) + quantities
-    assert layout.size == parts
+    assert layout.size == layout.components * (1 + deviations)
 
 
 def test_initial_weights_keep_the_pose_when_outputs_are_added(splits, tmp_path):
@@ -131,7 +127,7 @@ def test_model_estimates_what_its_set_shows(splits, tmp_path):
     assert np.array_equal(found.means[:, :3], model.predict(train.images))
     z = (found.means - np.concatenate([train.targets, train.quantities], 1)) / found.deviations
     assert 0.3 < np.nanstd(z[:, :3]) < 3
-    touching = train.contact == 1
+    touching = forces_of(train.quantities) > 0.1
     assert found.contact[touching].mean() > found.contact[~touching].mean() + 0.1
 
 
@@ -147,7 +143,6 @@ def test_undeformed_tip_is_part_of_the_training(tmp_path):
     assert training.steps_per_epoch == 1  # it is not a sample of its own
     assert np.mean(training._images[6].numpy() != image) < 0.02
     known = training._targets[6].numpy()[3:]
-    assert training._contact[6] == 0
     assert torch.isnan(training._targets[6, :3]).all()
     assert [q.name for q, value in zip(QUANTITIES, known, strict=True) if value == 0] == [*EFFECTIVE_SHEARS, *FORCES]
     assert np.isnan(known).sum() == len(QUANTITIES) - 6
@@ -155,3 +150,9 @@ def test_undeformed_tip_is_part_of_the_training(tmp_path):
     assert all(torch.isfinite(p).all() for p in training.net.parameters())
     with pytest.raises(TactipError, match="only simulated sets have pins"):
         Training(read_samples(write_fake_set(tmp_path / "real", samples=4)), samples, FULL, training.settings)
+
+
+def test_contact_probability_is_that_of_a_sufficient_force():
+    deviations = np.full((3, 3), 0.02)
+    found = contact_probability(np.array([0.0, CONTACT_FORCE_N, 0.2]), deviations)
+    assert found == pytest.approx([norm.cdf(-2.5), 0.5, 1.0])

@@ -86,6 +86,7 @@ def test_reliability_has_every_level():
 
 
 def test_contact_figures_count_both_kinds_of_mistakes():
-    contact = np.array([1, 1, 1, 1, 0, 0, np.nan])
-    figures = contact_figures(np.array([0.9, 0.8, 0.7, 0.2, 0.1, 0.6, 0.5]), contact)
+    """Contacts between none and 0.1 N do not count."""
+    forces = np.array([1, 0.2, 3, 0.1, 0, 0, 0.04, 0.09, np.nan])
+    figures = contact_figures(np.array([0.9, 0.8, 0.7, 0.2, 0.1, 0.6, 0.5, 0.1, 0.9]), forces)
     assert figures == {"samples_in_contact": 4, "samples_without": 2, "missed_fraction": 0.25, "false_fraction": 0.5}
