@@ -35,7 +35,7 @@ CONTACT_FORCE_N = 0.05
 
 
 def quantities_of(dataset: Dataset) -> np.ndarray:
-    """Return the QUANTITIES (n, q) of a set's samples; NaN where the set does not have them, as for the slip of no contact."""
+    """Return the QUANTITIES (n, q) of a set's samples; NaN where the set does not have them, as the slip of no contact."""
     shears = dict(zip(SHEARS, dataset.shears.T, strict=True))
     values = np.stack([shears[q.name] if q.name in shears else dataset.measures[q.name] for q in QUANTITIES], 1)
     values[forces_of(values) == 0, -1] = np.nan

@@ -156,6 +156,8 @@ def rows(task: Task, paper: bool) -> list[Row]:
     if task == "surface":
         curved = replace(tuned, settings=replace(tuned.settings, epochs=_CURVED_EPOCHS, min_steps=0))
         out.append(Row("laptop-curved", f"`{start}` fine-tuned on curved surfaces", "curved", curved, start))
+        what = "`laptop-curved` fine-tuned with images of the undeformed tip"
+        out.append(Row("laptop-curved-contact", what, "curved", last, "laptop-curved"))
     return out
 
 

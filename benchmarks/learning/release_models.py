@@ -31,6 +31,7 @@ _COUNT_OPTIONS = {
     "laptop-large": "large_contacts",
     "laptop-fine-tuned": "large_contacts",
     "laptop-curved": "curved_contacts",
+    "laptop-curved-contact": "curved_contacts",
     "laptop-fast": "fast_images",
     "laptop-contact": "fast_images",
 }
@@ -54,7 +55,7 @@ def release_model(options: ReleaseModelsOptions, log: Callable[[str], None] = pr
     """
     source = options.runs / options.task / options.row
     if options.evaluate_only:
-        source = options.out / f"{options.task}-{'curved-' if options.row == 'laptop-curved' else ''}{DESIGN}"
+        source = options.out / f"{options.task}-{'curved-' if options.row.startswith('laptop-curved') else ''}{DESIGN}"
     size = (source / WEIGHTS).stat().st_size if (source / WEIGHTS).exists() else 0
     model = load_model(source)
     if size >= MAX_BYTES:

@@ -41,16 +41,20 @@ def test_card_agrees_with_its_network(name):
     model = load_network(name)
     assert (folder / "model.pt").stat().st_size < shipped.MAX_BYTES
     # A few contacts on flat surfaces fail their checks, and more on ridges.
-    asked, least = (300, 0.95) if "curved" in name else (1000, 0.995)
+    asked, least = (600, 0.9) if "curved" in name else (1000, 0.995)
     assert least * asked <= record["samples"] <= asked
     assert record["test"]["digest"] != model.provenance["train"]["digest"]
     for component, error in record["mae"].items():
         assert re.search(rf"\| {component} \| [^|]+ \| {error:.3f} ", card)
     assert model.provenance["outcome"]["finished"]
+    assert model.config.deviations and model.config.quantities and model.deviation_scale is not None
+    for row in record["by_force"]:
+        for component, error in row["mae"].items():
+            assert component not in record["mae"] or f"{error:.3f}" in card
     assert model.labels == labels_of(model.provenance["train"]["configuration"])
     found = re.search(r"Initial weights: `([\w-]+)`", card)
     assert bool(found) == ("initial_weights" in model.provenance)
-    if found:
+    if found and found.group(1) in shipped_models():  # the others are rows of the benchmark
         same = net_sha256(load_network(found.group(1)).net) == model.provenance["initial_weights"]
         assert same == ("of an earlier version" not in card)
 
