@@ -12,8 +12,11 @@ that change over a distance: the curvatures of a surface along x and y and its t
 it. Without them, a filter lags behind every bend. An estimate from an image is fused with the covariance that the network
 gives it.
 
-This extends the filter of Lloyd & Lepora, "Pose-and-shear-based tactile servoing" (IJRR 43(7), 2024) [R], by the bends and
-by a gate: an estimate far from what is predicted does not count.
+A camera's noise makes a network err more than it knows. So the variance of its estimates is multiplied by the running ratio
+of the squared innovations to what was expected of them, if that is above 1.
+
+This extends the filter of Lloyd & Lepora, "Pose-and-shear-based tactile servoing" (IJRR 43(7), 2024) [R], by the bends,
+this ratio, and a gate: an estimate far from what is predicted does not count.
 """
 
 from dataclasses import dataclass
@@ -50,6 +53,12 @@ class FilteredPose:
 _BENDS: dict[Task, tuple[float, float]] = {"surface": (2.0, 10.0), "edge": (1.0, 40.0)}
 """Defaults of FilterSettings.bend_deg_per_mm and bend_length_mm: radii of 29 mm on surfaces, 57 mm along edges [?]."""
 
+_LEARNED = 0.1
+"""Weight of a step in the running ratio of seen to expected innovations: it remembers ten steps [?]."""
+
+_MAX_EXCESS = 30.0
+"""Maximum factor on the variance of estimates [?]."""
+
 _BEND = slice(6, 9)
 """Rows of the bends in the state."""
 
@@ -72,7 +81,7 @@ class PoseFilter:
     def reset(self) -> None:
         """Forget the state, because contact was lost and the next estimate belongs to another place."""
         self._started, self._T, self._T_base_tcp = False, np.eye(4), np.eye(4)
-        self._bends, self._P, self._rejected = np.zeros(3), np.zeros((9, 9)), 0
+        self._bends, self._P, self._rejected, self._excess = np.zeros(3), np.zeros((9, 9)), 0, 1.0
 
     def step(self, T_base_tcp: np.ndarray, label: np.ndarray, deviations: np.ndarray) -> FilteredPose:
         """Take the next estimate, and return the state after it.
@@ -82,7 +91,7 @@ class PoseFilter:
             label: (6,), the estimated label, m and rad.
             deviations: (6,), its standard deviations, m and rad; those of components that the task lacks do not count.
         """
-        R = self._error_covariance(label, deviations)
+        R = self._excess * self._error_covariance(label, deviations)
         if not self._started:
             return self._start(T_base_tcp, label, R)
         self._move(inverse(self._T_base_tcp) @ T_base_tcp)
@@ -90,7 +99,11 @@ class PoseFilter:
         k = self._rows
         innovation = _log(sensor_in_contact(label) @ inverse(self._T))[k]
         S = self._P[np.ix_(k, k)] + R[np.ix_(k, k)]
-        if float(innovation @ np.linalg.solve(S, innovation)) > self._limit:
+        squared = float(innovation @ np.linalg.solve(S, innovation))
+        # The ratio of what is seen to what is expected, for the estimates' variance that is assumed at present.
+        seen = self._excess * min(squared, self._limit) / len(k)
+        self._excess = float(np.clip(self._excess + _LEARNED * (seen - self._excess), 1.0, _MAX_EXCESS))
+        if squared > self._limit:
             self._rejected += 1
             if self._rejected > self._settings.max_rejected:
                 return self._start(T_base_tcp, label, R)

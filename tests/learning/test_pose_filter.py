@@ -169,3 +169,29 @@ def test_pose_filter_finds_the_curvatures_of_a_cylinder():
     assert along_x == pytest.approx(1 / radius, rel=0.15)
     assert abs(twist) < 6
     assert abs(across) < 10
+
+
+def test_pose_filter_learns_that_estimates_err_more_than_they_say(monkeypatch):
+    """With errors of three times the deviations, it weighs estimates less, and its own deviations grow."""
+    told, true = from_mm_deg([0, 0, 0.1, 1.0, 1.0, 0]), from_mm_deg([0, 0, -2, 0, 0, 0])
+
+    def spread():
+        """Return the errors' and the filter's standard deviations of the tilt, degrees."""
+        rng, pose_filter = np.random.default_rng(5), PoseFilter("surface", FilterSettings(correlated_estimates=1.0))
+        states = [
+            pose_filter.step(
+                sensor_in_contact(true) @ matrix([k * 3e-4, 0, 0], Rotation.identity()),
+                true + 3 * told * rng.normal(0, 1, 6),
+                told,
+            )
+            for k in range(400)
+        ]
+        tilts = np.degrees([s.label[3:5] for s in states[50:]])
+        return tilts.std(), np.degrees(np.mean([s.deviations[3:5] for s in states[50:]]))
+
+    error, deviation = spread()
+    assert deviation == pytest.approx(error, rel=0.4)
+    monkeypatch.setattr("tactip_twin.learning.pose_filter._MAX_EXCESS", 1.0)
+    trusting_error, trusting_deviation = spread()
+    assert error < 0.85 * trusting_error
+    assert trusting_deviation < 0.6 * trusting_error
