@@ -17,9 +17,9 @@ from tactip_twin.learning.data import read_samples
 from tactip_twin.learning.evaluate import evaluate, tables
 from tactip_twin.learning.model import DESCRIPTION, WEIGHTS, Model, load_model, load_network, net_sha256
 from tactip_twin.learning.quantities import QUANTITIES
+from tactip_twin.sim.dataset.configuration import samples_per_contact
 from tactip_twin.sim.dataset.format import labels_sha256
 from tactip_twin.sim.dataset.generate import make
-from tactip_twin.sim.dataset.symmetry import SYMMETRIES
 from tactip_twin.sim.parallel.worker_pool import worker_count
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.files import write_file
@@ -142,7 +142,7 @@ def card(model: Model, record: Mapping[str, Any], options: ReleaseModelsOptions)
     made = data["configuration"]
     # The number asked for: a few contacts of a set may have failed its checks.
     samples = made["samples"] if data.get("chosen") is None else data["samples"]
-    contacts = samples // (len(SYMMETRIES[task]) if made["augment_symmetry"] else 1)
+    contacts = samples // samples_per_contact(made)
     failed = f" ({samples - data['samples']} failed checks)" if data["samples"] < samples else ""
     what = {"surface": "a flat surface", "edge": "a straight edge"}[task]
     if _is_curved(model):
