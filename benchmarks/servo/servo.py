@@ -64,7 +64,7 @@ class Case:
 DEPTHS_MM = (1.5, 2.0, 2.5, 3.0, 4.0)
 """Commanded depths in the group `robust`, mm."""
 
-LIGHT_DEPTHS_MM = (1.0, 1.5, 2.0, 3.0)
+LIGHT_DEPTHS_MM = (1.0, 1.5, 3.0)
 """Commanded depths in the group `filter`, mm."""
 
 _FILTERED = ("rim-round", "rim-uneven")
@@ -119,7 +119,7 @@ def cases(options: ServoBenchOptions) -> list[Case]:
             changes |= {"other network": {"model": others[name]}}
         out += [Case("robust", f"{name}, {what}", replace(run, **change)) for what, change in changes.items()]
     changes = {_DEEP.format(mm): {"depth_mm": mm} for mm in LIGHT_DEPTHS_MM}
-    changes |= {f"noise of {grey:g} grey levels": {"noise_grey": grey} for grey in (15.0, 30.0)}
+    changes |= {f"noise of {grey:g} grey levels": {"noise_grey": grey} for grey in (30.0,)}
     runs = {f"{name}, {what}": replace(_LONG[name], **change) for name in _FILTERED for what, change in changes.items()}
     runs |= {f"bust, {what}": replace(_SHORT["bust"], **change) for what, change in changes.items()}
     for name, run in runs.items():
