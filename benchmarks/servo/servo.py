@@ -64,11 +64,11 @@ class Case:
 DEPTHS_MM = (1.5, 2.0, 2.5, 3.0, 4.0)
 """Commanded depths in the group `robust`, mm."""
 
-LIGHT_DEPTHS_MM = (1.0, 1.5, 3.0)
+LIGHT_DEPTHS_MM = (1.0, 1.5)
 """Commanded depths in the group `filter`, mm."""
 
 _FILTERED = ("rim-round", "rim-uneven")
-"""Whole rims in the group `filter`; the bust is followed on one pass."""
+"""Rims in the group `filter`, followed all round."""
 
 _DEEP = "{:g} mm deep"
 _ON_THE_BUST = [f"bust, {_DEEP.format(mm)}" for mm in DEPTHS_MM]
@@ -121,7 +121,6 @@ def cases(options: ServoBenchOptions) -> list[Case]:
     changes = {_DEEP.format(mm): {"depth_mm": mm} for mm in LIGHT_DEPTHS_MM}
     changes |= {f"noise of {grey:g} grey levels": {"noise_grey": grey} for grey in (30.0,)}
     runs = {f"{name}, {what}": replace(_LONG[name], **change) for name in _FILTERED for what, change in changes.items()}
-    runs |= {f"bust, {what}": replace(_SHORT["bust"], **change) for what, change in changes.items()}
     for name, run in runs.items():
         # The learned tip is fast enough for so many runs.
         fast = replace(run, fidelity="fast")
