@@ -15,10 +15,12 @@ def main(data: Path, out: Path = Path("runs/example"), epochs: int = 20, filters
     """data: folder of the sets. out: folder of the training. epochs: at least. filters: of the first layer."""
     train_samples, val_samples = read_splits(data)
     recipe = recipe_named("laptop", train_samples.labels.task)
-    # If the pins are known, images can be rendered again during training, as the recipe does.
-    fraction = recipe.settings.augmented_fraction if train_samples.dataset.simulated else 0.0
-    settings = replace(recipe.settings, epochs=epochs, min_steps=0, augmented_fraction=fraction)
-    train(train_samples, val_samples, replace(recipe.network, filters=filters), settings, out)
+    network, settings = replace(recipe.network, filters=filters), replace(recipe.settings, epochs=epochs, min_steps=0)
+    if not train_samples.dataset.simulated:
+        # Real frames have no forces to learn, and no pins from which images could be rendered again.
+        network = replace(network, quantities=False)
+        settings = replace(settings, augmented_fraction=0.0, undeformed_fraction=0.0)
+    train(train_samples, val_samples, network, settings, out)
     figures = tt.evaluate(tt.load_network(str(out)), tt.read_samples(data / "test")).figures
     for name, error in figures["mae"].items():
         print(f"{name}: {error:.3f} {'°' if '_R' in name else 'mm'}")

@@ -12,9 +12,9 @@ class FilterSettings:
     enabled: bool = True
     """Fuse the estimates of successive steps."""
     bend_deg_per_mm: float | None = within(0, 20, default=None)
-    """Standard deviation of the object's bends, degrees per mm. Default: 2 on surfaces, 1 along edges."""
+    """Standard deviation of the object's bends, degrees per mm. Default: 4 on surfaces, 1 along edges."""
     bend_length_mm: float | None = within(0.1, 1e4, default=None)
-    """Distance over which the object's bends change, mm. Default: 10 on surfaces, 40 along edges."""
+    """Distance over which the object's bends change, mm. Default: 5 on surfaces, 40 along edges."""
     rest_mm: float = within(0, 5, default=0.03)
     """Standard deviation that every step adds to each position, mm [?]."""
     rest_deg: float = within(0, 45, default=0.1)

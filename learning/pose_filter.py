@@ -50,8 +50,8 @@ class FilteredPose:
         return np.sqrt(np.diag(self.covariance))
 
 
-_BENDS: dict[Task, tuple[float, float]] = {"surface": (2.0, 10.0), "edge": (1.0, 40.0)}
-"""Defaults of FilterSettings.bend_deg_per_mm and bend_length_mm: radii of 29 mm on surfaces, 57 mm along edges [?]."""
+_BENDS: dict[Task, tuple[float, float]] = {"surface": (4.0, 5.0), "edge": (1.0, 40.0)}
+"""Defaults of FilterSettings.bend_deg_per_mm and bend_length_mm: radii of 14 mm on surfaces, 57 mm along edges [?]."""
 
 _LEARNED = 0.1
 """Weight of a step in the running ratio of seen to expected innovations: it remembers ten steps [?]."""

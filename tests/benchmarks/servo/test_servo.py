@@ -126,7 +126,9 @@ def test_other_networks_training_set_is_recorded(options):
     """It stays on a page that is written again without it."""
     record = followed.run(replace(options, groups=("robust",), other_surface="surface-curved-tactip-127"))
     output = record["others"]["surface"]
-    assert "images of a set of seed 0; training of seed 0, with initial weights of another network" in output
+    assert (
+        "images of a set of seed 11, 15 snapshots per contact; training of seed 0, with initial weights of another" in output
+    )
     again = followed.run(replace(options, groups=("objects",)))
     assert again["others"] == record["others"]
     assert f"Training of the other network of the surface: {output}." in (options.out / "servo.md").read_text()

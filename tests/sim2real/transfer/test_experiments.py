@@ -257,7 +257,7 @@ def test_transfer_wrong_option_reports_error(lab, tmp_path, capsys, options, wor
 @pytest.mark.parametrize(
     ("option", "value", "choices"),
     [
-        ("optics_ranges", "rainbow", "('auto', 'lens', 'real', 'rim', 'steady', "),
+        ("optics_ranges", "rainbow", "('auto', 'lens', 'lens-jitter', 'real', 'rim', "),
         ("randomize_mechanics", "stone", "('none', 'real')"),
         ("recipe", "cake", "('laptop', 'paper')"),
         ("fidelity", "exact", "('draft', 'standard', 'reference')"),
@@ -273,7 +273,9 @@ def test_transfer_unknown_choice_lists_choices(tmp_path, capsys, option, value, 
 
 
 def test_settings_unknown_name_is_refused():
-    with pytest.raises(TactipError, match="unknown optics_ranges 'rainbow': choose one of auto, lens, real, rim, steady"):
+    with pytest.raises(
+        TactipError, match="unknown optics_ranges 'rainbow': choose one of auto, lens, lens-jitter, real, rim, steady"
+    ):
         TransferSettings(optics_ranges="rainbow")
     with pytest.raises(TactipError, match="unknown randomize_mechanics 'stone': choose one of none, real"):
         TransferSettings(randomize_mechanics="stone")
