@@ -1,6 +1,7 @@
 """Markdown page of an evaluation, with tables and figures."""
 
 import json
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ from tactip_twin.learning.evaluate import Evaluation, tables
 from tactip_twin.learning.labels import Labels
 from tactip_twin.learning.model import Model
 from tactip_twin.learning.quantities import QUANTITIES
-from tactip_twin.learning.uncertainty import uncertainty
+from tactip_twin.learning.uncertainty import band_text, uncertainty
 from tactip_twin.sim.view.plot import COLORS, figure_of, save_figure
 from tactip_twin.tactip_model.files import write_file
 
@@ -95,14 +96,7 @@ def _uncertainty(record: dict[str, Any], units: dict[str, str]) -> list[str]:
         lines.append(f"| {row['left_out']:.0%} | " + " | ".join(f"{row['mae'][n]:.3f} {u}" for n, u in units.items()) + " |")
     if "by_force" in record:
         lines += ["", "By normal force: mean absolute error, and the labels inside of the 68 % and 95 % intervals:", ""]
-        lines += ["| normal force, N | samples | " + " | ".join(units) + " |", "|" + "---|" * (len(units) + 2)]
-        for row in record["by_force"]:
-            band = f"{row['from_N']:g} to {row['to_N']:g}" if row["to_N"] is not None else f"above {row['from_N']:g}"
-            cells = [
-                f"{row['mae'][n]:.3f} {u} ({100 * row['coverage_68'][n]:.0f} %, {100 * row['coverage_95'][n]:.0f} %)"
-                for n, u in units.items()
-            ]
-            lines.append(f"| {band} | {row['samples']} | " + " | ".join(cells) + " |")
+        lines += force_table(record["by_force"], units)
     return [*lines, "", "The four most certain estimates, and the four least certain:", "", "![certain](certain.png)"]
 
 
@@ -146,6 +140,23 @@ def _plot_errors(evaluation: Evaluation, samples: Samples, labels: Labels, path:
             xlabel="shear translation, mm", ylabel=f"absolute error, {unit}", ylim=(0, np.quantile(np.abs(error), 0.99))
         )
     save_figure(figure, path)
+
+
+def force_table(rows: Sequence[Mapping[str, Any]], units: Mapping[str, str]) -> list[str]:
+    """Return the lines of a Markdown table of errors and coverage by normal force.
+
+    Args:
+        rows: Rows of uncertainty.by_force.
+        units: Unit by component.
+    """
+    lines = ["| normal force, N | contacts | " + " | ".join(units) + " |", "|" + "---|" * (len(units) + 2)]
+    for row in rows:
+        cells = [
+            f"{row['mae'][n]:.3f} {u} ({100 * row['coverage_68'][n]:.0f} %, {100 * row['coverage_95'][n]:.0f} %)"
+            for n, u in units.items()
+        ]
+        lines.append(f"| {band_text(row)} | {row['samples']} | " + " | ".join(cells) + " |")
+    return lines
 
 
 def _plot_uncertainty(record: dict[str, Any], labels: Labels, path: Path) -> None:

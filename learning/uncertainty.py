@@ -4,6 +4,7 @@ With errors e and deviations σ of held-out contacts, z = e / σ should be distr
 |z| are below 1, 95.4 % below 2, whatever the contact.
 """
 
+from collections.abc import Mapping
 from itertools import pairwise
 from typing import Any
 
@@ -65,6 +66,11 @@ def by_force(
     return rows
 
 
+def band_text(row: Mapping[str, Any]) -> str:
+    """Return the band of normal force, N, of a row of `by_force` as text."""
+    return f"{row['from_N']:g} to {row['to_N']:g}" if row["to_N"] is not None else f"above {row['from_N']:g}"
+
+
 def by_rejection(errors: np.ndarray, deviations: np.ndarray, scales: np.ndarray, names: list[str]) -> list[dict[str, Any]]:
     """Return the mean absolute errors of what is kept when the least certain estimates are left out, as JSON.
 
@@ -97,7 +103,7 @@ def reliability(errors: np.ndarray, deviations: np.ndarray, names: list[str]) ->
 
 
 def contact_figures(probabilities: np.ndarray, forces: np.ndarray) -> dict[str, float]:
-    """Return how well contact is told from none at a probability of one half, as JSON.
+    """Return how often contact is missed, and claimed without one, at a probability of one half, as JSON.
 
     Contacts of less than twice CONTACT_FORCE_N are neither: an image cannot tell on which side of it they are.
 

@@ -15,6 +15,7 @@ from tactip_twin.benchmarks.learning.learning import DESIGN, PAPER, TARGETS, job
 from tactip_twin.benchmarks.options import LearningOptions, ReleaseModelsOptions
 from tactip_twin.learning.data import read_samples
 from tactip_twin.learning.evaluate import evaluate, tables
+from tactip_twin.learning.evaluation_page import force_table
 from tactip_twin.learning.model import DESCRIPTION, WEIGHTS, Model, load_model, load_network, net_sha256
 from tactip_twin.learning.quantities import QUANTITIES
 from tactip_twin.sim.dataset.configuration import samples_per_contact
@@ -123,14 +124,7 @@ def _by_force(record: Mapping[str, Any], units: Mapping[str, str]) -> list[str]:
         "A light touch does not determine the pose, and the deviations say so. Mean errors by normal force, and the",
     ]
     lines[-1] += " labels inside of the 68 % and 95 % intervals:"
-    lines += ["", "| normal force, N | contacts | " + " | ".join(units) + " |", "|" + "---|" * (2 + len(units))]
-    for row in record["by_force"]:
-        band = f"{row['from_N']:g} to {row['to_N']:g}" if row["to_N"] is not None else f"above {row['from_N']:g}"
-        cells = [
-            f"{row['mae'][n]:.3f} {u} ({100 * row['coverage_68'][n]:.0f} %, {100 * row['coverage_95'][n]:.0f} %)"
-            for n, u in units.items()
-        ]
-        lines.append(f"| {band} | {row['samples']} | " + " | ".join(cells) + " |")
+    lines += ["", *force_table(record["by_force"], units)]
     found = {q.name: f"{record['quantities'][q.name]:.3f} {q.unit}".strip() for q in QUANTITIES}
     return [*lines, "", "Mean errors beside the pose: " + ", ".join(f"{k} {v}" for k, v in found.items()) + "."]
 

@@ -25,7 +25,7 @@ from tactip_twin.learning.labels import Labels
 from tactip_twin.learning.model import Model, load_network
 from tactip_twin.learning.pose_from_pins import PinModel, most_likely
 from tactip_twin.learning.quantities import QUANTITIES
-from tactip_twin.learning.uncertainty import FORCE_BANDS_N, uncertainty
+from tactip_twin.learning.uncertainty import FORCE_BANDS_N, band_text, uncertainty
 from tactip_twin.sim.dataset.format import read_pins
 from tactip_twin.sim.dataset.generate import make
 from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES
@@ -227,14 +227,13 @@ def tables(result: Mapping[str, Any]) -> dict[str, str]:
         head = ["normal force, N", "contacts", *names]
         rows = []
         for row, pins in zip(figures["by_force"], values["from_pins"], strict=True):
-            band = f"{row['from_N']:g} to {row['to_N']:g}" if row["to_N"] is not None else f"above {row['from_N']:g}"
             cells = [" / ".join(f"{of[n]:.3f}" for of in (row["mae"], pins["bound_128"], pins["bound_256"])) for n in names]
-            rows.append([band, row["samples"], *cells])
+            rows.append([band_text(row), row["samples"], *cells])
         rows.append(["all", figures["samples"], *(f"{figures['mae'][n]:.3f}" for n in names)])
         out[f"{task}-errors"] = table(head, rows)
         covered = [
             [
-                f"{row['from_N']:g} to {row['to_N']:g}" if row["to_N"] is not None else f"above {row['from_N']:g}",
+                band_text(row),
                 row["samples"],
                 *(f"{100 * row['coverage_68'][n]:.0f} %, {100 * row['coverage_95'][n]:.0f} %" for n in names),
             ]
