@@ -48,8 +48,6 @@ class Estimate:
     """Time for the network, s."""
     deviations: np.ndarray | None = None
     """(6,) standard deviations of the label, m and rad; None if the estimator has none."""
-    contact: float | None = None
-    """Estimated probability that the tip touches; None if the estimator has none."""
 
 
 @runtime_checkable
@@ -119,17 +117,17 @@ class ImageEstimator:
         start = time.perf_counter()
         image = self._image(touch.pin_tips, touch.directions)
         rendered = time.perf_counter()
-        label, deviations, contact = self._estimate(image)
+        label, deviations = self._estimate(image)
         end = time.perf_counter()
         white = image > 127
         union = int((white | self._neutral).sum())
         difference = 1 - int((white & self._neutral).sum()) / union if union else 0.0
         found = None if deviations is None else from_mm_deg(deviations)
-        return Estimate(from_mm_deg(label), difference, image, rendered - start, end - rendered, found, contact)
+        return Estimate(from_mm_deg(label), difference, image, rendered - start, end - rendered, found)
 
-    def _estimate(self, image: np.ndarray) -> tuple[np.ndarray, np.ndarray | None, float | None]:
-        """Return label (6,) and standard deviations (6,), mm and degrees, and the probability of contact, of an image."""
-        return self._label(image), None, None
+    def _estimate(self, image: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+        """Return label (6,) and standard deviations (6,) or None, mm and degrees, of an image (size, size) uint8."""
+        return self._label(image), None
 
 
 class NetworkEstimator(ImageEstimator):
@@ -150,16 +148,15 @@ class NetworkEstimator(ImageEstimator):
         self._model = model
         super().__init__(model.predict, model.labels.components, design, renderer, noise_grey, seed)
 
-    def _estimate(self, image: np.ndarray) -> tuple[np.ndarray, np.ndarray | None, float | None]:
+    def _estimate(self, image: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
         """Return what the network estimates; see ImageEstimator."""
         estimates, label = self._model.estimate(image[None]), np.zeros(6)
         label[self._rows] = estimates.means[0, : len(self._rows)]
-        contact = None if estimates.contact is None else float(estimates.contact[0])
         if estimates.deviations is None:
-            return label, None, contact
+            return label, None
         deviations = np.zeros(6)
         deviations[self._rows] = estimates.deviations[0, : len(self._rows)]
-        return label, deviations, contact
+        return label, deviations
 
 
 class Oracle:
