@@ -23,14 +23,14 @@ class Import(Command):
 
     source: tyro.conf.Positional[Path]
     """Folder of the set: a table, frames or videos (here or in images/, frames/ or videos/), and if there is one, a neutral
-    image init* or neutral*."""
+    image init* or neutral*, here or beside the frames."""
     out: Path
     """Folder of the imported set."""
     targets: Path | None = None
     """Table of poses. Default: targets.csv in the folder, or its only table."""
     neutral: Path | None = None
-    """Image of the undeformed tip. Default: init* or neutral* in the folder; without one, the median of the shallowest
-    frames replaces it."""
+    """Image of the undeformed tip. Default: init* or neutral* in the folder or beside the frames; without one, the median of
+    the shallowest frames replaces it."""
     layout: Path | None = None
     """JSON file of the options below; options on the command line override the file."""
     column_map: Annotated[ColumnMap, tyro.conf.arg(name="")] = field(default_factory=ColumnMap)

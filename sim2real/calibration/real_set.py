@@ -1,6 +1,6 @@
 """A folder of real images with the commands of the rig that took them, in its published format.
 
-init_0.png                neutral image (any name that starts with init)
+init_0.png                neutral image (any name that begins with init or neutral; it may lie beside the frames)
 images/*.png or *.png     binary frames
 targets.csv               image_name or sensor_image; pose_1 … pose_6 and move_1 … move_6, mm and degrees, in the rig's frame
 meta.json                 tap_move: the tap that makes contact, after the commanded pose, mm and degrees
@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from tactip_twin.sim.pose import from_mm_deg
+from tactip_twin.sim2real.importing.source import find_neutral_image
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.input_files import parse_table, read_file, read_json
 from tactip_twin.tactip_model.input_images import read_image
@@ -53,9 +54,6 @@ def read_real_set(folder: str | Path) -> RealSet:
         raise TactipError(
             f"{folder} is not a folder: it must hold targets.csv, meta.json, a neutral image init*.png and frames"
         )
-    inits = sorted(folder.glob("init*.png"))
-    if not inits:
-        raise TactipError(f"{folder} has no neutral image: add one named init*.png")
     rows = _rows(folder / "targets.csv")
     name = next((n for n in _NAMES if n in rows[0]), None)
     columns = [[f"{kind}_{k}" for k in range(1, 7)] for kind in ("pose", "move")]
@@ -76,8 +74,11 @@ def read_real_set(folder: str | Path) -> RealSet:
     if not all(np.isfinite(n).all() for n in numbers):
         raise TactipError(f"{folder / 'targets.csv'} has poses or moves that are not finite")
     files = tuple(_found(folder, row[name]) for row in rows)
+    neutral = find_neutral_image(folder, files)
+    if neutral is None:
+        raise TactipError(f"{folder} has no neutral image: add one named init*.png")
     return RealSet(
-        folder, files, *(from_mm_deg(n) for n in numbers), tap=_tap(folder / "meta.json"), neutral=read_image(inits[0])
+        folder, files, *(from_mm_deg(n) for n in numbers), tap=_tap(folder / "meta.json"), neutral=read_image(neutral)
     )
 
 

@@ -1,7 +1,7 @@
 """A laboratory's set as it was published: table, labels and paths of the frames."""
 
 import contextlib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,6 +23,7 @@ MAX_FRAMES = 150_000
 """Maximum number of frames: meta.json, which has a checksum of each, stays below its size limit."""
 
 _NEUTRALS = ("init*", "neutral*")
+"""Names of neutral images."""
 
 PIN_DETECTION_FRAMES = 40
 """Frames used to locate the pins, if there is no neutral image, and to measure how the camera has changed since it."""
@@ -66,7 +67,7 @@ def read_source(
         folder: The folder.
         column_map: Conventions of its table.
         targets: The table; if None, targets.csv in the folder, or its only table.
-        neutral: The neutral image; if None, one whose name begins with init or neutral.
+        neutral: The neutral image; if None, what `find_neutral_image` finds.
 
     Raises:
         TactipError: If table, neutral image or all frames are missing, or the table does not fit.
@@ -88,13 +89,27 @@ def read_source(
     poses, shears = convert_labels(column_map, table)
     if neutral is not None and not Path(neutral).is_file():
         raise TactipError(f"the neutral image {neutral} does not exist")
-    found = [p for pattern in _NEUTRALS for p in sorted(folder.glob(pattern)) if p.suffix.lower() in IMAGES]
     paths = tuple(_frame_path(folder, name) for name in names)
     if not any(paths):
         places = ", ".join(str(folder / f) for f in FOLDERS)
         raise TactipError(f"none of the table's frames exists: {names[0]!r} was searched in {places}")
-    neutral = Path(neutral) if neutral else next(iter(found), None)
+    neutral = Path(neutral) if neutral else find_neutral_image(folder, paths)
     return Source(folder, names, paths, poses, shears, neutral, checksum(data), column_map.video_frame)
+
+
+def find_neutral_image(folder: Path, frames: Iterable[Path | None]) -> Path | None:
+    """Return the image whose name begins with init or neutral, in a set's folder or beside its frames, or None.
+
+    A frame of the table is never taken for it.
+
+    Args:
+        folder: The set's folder.
+        frames: Files of the frames; None where one is missing.
+    """
+    used = {path for path in frames if path is not None}
+    places = dict.fromkeys((folder, *sorted({path.parent for path in used})))
+    found = (p for place in places for pattern in _NEUTRALS for p in sorted(place.glob(pattern)))
+    return next((p for p in found if p.suffix.lower() in IMAGES and p not in used), None)
 
 
 def _table_in(folder: Path) -> Path:

@@ -34,6 +34,22 @@ def test_import_other_or_broken_neutral_image_is_refused(tmp_path, capsys):
     assert "broken.png: it cannot be read as an image" in capsys.readouterr().err
 
 
+def test_import_finds_neutral_image_beside_frames_but_not_among_them(tmp_path, capsys):
+    write_set(tmp_path / "lab")
+    assert bring(tmp_path / "lab", tmp_path / "set") == 0
+    images = tmp_path / "lab" / "images"
+    (tmp_path / "lab" / "init_0.png").rename(images / "init_0.png")
+    assert bring(tmp_path / "lab", tmp_path / "set") == 0  # the same image: the same set
+    assert "already holds this set" in capsys.readouterr().out
+    # A frame of the table is a contact, whatever its name.
+    (images / "init_0.png").unlink()
+    table = tmp_path / "lab" / "targets.csv"
+    table.write_text(table.read_text().replace("frame_1.png", "init_1.png"))
+    (images / "frame_1.png").rename(images / "init_1.png")
+    assert bring(tmp_path / "lab", tmp_path / "other") == 0
+    assert json.loads((tmp_path / "other" / "import.json").read_text())["neutral_image"] is False
+
+
 def test_import_without_neutral_image_skips_unusable_frames(tmp_path):
     write_set(tmp_path / "lab")
     (tmp_path / "lab" / "init_0.png").unlink()
