@@ -1,8 +1,8 @@
 """Pose and shear from the positions of pins, by maximum likelihood through the learned tip.
 
 No network is trained: the learned tip (sim/fast_tip/) predicts the pins of a pose and a shear, and Levenberg-Marquardt steps
-look for those whose pins are nearest to the given ones. It is a yardstick for networks: what remains is what pins cannot
-tell, or what the learned tip has wrong.
+look for those whose pins are nearest to the given ones. It is a yardstick for networks (what remains is what pins cannot
+tell, or what the learned tip has wrong), and it reads frames of a sensor for which there is no network yet.
 """
 
 from dataclasses import dataclass
@@ -12,6 +12,8 @@ import numpy as np
 from tactip_twin.sim.dataset.sampling import Ranges
 from tactip_twin.sim.fast_tip.fast_tip import FastTip, PinDecoder
 from tactip_twin.sim.pose import from_mm_deg
+from tactip_twin.tactip_model.neutral_image import reference_pixels
+from tactip_twin.tactip_model.optics import Lens
 
 _STEP_MM_DEG = np.array([0.05] * 3 + [0.25] * 3)
 """Differences for the derivatives of the pins, mm and degrees: larger than what the tip's networks do not resolve [?]."""
@@ -33,16 +35,33 @@ class MostLikely:
     """(n, 6) mm and degrees."""
     deviations: np.ndarray
     """(n, 12) standard deviations of poses and shears, mm and degrees; 0 where the ranges fix a component."""
-    residuals_mm: np.ndarray
-    """(n,) root mean square distance of the pins from the predicted ones, in plan view."""
+    residuals: np.ndarray
+    """(n,) root mean square distance of the pins from the predicted ones, in the unit of the model's positions."""
 
 
 class PinModel:
-    """Pins in plan view as a function of pose and shear within ranges."""
+    """Positions of pins as a function of pose and shear within ranges: in plan view, mm, or in the image, px of 256."""
 
-    def __init__(self, tip: FastTip, decoder: PinDecoder, pose: Ranges, shear: Ranges) -> None:
-        """Take the learned tip, the pins of a design, and the ranges in which poses and shears lie."""
-        self._tip, self._decoder = tip, decoder
+    def __init__(
+        self,
+        tip: FastTip,
+        decoder: PinDecoder,
+        pose: Ranges,
+        shear: Ranges,
+        lens: Lens | None = None,
+        materials: np.ndarray | None = None,
+    ) -> None:
+        """Prepare a model.
+
+        Args:
+            tip: The learned tip.
+            decoder: Pins of the design.
+            pose: Ranges in which poses lie.
+            shear: Ranges in which shears lie.
+            lens: Lens of the design for positions in the image; None for plan view.
+            materials: Inputs of a tip that knows any materials (FastTip.coefficients).
+        """
+        self._tip, self._decoder, self._lens, self._materials = tip, decoder, lens, materials
         bounds = np.concatenate([pose.bounds(), shear.bounds()])
         self.free = np.ptp(bounds, axis=1) > 0
         """(12,) bool: components that are not fixed."""
@@ -56,60 +75,84 @@ class PinModel:
         out[:, self.free] = values
         return out
 
-    def pins_mm(self, values: np.ndarray) -> np.ndarray:
-        """Return the pins in plan view (n, 2 p), mm, for free components (n, k), mm and degrees."""
+    def positions(self, values: np.ndarray) -> np.ndarray:
+        """Return the pins' positions (n, 2 p), mm or px, for free components (n, k), mm and degrees."""
         both = from_mm_deg(self.whole(values).reshape(-1, 2, 6))
-        tips = self._tip.predict(self._decoder, both[:, 0], both[:, 1]).pin_tips
-        return 1e3 * tips[..., :2].reshape(len(values), -1)
+        coefficients, _ = self._tip.coefficients(both[:, 0], both[:, 1], self._materials)
+        tips, _ = self._decoder(coefficients)
+        if self._lens is None:
+            return 1e3 * tips[..., :2].reshape(len(values), -1)
+        return reference_pixels(self._lens.project(tips), self._lens.width).reshape(len(values), -1)
 
     def jacobians(self, values: np.ndarray) -> np.ndarray:
-        """Return the derivatives (n, 2 p, k) of the pins, mm per mm and mm per degree, by central differences."""
-        ends = [[self.pins_mm(values + sign * step) for sign in (1, -1)] for step in np.diag(self._steps)]
+        """Return the derivatives (n, 2 p, k) of the positions, per mm and per degree, by central differences."""
+        ends = [[self.positions(values + sign * step) for sign in (1, -1)] for step in np.diag(self._steps)]
         return np.stack([(a - b) / (2 * s) for (a, b), s in zip(ends, self._steps, strict=True)], -1)
 
-    def information(self, jacobians: np.ndarray, noise_mm: float, prior_weight: float = 1.0) -> np.ndarray:
+    def nearest_of(self, pins: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
+        """Return, for each of n frames, that of `count` random contacts in the ranges whose pins are nearest: (n, 12), mm and
+        degrees.
+
+        Args:
+            pins: (n, p, 2) positions, mm or px; NaN where a pin is not detected.
+            count: Number of random contacts.
+            rng: Generator of the contacts.
+        """
+        values = self.low + (self.high - self.low) * rng.random((count, len(self.low)))
+        bank = self.positions(values)
+        wanted = pins.reshape(len(pins), -1)
+        return self.whole(values[[int(np.nanmean((bank - one) ** 2, 1).argmin()) for one in wanted]])
+
+    def information(self, jacobians: np.ndarray, noise: float, prior_weight: float = 1.0) -> np.ndarray:
         """Return the information matrices (n, k, k) of pins with noise (standard deviation of each coordinate) and a prior.
 
         The prior has the variance of uniform distributions over the ranges. Their inverse is the Cramér-Rao bound.
         """
         prior = np.diag(12 * prior_weight / (self.high - self.low) ** 2)
-        return jacobians.transpose(0, 2, 1) @ jacobians / noise_mm**2 + prior
+        return jacobians.transpose(0, 2, 1) @ jacobians / noise**2 + prior
 
 
-def most_likely(model: PinModel, pins_mm: np.ndarray, start: np.ndarray, noise_mm: float, steps: int = 12) -> MostLikely:
+def most_likely(model: PinModel, pins: np.ndarray, start: np.ndarray, noise: float, steps: int = 12) -> MostLikely:
     """Return the most likely poses and shears for pins.
 
     Args:
         model: Model of the pins.
-        pins_mm: (n, p, 2) pin tips in plan view, sensor frame, mm.
+        pins: (n, p, 2) positions of pin tips, mm or px as the model's; NaN where one is not detected.
         start: (n, 12) poses and shears from which to start, mm and degrees.
-        noise_mm: Standard deviation of each coordinate of a pin, mm, with what the learned tip has wrong.
+        noise: Standard deviation of each coordinate of a pin, in the same unit, with what the learned tip has wrong.
         steps: Number of steps.
     """
-    wanted = pins_mm.reshape(len(pins_mm), -1)
+    wanted = pins.reshape(len(pins), -1)
+    known = np.isfinite(wanted)
     values = np.clip(start[:, model.free], model.low, model.high)
     middle, prior = 0.5 * (model.low + model.high), 12 * _PRIOR_WEIGHT / (model.high - model.low) ** 2
 
-    def cost(of: np.ndarray, pins: np.ndarray) -> np.ndarray:
-        """Return minus twice the logarithm of the posterior, (n,), without its constant."""
-        return ((pins - wanted) ** 2).sum(1) / noise_mm**2 + (prior * (of - middle) ** 2).sum(1)
+    def away(there: np.ndarray) -> np.ndarray:
+        return np.where(known, wanted - there, 0.0)
 
-    pins = model.pins_mm(values)
-    costs, damping = cost(values, pins), np.full(len(values), _DAMPING)
+    def slopes(of: np.ndarray) -> np.ndarray:
+        return known[..., None] * model.jacobians(of)
+
+    def cost(of: np.ndarray, there: np.ndarray) -> np.ndarray:
+        """Return minus twice the logarithm of the posterior, (n,), without its constant."""
+        return (away(there) ** 2).sum(1) / noise**2 + (prior * (of - middle) ** 2).sum(1)
+
+    here = model.positions(values)
+    costs, damping = cost(values, here), np.full(len(values), _DAMPING)
     for _ in range(steps):
-        J = model.jacobians(values)
-        A = model.information(J, noise_mm, _PRIOR_WEIGHT)
-        gradient = np.einsum("nij,ni->nj", J, wanted - pins) / noise_mm**2 - prior * (values - middle)
+        J = slopes(values)
+        A = model.information(J, noise, _PRIOR_WEIGHT)
+        gradient = np.einsum("nij,ni->nj", J, away(here)) / noise**2 - prior * (values - middle)
         damped = A + damping[:, None, None] * np.einsum("njj,jk->njk", A, np.eye(A.shape[1]))
         moved = np.clip(values + np.linalg.solve(damped, gradient[..., None])[..., 0], model.low, model.high)
-        their_pins = model.pins_mm(moved)
-        their_costs = cost(moved, their_pins)
+        there = model.positions(moved)
+        their_costs = cost(moved, there)
         better = their_costs < costs
-        values, pins = np.where(better[:, None], moved, values), np.where(better[:, None], their_pins, pins)
+        values, here = np.where(better[:, None], moved, values), np.where(better[:, None], there, here)
         costs, damping = np.where(better, their_costs, costs), np.where(better, 0.2 * damping, 5 * damping)
-    information = model.information(model.jacobians(values), noise_mm, _PRIOR_WEIGHT)
+    information = model.information(slopes(values), noise, _PRIOR_WEIGHT)
     deviations = np.zeros((len(values), 12))
     deviations[:, model.free] = np.sqrt(np.diagonal(np.linalg.inv(information), axis1=1, axis2=2))
     whole = model.whole(values)
-    residuals = np.sqrt(2 * ((pins - wanted) ** 2).mean(1))
+    residuals = np.sqrt(2 * (away(here) ** 2).sum(1) / known.sum(1))
     return MostLikely(whole[:, :6], whole[:, 6:], deviations, residuals)

@@ -26,24 +26,24 @@ def case(request):
 
 def test_exact_pins_give_the_pose_back(case):
     model, truth, rng = case
-    pins = model.pins_mm(truth[:, model.free]).reshape(COUNT, -1, 2)
+    pins = model.positions(truth[:, model.free]).reshape(COUNT, -1, 2)
     start = truth.copy()
     start[:, model.free] += rng.normal(0, 0.3, start[:, model.free].shape)
-    found = most_likely(model, pins, start, noise_mm=0.002)
+    found = most_likely(model, pins, start, noise=0.002)
     assert np.median(np.abs(found.poses - truth[:, :6])[:, 2]) < 0.005
     assert np.median(np.abs(found.poses - truth[:, :6])[:, 3:5]) < 0.1
-    assert np.median(found.residuals_mm) < 0.005
+    assert np.median(found.residuals) < 0.005
     assert (found.poses[:, 1] == 0).all()
 
 
 def test_noisy_pins_err_as_the_deviations_say(case):
     model, truth, rng = case
-    pins = model.pins_mm(truth[:, model.free]).reshape(COUNT, -1, 2) + rng.normal(0, 0.03, (COUNT, 127, 2))
-    found = most_likely(model, pins, truth, noise_mm=0.03)
+    pins = model.positions(truth[:, model.free]).reshape(COUNT, -1, 2) + rng.normal(0, 0.03, (COUNT, 127, 2))
+    found = most_likely(model, pins, truth, noise=0.03)
     errors = np.concatenate([found.poses, found.shears], 1) - truth
     z = (errors / np.where(model.free, found.deviations, 1.0))[:, [2, 3, 4]]
     assert 0.6 < np.sqrt(np.mean(z**2)) < 1.4
-    assert found.residuals_mm == pytest.approx(0.03 * np.sqrt(2), rel=0.2)
+    assert found.residuals == pytest.approx(0.03 * np.sqrt(2), rel=0.2)
 
 
 def test_deviations_are_larger_for_light_contacts(case):
