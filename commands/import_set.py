@@ -17,8 +17,8 @@ from tactip_twin.sim2real.sensor.preprocessing_options import ImagePreprocessing
 class Import(Command):
     """Import a published or your own data set of a real sensor. A picture shows the result."""
 
-    common = ("source", "out", "neutral", "layout", "column_map.columns", "column_map.camera_rotation_deg",
-              "column_map.tcp_behind_apex_mm", "preprocessing.crop", "preprocessing.threshold")  # fmt: skip
+    common = ("source", "out", "find", "neutral", "layout", "column_map.task", "column_map.columns",
+              "column_map.camera_rotation_deg", "column_map.tcp_behind_apex_mm", "preprocessing.crop", "preprocessing.threshold")  # fmt: skip
     example = "tactip import lab/set --out data/real --columns pose_z=-depth pose_Rx=roll pose_Ry=pitch"
 
     source: tyro.conf.Positional[Path]
@@ -31,6 +31,9 @@ class Import(Command):
     neutral: Path | None = None
     """Image of the undeformed tip. Default: init* or neutral* in the folder or beside the frames; without one, the median of
     the shallowest frames replaces it."""
+    find: bool = False
+    """Find which columns are which, their signs, the camera's rotation, the zero of depth and the tool centre by holding the
+    frames against simulated contacts. Options that are given are kept and checked. Of an edge, give --task edge."""
     layout: Path | None = None
     """JSON file of the options below; options on the command line override the file."""
     column_map: Annotated[ColumnMap, tyro.conf.arg(name="")] = field(default_factory=ColumnMap)
@@ -49,11 +52,21 @@ class Import(Command):
     def run(self) -> int:
         from tactip_twin.sim2real.importing.import_set import PICTURE, import_set
         from tactip_twin.sim2real.importing.report import report_lines
-        from tactip_twin.sim2real.importing.source import read_source
+        from tactip_twin.sim2real.importing.source import read_recording, with_labels
 
-        layout = Layout(self.column_map, self.preprocessing)
-        source = read_source(self.source, layout.column_map, self.targets, self.neutral)
-        report = import_set(source, layout, self.out)
+        layout, found = Layout(self.column_map, self.preprocessing), None
+        recording = read_recording(self.source, layout.column_map, self.targets, self.neutral)
+        if self.find:
+            from tactip_twin.sim2real.importing.find_layout import CONVENTIONS, find_layout, write_picture
+
+            found = find_layout(recording, layout)
+            layout = found.layout
+            print(*found.evidence, sep="\n")
+            print(f"found: {found.options()}")
+        report = import_set(with_labels(recording, layout.column_map), layout, self.out)
+        if found:
+            write_picture(found.contacts, self.out / CONVENTIONS)
+            print(f"check the picture of measured and simulated pins, {self.out / CONVENTIONS}")
         for line in report_lines(report):
             print(line)
         print(f"{self.out} written; check the picture {self.out / PICTURE}")

@@ -90,8 +90,7 @@ class PinModel:
         return np.stack([(a - b) / (2 * s) for (a, b), s in zip(ends, self._steps, strict=True)], -1)
 
     def nearest_of(self, pins: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
-        """Return, for each of n frames, that of `count` random contacts in the ranges whose pins are nearest: (n, 12), mm and
-        degrees.
+        """Return for each of n frames the nearest of random contacts in the ranges, (n, 12), mm and degrees.
 
         Args:
             pins: (n, p, 2) positions, mm or px; NaN where a pin is not detected.

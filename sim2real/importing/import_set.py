@@ -21,9 +21,8 @@ from tactip_twin.sim.parallel.resume import check_resumable
 from tactip_twin.sim2real.importing.column_map import ColumnMap
 from tactip_twin.sim2real.importing.layout import Layout
 from tactip_twin.sim2real.importing.report import picture, report_of
-from tactip_twin.sim2real.importing.source import Source, pin_detection_frames, spread
-from tactip_twin.sim2real.sensor.preprocess import MIN_PIN_FRACTION, FrameReader, check_frame, load_neutral
-from tactip_twin.sim2real.sensor.preprocessing_options import ImagePreprocessing
+from tactip_twin.sim2real.importing.source import Source, frame_reader, spread
+from tactip_twin.sim2real.sensor.preprocess import MIN_PIN_FRACTION, FrameReader, load_neutral
 from tactip_twin.tactip_model.errors import Interrupted, TactipError
 from tactip_twin.tactip_model.files import remove_leftovers, write_file
 from tactip_twin.tactip_model.input_files import read_file, read_json
@@ -83,7 +82,7 @@ def import_set(
         log(f"{out} was imported by an earlier version, whose report is incomplete: importing it again")
     try:
         neutral = None if source.neutral is None else load_neutral(source.neutral)
-        reader = _reader(source, layout.preprocessing, neutral)
+        reader = frame_reader(source, layout.preprocessing, neutral)
         out.mkdir(parents=True, exist_ok=True)
         # The lock is written first, so the folder of a killed import is recognized.
         with locked(out / _WORK, f"importing a set into {out}"):
@@ -191,21 +190,6 @@ def _import(
     write_file(out / "meta.json", (json.dumps(meta, indent=1) + "\n").encode())
     (out / _WORK).unlink()
     return report
-
-
-def _reader(source: Source, options: ImagePreprocessing, neutral: np.ndarray | None) -> FrameReader:
-    """Return the FrameReader of a Source, after trying it on one frame. Raises TactipError if the options do not fit."""
-    others = [] if neutral is not None else pin_detection_frames(source)
-    first = neutral if neutral is not None else next(iter(others), None)
-    try:
-        if first is not None:
-            check_frame(first, options)
-        reader = FrameReader(options, neutral, others)
-        if first is not None:
-            reader.read(first)
-    except TactipError as error:
-        raise TactipError(f"the {'frames' if neutral is None else 'neutral image'} cannot be used: {error}") from error
-    return reader
 
 
 def _pseudo_neutral(

@@ -1,8 +1,8 @@
 """A laboratory's set as it was published: table, labels and paths of the frames."""
 
 import contextlib
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +10,8 @@ import numpy as np
 from tactip_twin.sim.dataset.format import checksum
 from tactip_twin.sim2real.importing.column_map import ColumnMap
 from tactip_twin.sim2real.importing.convert_labels import convert_labels, image_column
-from tactip_twin.sim2real.sensor.preprocess import IMAGES, load
+from tactip_twin.sim2real.sensor.preprocess import IMAGES, FrameReader, check_frame, load
+from tactip_twin.sim2real.sensor.preprocessing_options import ImagePreprocessing
 from tactip_twin.sim2real.sensor.video_frames import VIDEOS
 from tactip_twin.tactip_model.bounds import require
 from tactip_twin.tactip_model.errors import TactipError
@@ -30,8 +31,8 @@ PIN_DETECTION_FRAMES = 40
 
 
 @dataclass(frozen=True)
-class Source:
-    """A laboratory's folder. (n frames)"""
+class Recording:
+    """A laboratory's folder before anything is known of its conventions. (n frames)"""
 
     folder: Path
     """The folder."""
@@ -39,15 +40,13 @@ class Source:
     """(n) names of the frames, from the table."""
     paths: tuple[Path | None, ...]
     """(n) their files; None if one is missing."""
-    poses: np.ndarray
-    """(n, 6) mm and degrees, in our conventions; NaN where a cell is not a number."""
-    shears: np.ndarray
-    """(n, 6) the same."""
+    table: Mapping[str, Sequence[str]]
+    """Cells (n) of each column of the table."""
     neutral: Path | None
     """Image of the undeformed tip, if there is one."""
     digest: str
     """Checksum of the table."""
-    video_frame: int = -1
+    video_frame: int
     """Frame used from each video (ColumnMap.video_frame)."""
 
     def load(self, i: int) -> np.ndarray:
@@ -58,19 +57,42 @@ class Source:
         return load(path, self.video_frame)
 
 
+@dataclass(frozen=True)
+class Source(Recording):
+    """A laboratory's folder with its labels. (n frames)"""
+
+    poses: np.ndarray
+    """(n, 6) mm and degrees, in our conventions; NaN where a cell is not a number."""
+    shears: np.ndarray
+    """(n, 6) the same."""
+
+
 def read_source(
     folder: str | Path, column_map: ColumnMap, targets: str | Path | None = None, neutral: str | Path | None = None
 ) -> Source:
-    """Return the Source in a folder.
+    """Return the Source in a folder: its Recording with labels (`read_recording` and `with_labels`)."""
+    return with_labels(read_recording(folder, column_map, targets, neutral), column_map)
+
+
+def with_labels(recording: Recording, column_map: ColumnMap) -> Source:
+    """Return a Recording with the labels that a ColumnMap gives. Raises TactipError if the table does not fit."""
+    poses, shears = convert_labels(column_map, recording.table)
+    return Source(**{f.name: getattr(recording, f.name) for f in fields(Recording)}, poses=poses, shears=shears)
+
+
+def read_recording(
+    folder: str | Path, column_map: ColumnMap, targets: str | Path | None = None, neutral: str | Path | None = None
+) -> Recording:
+    """Return the Recording in a folder.
 
     Args:
         folder: The folder.
-        column_map: Conventions of its table.
+        column_map: Conventions of its table, of which only those of the frames are used.
         targets: The table; if None, targets.csv in the folder, or its only table.
         neutral: The neutral image; if None, what `find_neutral_image` finds.
 
     Raises:
-        TactipError: If table, neutral image or all frames are missing, or the table does not fit.
+        TactipError: If table, neutral image or all frames are missing, or the table has no rows.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -86,7 +108,6 @@ def read_source(
     require(len(rows) <= MAX_FRAMES, f"the number of rows of {path}", len(rows), allowed)
     table = {name: [row[name] for row in rows] for name in rows[0] if name}
     names = tuple(name or "" for name in table[image_column(column_map, list(table))])
-    poses, shears = convert_labels(column_map, table)
     if neutral is not None and not Path(neutral).is_file():
         raise TactipError(f"the neutral image {neutral} does not exist")
     paths = tuple(_frame_path(folder, name) for name in names)
@@ -94,7 +115,7 @@ def read_source(
         places = ", ".join(str(folder / f) for f in FOLDERS)
         raise TactipError(f"none of the table's frames exists: {names[0]!r} was searched in {places}")
     neutral = Path(neutral) if neutral else find_neutral_image(folder, paths)
-    return Source(folder, names, paths, poses, shears, neutral, checksum(data), column_map.video_frame)
+    return Recording(folder, names, paths, table, neutral, checksum(data), column_map.video_frame)
 
 
 def find_neutral_image(folder: Path, frames: Iterable[Path | None]) -> Path | None:
@@ -138,14 +159,29 @@ def _frame_path(folder: Path, name: str) -> Path | None:
     return None
 
 
-def pin_detection_frames(source: Source) -> list[np.ndarray]:
-    """Return up to PIN_DETECTION_FRAMES frames, evenly spread over a Source, that can be read and are as large as the
+def pin_detection_frames(recording: Recording) -> list[np.ndarray]:
+    """Return up to PIN_DETECTION_FRAMES frames, evenly spread over a Recording, that can be read and are as large as the
     first."""
     frames = []
-    for i in spread([i for i, path in enumerate(source.paths) if path]):
+    for i in spread([i for i, path in enumerate(recording.paths) if path]):
         with contextlib.suppress(TactipError):  # the import leaves it out later, and reports it
-            frames.append(source.load(i))
+            frames.append(recording.load(i))
     return [frame for frame in frames if frame.shape == frames[0].shape]
+
+
+def frame_reader(recording: Recording, options: ImagePreprocessing, neutral: np.ndarray | None) -> FrameReader:
+    """Return the FrameReader of a Recording, after trying it on one frame. Raises TactipError if the options do not fit."""
+    others = [] if neutral is not None else pin_detection_frames(recording)
+    first = neutral if neutral is not None else next(iter(others), None)
+    try:
+        if first is not None:
+            check_frame(first, options)
+        reader = FrameReader(options, neutral, others)
+        if first is not None:
+            reader.read(first)
+    except TactipError as error:
+        raise TactipError(f"the {'frames' if neutral is None else 'neutral image'} cannot be used: {error}") from error
+    return reader
 
 
 def spread(items: Sequence[int]) -> list[int]:

@@ -1,0 +1,151 @@
+"""Contacts estimated from the pins of some frames of a set, whatever its table says: what its table is held against.
+
+The neutral image gives camera and pins, and the learned tip (sim/fast_tip/) says which contact moves pins as those of a frame
+have moved (learning/pose_from_pins.py). The mechanics are not this sensor's, so an estimate may be a third too small or too
+large; its sign, its axis and its zero are right.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tactip_twin.learning.pose_from_pins import PinModel, most_likely
+from tactip_twin.sim.dataset.sampling import Ranges
+from tactip_twin.sim.fast_tip.fast_tip import PinDecoder, read_fast_tip, shipped_fast_tip
+from tactip_twin.sim.fast_tip.materials import material_inputs
+from tactip_twin.sim.labels import Task
+from tactip_twin.sim2real.importing.source import Recording, spread
+from tactip_twin.sim2real.sensor.preprocess import FrameReader
+from tactip_twin.tactip_model.errors import TactipError
+from tactip_twin.tactip_model.neutral_image import camera_change, fit_neutral, reference_pixels
+from tactip_twin.tactip_model.optics import REFERENCE_PX, Lens
+from tactip_twin.tactip_model.pin_detection import PinMatcher, find_blobs
+from tactip_twin.tactip_model.pins import neutral_pins
+from tactip_twin.tactip_model.presets import NOMINAL, design_named
+
+FRAMES = 120
+"""Number of frames that are read."""
+
+_MIN_DETECTED = 0.9
+"""Fraction of the pins that must be detected in a frame."""
+
+_MIN_FRAMES = 20
+"""Minimum number of frames with enough pins."""
+
+_PRESET = "tactip-127"
+"""Preset whose mechanics are taken: no image shows those of the sensor at hand."""
+
+_POSES = {
+    "surface": Ranges(depth_mm=(-6.5, 0.0), roll_deg=(-25, 25), pitch_deg=(-25, 25)),
+    "edge": Ranges(x_mm=(-7, 7), depth_mm=(-6.5, 0.0), roll_deg=(-20, 20), pitch_deg=(-20, 20), yaw_deg=(-200, 200)),
+}
+_SHEARS = Ranges(x_mm=(-6, 6), y_mm=(-6, 6), yaw_deg=(-8, 8))
+"""Ranges of the estimates, mm and degrees, somewhat wider than what is usually recorded [?]."""
+
+_PIXEL_NOISE, _INDEPENDENT = 0.5, 10
+"""Residual of a good estimate, px of 256, and number of independent measurements that a frame counts for, because the
+residuals of its pins are correlated (as in calibration/rounds.py)."""
+
+_RANDOM_CONTACTS = 6000
+"""Number of random contacts of which the nearest is the start of an estimate."""
+
+
+@dataclass(frozen=True)
+class EstimatedContacts:
+    """Contacts of n frames with p pins, estimated from the pins alone. On a surface, axes are the image's."""
+
+    rows: np.ndarray
+    """(n,) int, rows of the table."""
+    poses: np.ndarray
+    """(n, 6) mm and degrees, axes of sim/pose.py."""
+    shears: np.ndarray
+    """(n, 6) mm and degrees."""
+    residuals_px: np.ndarray
+    """(n,) root mean square distance of detected and simulated pins, px of 256."""
+    at_rest_px: np.ndarray
+    """(p, 2) pins at rest, px of 256."""
+    detected_px: np.ndarray
+    """(n, p, 2) detected pins, px of 256; NaN where one is not detected."""
+    simulated_px: np.ndarray
+    """(n, p, 2) pins of the estimated contacts, px of 256."""
+
+
+def estimate_contacts(
+    recording: Recording, reader: FrameReader, neutral: np.ndarray | None, task: Task, seed: int = 0
+) -> EstimatedContacts:
+    """Estimate the contacts of up to FRAMES frames of a set.
+
+    Args:
+        recording: The set.
+        reader: Reader of its frames.
+        neutral: (h, w[, 3]) uint8, the neutral image, if there is one.
+        task: Stimulus of the set.
+        seed: Seed of the choice of frames and of the starts.
+
+    Raises:
+        TactipError: If the pins at rest have no known layout, or pins are not detected in enough frames.
+    """
+    rng = np.random.default_rng(seed)
+    rows = np.array([i for i, path in enumerate(recording.paths) if path])
+    rows = np.sort(rng.choice(rows, min(FRAMES, len(rows)), replace=False))
+    images: dict[int, np.ndarray] = {}
+    for i in rows:
+        try:
+            images[int(i)] = reader.cropped(reader.masked(recording.load(i)))
+        except TactipError:  # the import leaves it out later, and reports it
+            continue
+    at_rest = reader.cropped(reader.masked(neutral)) if neutral is not None else _least_spread(list(images.values()))
+    blobs = len(find_blobs(at_rest).centres)
+    layout = min(NOMINAL, key=lambda name: abs(len(neutral_pins(NOMINAL[name])[0]) - blobs))
+    design, fit = fit_neutral(replace(NOMINAL[layout], materials=design_named(_PRESET).materials), at_rest)
+    camera = None if neutral is None else _camera(recording, reader, neutral, design.optics.centre)
+    if camera is not None:
+        design = replace(design, optics=replace(design.optics, zoom=camera[0], drift=(camera[1], camera[2])))
+    width = at_rest.shape[1]
+    known = np.isfinite(fit.pins_px[:, 0])
+    matcher = PinMatcher((fit.pins_px[known] + 0.5) * width / REFERENCE_PX - 0.5)
+    pins = np.full((len(images), len(known), 2), np.nan)
+    for k, image in enumerate(images.values()):
+        pins[k, known] = reference_pixels(matcher.match(find_blobs(image)), width)
+    good = np.isfinite(pins[..., 0]).mean(1) > _MIN_DETECTED
+    if good.sum() < _MIN_FRAMES:
+        raise TactipError(
+            f"the table's conventions cannot be found: {_MIN_DETECTED:.0%} of the pins were detected in {good.sum()} of "
+            f"{len(good)} frames, and at least {_MIN_FRAMES} are needed"
+        )
+    rows, pins = np.array(list(images))[good], pins[good]
+    tip = read_fast_tip(shipped_fast_tip("edge", _PRESET) if task == "edge" else shipped_fast_tip("surface", layout))
+    materials = None if tip.materials is None else np.clip(material_inputs(design.materials), *tip.materials.T)
+    model = PinModel(tip, PinDecoder(design, tip.modes), _POSES[task], _SHEARS, Lens(design), materials)
+    start = model.nearest_of(pins, _RANDOM_CONTACTS, rng)
+    noise = _PIXEL_NOISE * np.sqrt(2 * pins.shape[1] / _INDEPENDENT)
+    found = most_likely(model, pins, start, noise)
+    values = np.concatenate([found.poses, found.shears], 1)[:, model.free]
+    simulated = model.positions(values).reshape(pins.shape)
+    return EstimatedContacts(rows, found.poses, found.shears, found.residuals, fit.pins_px, pins, simulated)
+
+
+def _least_spread(images: list[np.ndarray]) -> np.ndarray:
+    """Return the binary image whose pins are closest together: a contact spreads them, so it shows the lightest one."""
+    usual = np.median([len(find_blobs(image).centres) for image in images])
+    spreads = []
+    for image in images:
+        centres = find_blobs(image).centres
+        whole = len(centres) == usual
+        spreads.append(float(np.linalg.norm(centres - centres.mean(0), axis=1).mean()) if whole else np.inf)
+    return images[int(np.argmin(spreads))]
+
+
+def _camera(
+    recording: Recording, reader: FrameReader, neutral: np.ndarray, centre: tuple[float, float]
+) -> tuple[float, float, float] | None:
+    """Return zoom and drift since the neutral image by the light at the rim; None if there is too little light."""
+    before = reader.with_rim(neutral)
+    rows = spread([i for i, path in enumerate(recording.paths) if path])
+    found = camera_change(
+        before, (reader.with_rim(recording.load(i)) for i in rows), np.array(centre) * before.shape[1] - 0.5
+    )
+    if found is None:
+        return None
+    zoom, x, y = (float(value) for value in found[0])
+    return zoom, x, y

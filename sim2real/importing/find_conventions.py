@@ -1,0 +1,499 @@
+"""The conventions of a laboratory's table, found by holding it against contacts estimated from the frames.
+
+A column means depth, tilt, yaw, offset or shear if it varies with what the pins say. Its sign, the rotation of the camera, the
+point about which the rig rotates and the zero of depth follow. What the frames do not tell is said; where they speak equally
+well for two readings that give different labels, both are named and none is taken.
+"""
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+
+from tactip_twin.sim2real.importing.column_map import Angles, ColumnMap, parse_column
+from tactip_twin.sim2real.importing.convert_labels import convert_labels
+from tactip_twin.sim2real.importing.estimated_contacts import EstimatedContacts
+from tactip_twin.tactip_model.errors import TactipError
+from tactip_twin.tactip_model.input_files import read_json
+
+_MIN_CORRELATION = 0.35
+"""Correlation with an estimate above which a column explains it; by chance, 120 frames give 0.09 rms."""
+
+_SAME_COLUMN = 0.99
+"""Correlation of two columns above which they say the same: a table that is sorted by a tilt numbers its rows by it too."""
+
+_MIN_EVIDENCE = 6.0
+"""Logarithm of the likelihood ratio above which one reading of the frames is preferred to another [?]."""
+
+_UNITS = {"pose": {1.0: "", 1000.0: "m"}, "angle": {1.0: "", 57.29578: "rad"}}
+"""Factors to mm and degrees, and the units that they are from."""
+
+_MIN_GAIN, _MAX_GAIN = 0.1, 10.0
+"""Estimates are within these factors of what they estimate, or the unit is another one."""
+
+_MAX_ZERO_MM = 1.7
+"""Distance of the estimated from the table's zero of depth within which the table is believed, mm: a rig's zero has an offset
+of some tenths, and an estimate with other mechanics one of 1 mm in the two sets that this was tried on [M]."""
+
+_ROTATION_STEPS = np.radians(np.arange(0.0, 360.0, 0.5))
+
+_SUFFIXES = {"1": "x", "2": "y", "3": "z", "4": "Rx", "5": "Ry", "6": "Rz"}
+
+
+@dataclass(frozen=True)
+class Conventions:
+    """What was found."""
+
+    column_map: ColumnMap
+    """Conventions of the table."""
+    rotate_image_deg: float
+    """Rotation of the frames to add, degrees: they are rotated by quarter turns until an edge is upright."""
+    evidence: tuple[str, ...]
+    """A sentence for each choice, and for what was not found."""
+
+
+@dataclass(frozen=True)
+class _Columns:
+    """Numeric columns of the table that vary. (n frames, k columns)"""
+
+    names: tuple[str, ...]
+    values: np.ndarray
+    """(n, k)."""
+
+    def of(self, name: str) -> np.ndarray:
+        """Return a column (n,), its mean subtracted."""
+        values = self.values[:, self.names.index(name)]
+        return values - values.mean()
+
+    def likeliest(self, name: str, free: Sequence[str], components: Sequence[str]) -> tuple[str, list[str]]:
+        """Return that of the columns in `free` which say the same as column `name` that is most likely meant (by its name, or
+        because it does not count rows), and all of them."""
+        same = [one for one in free if abs(np.corrcoef(self.of(one), self.of(name))[0, 1]) > _SAME_COLUMN]
+
+        def rank(one: str) -> tuple[bool, bool, bool]:
+            whole = bool((self.values[:, self.names.index(one)] % 1 == 0).all())
+            return not any(_sounds_like(one, component) for component in components), whole, one != name
+
+        return min(same, key=rank), same
+
+
+def find_conventions(
+    table: Mapping[str, Sequence[str]], contacts: EstimatedContacts, given: ColumnMap, tap_mm: float | None = None
+) -> Conventions:
+    """Return the conventions of a table.
+
+    Args:
+        table: Cells of each column.
+        contacts: Contacts that were estimated from some of its rows.
+        given: What is known: its task, and columns, which are kept and checked.
+        tap_mm: Depth of the tap that makes contact, if the set's meta.json has one.
+
+    Raises:
+        TactipError: If no column explains the depth (or, for an edge, the offset and the yaw), a given column contradicts the
+            frames, or two readings explain them equally well.
+    """
+    columns = _numeric(table, contacts.rows)
+    known = dict(parse_column(spec) for spec in given.columns)
+    free = [name for name in columns.names if name not in {column for _, column, _ in known.values()}]
+    found, evidence, free = _depth(columns, free, contacts, tap_mm)
+    if given.task == "surface":
+        reading = _on_surface(columns, free, contacts)
+        found |= reading.columns
+        evidence += reading.evidence
+        camera_deg, quarter_turns = reading.camera_deg, 0
+    else:
+        edge, camera_deg, quarter_turns, told = _on_edge(columns, free, contacts)
+        found |= edge
+        evidence += told
+    found |= _by_name(columns, found)
+    for ours, (factor, column, _) in known.items():
+        _check_given(ours, factor, column, found)
+    specs = [*given.columns, *(f"{ours}={text}" for ours, text in found.items() if ours not in known)]
+    column_map = replace(given, columns=tuple(specs), camera_rotation_deg=round(camera_deg, 1))
+    column_map, told = _angles_and_lever(table, contacts, column_map)
+    return Conventions(column_map, 90.0 * quarter_turns, (*evidence, *told))
+
+
+def tap_of(folder: Path) -> float | None:
+    """Return the length, mm, of the tap in a set's meta.json (tap_move); None if there is none."""
+    path = folder / "meta.json"
+    content = read_json(path, f"the file {path}") if path.is_file() else None
+    tap = content.get("tap_move") if isinstance(content, dict) else None
+    if not isinstance(tap, list) or len(tap) < 3 or not all(isinstance(x, (int, float)) for x in tap[:3]):
+        return None
+    length = float(np.linalg.norm(tap[:3]))
+    return length if 0 < length < 100 else None
+
+
+def _numeric(table: Mapping[str, Sequence[str]], rows: np.ndarray) -> _Columns:
+    names, values = [], []
+    for name, cells in table.items():
+        try:
+            column = np.array([float(cells[i]) for i in rows])
+        except (ValueError, TypeError):
+            continue
+        if np.isfinite(column).all() and len(np.unique(column)) > 2:
+            names.append(name)
+            values.append(column)
+    if not names:
+        raise TactipError(f"the table has no column of numbers that vary: its columns are {', '.join(table)}")
+    return _Columns(tuple(names), np.stack(values, -1))
+
+
+def _depth(
+    columns: _Columns, free: list[str], contacts: EstimatedContacts, tap_mm: float | None
+) -> tuple[dict[str, str], list[str], list[str]]:
+    """Return the reading of the depth, its evidence, and the columns that are left."""
+    depth = contacts.poses[:, 2]
+    r = {name: float(np.corrcoef(columns.of(name), depth)[0, 1]) for name in free}
+    best = max(r, key=lambda name: abs(r[name])) if r else ""
+    if not r or abs(r[best]) < _MIN_CORRELATION:
+        raise TactipError(
+            f"no column explains the depth that the frames show (the nearest is {best or 'none'}, correlation "
+            f"{r.get(best, 0):.2f}): give --columns pose_z=…"
+        )
+    best, same = columns.likeliest(best, free, ("z",))
+    raw = columns.values[:, columns.names.index(best)]
+    # Deep contacts are read too shallow where the mechanics differ, so the zero is where the line meets no depth.
+    slope = float((columns.of(best) * (depth - depth.mean())).sum() / (columns.of(best) ** 2).sum())
+    slope /= min(r[best] ** 2, 1.0) or 1.0
+    factor, unit = _unit(abs(slope), "pose")
+    sign = float(np.sign(slope))
+    gain = abs(slope) / factor
+    zero = float(np.mean(depth) / gain - np.mean(sign * factor * raw))
+    candidates = [0.0] if tap_mm is None else [0.0, -tap_mm, tap_mm]
+    nearest = min(candidates, key=lambda offset: abs(offset - zero))
+    offset = nearest if abs(nearest - zero) < _MAX_ZERO_MM else round(zero, 1)
+    text = _spec(sign * factor, best, offset)
+    why = f"pose_z={text}: the depth of the frames follows {best} (correlation {r[best]:+.2f}{unit})"
+    if offset == nearest and offset:
+        why += f"; its zero is a tap of {tap_mm:g} mm away (measured: {zero:+.1f} mm)"
+    elif offset == nearest:
+        why += f"; its zero is the surface (measured: {zero:+.1f} mm away)"
+    else:
+        why += f"; its zero is {zero:+.1f} mm from where frames show no contact"
+    return {"pose_z": text}, [why], [name for name in free if name not in same]
+
+
+@dataclass(frozen=True)
+class _SurfaceReading:
+    columns: dict[str, str]
+    camera_deg: float
+    evidence: list[str]
+
+
+def _on_surface(columns: _Columns, free: list[str], contacts: EstimatedContacts) -> _SurfaceReading:
+    """Return the readings of tilts and shears, which one rotation of the camera must explain together."""
+    tilt = _centred(contacts.poses[:, 3] + 1j * contacts.poses[:, 4])
+    shear = _centred(contacts.shears[:, 0] + 1j * contacts.shears[:, 1])
+    tilts, free = _explaining(columns, free, tilt, ("Rx", "Ry"))
+    shears, _ = _explaining(columns, free, shear, ("x", "y"))
+    evidence = []
+    if not tilts:
+        evidence.append("no column explains the tilts of the frames, so none is taken")
+    if not shears:
+        evidence.append("no column explains the shear of the frames, so none is taken")
+    if not tilts and not shears:
+        return _SurfaceReading({}, 0.0, evidence)
+    scored = []
+    for a, b in itertools.product(_assignments(tilts, ("Rx", "Ry")), _assignments(shears, ("x", "y"))):
+        curve = _log_likelihood(columns, a, tilt) + _log_likelihood(columns, b, shear)
+        k = int(curve.argmax())
+        scored.append((float(curve[k]), float(_ROTATION_STEPS[k]), a, b))
+    most = max(score for score, *_ in scored)
+    equal = [one for one in scored if one[0] > most - 1e-3]
+    score, turn, a, b = max(equal, key=lambda one: _plainness(one[1], one[2], one[3]))
+    others = [one for one in scored if not _same_labels(columns, one, (score, turn, a, b))]
+    margin = score - max((one[0] for one in others), default=-np.inf)
+    if margin < _MIN_EVIDENCE:
+        other = max(others, key=lambda one: one[0])
+        raise TactipError(
+            f"the frames speak equally well for two readings of the table: {_words(columns, turn, a, b)}, and "
+            f"{_words(columns, *other[1:])}: give one of them with --columns and --camera-rotation-deg, without --find"
+        )
+    found = {}
+    for prefix, parts, estimate in (("pose", a, tilt), ("shear", b, shear)):
+        for component, (name, sign) in parts.items():
+            unit_of = "angle" if component.startswith("R") else "pose"
+            slope = abs((columns.of(name) * estimate).sum()) / (columns.of(name) ** 2).sum()
+            factor, unit = _unit(float(slope), unit_of)
+            found[f"{prefix}_{component}"] = _spec(sign * factor, name, 0.0)
+            r = abs(_correlation(columns.of(name), estimate))
+            evidence.append(f"{prefix}_{component}={_spec(sign * factor, name, 0.0)}: correlation {r:.2f}{unit}")
+    degrees = float((np.degrees(turn) + 180) % 360 - 180)
+    evidence.append(
+        f"camera-rotation-deg {degrees:.1f}, by tilts and shears together; "
+        + (
+            f"the next reading is {np.exp(min(margin, 700)):.0e} times less likely"
+            if np.isfinite(margin)
+            else "no other fits"
+        )
+    )
+    return _SurfaceReading(found, degrees, evidence)
+
+
+def _on_edge(
+    columns: _Columns, free: list[str], contacts: EstimatedContacts
+) -> tuple[dict[str, str], float, int, list[str]]:
+    """Return the readings of yaw, offset, tilts and shears on an edge, the camera's rotation, degrees, the number of quarter
+    turns of the frames, and the evidence."""
+    yaw = np.radians(contacts.poses[:, 5])
+    scores = {}
+    for name in free:
+        raw = columns.values[:, columns.names.index(name)]
+        for sign, factor in itertools.product((1, -1), _UNITS["angle"]):
+            scores[name, sign, factor] = np.exp(1j * (yaw - sign * np.radians(factor * raw))).mean()
+    best = max(scores, key=lambda key: abs(scores[key]), default=None)
+    alone = abs(np.exp(1j * yaw).mean())
+    if best is None or abs(scores[best]) < alone + 0.5 * (1 - alone):
+        raise TactipError("no column explains the yaw of the edge that the frames show: give --columns pose_Rz=…")
+    name, same = columns.likeliest(best[0], free, ("Rz",))
+    sign, factor = best[1:]
+    offset_deg = float(np.degrees(np.angle(scores[name, sign, factor])))
+    quarter_turns = round(offset_deg / 90)
+    found = {"pose_Rz": _spec(sign * factor, name, 0.0)}
+    evidence = [
+        f"pose_Rz={found['pose_Rz']}: agreement {abs(scores[name, sign, factor]):.2f} (1 is perfect), at a rotation of the camera by "
+        f"{-offset_deg:.0f}°"
+    ]
+    left = [one for one in free if one not in same]
+    wanted = {"pose_x": contacts.poses[:, 0], "pose_Rx": contacts.poses[:, 3], "pose_Ry": contacts.poses[:, 4]}
+    wanted |= {"shear_x": contacts.shears[:, 0], "shear_y": contacts.shears[:, 1], "shear_Rz": contacts.shears[:, 5]}
+    for ours, estimate in wanted.items():
+        r = {one: float(np.corrcoef(columns.of(one), estimate)[0, 1]) for one in left}
+        best_one = max(r, key=lambda one: abs(r[one]), default="")
+        if not r or abs(r[best_one]) < _MIN_CORRELATION:
+            if ours == "pose_x":
+                raise TactipError(
+                    "no column explains the distance to the edge that the frames show (the nearest is "
+                    f"{best_one or 'none'}, correlation {r.get(best_one, 0):.2f}): give --columns pose_x=…"
+                )
+            continue
+        best_one, same = columns.likeliest(best_one, left, (ours.partition("_")[2],))
+        slope = float((columns.of(best_one) * _centred(estimate)).sum() / (columns.of(best_one) ** 2).sum())
+        unit_factor, unit = _unit(abs(slope), "angle" if "_R" in ours else "pose")
+        found[ours] = _spec(float(np.sign(slope)) * unit_factor, best_one, 0.0)
+        evidence.append(f"{ours}={found[ours]}: correlation {r[best_one]:+.2f}{unit}")
+        left = [one for one in left if one not in same]
+    return found, -(offset_deg - 90 * quarter_turns), quarter_turns, evidence
+
+
+def _angles_and_lever(
+    table: Mapping[str, Sequence[str]], contacts: EstimatedContacts, column_map: ColumnMap
+) -> tuple[ColumnMap, list[str]]:
+    """Return a ColumnMap with the convention of angles and the tool centre that fit best, and the evidence."""
+    rows = {name: [cells[i] for i in contacts.rows] for name, cells in table.items()}
+    evidence = []
+    mapped = {ours for ours, (_, column, _) in map(parse_column, column_map.columns) if column is not None}
+    if len(mapped & {"pose_Rx", "pose_Ry", "pose_Rz"}) > 1 and column_map.angles == "vector":
+        column_map, told = _angles(rows, contacts, column_map)
+        evidence.append(told)
+    if mapped & {"pose_Rx", "pose_Ry"} and column_map.tcp_behind_apex_mm == 0:
+        column_map, told = _lever(rows, contacts, column_map)
+        evidence.append(told)
+    return column_map, evidence
+
+
+def _angles(rows: Mapping[str, Sequence[str]], contacts: EstimatedContacts, column_map: ColumnMap) -> tuple[ColumnMap, str]:
+    parts = [3, 4] if column_map.task == "surface" else [3, 4, 5]
+    labels = {angles: convert_labels(replace(column_map, angles=angles), rows)[0][:, parts] for angles in get_args(Angles)}
+    score = {angles: _fit(label, contacts.poses[:, parts]) for angles, label in labels.items()}
+    best = max(score, key=lambda angles: score[angles])
+    if score[best] - score["vector"] < _MIN_EVIDENCE:
+        best = "vector"
+    unclear = [
+        angles
+        for angles in labels
+        if score[best] - score[angles] < _MIN_EVIDENCE and np.abs(labels[angles] - labels[best]).mean(0).max() > 0.5
+    ]
+    if unclear:
+        return replace(column_map, angles=best), (
+            f"angles {best}; the frames do not exclude {', '.join(unclear)}, whose labels differ by more than 0.5°: give "
+            "--angles"
+        )
+    return replace(column_map, angles=best), f"angles {best}; others that fit as well give the same labels within 0.5°"
+
+
+def _lever(rows: Mapping[str, Sequence[str]], contacts: EstimatedContacts, column_map: ColumnMap) -> tuple[ColumnMap, str]:
+    """Return a ColumnMap with the distance of the tool centre from the apex that explains how depth changes with tilt."""
+    labels = convert_labels(column_map, rows)[0]
+    lift = 1 - np.cos(np.radians(np.linalg.norm(labels[:, 3:5], axis=1)))
+    depth = contacts.poses[:, 2]
+    design = np.stack([labels[:, 2], lift, np.ones_like(lift)], -1)
+    weight = np.ones(len(depth))
+    for _ in range(10):
+        solution, *_ = np.linalg.lstsq(design * weight[:, None], depth * weight, rcond=None)
+        wrong = depth - design @ solution
+        spread = 1.48 * np.median(np.abs(wrong)) + 1e-9
+        weight = np.sqrt(np.minimum(1.0, 1.5 * spread / np.maximum(np.abs(wrong), 1e-12)))
+    covariance = spread**2 * np.linalg.inv((design * weight[:, None]).T @ (design * weight[:, None]))
+    gain, slope = float(solution[0]), float(solution[1])
+    lever, deviation = slope / gain, float(np.sqrt(covariance[1, 1])) / abs(gain)
+    if abs(lever) < max(2.5 * deviation, 3.0):
+        return column_map, f"tcp-behind-apex-mm 0: depth does not show another ({lever:+.0f} ± {deviation:.0f} mm)"
+    rounded = round(float(np.clip(lever, -100, 100)), 1)
+    return replace(column_map, tcp_behind_apex_mm=rounded), (
+        f"tcp-behind-apex-mm {rounded:g} (± {deviation:.0f}): tilted frames are deeper than the table says by what a rotation "
+        "about that point gives"
+    )
+
+
+def _fit(labels: np.ndarray, estimates: np.ndarray) -> float:
+    """Return the logarithm of the likelihood of estimates (n, k) as a multiple of labels (n, k), plus a constant each."""
+    total = 0.0
+    for label, estimate in zip(labels.T, estimates.T, strict=True):
+        x, y = _centred(label), _centred(estimate)
+        if not x.any():
+            continue
+        wrong = np.abs(y - x * (x * y).sum() / (x * x).sum())
+        spread = 1.48 * np.median(wrong) + 1e-9
+        # Student's t with 3 degrees of freedom: some frames lag behind their row.
+        total -= float(2 * np.log1p((wrong / spread) ** 2 / 3).sum() + len(x) * np.log(spread))
+    return total
+
+
+def _explaining(
+    columns: _Columns, free: Sequence[str], estimate: np.ndarray, components: tuple[str, str]
+) -> tuple[list[str], list[str]]:
+    """Return up to two columns that explain a complex estimate (n,), in directions that are about square to each other, and
+    the columns that say something else."""
+    chosen: list[str] = []
+    left, others = estimate, list(free)
+    for _ in range(2):
+        r = {name: _correlation(columns.of(name), left) for name in others}
+        if chosen:
+            first = np.angle(_correlation(columns.of(chosen[0]), estimate))
+            r = {name: value for name, value in r.items() if abs(np.cos(np.angle(value) - first)) < 0.5}
+        best = max(r, key=lambda name: abs(r[name]), default=None)
+        if best is None or abs(r[best]) < _MIN_CORRELATION:
+            break
+        best, same = columns.likeliest(best, others, components)
+        chosen.append(best)
+        others = [name for name in others if name not in same]
+        x = columns.of(best)
+        left = left - x * (x * left).sum() / (x * x).sum()
+    return chosen, others
+
+
+def _assignments(names: Sequence[str], components: tuple[str, str]) -> list[dict[str, tuple[str, float]]]:
+    """Return all ways to read columns as two components: {component: (column, sign)}."""
+    out: list[dict[str, tuple[str, float]]] = []
+    for order in itertools.permutations(components, len(names)):
+        for signs in itertools.product((1.0, -1.0), repeat=len(names)):
+            out.append({c: (name, sign) for c, name, sign in zip(order, names, signs, strict=True)})
+    return out
+
+
+def _as_complex(columns: _Columns, parts: Mapping[str, tuple[str, float]]) -> np.ndarray:
+    """Return the vectors (n,) that a reading gives, each column over its standard deviation."""
+    axis = {"Rx": 1.0, "Ry": 1j, "x": 1.0, "y": 1j}
+    total = np.zeros(len(columns.values), complex)
+    for component, (name, sign) in parts.items():
+        total = total + sign * axis[component] * columns.of(name) / columns.of(name).std()
+    return total
+
+
+def _log_likelihood(columns: _Columns, parts: Mapping[str, tuple[str, float]], estimate: np.ndarray) -> np.ndarray:
+    """Return the logarithm of the likelihood of a reading at each of _ROTATION_STEPS; 0 if it has no columns."""
+    if not parts:
+        return np.zeros(len(_ROTATION_STEPS))
+    reading = _as_complex(columns, parts)
+    product, power = (estimate * reading.conj()).sum(), (abs(reading) ** 2).sum()
+    along = np.maximum((np.exp(-1j * _ROTATION_STEPS) * product).real, 0.0)
+    total = (abs(estimate) ** 2).sum()
+    return -len(estimate) * np.log(np.maximum(total - along**2 / power, 1e-12 * total) / total)
+
+
+_Scored = tuple[float, float, dict[str, tuple[str, float]], dict[str, tuple[str, float]]]
+
+
+def _same_labels(columns: _Columns, one: _Scored, other: _Scored) -> bool:
+    """Return whether two readings give the same labels."""
+    for k in (2, 3):
+        first, second = (
+            np.exp(1j * s[1]) * _as_complex(columns, s[k]) if s[k] else np.zeros(1, complex) for s in (one, other)
+        )
+        if np.abs(first - second).max() > 0.3:
+            return False
+    return True
+
+
+def _plainness(turn: float, *readings: Mapping[str, tuple[str, float]]) -> tuple[int, int, float]:
+    """Return how plain a reading is: names that sound like their component, no minus signs, little rotation."""
+    parts = [(component, name, sign) for reading in readings for component, (name, sign) in reading.items()]
+    named = sum(_sounds_like(name, component) for component, name, _ in parts)
+    minus = sum(sign < 0 for *_, sign in parts)
+    return named, -minus, -abs((turn + np.pi) % (2 * np.pi) - np.pi)
+
+
+def _sounds_like(name: str, component: str) -> bool:
+    """Return whether a column's name ends like one of our components, or says depth, roll, pitch or yaw."""
+    low = name.lower()
+    if component == "z" and "depth" in low:
+        return True
+    if component.startswith("R"):
+        words = {"Rx": ("roll",), "Ry": ("pitch",), "Rz": ("yaw",)}[component]
+        return low.endswith((component.lower(), *words)) or _SUFFIXES.get(name[-1]) == component
+    return (low == component or low.endswith("_" + component)) or _SUFFIXES.get(name[-1]) == component
+
+
+def _by_name(columns: _Columns, found: Mapping[str, str]) -> dict[str, str]:
+    """Return shears' rotations by the names of columns: where pose_5 is a pose's rotation and move_1 a shear, move_5 is the
+    shear's rotation, with the same sign."""
+    poses = {ours[5:]: parse_column(f"{ours}={text}")[1] for ours, text in found.items() if ours.startswith("pose_R")}
+    shears = [parse_column(f"{ours}={text}")[1][1] for ours, text in found.items() if ours in ("shear_x", "shear_y")]
+    stems = {name[:-1] for name in shears if name}
+    out = {}
+    for component, (factor, column, _) in poses.items():
+        ours = f"shear_{component}"
+        if column is None or ours in found:
+            continue
+        for stem in stems:
+            twin = stem + column[-1]
+            if twin in columns.names and twin != column:
+                out[ours] = _spec(factor, twin, 0.0)
+    return out
+
+
+def _check_given(ours: str, factor: float, column: str | None, found: Mapping[str, str]) -> None:
+    """Raise TactipError if a given column contradicts what the frames say."""
+    if ours not in found or column is None:
+        return
+    other_factor, other, _ = parse_column(f"{ours}={found[ours]}")[1]
+    if other != column or np.sign(other_factor) != np.sign(factor):
+        raise TactipError(
+            f"{ours}={'-' if factor < 0 else ''}{column} contradicts the frames, which say {ours}={found[ours]}"
+        )
+
+
+def _unit(slope: float, kind: str) -> tuple[float, str]:
+    """Return the factor to mm or degrees that brings a slope near 1, and words for the evidence."""
+    factors = _UNITS[kind]
+    best = min(factors, key=lambda factor: abs(np.log(max(slope, 1e-12) / factor)))
+    return best, f", in {factors[best]}" if factors[best] else ""
+
+
+def _spec(factor: float, name: str, offset: float) -> str:
+    """Return a column as the option --columns has it."""
+    number = "" if abs(factor) == 1 else f"{abs(factor):.7g}*"
+    return f"{'-' if factor < 0 else ''}{number}{name}" + (f"{offset:+.7g}" if offset else "")
+
+
+def _words(columns: _Columns, turn: float, *readings: Mapping[str, tuple[str, float]]) -> str:
+    parts = []
+    for prefix, reading in zip(("pose", "shear"), readings, strict=True):
+        parts += [f"{prefix}_{c}={'-' if sign < 0 else ''}{name}" for c, (name, sign) in reading.items()]
+    return f"{' '.join(parts)} with the camera rotated by {(np.degrees(turn) + 180) % 360 - 180:.0f}°"
+
+
+def _centred(values: np.ndarray) -> np.ndarray:
+    return values - values.mean()
+
+
+def _correlation(column: np.ndarray, estimate: np.ndarray) -> complex:
+    """Return the correlation of a real column (n,) with a complex estimate (n,); both without mean."""
+    scale = np.sqrt((column**2).sum() * (abs(estimate) ** 2).sum())
+    return complex((column * estimate).sum() / scale) if scale else 0j

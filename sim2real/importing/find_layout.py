@@ -1,0 +1,90 @@
+"""A set's layout, found from its frames (find_conventions.py), and the picture that shows on what it rests."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from tactip_twin.sim.view.plot import figure_of, save_figure
+from tactip_twin.sim2real.importing.estimated_contacts import EstimatedContacts, estimate_contacts
+from tactip_twin.sim2real.importing.find_conventions import find_conventions, tap_of
+from tactip_twin.sim2real.importing.layout import Layout
+from tactip_twin.sim2real.importing.source import Recording, frame_reader
+from tactip_twin.sim2real.sensor.preprocess import load_neutral
+
+CONVENTIONS = "conventions.png"
+"""File of the picture."""
+
+_ARROWS = 3
+"""Enlargement of the pins' motion in the picture."""
+
+
+@dataclass(frozen=True)
+class FoundLayout:
+    """A layout, and why."""
+
+    layout: Layout
+    """The layout."""
+    evidence: tuple[str, ...]
+    """A sentence for each choice."""
+    contacts: EstimatedContacts
+    """The contacts that it was held against."""
+
+    def options(self) -> str:
+        """Return the options of `tactip import` that give this layout without another search."""
+        table, frames = self.layout.column_map, self.layout.preprocessing
+        out = f"--task {table.task} --columns {' '.join(table.columns)} --angles {table.angles}"
+        out += f" --camera-rotation-deg {table.camera_rotation_deg:g} --tcp-behind-apex-mm {table.tcp_behind_apex_mm:g}"
+        return out + (f" --rotate-image-deg {frames.rotate_image_deg:g}" if frames.rotate_image_deg else "")
+
+
+def find_layout(recording: Recording, given: Layout, log: Callable[[str], object] = print) -> FoundLayout:
+    """Find the layout of a set.
+
+    Args:
+        recording: The set.
+        given: What is known: the task, columns, and how frames are read.
+        log: Callback for messages to the user.
+
+    Raises:
+        TactipError: If the frames cannot be read, contradict a given column, or do not tell one reading from another.
+    """
+    neutral = None if recording.neutral is None else load_neutral(recording.neutral)
+    reader = frame_reader(recording, given.preprocessing, neutral)
+    log("estimating the contacts of some frames from their pins")
+    contacts = estimate_contacts(recording, reader, neutral, given.column_map.task)
+    found = find_conventions(recording.table, contacts, given.column_map, tap_of(recording.folder))
+    turned = (given.preprocessing.rotate_image_deg + found.rotate_image_deg + 180) % 360 - 180
+    preprocessing = replace(given.preprocessing, rotate_image_deg=turned)
+    return FoundLayout(Layout(found.column_map, preprocessing), found.evidence, contacts)
+
+
+def write_picture(contacts: EstimatedContacts, path: Path) -> None:
+    """Write a picture of six frames: how pins moved since rest, measured and as simulated for the estimated contacts."""
+    order = np.argsort(contacts.poses[:, 2])
+    chosen = order[np.linspace(0, len(order) - 1, 6).astype(int)]
+    figure, axes = figure_of(2, 3, (9.6, 6.8))
+    rest = contacts.at_rest_px
+    for axis, i in zip(axes, chosen, strict=True):
+        for name, pins, colour in (
+            ("measured", contacts.detected_px[i], "tab:blue"),
+            ("simulated", contacts.simulated_px[i], "tab:orange"),
+        ):
+            move = pins - rest
+            axis.quiver(
+                *rest.T, *(_ARROWS * move).T, angles="xy", scale_units="xy", scale=1, width=4e-3, color=colour, label=name
+            )
+        pose, shear = contacts.poses[i], contacts.shears[i]
+        axis.set_title(
+            f"row {contacts.rows[i]}: z {pose[2]:.1f} mm, tilt {pose[3]:.0f}°, {pose[4]:.0f}°, "
+            f"shear {shear[0]:.1f}, {shear[1]:.1f} mm\n{contacts.residuals_px[i]:.2f} px apart",
+            fontsize=8,
+        )
+        axis.set_aspect("equal")
+        axis.invert_yaxis()
+        axis.set_xticks([])
+        axis.set_yticks([])
+    axes[0].legend(fontsize=8, loc="upper left")
+    figure.suptitle(f"Motion of the pins since rest, {_ARROWS} times enlarged", fontsize=10)
+    save_figure(figure, path)
