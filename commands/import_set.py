@@ -18,7 +18,8 @@ class Import(Command):
     """Import a published or your own data set of a real sensor. A picture shows the result."""
 
     common = ("source", "out", "find", "neutral", "layout", "column_map.task", "column_map.columns",
-              "column_map.camera_rotation_deg", "column_map.tcp_behind_apex_mm", "preprocessing.crop", "preprocessing.threshold")  # fmt: skip
+              "column_map.camera_rotation_deg", "column_map.tcp_behind_apex_mm", "preprocessing.crop",
+              "preprocessing.threshold")  # fmt: skip
     example = "tactip import lab/set --out data/real --columns pose_z=-depth pose_Rx=roll pose_Ry=pitch"
 
     source: tyro.conf.Positional[Path]

@@ -1,8 +1,8 @@
 """Contacts estimated from the pins of some frames of a set, whatever its table says: what its table is held against.
 
-The neutral image gives camera and pins, and the learned tip (sim/fast_tip/) says which contact moves pins as those of a frame
-have moved (learning/pose_from_pins.py). The mechanics are not this sensor's, so an estimate may be a third too small or too
-large; its sign, its axis and its zero are right.
+The neutral image gives camera and pins, and the learned tip (sim/fast_tip/) says which contact moves pins as those of a
+frame have moved (learning/pose_from_pins.py). The mechanics are not this sensor's, so an estimate may be a third too small or
+too large, but its sign and its axis are right.
 """
 
 from dataclasses import dataclass, replace

@@ -1,8 +1,8 @@
 """The conventions of a laboratory's table, found by holding it against contacts estimated from the frames.
 
-A column means depth, tilt, yaw, offset or shear if it varies with what the pins say. Its sign, the rotation of the camera, the
-point about which the rig rotates and the zero of depth follow. What the frames do not tell is said; where they speak equally
-well for two readings that give different labels, both are named and none is taken.
+A column means depth, tilt, yaw, offset or shear if it varies with what the pins say. Its sign, the rotation of the camera,
+the point about which the rig rotates and the zero of depth follow. What the frames do not tell is said; where they speak
+equally well for two readings that give different labels, both are named and none is taken.
 """
 
 import itertools
@@ -35,8 +35,8 @@ _MIN_GAIN, _MAX_GAIN = 0.1, 10.0
 """Estimates are within these factors of what they estimate, or the unit is another one."""
 
 _MAX_ZERO_MM = 1.7
-"""Distance of the estimated from the table's zero of depth within which the table is believed, mm: a rig's zero has an offset
-of some tenths, and an estimate with other mechanics one of 1 mm in the two sets that this was tried on [M]."""
+"""Distance of the estimated from the table's zero of depth within which the table is believed, mm: a rig's zero has an
+offset of some tenths, and an estimate with other mechanics one of 1 mm in the two sets that this was tried on [M]."""
 
 _ROTATION_STEPS = np.radians(np.arange(0.0, 360.0, 0.5))
 
@@ -69,8 +69,8 @@ class _Columns:
         return values - values.mean()
 
     def likeliest(self, name: str, free: Sequence[str], components: Sequence[str]) -> tuple[str, list[str]]:
-        """Return that of the columns in `free` which say the same as column `name` that is most likely meant (by its name, or
-        because it does not count rows), and all of them."""
+        """Return the column in `free` that is most likely meant, among those that say the same as column `name`, and these:
+        by its name, or because it does not count rows."""
         same = [one for one in free if abs(np.corrcoef(self.of(one), self.of(name))[0, 1]) > _SAME_COLUMN]
 
         def rank(one: str) -> tuple[bool, bool, bool]:
@@ -92,8 +92,8 @@ def find_conventions(
         tap_mm: Depth of the tap that makes contact, if the set's meta.json has one.
 
     Raises:
-        TactipError: If no column explains the depth (or, for an edge, the offset and the yaw), a given column contradicts the
-            frames, or two readings explain them equally well.
+        TactipError: If no column explains the depth (for an edge, also the offset and the yaw), a given column contradicts
+            the frames, or two readings explain them equally well.
     """
     columns = _numeric(table, contacts.rows)
     known = dict(parse_column(spec) for spec in given.columns)
@@ -255,9 +255,9 @@ def _on_edge(
     offset_deg = float(np.degrees(np.angle(scores[name, sign, factor])))
     quarter_turns = round(offset_deg / 90)
     found = {"pose_Rz": _spec(sign * factor, name, 0.0)}
+    agreement = abs(scores[name, sign, factor])
     evidence = [
-        f"pose_Rz={found['pose_Rz']}: agreement {abs(scores[name, sign, factor]):.2f} (1 is perfect), at a rotation of the camera by "
-        f"{-offset_deg:.0f}°"
+        f"pose_Rz={found['pose_Rz']}: agreement {agreement:.2f} (1 is perfect), with the camera rotated by {-offset_deg:.0f}°"
     ]
     left = [one for one in free if one not in same]
     wanted = {"pose_x": contacts.poses[:, 0], "pose_Rx": contacts.poses[:, 3], "pose_Ry": contacts.poses[:, 4]}
@@ -336,8 +336,8 @@ def _lever(rows: Mapping[str, Sequence[str]], contacts: EstimatedContacts, colum
         return column_map, f"tcp-behind-apex-mm 0: depth does not show another ({lever:+.0f} ± {deviation:.0f} mm)"
     rounded = round(float(np.clip(lever, -100, 100)), 1)
     return replace(column_map, tcp_behind_apex_mm=rounded), (
-        f"tcp-behind-apex-mm {rounded:g} (± {deviation:.0f}): tilted frames are deeper than the table says by what a rotation "
-        "about that point gives"
+        f"tcp-behind-apex-mm {rounded:g} (± {deviation:.0f}): depth differs from the table in tilted frames as a rotation about "
+        "that point makes it"
     )
 
 

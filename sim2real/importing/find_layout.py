@@ -6,12 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
-from tactip_twin.sim.view.plot import figure_of, save_figure
+from tactip_twin.sim.view.plot import COLORS, figure_of, save_figure
 from tactip_twin.sim2real.importing.estimated_contacts import EstimatedContacts, estimate_contacts
 from tactip_twin.sim2real.importing.find_conventions import find_conventions, tap_of
 from tactip_twin.sim2real.importing.layout import Layout
 from tactip_twin.sim2real.importing.source import Recording, frame_reader
 from tactip_twin.sim2real.sensor.preprocess import load_neutral
+from tactip_twin.tactip_model.optics import REFERENCE_PX
 
 CONVENTIONS = "conventions.png"
 """File of the picture."""
@@ -67,24 +68,21 @@ def write_picture(contacts: EstimatedContacts, path: Path) -> None:
     figure, axes = figure_of(2, 3, (9.6, 6.8))
     rest = contacts.at_rest_px
     for axis, i in zip(axes, chosen, strict=True):
-        for name, pins, colour in (
-            ("measured", contacts.detected_px[i], "tab:blue"),
-            ("simulated", contacts.simulated_px[i], "tab:orange"),
+        for name, pins, colour, width in (
+            ("simulated", contacts.simulated_px[i], COLORS[1], 8e-3),
+            ("measured", contacts.detected_px[i], COLORS[0], 3e-3),
         ):
-            move = pins - rest
-            axis.quiver(
-                *rest.T, *(_ARROWS * move).T, angles="xy", scale_units="xy", scale=1, width=4e-3, color=colour, label=name
-            )
+            move = _ARROWS * (pins - rest)
+            style = {"angles": "xy", "scale_units": "xy", "scale": 1, "width": width, "color": colour}
+            axis.quiver(*rest.T, *move.T, label=name, **style)
         pose, shear = contacts.poses[i], contacts.shears[i]
         axis.set_title(
             f"row {contacts.rows[i]}: z {pose[2]:.1f} mm, tilt {pose[3]:.0f}°, {pose[4]:.0f}°, "
             f"shear {shear[0]:.1f}, {shear[1]:.1f} mm\n{contacts.residuals_px[i]:.2f} px apart",
             fontsize=8,
         )
-        axis.set_aspect("equal")
-        axis.invert_yaxis()
-        axis.set_xticks([])
-        axis.set_yticks([])
+        axis.set(xlim=(-16, REFERENCE_PX + 16), ylim=(REFERENCE_PX + 16, -16), aspect="equal")
+        axis.axis("off")
     axes[0].legend(fontsize=8, loc="upper left")
     figure.suptitle(f"Motion of the pins since rest, {_ARROWS} times enlarged", fontsize=10)
     save_figure(figure, path)
