@@ -152,6 +152,24 @@ class UncertaintyOptions:
 
 
 @dataclass(frozen=True)
+class ConventionsOptions:
+    """Find the conventions of randomly mislabelled sets of hidden sensors. Rerun to resume."""
+
+    copies: int = 20
+    """Number of mislabelled copies of each set."""
+    frames: int = 150
+    """Number of frames of each set."""
+    seed: int = 0
+    """Seed of the conventions."""
+    data: Path = Path("data/conventions")
+    """Folder of the sets and of what has been measured."""
+    out: Path = Path("docs")
+    """Folder for conventions.json and conventions.md."""
+    workers: str = "auto"
+    """Number of worker processes that simulate contacts; auto: one per core."""
+
+
+@dataclass(frozen=True)
 class SearchOptions:
     """Run the paper's hyperparameter search with fewer trials, and write its page. Rerun to resume."""
 
@@ -400,6 +418,7 @@ MEASUREMENTS = {
     "missing-neutral-image": Measurement(
         "tactip_twin.benchmarks.learning.missing_neutral_image", MissingNeutralImageOptions, ""
     ),
+    "conventions": Measurement("tactip_twin.benchmarks.learning.conventions", ConventionsOptions, "conventions.md"),
     "real-comparison": Measurement(
         "tactip_twin.benchmarks.learning.real_comparison", RealComparisonOptions, "real_and_simulated.png"
     ),

@@ -5,6 +5,7 @@ look for those whose pins are nearest to the given ones. It is a yardstick for n
 tell, or what the learned tip has wrong), and it reads frames of a sensor for which there is no network yet.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -89,15 +90,25 @@ class PinModel:
         ends = [[self.positions(values + sign * step) for sign in (1, -1)] for step in np.diag(self._steps)]
         return np.stack([(a - b) / (2 * s) for (a, b), s in zip(ends, self._steps, strict=True)], -1)
 
-    def nearest_of(self, pins: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
+    def nearest_of(
+        self,
+        pins: np.ndarray,
+        count: int,
+        rng: np.random.Generator,
+        within: Mapping[int, tuple[float, float]] | None = None,
+    ) -> np.ndarray:
         """Return for each of n frames the nearest of random contacts in the ranges, (n, 12), mm and degrees.
 
         Args:
             pins: (n, p, 2) positions, mm or px; NaN where a pin is not detected.
             count: Number of random contacts.
             rng: Generator of the contacts.
+            within: Narrower ranges of some of the twelve components, mm and degrees.
         """
-        values = self.low + (self.high - self.low) * rng.random((count, len(self.low)))
+        low, high = (self.whole(end[None])[0] for end in (self.low, self.high))
+        for component, ends in (within or {}).items():
+            low[component], high[component] = ends
+        values = (low + (high - low) * rng.random((count, 12)))[:, self.free]
         bank = self.positions(values)
         wanted = pins.reshape(len(pins), -1)
         return self.whole(values[[int(np.nanmean((bank - one) ** 2, 1).argmin()) for one in wanted]])

@@ -129,17 +129,16 @@ class PinMatcher:
         """
         tree = cKDTree(self.neutral[known])
         _, near = tree.query(self.neutral[pins], min(_LOCAL + 1, len(known)))
-        out = np.empty((len(pins), 2))
-        for row, (pin, index) in enumerate(zip(pins, np.atleast_2d(near.reshape(len(pins), -1)), strict=True)):
-            sources = known[index]
-            sources = sources[sources != pin][:_LOCAL]
-            offset = self.neutral[sources] - self.neutral[pin]
-            moved = centres[found[sources]] - self.neutral[sources]
-            # A small ridge on the gradient: few or collinear pins determine the position but not its gradient.
-            a = np.concatenate([np.ones((len(sources), 1)), offset], 1)
-            ridge = np.diag([0.0, 1.0, 1.0]) * 0.05 * (offset**2).sum() / 2
-            out[row] = self.neutral[pin] + np.linalg.solve(a.T @ a + ridge + 1e-9 * np.eye(3), a.T @ moved)[0]
-        return out
+        sources = known[near.reshape(len(pins), -1)]
+        used = sources != pins[:, None]
+        used &= np.cumsum(used, 1) <= _LOCAL
+        offset = self.neutral[sources] - self.neutral[pins][:, None]
+        moved = centres[found[sources]] - self.neutral[sources]
+        # A small ridge on the gradient: few or collinear pins determine the position but not its gradient.
+        a = np.concatenate([np.ones((*sources.shape, 1)), offset], 2) * used[..., None]
+        ridge = 0.025 * ((offset * used[..., None]) ** 2).sum((1, 2))[:, None, None] * np.diag([0.0, 1.0, 1.0])
+        to_solve = a.transpose(0, 2, 1) @ a + ridge + 1e-9 * np.eye(3)
+        return self.neutral[pins] + np.linalg.solve(to_solve, a.transpose(0, 2, 1) @ moved)[:, 0]
 
     def _grow(self, tree: cKDTree, first: int) -> tuple[np.ndarray, float]:
         """Identify the pins, starting from the middle pin being blob `first`.

@@ -1,20 +1,21 @@
 """Contacts estimated from the pins of some frames of a set, whatever its table says: what its table is held against.
 
 The neutral image gives camera and pins, and the learned tip (sim/fast_tip/) says which contact moves pins as those of a
-frame have moved (learning/pose_from_pins.py). The mechanics are not this sensor's, so an estimate may be a third too small or
-too large, but its sign and its axis are right.
+frame have moved (learning/pose_from_pins.py). The mechanics are not this sensor's, so an estimate may be a third too small
+or too large, but its sign and its axis are right.
 """
 
-from dataclasses import dataclass, replace
+import itertools
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from tactip_twin.learning.pose_from_pins import PinModel, most_likely
+from tactip_twin.learning.pose_from_pins import MostLikely, PinModel, most_likely
 from tactip_twin.sim.dataset.sampling import Ranges
 from tactip_twin.sim.fast_tip.fast_tip import PinDecoder, read_fast_tip, shipped_fast_tip
 from tactip_twin.sim.fast_tip.materials import material_inputs
 from tactip_twin.sim.labels import Task
-from tactip_twin.sim2real.importing.source import Recording, spread
+from tactip_twin.sim2real.importing.source import PIN_DETECTION_FRAMES, Recording
 from tactip_twin.sim2real.sensor.preprocess import FrameReader
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.neutral_image import camera_change, fit_neutral, reference_pixels
@@ -46,8 +47,9 @@ _PIXEL_NOISE, _INDEPENDENT = 0.5, 10
 """Residual of a good estimate, px of 256, and number of independent measurements that a frame counts for, because the
 residuals of its pins are correlated (as in calibration/rounds.py)."""
 
-_RANDOM_CONTACTS = 6000
-"""Number of random contacts of which the nearest is the start of an estimate."""
+_RANDOM_CONTACTS, _SECTORS = 4000, 4
+"""Number of random contacts of which the nearest is the start of an estimate, and number of ranges of yaw, each with its own
+starts, on an edge."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +60,8 @@ class EstimatedContacts:
     """(n,) int, rows of the table."""
     poses: np.ndarray
     """(n, 6) mm and degrees, axes of sim/pose.py."""
+    pose_deviations: np.ndarray
+    """(n, 6) standard deviations of the poses, mm and degrees."""
     shears: np.ndarray
     """(n, 6) mm and degrees."""
     residuals_px: np.ndarray
@@ -89,19 +93,28 @@ def estimate_contacts(
     rows = np.array([i for i, path in enumerate(recording.paths) if path])
     rows = np.sort(rng.choice(rows, min(FRAMES, len(rows)), replace=False))
     images: dict[int, np.ndarray] = {}
+    with_rim = []
     for i in rows:
         try:
-            images[int(i)] = reader.cropped(reader.masked(recording.load(i)))
+            frame = recording.load(i)
+            images[int(i)] = reader.cropped(reader.masked(frame))
         except TactipError:  # the import leaves it out later, and reports it
             continue
+        with_rim.append(reader.with_rim(frame))
+    if not images:
+        raise TactipError(
+            f"none of {len(rows)} frames in {recording.folder} can be read, for example {recording.paths[rows[0]]}"
+        )
     at_rest = reader.cropped(reader.masked(neutral)) if neutral is not None else _least_spread(list(images.values()))
     blobs = len(find_blobs(at_rest).centres)
     layout = min(NOMINAL, key=lambda name: abs(len(neutral_pins(NOMINAL[name])[0]) - blobs))
     design, fit = fit_neutral(replace(NOMINAL[layout], materials=design_named(_PRESET).materials), at_rest)
-    camera = None if neutral is None else _camera(recording, reader, neutral, design.optics.centre)
-    if camera is not None:
-        design = replace(design, optics=replace(design.optics, zoom=camera[0], drift=(camera[1], camera[2])))
     width = at_rest.shape[1]
+    centre_px = np.array(design.optics.centre) * width - 0.5
+    camera = None if neutral is None else camera_change(reader.with_rim(neutral), with_rim[:PIN_DETECTION_FRAMES], centre_px)
+    if camera is not None:
+        zoom, x, y = (float(value) for value in camera[0])
+        design = replace(design, optics=replace(design.optics, zoom=zoom, drift=(x, y)))
     known = np.isfinite(fit.pins_px[:, 0])
     matcher = PinMatcher((fit.pins_px[known] + 0.5) * width / REFERENCE_PX - 0.5)
     pins = np.full((len(images), len(known), 2), np.nan)
@@ -117,12 +130,24 @@ def estimate_contacts(
     tip = read_fast_tip(shipped_fast_tip("edge", _PRESET) if task == "edge" else shipped_fast_tip("surface", layout))
     materials = None if tip.materials is None else np.clip(material_inputs(design.materials), *tip.materials.T)
     model = PinModel(tip, PinDecoder(design, tip.modes), _POSES[task], _SHEARS, Lens(design), materials)
-    start = model.nearest_of(pins, _RANDOM_CONTACTS, rng)
     noise = _PIXEL_NOISE * np.sqrt(2 * pins.shape[1] / _INDEPENDENT)
-    found = most_likely(model, pins, start, noise)
+    found = _most_likely(model, pins, noise, task, rng)
     values = np.concatenate([found.poses, found.shears], 1)[:, model.free]
     simulated = model.positions(values).reshape(pins.shape)
-    return EstimatedContacts(rows, found.poses, found.shears, found.residuals, fit.pins_px, pins, simulated)
+    deviations = found.deviations[:, :6]
+    return EstimatedContacts(rows, found.poses, deviations, found.shears, found.residuals, fit.pins_px, pins, simulated)
+
+
+def _most_likely(model: PinModel, pins: np.ndarray, noise: float, task: Task, rng: np.random.Generator) -> MostLikely:
+    """Return the most likely contacts for pins (n, p, 2), px. On an edge, other yaws are local optima: of starts in each of
+    _SECTORS the one that fits best is kept."""
+    edges = np.linspace(-180, 180, _SECTORS + 1)
+    sectors = [{5: ends} for ends in itertools.pairwise(edges)] if task == "edge" else [{}]
+    starts = [model.nearest_of(pins, _RANDOM_CONTACTS, rng, within) for within in sectors]
+    found = [most_likely(model, pins, start, noise) for start in starts]
+    best = np.argmin([one.residuals for one in found], 0), np.arange(len(pins))
+    chosen = {f.name: np.stack([getattr(one, f.name) for one in found])[best] for f in fields(MostLikely)}
+    return MostLikely(**chosen)
 
 
 def _least_spread(images: list[np.ndarray]) -> np.ndarray:
@@ -134,18 +159,3 @@ def _least_spread(images: list[np.ndarray]) -> np.ndarray:
         whole = len(centres) == usual
         spreads.append(float(np.linalg.norm(centres - centres.mean(0), axis=1).mean()) if whole else np.inf)
     return images[int(np.argmin(spreads))]
-
-
-def _camera(
-    recording: Recording, reader: FrameReader, neutral: np.ndarray, centre: tuple[float, float]
-) -> tuple[float, float, float] | None:
-    """Return zoom and drift since the neutral image by the light at the rim; None if there is too little light."""
-    before = reader.with_rim(neutral)
-    rows = spread([i for i, path in enumerate(recording.paths) if path])
-    found = camera_change(
-        before, (reader.with_rim(recording.load(i)) for i in rows), np.array(centre) * before.shape[1] - 0.5
-    )
-    if found is None:
-        return None
-    zoom, x, y = (float(value) for value in found[0])
-    return zoom, x, y

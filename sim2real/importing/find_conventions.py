@@ -38,6 +38,12 @@ _MAX_ZERO_MM = 1.7
 """Distance of the estimated from the table's zero of depth within which the table is believed, mm: a rig's zero has an
 offset of some tenths, and an estimate with other mechanics one of 1 mm in the two sets that this was tried on [M]."""
 
+_SAME_DEG = 0.5
+"""Mean difference of labels, degrees, that does not matter."""
+
+_CLEAR_YAW_DEG = 8.0
+"""Standard deviation of an edge's yaw below which a frame shows it [?]."""
+
 _ROTATION_STEPS = np.radians(np.arange(0.0, 360.0, 0.5))
 
 _SUFFIXES = {"1": "x", "2": "y", "3": "z", "4": "Rx", "5": "Ry", "6": "Rz"}
@@ -240,10 +246,13 @@ def _on_edge(
 ) -> tuple[dict[str, str], float, int, list[str]]:
     """Return the readings of yaw, offset, tilts and shears on an edge, the camera's rotation, degrees, the number of quarter
     turns of the frames, and the evidence."""
-    yaw = np.radians(contacts.poses[:, 5])
+    # Far from the edge, a frame does not show its direction.
+    deviations = contacts.pose_deviations[:, 5]
+    clear = deviations <= max(_CLEAR_YAW_DEG, float(np.sort(deviations)[min(len(deviations), 30) - 1]))
+    yaw = np.radians(contacts.poses[clear, 5])
     scores = {}
     for name in free:
-        raw = columns.values[:, columns.names.index(name)]
+        raw = columns.values[clear, columns.names.index(name)]
         for sign, factor in itertools.product((1, -1), _UNITS["angle"]):
             scores[name, sign, factor] = np.exp(1j * (yaw - sign * np.radians(factor * raw))).mean()
     best = max(scores, key=lambda key: abs(scores[key]), default=None)
@@ -257,7 +266,7 @@ def _on_edge(
     found = {"pose_Rz": _spec(sign * factor, name, 0.0)}
     agreement = abs(scores[name, sign, factor])
     evidence = [
-        f"pose_Rz={found['pose_Rz']}: agreement {agreement:.2f} (1 is perfect), with the camera rotated by {-offset_deg:.0f}°"
+        f"pose_Rz={found['pose_Rz']}: agreement {agreement:.2f} (1 is perfect), with a camera rotated by {-offset_deg:.0f}°"
     ]
     left = [one for one in free if one not in same]
     wanted = {"pose_x": contacts.poses[:, 0], "pose_Rx": contacts.poses[:, 3], "pose_Ry": contacts.poses[:, 4]}
@@ -299,22 +308,36 @@ def _angles_and_lever(
 
 def _angles(rows: Mapping[str, Sequence[str]], contacts: EstimatedContacts, column_map: ColumnMap) -> tuple[ColumnMap, str]:
     parts = [3, 4] if column_map.task == "surface" else [3, 4, 5]
-    labels = {angles: convert_labels(replace(column_map, angles=angles), rows)[0][:, parts] for angles in get_args(Angles)}
+    maps = {angles: _in_order(column_map, angles) for angles in get_args(Angles)}
+    labels = {angles: convert_labels(one, rows)[0][:, parts] for angles, one in maps.items()}
     score = {angles: _fit(label, contacts.poses[:, parts]) for angles, label in labels.items()}
     best = max(score, key=lambda angles: score[angles])
     if score[best] - score["vector"] < _MIN_EVIDENCE:
         best = "vector"
-    unclear = [
-        angles
-        for angles in labels
-        if score[best] - score[angles] < _MIN_EVIDENCE and np.abs(labels[angles] - labels[best]).mean(0).max() > 0.5
-    ]
+    apart = {angles: float(np.abs(label - labels[best]).mean(0).max()) for angles, label in labels.items()}
+    unclear = [one for one in labels if score[best] - score[one] < _MIN_EVIDENCE and apart[one] > _SAME_DEG]
     if unclear:
-        return replace(column_map, angles=best), (
-            f"angles {best}; the frames do not exclude {', '.join(unclear)}, whose labels differ by more than 0.5°: give "
-            "--angles"
+        worst = max(apart[one] for one in unclear)
+        told = (
+            f"the frames do not exclude {', '.join(unclear)}, with labels up to {worst:.1f}° away: give --angles if you know"
         )
-    return replace(column_map, angles=best), f"angles {best}; others that fit as well give the same labels within 0.5°"
+    else:
+        told = f"others that fit as well give the same labels within {_SAME_DEG:g}°"
+    return maps[best], f"angles {best}; {told}"
+
+
+def _in_order(column_map: ColumnMap, angles: Angles) -> ColumnMap:
+    """Return a ColumnMap whose rotations are about x, y and z with these columns as angles in another convention: Euler angles
+    are listed in the order of its letters."""
+    if angles == "vector":
+        return replace(column_map, angles=angles)
+    place = {letter: "xyz"[k] for k, letter in enumerate(angles.lower())}
+    specs = []
+    for spec in column_map.columns:
+        ours, _, theirs = spec.partition("=")
+        prefix, turns, letter = ours.partition("_R")
+        specs.append(f"{prefix}_R{place[letter]}={theirs}" if turns else spec)
+    return replace(column_map, columns=tuple(specs), angles=angles)
 
 
 def _lever(rows: Mapping[str, Sequence[str]], contacts: EstimatedContacts, column_map: ColumnMap) -> tuple[ColumnMap, str]:
@@ -336,8 +359,8 @@ def _lever(rows: Mapping[str, Sequence[str]], contacts: EstimatedContacts, colum
         return column_map, f"tcp-behind-apex-mm 0: depth does not show another ({lever:+.0f} ± {deviation:.0f} mm)"
     rounded = round(float(np.clip(lever, -100, 100)), 1)
     return replace(column_map, tcp_behind_apex_mm=rounded), (
-        f"tcp-behind-apex-mm {rounded:g} (± {deviation:.0f}): depth differs from the table in tilted frames as a rotation about "
-        "that point makes it"
+        f"tcp-behind-apex-mm {rounded:g} (± {deviation:.0f}): depth differs from the table in tilted frames as a rotation "
+        "about that point makes it"
     )
 
 
