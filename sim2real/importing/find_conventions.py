@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import get_args
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from tactip_twin.sim2real.importing.column_map import Angles, ColumnMap, parse_column
 from tactip_twin.sim2real.importing.convert_labels import convert_labels
@@ -40,6 +41,9 @@ offset of some tenths, and an estimate with other mechanics one of 1 mm in the t
 
 _SAME_DEG = 0.5
 """Mean difference of labels, degrees, that does not matter."""
+
+_MAX_UNCLEAR_DEG = 2.0
+"""Mean difference of the labels of two readings that fit equally well, degrees, above which none is taken [?]."""
 
 _CLEAR_YAW_DEG = 8.0
 """Standard deviation of an edge's yaw below which a frame shows it [?]."""
@@ -105,22 +109,20 @@ def find_conventions(
     known = dict(parse_column(spec) for spec in given.columns)
     free = [name for name in columns.names if name not in {column for _, column, _ in known.values()}]
     found, evidence, free = _depth(columns, free, contacts, tap_mm)
-    if given.task == "surface":
-        reading = _on_surface(columns, free, contacts)
-        found |= reading.columns
-        evidence += reading.evidence
-        camera_deg, quarter_turns = reading.camera_deg, 0
-    else:
-        edge, camera_deg, quarter_turns, told = _on_edge(columns, free, contacts)
-        found |= edge
-        evidence += told
+    reading = (_on_surface if given.task == "surface" else _on_edge)(columns, free, contacts)
+    found |= reading.columns
+    evidence += reading.evidence
     found |= _by_name(columns, found)
     for ours, (factor, column, _) in known.items():
         _check_given(ours, factor, column, found)
     specs = [*given.columns, *(f"{ours}={text}" for ours, text in found.items() if ours not in known)]
-    column_map = replace(given, columns=tuple(specs), camera_rotation_deg=round(camera_deg, 1))
+    column_map = replace(given, columns=tuple(specs), camera_rotation_deg=round(reading.camera_deg, 1))
+    if isinstance(reading, _EdgeReading):
+        column_map, turned = _in_order(column_map, reading.angles), 90.0 * reading.quarter_turns
+    else:
+        turned = 0.0
     column_map, told = _angles_and_lever(table, contacts, column_map)
-    return Conventions(column_map, 90.0 * quarter_turns, (*evidence, *told))
+    return Conventions(column_map, turned, (*evidence, *told))
 
 
 def tap_of(folder: Path) -> float | None:
@@ -241,53 +243,132 @@ def _on_surface(columns: _Columns, free: list[str], contacts: EstimatedContacts)
     return _SurfaceReading(found, degrees, evidence)
 
 
-def _on_edge(
-    columns: _Columns, free: list[str], contacts: EstimatedContacts
-) -> tuple[dict[str, str], float, int, list[str]]:
-    """Return the readings of yaw, offset, tilts and shears on an edge, the camera's rotation, degrees, the number of quarter
-    turns of the frames, and the evidence."""
+@dataclass(frozen=True)
+class _EdgeReading:
+    columns: dict[str, str]
+    angles: Angles
+    camera_deg: float
+    quarter_turns: int
+    evidence: list[str]
+
+
+def _on_edge(columns: _Columns, free: list[str], contacts: EstimatedContacts) -> _EdgeReading:
+    """Return the readings of yaw, tilts, offset and shears on an edge."""
     # Far from the edge, a frame does not show its direction.
     deviations = contacts.pose_deviations[:, 5]
     clear = deviations <= max(_CLEAR_YAW_DEG, float(np.sort(deviations)[min(len(deviations), 30) - 1]))
-    yaw = np.radians(contacts.poses[clear, 5])
-    scores = {}
-    for name in free:
-        raw = columns.values[clear, columns.names.index(name)]
-        for sign, factor in itertools.product((1, -1), _UNITS["angle"]):
-            scores[name, sign, factor] = np.exp(1j * (yaw - sign * np.radians(factor * raw))).mean()
+    estimated = Rotation.from_rotvec(contacts.poses[clear, 3:], degrees=True)
+    found, angles, offset_deg, evidence, left = _edge_rotations(columns, free, estimated, clear)
+    quarter_turns = round(offset_deg / 90)
+    wanted = {"pose_x": contacts.poses[:, 0]}
+    wanted |= {"shear_x": contacts.shears[:, 0], "shear_y": contacts.shears[:, 1], "shear_Rz": contacts.shears[:, 5]}
+    for ours, estimate in wanted.items():
+        r = {one: float(np.corrcoef(columns.of(one), estimate)[0, 1]) for one in left}
+        best = max(r, key=lambda one: abs(r[one]), default="")
+        if not r or abs(r[best]) < _MIN_CORRELATION:
+            if ours == "pose_x":
+                raise TactipError(
+                    "no column explains the distance to the edge that the frames show (the nearest is "
+                    f"{best or 'none'}, correlation {r.get(best, 0):.2f}): give --columns pose_x=…"
+                )
+            continue
+        best, same = columns.likeliest(best, left, (ours.partition("_")[2],))
+        slope = float((columns.of(best) * _centred(estimate)).sum() / (columns.of(best) ** 2).sum())
+        factor, unit = _unit(abs(slope), "angle" if "_R" in ours else "pose")
+        found[ours] = _spec(float(np.sign(slope)) * factor, best, 0.0)
+        evidence.append(f"{ours}={found[ours]}: correlation {r[best]:+.2f}{unit}")
+        left = [one for one in left if one not in same]
+    return _EdgeReading(found, angles, -(offset_deg - 90 * quarter_turns), quarter_turns, evidence)
+
+
+def _edge_rotations(
+    columns: _Columns, free: list[str], estimated: Rotation, clear: np.ndarray
+) -> tuple[dict[str, str], Angles, float, list[str], list[str]]:
+    """Return the readings of the rotations on an edge, their convention, the yaw at which the camera is mounted, degrees,
+    the evidence, and the columns that are left.
+
+    Args:
+        columns: The columns.
+        free: Those that may be taken.
+        estimated: Estimated rotations of the frames that show the yaw.
+        clear: (n,) bool, which frames these are.
+    """
+    yaw = np.radians(estimated.as_rotvec(degrees=True)[:, 2])
+    values = {name: columns.values[clear, columns.names.index(name)] for name in free}
+    scores = {
+        (name, sign, factor): np.exp(1j * (yaw - sign * np.radians(factor * values[name]))).mean()
+        for name in free
+        for sign, factor in itertools.product((1.0, -1.0), _UNITS["angle"])
+    }
     best = max(scores, key=lambda key: abs(scores[key]), default=None)
     alone = abs(np.exp(1j * yaw).mean())
     if best is None or abs(scores[best]) < alone + 0.5 * (1 - alone):
         raise TactipError("no column explains the yaw of the edge that the frames show: give --columns pose_Rz=…")
     name, same = columns.likeliest(best[0], free, ("Rz",))
     sign, factor = best[1:]
-    offset_deg = float(np.degrees(np.angle(scores[name, sign, factor])))
-    quarter_turns = round(offset_deg / 90)
-    found = {"pose_Rz": _spec(sign * factor, name, 0.0)}
-    agreement = abs(scores[name, sign, factor])
-    evidence = [
-        f"pose_Rz={found['pose_Rz']}: agreement {agreement:.2f} (1 is perfect), with a camera rotated by {-offset_deg:.0f}°"
-    ]
+    agreement = scores[name, sign, factor]
     left = [one for one in free if one not in same]
-    wanted = {"pose_x": contacts.poses[:, 0], "pose_Rx": contacts.poses[:, 3], "pose_Ry": contacts.poses[:, 4]}
-    wanted |= {"shear_x": contacts.shears[:, 0], "shear_y": contacts.shears[:, 1], "shear_Rz": contacts.shears[:, 5]}
-    for ours, estimate in wanted.items():
-        r = {one: float(np.corrcoef(columns.of(one), estimate)[0, 1]) for one in left}
-        best_one = max(r, key=lambda one: abs(r[one]), default="")
-        if not r or abs(r[best_one]) < _MIN_CORRELATION:
-            if ours == "pose_x":
-                raise TactipError(
-                    "no column explains the distance to the edge that the frames show (the nearest is "
-                    f"{best_one or 'none'}, correlation {r.get(best_one, 0):.2f}): give --columns pose_x=…"
-                )
-            continue
-        best_one, same = columns.likeliest(best_one, left, (ours.partition("_")[2],))
-        slope = float((columns.of(best_one) * _centred(estimate)).sum() / (columns.of(best_one) ** 2).sum())
-        unit_factor, unit = _unit(abs(slope), "angle" if "_R" in ours else "pose")
-        found[ours] = _spec(float(np.sign(slope)) * unit_factor, best_one, 0.0)
-        evidence.append(f"{ours}={found[ours]}: correlation {r[best_one]:+.2f}{unit}")
-        left = [one for one in left if one not in same]
-    return found, -(offset_deg - 90 * quarter_turns), quarter_turns, evidence
+    tilts, left = _tilts_on_edge(columns, left, estimated, clear)
+    turn, scored = factor * values[name] * sign, []
+    for reading in _assignments(tilts, ("Rx", "Ry")):
+        about = {"x": np.zeros(len(turn)), "y": np.zeros(len(turn)), "z": turn}
+        about |= {component[1]: s * factor * values[one] for component, (one, s) in reading.items()}
+        for angles in get_args(Angles) if tilts else ("vector",):
+            score, offset, labels = _rotation_fit(about, angles, estimated, float(np.degrees(np.angle(agreement))))
+            scored.append((score, angles, reading, offset, labels))
+    most = max(one[0] for one in scored)
+    near = [one for one in scored if one[0] > most - _MIN_EVIDENCE]
+    _, angles, reading, offset, labels = max(near, key=lambda one: (_plainness(0.0, one[2])[:2], one[1] == "vector", one[0]))
+    apart = [float(np.degrees((labels.inv() * one[4]).magnitude()).mean()) for one in near]
+    k = int(np.argmax(apart))
+    if apart[k] > _MAX_UNCLEAR_DEG:
+        raise TactipError(
+            f"the frames speak equally well for two readings of the table: {_rotation_words(reading, angles)}, and "
+            f"{_rotation_words(near[k][2], near[k][1])}: give one of them with --columns and --angles, without --find"
+        )
+    parts = reading | {"Rz": (name, sign)}
+    found = {f"pose_{component}": _spec(s * factor, one, 0.0) for component, (one, s) in parts.items()}
+    evidence = [
+        f"{_rotation_words(parts, angles)}: agreement of the yaw {abs(agreement):.2f} (1 is perfect), with a camera rotated "
+        f"by {-offset:.0f}°; other readings that fit give the same labels within {apart[k]:.1f}°"
+    ]
+    if not tilts:
+        evidence.append("no column explains the tilts of the frames, so none is taken")
+    return found, angles, offset, evidence, left
+
+
+def _tilts_on_edge(
+    columns: _Columns, free: list[str], estimated: Rotation, clear: np.ndarray
+) -> tuple[list[str], list[str]]:
+    """Return the columns that explain the tilts, and those that are left. A tilt before the yaw turns with the sensor, one
+    after it does not: both are tried."""
+    shown = _Columns(columns.names, columns.values[clear])
+    normals = estimated.apply([0.0, 0.0, 1.0]), estimated.inv().apply([0.0, 0.0, 1.0])
+    options = [_explaining(shown, free, _centred(normal[:, 0] + 1j * normal[:, 1]), ("Rx", "Ry")) for normal in normals]
+    return max(options, key=lambda option: len(option[0]))
+
+
+def _rotation_fit(
+    about: Mapping[str, np.ndarray], angles: Angles, estimated: Rotation, offset_deg: float
+) -> tuple[float, float, Rotation]:
+    """Return how well rotations explain the estimated ones (logarithm of the likelihood), the yaw of the camera, degrees,
+    that fits them best, and the rotations."""
+    if angles == "vector":
+        commanded = Rotation.from_rotvec(np.stack([about[axis] for axis in "xyz"], -1), degrees=True)
+    else:
+        commanded = Rotation.from_euler(angles, np.stack([about[axis] for axis in angles.lower()], -1), degrees=True)
+    for _ in range(3):
+        labels = commanded * Rotation.from_euler("z", offset_deg, degrees=True)
+        wrong = (labels.inv() * estimated).as_rotvec(degrees=True)
+        offset_deg += float(np.median(wrong[:, 2]))
+    spread = 1.48 * np.median(np.abs(wrong), 0) + 1e-9
+    score = -float((2 * np.log1p((wrong / spread) ** 2 / 3)).sum() + len(wrong) * np.log(spread).sum())
+    return score, offset_deg, labels
+
+
+def _rotation_words(parts: Mapping[str, tuple[str, float]], angles: Angles) -> str:
+    columns = " ".join(f"pose_{c}={'-' if sign < 0 else ''}{name}" for c, (name, sign) in parts.items())
+    return f"{columns} (angles {angles}, by axis)"
 
 
 def _angles_and_lever(
@@ -297,7 +378,7 @@ def _angles_and_lever(
     rows = {name: [cells[i] for i in contacts.rows] for name, cells in table.items()}
     evidence = []
     mapped = {ours for ours, (_, column, _) in map(parse_column, column_map.columns) if column is not None}
-    if len(mapped & {"pose_Rx", "pose_Ry", "pose_Rz"}) > 1 and column_map.angles == "vector":
+    if column_map.task == "surface" and len(mapped & {"pose_Rx", "pose_Ry"}) > 1:
         column_map, told = _angles(rows, contacts, column_map)
         evidence.append(told)
     if mapped & {"pose_Rx", "pose_Ry"} and column_map.tcp_behind_apex_mm == 0:
@@ -307,7 +388,7 @@ def _angles_and_lever(
 
 
 def _angles(rows: Mapping[str, Sequence[str]], contacts: EstimatedContacts, column_map: ColumnMap) -> tuple[ColumnMap, str]:
-    parts = [3, 4] if column_map.task == "surface" else [3, 4, 5]
+    parts = [3, 4]
     maps = {angles: _in_order(column_map, angles) for angles in get_args(Angles)}
     labels = {angles: convert_labels(one, rows)[0][:, parts] for angles, one in maps.items()}
     score = {angles: _fit(label, contacts.poses[:, parts]) for angles, label in labels.items()}
@@ -327,8 +408,8 @@ def _angles(rows: Mapping[str, Sequence[str]], contacts: EstimatedContacts, colu
 
 
 def _in_order(column_map: ColumnMap, angles: Angles) -> ColumnMap:
-    """Return a ColumnMap whose rotations are about x, y and z with these columns as angles in another convention: Euler angles
-    are listed in the order of its letters."""
+    """Return a ColumnMap, whose rotations are about x, y and z, with another convention: Euler angles are listed in the
+    order of its letters."""
     if angles == "vector":
         return replace(column_map, angles=angles)
     place = {letter: "xyz"[k] for k, letter in enumerate(angles.lower())}
@@ -469,6 +550,7 @@ def _by_name(columns: _Columns, found: Mapping[str, str]) -> dict[str, str]:
     poses = {ours[5:]: parse_column(f"{ours}={text}")[1] for ours, text in found.items() if ours.startswith("pose_R")}
     shears = [parse_column(f"{ours}={text}")[1][1] for ours, text in found.items() if ours in ("shear_x", "shear_y")]
     stems = {name[:-1] for name in shears if name}
+    used = {parse_column(f"{ours}={text}")[1][1] for ours, text in found.items()}
     out = {}
     for component, (factor, column, _) in poses.items():
         ours = f"shear_{component}"
@@ -476,7 +558,7 @@ def _by_name(columns: _Columns, found: Mapping[str, str]) -> dict[str, str]:
             continue
         for stem in stems:
             twin = stem + column[-1]
-            if twin in columns.names and twin != column:
+            if twin in columns.names and twin not in used:
                 out[ours] = _spec(factor, twin, 0.0)
     return out
 
