@@ -33,8 +33,12 @@ from tactip_twin.tactip_model.presets import design_named
 from tactip_twin.tactip_model.raster_renderer import Raster
 from tactip_twin.tactip_model.tactile_image import tactile_image
 
-FRAME_PX = 256
-"""Width of the published frames, px."""
+FRAME_PX = {"nominal-127": 256, "nominal-331": 360}
+"""Width of the frames by preset, px, as in the two published sets: in smaller frames 331 pins touch."""
+
+_RIM_DIAMETERS = {"nominal-127": (0.9, 1.15), "nominal-331": (0.8, 0.95)}
+"""Factors of the apparent diameter of the outermost pins by preset. In the nominal 331-pin tip they almost touch; a camera is
+adjusted until they do not."""
 
 COLUMN_MAP = ColumnMap(columns=("pose_z=-depth", "pose_Rx=roll", "pose_Ry=pitch", "pose_Rz=yaw", "pose_x=across"))
 """Conventions of its table: depth is positive into the object."""
@@ -65,7 +69,7 @@ def hidden_design(name: str, seed: int) -> Design:
         p,
         rotation_deg=float(p.rotation_deg + rng.uniform(-6, 6)),
         diameter_m=float(p.diameter_m * rng.uniform(0.9, 1.15)),
-        rim_diameter_m=float(p.rim_diameter_m * rng.uniform(0.9, 1.15)),
+        rim_diameter_m=float(p.rim_diameter_m * rng.uniform(*_RIM_DIAMETERS[name])),
         as_built_m=tuple((float(x), float(y)) for x, y in rng.normal(0, 0.08e-3, (count, 2))),
     )
     return replace(plain, name=f"hidden-{seed}", optics=optics, pins=pins)
@@ -111,19 +115,19 @@ def make_pseudo_real(
     make([Job(configuration, folder / "contacts")], workers, log)
     lab = folder / "lab"
     if not (lab / "targets.csv").exists():
-        _publish(folder / "contacts", design, lab, seed)
+        _publish(folder / "contacts", design, FRAME_PX[name], lab, seed)
     layout = Layout(replace(COLUMN_MAP, task=task))
     import_set(read_source(lab, layout.column_map), layout, folder / "set", log)
     return folder / "set"
 
 
-def _publish(contacts: Path, design: Design, lab: Path, seed: int) -> None:
+def _publish(contacts: Path, design: Design, width: int, lab: Path, seed: int) -> None:
     """Write frames and table as a laboratory does, the table last."""
     (lab / "images").mkdir(parents=True, exist_ok=True)
     for place in (lab, lab / "images"):
         remove_leftovers(place)
     rng, dataset = np.random.default_rng((seed, 78)), read_dataset(contacts)
-    camera = _Camera(design, rng)
+    camera = _Camera(design, width, rng)
     write_file(lab / "init_0.png", encode_image(camera.frame(*neutral_pins(design), rng)))
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
@@ -140,18 +144,19 @@ def _publish(contacts: Path, design: Design, lab: Path, seed: int) -> None:
 class _Camera:
     """Frames of the hidden sensor, with light at the rim that no contact moves, and specks."""
 
-    def __init__(self, design: Design, rng: np.random.Generator) -> None:
+    def __init__(self, design: Design, width: int, rng: np.random.Generator) -> None:
         self._raster = Raster(design)
-        self._image = replace(design.image, size_px=FRAME_PX)
-        self._rim = np.zeros((FRAME_PX, FRAME_PX), np.uint8)
-        middle, radius = FRAME_PX // 2, FRAME_PX // 2 - 3
+        self._width = width
+        self._image = replace(design.image, size_px=width)
+        self._rim = np.zeros((width, width), np.uint8)
+        middle, radius = width // 2, width // 2 - 3
         for start in rng.uniform(0, 360, 5):
             end = start + rng.uniform(20, 50)
             cv2.ellipse(self._rim, (middle, middle), (radius, radius), 0, start, end, 255, int(rng.integers(2, 6)))
 
     def frame(self, tips: np.ndarray, directions: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """Return a frame (FRAME_PX, FRAME_PX) uint8 of pins (p, 3) m and their directions (p, 3)."""
+        """Return a frame (h, w) uint8 of pins (p, 3) m and their directions (p, 3)."""
         image = np.maximum(tactile_image(self._raster.render(tips, directions), self._image), self._rim)
-        for x, y in rng.integers(0, FRAME_PX, (rng.integers(0, 3), 2)):
+        for x, y in rng.integers(0, self._width, (rng.integers(0, 3), 2)):
             cv2.circle(image, (int(x), int(y)), 1, 255, -1)
         return image
