@@ -37,8 +37,8 @@ FRAME_PX = {"nominal-127": 256, "nominal-331": 360}
 """Width of the frames by preset, px, as in the two published sets: in smaller frames 331 pins touch."""
 
 _RIM_DIAMETERS = {"nominal-127": (0.9, 1.15), "nominal-331": (0.8, 0.95)}
-"""Factors of the apparent diameter of the outermost pins by preset. In the nominal 331-pin tip they almost touch; a camera is
-adjusted until they do not."""
+"""Factors of the apparent diameter of the outermost pins by preset. In the nominal 331-pin tip they almost touch; cameras
+are adjusted until they do not."""
 
 COLUMN_MAP = ColumnMap(columns=("pose_z=-depth", "pose_Rx=roll", "pose_Ry=pitch", "pose_Rz=yaw", "pose_x=across"))
 """Conventions of its table: depth is positive into the object."""
