@@ -39,10 +39,12 @@ _SENSORS: tuple[tuple[Task, str, int], ...] = (
 )
 """Task, preset and seed of each hidden sensor."""
 
-_TAP_MM = 5.0
+TAP_MM = 5.0
+"""Depth of the tap."""
 
-_NAMES = ("surge", "sway", "heave", "a1", "a2", "a3", "u1", "u2", "u3", "w1", "w2", "w3")
-"""Names that say nothing."""
+_USUAL = (*(f"pose_{k}" for k in range(1, 7)), *(f"move_{k}" for k in range(1, 7)))
+_MEANINGLESS = ("surge", "sway", "heave", "a1", "a2", "a3", "u1", "u2", "u3", "w1", "w2", "w3")
+"""Names of the columns: usual ones, and others that say nothing."""
 
 _MAX_ERRORS = {"depth_mm": 1.5, "offset_mm": 1.5, "tilt_deg": 2.0, "yaw_deg": 6.0, "gain": 0.1}
 """Largest errors of labels that count as right. Depth and offset include the zero, which no frame shows exactly."""
@@ -61,7 +63,7 @@ def mislabel(
         copy: Folder to write.
         rng: Generator of the conventions.
     """
-    poses, shears = (part.copy() for part in truth)
+    poses, shears = truth
     quarter, mirrored = int(rng.integers(4)), bool(rng.random() < 0.5)
     (copy / "images").mkdir(parents=True)
     for path in [lab / "init_0.png", *(lab / "images").glob("*.png")]:
@@ -69,38 +71,50 @@ def mislabel(
         turned = np.rot90(frame[:, ::-1] if mirrored else frame, quarter)
         where = copy / ("init_0.png" if path.name.startswith("init") else f"images/{path.name}")
         write_file(where, cv2.imencode(".png", np.ascontiguousarray(turned))[1].tobytes())
-    in_frames = _as_in_frames(poses, task, quarter, mirrored)
+    columns, before_tap = mislabel_table(poses, shears, task, rng)
+    if before_tap:
+        write_file(copy / "meta.json", json.dumps({"tap_move": [0, 0, TAP_MM, 0, 0, 0]}).encode())
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["image_name", *columns])
+    for i in range(len(poses)):
+        writer.writerow([f"frame_{i}.png", *(column[i] for column in columns.values())])
+    write_file(copy / "targets.csv", text.getvalue().encode())
+    return _as_in_frames(poses, task, quarter, mirrored)
+
+
+def mislabel_table(
+    poses: np.ndarray, shears: np.ndarray, task: Task, rng: np.random.Generator
+) -> tuple[dict[str, list[str]], bool]:
+    """Return the columns of a table in random conventions, and whether its depth is that before a tap of TAP_MM.
+
+    Args:
+        poses: (n, 6) mm and degrees.
+        shears: (n, 6) mm and degrees.
+        task: Stimulus.
+        rng: Generator of the conventions.
+    """
+    poses, shears = poses.copy(), shears.copy()
     turn = Rotation.from_euler("z", rng.uniform(-180, 180) if task == "surface" else rng.uniform(-30, 30), degrees=True)
     if task == "surface":  # the axes of the table are turned
         rotations = turn * Rotation.from_rotvec(poses[:, 3:], degrees=True) * turn.inv()
         poses[:, :3], shears[:, :3], shears[:, 3:] = (turn.apply(v) for v in (poses[:, :3], shears[:, :3], shears[:, 3:]))
     else:  # the zero of the yaw is another one
         rotations = Rotation.from_rotvec(poses[:, 3:], degrees=True) * turn
-    angles: Angles = str(rng.choice(get_args(Angles)))  # type: ignore[assignment]
+    angles = str(rng.choice(get_args(Angles)))
     poses[:, 3:] = rotations.as_rotvec(degrees=True) if angles == "vector" else rotations.as_euler(angles, degrees=True)
     before_tap = bool(rng.random() < 0.5)
-    if before_tap:
-        poses[:, 2] += _TAP_MM
-        write_file(copy / "meta.json", json.dumps({"tap_move": [0, 0, _TAP_MM, 0, 0, 0]}).encode())
-    values = np.concatenate([poses, shears], 1)
+    poses[:, 2] += TAP_MM if before_tap else 0.0
     metres, radians = rng.random(2) < 0.3
-    named = bool(rng.random() < 0.5)
-    usual = [f"pose_{k}" for k in range(1, 7)] + [f"move_{k}" for k in range(1, 7)]
+    names = _USUAL if rng.random() < 0.5 else _MEANINGLESS
     columns: dict[str, np.ndarray] = {}
-    for k, column in enumerate(values.T):
+    for k, column in enumerate(np.concatenate([poses, shears], 1).T):
         unit = (1e-3 if metres else 1.0) if k % 6 < 3 else (np.pi / 180 if radians else 1.0)
-        sign = -1.0 if rng.random() < 0.5 else 1.0
-        columns[usual[k] if named else _NAMES[k]] = sign * unit * column
-    count = len(values)
+        columns[names[k]] = (-1.0 if rng.random() < 0.5 else 1.0) * unit * column
+    count = len(poses)
     columns |= {"row": np.arange(count), "time_s": np.sort(rng.uniform(0, 3600, count)), "lamp": rng.normal(0, 1, count)}
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
     order = rng.permutation(list(columns))
-    writer.writerow(["image_name", *order])
-    for i in range(count):
-        writer.writerow([f"frame_{i}.png", *(f"{columns[name][i]:.8g}" for name in order)])
-    write_file(copy / "targets.csv", text.getvalue().encode())
-    return in_frames
+    return {str(name): [f"{value:.8g}" for value in columns[name]] for name in order}, before_tap
 
 
 def _as_in_frames(poses: np.ndarray, task: Task, quarter: int, mirrored: bool) -> np.ndarray:

@@ -50,6 +50,8 @@ _CLEAR_YAW_DEG = 8.0
 
 _ROTATION_STEPS = np.radians(np.arange(0.0, 360.0, 0.5))
 
+_Known = Mapping[str, tuple[float, str | None, float]]
+
 _SUFFIXES = {"1": "x", "2": "y", "3": "z", "4": "Rx", "5": "Ry", "6": "Rz"}
 
 
@@ -107,14 +109,15 @@ def find_conventions(
     """
     columns = _numeric(table, contacts.rows)
     known = dict(parse_column(spec) for spec in given.columns)
-    free = [name for name in columns.names if name not in {column for _, column, _ in known.values()}]
-    found, evidence, free = _depth(columns, free, contacts, tap_mm)
-    reading = (_on_surface if given.task == "surface" else _on_edge)(columns, free, contacts)
+    found, evidence, free = _depth(columns, contacts, tap_mm)
+    if "pose_z" in known:
+        _check_sign("pose_z", known["pose_z"], found["pose_z"])
+    reading = (_on_surface if given.task == "surface" else _on_edge)(columns, free, contacts, known)
     found |= reading.columns
     evidence += reading.evidence
     found |= _by_name(columns, found)
-    for ours, (factor, column, _) in known.items():
-        _check_given(ours, factor, column, found)
+    if "pose_x" in known and "pose_x" in found:
+        _check_sign("pose_x", known["pose_x"], found["pose_x"])
     specs = [*given.columns, *(f"{ours}={text}" for ours, text in found.items() if ours not in known)]
     column_map = replace(given, columns=tuple(specs), camera_rotation_deg=round(reading.camera_deg, 1))
     if isinstance(reading, _EdgeReading):
@@ -152,10 +155,10 @@ def _numeric(table: Mapping[str, Sequence[str]], rows: np.ndarray) -> _Columns:
 
 
 def _depth(
-    columns: _Columns, free: list[str], contacts: EstimatedContacts, tap_mm: float | None
+    columns: _Columns, contacts: EstimatedContacts, tap_mm: float | None
 ) -> tuple[dict[str, str], list[str], list[str]]:
     """Return the reading of the depth, its evidence, and the columns that are left."""
-    depth = contacts.poses[:, 2]
+    depth, free = contacts.poses[:, 2], list(columns.names)
     r = {name: float(np.corrcoef(columns.of(name), depth)[0, 1]) for name in free}
     best = max(r, key=lambda name: abs(r[name])) if r else ""
     if not r or abs(r[best]) < _MIN_CORRELATION:
@@ -193,7 +196,7 @@ class _SurfaceReading:
     evidence: list[str]
 
 
-def _on_surface(columns: _Columns, free: list[str], contacts: EstimatedContacts) -> _SurfaceReading:
+def _on_surface(columns: _Columns, free: list[str], contacts: EstimatedContacts, known: _Known) -> _SurfaceReading:
     """Return the readings of tilts and shears, which one rotation of the camera must explain together."""
     tilt = _centred(contacts.poses[:, 3] + 1j * contacts.poses[:, 4])
     shear = _centred(contacts.shears[:, 0] + 1j * contacts.shears[:, 1])
@@ -207,7 +210,7 @@ def _on_surface(columns: _Columns, free: list[str], contacts: EstimatedContacts)
     if not tilts and not shears:
         return _SurfaceReading({}, 0.0, evidence)
     scored = []
-    for a, b in itertools.product(_assignments(tilts, ("Rx", "Ry")), _assignments(shears, ("x", "y"))):
+    for a, b in itertools.product(_assignments(tilts, ("Rx", "Ry"), known), _assignments(shears, ("x", "y"), known)):
         curve = _log_likelihood(columns, a, tilt) + _log_likelihood(columns, b, shear)
         k = int(curve.argmax())
         scored.append((float(curve[k]), float(_ROTATION_STEPS[k]), a, b))
@@ -252,13 +255,13 @@ class _EdgeReading:
     evidence: list[str]
 
 
-def _on_edge(columns: _Columns, free: list[str], contacts: EstimatedContacts) -> _EdgeReading:
+def _on_edge(columns: _Columns, free: list[str], contacts: EstimatedContacts, known: _Known) -> _EdgeReading:
     """Return the readings of yaw, tilts, offset and shears on an edge."""
     # Far from the edge, a frame does not show its direction.
     deviations = contacts.pose_deviations[:, 5]
     clear = deviations <= max(_CLEAR_YAW_DEG, float(np.sort(deviations)[min(len(deviations), 30) - 1]))
     estimated = Rotation.from_rotvec(contacts.poses[clear, 3:], degrees=True)
-    found, angles, offset_deg, evidence, left = _edge_rotations(columns, free, estimated, clear)
+    found, angles, offset_deg, evidence, left = _edge_rotations(columns, free, estimated, clear, known)
     quarter_turns = round(offset_deg / 90)
     wanted = {"pose_x": contacts.poses[:, 0]}
     wanted |= {"shear_x": contacts.shears[:, 0], "shear_y": contacts.shears[:, 1], "shear_Rz": contacts.shears[:, 5]}
@@ -282,7 +285,7 @@ def _on_edge(columns: _Columns, free: list[str], contacts: EstimatedContacts) ->
 
 
 def _edge_rotations(
-    columns: _Columns, free: list[str], estimated: Rotation, clear: np.ndarray
+    columns: _Columns, free: list[str], estimated: Rotation, clear: np.ndarray, known: _Known
 ) -> tuple[dict[str, str], Angles, float, list[str], list[str]]:
     """Return the readings of the rotations on an edge, their convention, the yaw at which the camera is mounted, degrees,
     the evidence, and the columns that are left.
@@ -292,6 +295,7 @@ def _edge_rotations(
         free: Those that may be taken.
         estimated: Estimated rotations of the frames that show the yaw.
         clear: (n,) bool, which frames these are.
+        known: Columns that are given.
     """
     yaw = np.radians(estimated.as_rotvec(degrees=True)[:, 2])
     values = {name: columns.values[clear, columns.names.index(name)] for name in free}
@@ -310,7 +314,7 @@ def _edge_rotations(
     left = [one for one in free if one not in same]
     tilts, left = _tilts_on_edge(columns, left, estimated, clear)
     turn, scored = factor * values[name] * sign, []
-    for reading in _assignments(tilts, ("Rx", "Ry")):
+    for reading in _assignments(tilts, ("Rx", "Ry"), known):
         about = {"x": np.zeros(len(turn)), "y": np.zeros(len(turn)), "z": turn}
         about |= {component[1]: s * factor * values[one] for component, (one, s) in reading.items()}
         for angles in get_args(Angles) if tilts else ("vector",):
@@ -482,12 +486,25 @@ def _explaining(
     return chosen, others
 
 
-def _assignments(names: Sequence[str], components: tuple[str, str]) -> list[dict[str, tuple[str, float]]]:
-    """Return all ways to read columns as two components: {component: (column, sign)}."""
+def _assignments(names: Sequence[str], components: tuple[str, str], known: _Known) -> list[dict[str, tuple[str, float]]]:
+    """Return all ways to read columns as two components that agree with what is given: {component: (column, sign)}.
+
+    Raises:
+        TactipError: If none agrees.
+    """
+    prefix = "pose" if components[0].startswith("R") else "shear"
+    given = {
+        c: (known[f"{prefix}_{c}"][1], np.sign(known[f"{prefix}_{c}"][0])) for c in components if f"{prefix}_{c}" in known
+    }
     out: list[dict[str, tuple[str, float]]] = []
     for order in itertools.permutations(components, len(names)):
         for signs in itertools.product((1.0, -1.0), repeat=len(names)):
-            out.append({c: (name, sign) for c, name, sign in zip(order, names, signs, strict=True)})
+            reading = {c: (name, sign) for c, name, sign in zip(order, names, signs, strict=True)}
+            if all(reading.get(c, one) == one for c, one in given.items()):
+                out.append(reading)
+    if not out:
+        asked = ", ".join(f"{prefix}_{c}={'-' if sign < 0 else ''}{column}" for c, (column, sign) in given.items())
+        raise TactipError(f"{asked} contradicts the frames, whose {prefix} follows {' and '.join(names)}")
     return out
 
 
@@ -563,15 +580,12 @@ def _by_name(columns: _Columns, found: Mapping[str, str]) -> dict[str, str]:
     return out
 
 
-def _check_given(ours: str, factor: float, column: str | None, found: Mapping[str, str]) -> None:
-    """Raise TactipError if a given column contradicts what the frames say."""
-    if ours not in found or column is None:
-        return
-    other_factor, other, _ = parse_column(f"{ours}={found[ours]}")[1]
-    if other != column or np.sign(other_factor) != np.sign(factor):
-        raise TactipError(
-            f"{ours}={'-' if factor < 0 else ''}{column} contradicts the frames, which say {ours}={found[ours]}"
-        )
+def _check_sign(ours: str, given: tuple[float, str | None, float], found: str) -> None:
+    """Raise TactipError if a given column, (factor, column, offset), is not what the frames say, or negated."""
+    factor, column, _ = parse_column(f"{ours}={found}")[1]
+    if given[1] is not None and (given[1] != column or np.sign(given[0]) != np.sign(factor)):
+        asked = f"{ours}={'-' if given[0] < 0 else ''}{given[1]}"
+        raise TactipError(f"{asked} contradicts the frames, which say {ours}={found}")
 
 
 def _unit(slope: float, kind: str) -> tuple[float, str]:

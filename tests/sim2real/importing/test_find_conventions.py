@@ -1,0 +1,107 @@
+"""Conventions of a table: found from estimates that are noisy and a third too small, refused where they do not tell."""
+
+import numpy as np
+import pytest
+
+from tactip_twin.benchmarks.learning.conventions import TAP_MM, mislabel_table
+from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES
+from tactip_twin.sim.pose import to_mm_deg
+from tactip_twin.sim2real.importing.column_map import ColumnMap
+from tactip_twin.sim2real.importing.convert_labels import convert_labels
+from tactip_twin.sim2real.importing.estimated_contacts import EstimatedContacts
+from tactip_twin.sim2real.importing.find_conventions import find_conventions, tap_of
+from tactip_twin.tactip_model.errors import TactipError
+
+COUNT = 120
+
+
+def contacts_of(task, rng, gain=0.7, noise=1.0):
+    """Return true poses and shears (COUNT, 6), and estimates of them with errors as those of another tip's mechanics."""
+    poses, shears = (
+        to_mm_deg(np.array([ranges.sample(rng) for _ in range(COUNT)])) for ranges in (POSE_RANGES[task], SHEAR_RANGES)
+    )
+    spread = noise * np.array([0.5, 0, 0.3, 2.0, 2.0, 3.0 if task == "edge" else 0.0])
+    estimated = poses * [1, 1, gain, gain, gain, 1] + rng.normal(0, 1, poses.shape) * spread
+    shown = 0.5 * shears + rng.normal(0, noise, shears.shape)
+    deviations = np.full((COUNT, 6), 2.0)
+    nothing = np.zeros((COUNT, 1, 2))
+    return poses, shears, EstimatedContacts(
+        np.arange(COUNT), estimated, deviations, shown, np.ones(COUNT), nothing[0], nothing, nothing
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("task", ["surface", "edge"])
+def test_labels_are_those_of_the_truth(task, seed):
+    rng = np.random.default_rng(seed)
+    poses, shears, contacts = contacts_of(task, rng)
+    table, before_tap = mislabel_table(poses, shears, task, rng)
+    found = find_conventions(table, contacts, ColumnMap(task=task), TAP_MM if before_tap else None)
+    labels, _ = convert_labels(found.column_map, table)
+    parts = [2, 3, 4] if task == "surface" else [0, 2, 3, 4]
+    for part in parts:
+        assert np.corrcoef(labels[:, part], poses[:, part])[0, 1] > 0.98
+        assert np.polyfit(poses[:, part], labels[:, part], 1)[0] == pytest.approx(1.0, abs=0.1)
+    assert np.abs(labels[:, 2] - poses[:, 2]).mean() < 2.0
+
+
+def test_evidence_names_every_choice():
+    rng = np.random.default_rng(1)
+    poses, shears, contacts = contacts_of("surface", rng)
+    table, before_tap = mislabel_table(poses, shears, "surface", rng)
+    found = find_conventions(table, contacts, ColumnMap(), TAP_MM if before_tap else None)
+    told = "\n".join(found.evidence)
+    for spec in found.column_map.columns:
+        assert spec in told or spec.startswith("shear_R")
+    assert "camera-rotation-deg" in told and "tcp-behind-apex-mm" in told and "angles" in told
+
+
+def test_columns_that_explain_nothing_are_refused():
+    rng = np.random.default_rng(2)
+    _, _, contacts = contacts_of("surface", rng)
+    table = {"lamp": [str(x) for x in rng.normal(0, 1, COUNT)]}
+    with pytest.raises(TactipError, match="no column explains the depth"):
+        find_conventions(table, contacts, ColumnMap())
+    with pytest.raises(TactipError, match="no column of numbers"):
+        find_conventions({"name": ["a"] * COUNT}, contacts, ColumnMap())
+
+
+def test_few_noisy_frames_are_refused_with_both_readings():
+    rng = np.random.default_rng(3)
+    few = 20
+    depth, tilt, shear, noise = np.linalg.qr(rng.normal(0, 1, (few, 4)))[0].T  # uncorrelated but for their means
+    estimated = np.zeros((few, 6))
+    estimated[:, 2], estimated[:, 4] = -3 + 4 * depth, 20 * tilt
+    shown = np.zeros((few, 6))
+    shown[:, 0] = 4 * (0.41 * shear + 0.91 * noise)
+    nothing = np.zeros((few, 1, 2))
+    contacts = EstimatedContacts(
+        np.arange(few), estimated, np.ones((few, 6)), shown, np.ones(few), nothing[0], nothing, nothing
+    )
+    cells = {name: [f"{x:.6g}" for x in column] for name, column in {"z": depth, "b": tilt, "d": shear}.items()}
+    with pytest.raises(TactipError, match=r"equally well for two readings of the table: .*shear_x=d.*shear_x=-d"):
+        find_conventions(cells, contacts, ColumnMap())
+    shown[:, 0] = 4 * (0.95 * shear + 0.3 * noise)
+    assert "shear_x=d" in find_conventions(cells, contacts, ColumnMap()).column_map.columns
+
+
+def test_given_columns_are_kept_and_checked():
+    rng = np.random.default_rng(4)
+    poses, _, contacts = contacts_of("surface", rng)
+    table = {"depth": -poses[:, 2], "roll": poses[:, 3], "pitch": poses[:, 4]}
+    cells = {name: [f"{x:.6g}" for x in column] for name, column in table.items()}
+    found = find_conventions(cells, contacts, ColumnMap(columns=("pose_Rx=roll",)))
+    assert "pose_Rx=roll" in found.column_map.columns and "pose_z=-depth" in found.column_map.columns
+    with pytest.raises(TactipError, match="contradicts the frames, which say pose_z=-depth"):
+        find_conventions(cells, contacts, ColumnMap(columns=("pose_z=depth",)))
+    with pytest.raises(TactipError, match="pose_Rx=depth contradicts the frames, whose pose follows"):
+        find_conventions(cells, contacts, ColumnMap(columns=("pose_Rx=depth",)))
+
+
+def test_tap_is_read_from_meta_and_nonsense_is_not(tmp_path):
+    assert tap_of(tmp_path) is None
+    (tmp_path / "meta.json").write_text('{"tap_move": [0, 3, 4, 0, 0, 0]}')
+    assert tap_of(tmp_path) == pytest.approx(5.0)
+    for text in ('{"tap_move": "deep"}', '{"tap_move": [0, 0]}', "[1, 2]", '{"tap_move": [0, 0, 1e9]}'):
+        (tmp_path / "meta.json").write_text(text)
+        assert tap_of(tmp_path) is None
