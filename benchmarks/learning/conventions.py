@@ -30,6 +30,7 @@ from tactip_twin.sim2real.importing.source import read_recording, with_labels
 from tactip_twin.sim2real.transfer.pseudo_real import make_pseudo_real
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.files import write_file
+from tactip_twin.tactip_model.input_images import read_image
 
 _SENSORS: tuple[tuple[Task, str, int], ...] = (
     ("surface", "nominal-127", 11),
@@ -67,7 +68,7 @@ def mislabel(
     quarter, mirrored = int(rng.integers(4)), bool(rng.random() < 0.5)
     (copy / "images").mkdir(parents=True)
     for path in [lab / "init_0.png", *(lab / "images").glob("*.png")]:
-        frame = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+        frame = read_image(path)
         turned = np.rot90(frame[:, ::-1] if mirrored else frame, quarter)
         where = copy / ("init_0.png" if path.name.startswith("init") else f"images/{path.name}")
         write_file(where, cv2.imencode(".png", np.ascontiguousarray(turned))[1].tobytes())

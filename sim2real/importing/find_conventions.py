@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import get_args
 
 import numpy as np
+from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from tactip_twin.sim2real.importing.column_map import Angles, ColumnMap, parse_column
@@ -41,6 +42,9 @@ offset of some tenths, and an estimate with other mechanics one of 1 mm in the t
 
 _SAME_DEG = 0.5
 """Mean difference of labels, degrees, that does not matter."""
+
+_SAME_VECTORS = 0.3
+"""Difference of two readings of a vector, in standard deviations of its columns, that does not matter."""
 
 _MAX_UNCLEAR_DEG = 2.0
 """Mean difference of the labels of two readings that fit equally well, degrees, above which none is taken [?]."""
@@ -143,7 +147,7 @@ def _numeric(table: Mapping[str, Sequence[str]], rows: np.ndarray) -> _Columns:
     names, values = [], []
     for name, cells in table.items():
         try:
-            column = np.array([float(cells[i]) for i in rows])
+            column = np.array([float(cells[int(i)]) for i in rows])
         except (ValueError, TypeError):
             continue
         if np.isfinite(column).all() and len(np.unique(column)) > 2:
@@ -361,10 +365,14 @@ def _rotation_fit(
         commanded = Rotation.from_rotvec(np.stack([about[axis] for axis in "xyz"], -1), degrees=True)
     else:
         commanded = Rotation.from_euler(angles, np.stack([about[axis] for axis in angles.lower()], -1), degrees=True)
-    for _ in range(3):
-        labels = commanded * Rotation.from_euler("z", offset_deg, degrees=True)
-        wrong = (labels.inv() * estimated).as_rotvec(degrees=True)
-        offset_deg += float(np.median(wrong[:, 2]))
+
+    def errors(offset: float) -> tuple[Rotation, np.ndarray]:
+        there = commanded * Rotation.from_euler("z", offset, degrees=True)
+        return there, (there.inv() * estimated).as_rotvec(degrees=True)
+
+    for _ in range(2):
+        offset_deg += float(np.median(errors(offset_deg)[1][:, 2]))
+    labels, wrong = errors(offset_deg)
     spread = 1.48 * np.median(np.abs(wrong), 0) + 1e-9
     score = -float((2 * np.log1p((wrong / spread) ** 2 / 3)).sum() + len(wrong) * np.log(spread).sum())
     return score, offset_deg, labels
@@ -379,7 +387,7 @@ def _angles_and_lever(
     table: Mapping[str, Sequence[str]], contacts: EstimatedContacts, column_map: ColumnMap
 ) -> tuple[ColumnMap, list[str]]:
     """Return a ColumnMap with the convention of angles and the tool centre that fit best, and the evidence."""
-    rows = {name: [cells[i] for i in contacts.rows] for name, cells in table.items()}
+    rows: dict[str, Sequence[str]] = {name: [cells[int(i)] for i in contacts.rows] for name, cells in table.items()}
     evidence = []
     mapped = {ours for ours, (_, column, _) in map(parse_column, column_map.columns) if column is not None}
     if column_map.task == "surface" and len(mapped & {"pose_Rx", "pose_Ry"}) > 1:
@@ -431,15 +439,11 @@ def _lever(rows: Mapping[str, Sequence[str]], contacts: EstimatedContacts, colum
     lift = 1 - np.cos(np.radians(np.linalg.norm(labels[:, 3:5], axis=1)))
     depth = contacts.poses[:, 2]
     design = np.stack([labels[:, 2], lift, np.ones_like(lift)], -1)
-    weight = np.ones(len(depth))
-    for _ in range(10):
-        solution, *_ = np.linalg.lstsq(design * weight[:, None], depth * weight, rcond=None)
-        wrong = depth - design @ solution
-        spread = 1.48 * np.median(np.abs(wrong)) + 1e-9
-        weight = np.sqrt(np.minimum(1.0, 1.5 * spread / np.maximum(np.abs(wrong), 1e-12)))
-    covariance = spread**2 * np.linalg.inv((design * weight[:, None]).T @ (design * weight[:, None]))
-    gain, slope = float(solution[0]), float(solution[1])
-    lever, deviation = slope / gain, float(np.sqrt(covariance[1, 1])) / abs(gain)
+    start, *_ = np.linalg.lstsq(design, depth, rcond=None)
+    spread = 1.48 * float(np.median(np.abs(depth - design @ start))) + 1e-9
+    fit = least_squares(lambda p: (depth - design @ p) / spread, start, loss="soft_l1")
+    gain, slope, _ = (float(value) for value in fit.x)
+    lever, deviation = slope / gain, float(np.sqrt(np.linalg.inv(fit.jac.T @ fit.jac)[1, 1])) / abs(gain)
     if abs(lever) < max(2.5 * deviation, 3.0):
         return column_map, f"tcp-behind-apex-mm 0: depth does not show another ({lever:+.0f} ± {deviation:.0f} mm)"
     rounded = round(float(np.clip(lever, -100, 100)), 1)
@@ -533,11 +537,9 @@ _Scored = tuple[float, float, dict[str, tuple[str, float]], dict[str, tuple[str,
 
 def _same_labels(columns: _Columns, one: _Scored, other: _Scored) -> bool:
     """Return whether two readings give the same labels."""
-    for k in (2, 3):
-        first, second = (
-            np.exp(1j * s[1]) * _as_complex(columns, s[k]) if s[k] else np.zeros(1, complex) for s in (one, other)
-        )
-        if np.abs(first - second).max() > 0.3:
+    for mine, theirs in ((one[2], other[2]), (one[3], other[3])):
+        apart = np.exp(1j * one[1]) * _as_complex(columns, mine) - np.exp(1j * other[1]) * _as_complex(columns, theirs)
+        if np.abs(apart).max() > _SAME_VECTORS:
             return False
     return True
 
