@@ -72,11 +72,7 @@ def read_samples(folder: str | Path) -> Samples:
     labels = labels_of(dataset.meta.get("configuration") or {})
     if not dataset.images:
         raise TactipError(f"the set in {folder} has no samples: at least one is needed")
-    targets = labels.of(dataset.poses)
-    _check_targets(folder, dataset.images, labels, targets)
-    if not np.isfinite(dataset.shears).all():
-        row = int(np.argmin(np.isfinite(dataset.shears).all(1)))
-        raise TactipError(f"shear of {dataset.images[row]} in {folder} must be finite, got {dataset.shears[row].tolist()}")
+    targets = checked_targets(dataset, labels)
     images = [dataset.image(i) for i in range(len(dataset.images))]
     shape = images[0].shape
     for name, image in zip(dataset.images, images, strict=True):
@@ -89,12 +85,20 @@ def read_samples(folder: str | Path) -> Samples:
     return Samples(dataset, labels, np.stack(images), targets, dataset.shears, quantities_of(dataset), rows)
 
 
-def _check_targets(folder: str | Path, names: tuple[str, ...], labels: Labels, targets: np.ndarray) -> None:
-    """Check that targets (n, k) lie in the ranges of the labels. names: names of the images, for the message."""
+def checked_targets(dataset: Dataset, labels: Labels) -> np.ndarray:
+    """Return the learned components (n, k) of a set's samples, mm and degrees.
+
+    Raises:
+        TactipError: If a label is not finite or outside its declared range, or a shear is not finite.
+    """
+    folder, names, targets = dataset.folder, dataset.images, labels.of(dataset.poses)
+    if not np.isfinite(dataset.shears).all():
+        row = int(np.argmin(np.isfinite(dataset.shears).all(1)))
+        raise TactipError(f"shear of {names[row]} in {folder} must be finite, got {dataset.shears[row].tolist()}")
     low, high = np.array(labels.low) - _ROUNDING, np.array(labels.high) + _ROUNDING
     good = (targets >= low) & (targets <= high)  # False for NaN
     if good.all():
-        return
+        return targets
     row, column = (int(i) for i in np.argwhere(~good)[0])
     value, name = targets[row, column], labels.names[column]
     allowed = f"{labels.low[column]:g} to {labels.high[column]:g} {labels.units[column]}"
