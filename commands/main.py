@@ -27,6 +27,7 @@ COMMANDS = {
     "train": ("train", "Train", "Train a network on a data set."),
     "tune": ("tune", "Tune", "Search for a network."),
     "evaluate": ("evaluate", "Evaluate", "Measure the errors of a network on a set."),
+    "export": ("export", "Export", "Write a network for other software."),
     "transfer": ("transfer", "Transfer", "Train in simulation, test on a real sensor."),
     "camera": ("camera", "Camera", "Show a real sensor live."),
     "servo": ("servo", "Servo", "Follow a surface or an edge by touch."),
