@@ -48,6 +48,10 @@ class Make(Command):
     of `tactip sliding-tip`. Default: the shipped one of task and design."""
     design: str = "tactip-127"
     """Sensor: tactip-127, tactip-331, or a design file (.json) as `tactip calibrate` writes it."""
+    size_px: int | None = None
+    """Width of the images, px. Default: that of the design, 128."""
+    grey: bool = False
+    """Keep the grey levels of the images instead of thresholding them."""
     randomize_mechanics: MechanicsName = "none"
     """Randomization of the mechanics; with real, stiffness, friction, thickness and pin length of the tip differ from
     contact to contact as between real tips; with wide, the materials differ more, and the pins do not
@@ -119,10 +123,9 @@ class Make(Command):
         from tactip_twin.sim.dataset.configuration import Configuration
         from tactip_twin.sim.dataset.generate import Job
         from tactip_twin.sim.dataset.mechanics_randomization import MECHANICS_RANDOMIZATIONS
-        from tactip_twin.tactip_model.presets import load_design
 
         several = several or self.split == "all"
-        design, tip, digest = load_design(self.design), None, ""
+        design, tip, digest = self._design(), None, ""
         learns = self.fidelity in LEARNED_FIDELITIES
         if learns:
             tip, digest = self._learned_tip(design)
@@ -142,6 +145,14 @@ class Make(Command):
             )
             jobs.append(Job(configuration, self.out / self.task / split if several else self.out, tip))
         return jobs
+
+    def _design(self) -> "Design":
+        """Return the design with the options' kind of image."""
+        from tactip_twin.tactip_model.presets import load_design
+
+        design = load_design(self.design)
+        size_px = design.image.size_px if self.size_px is None else self.size_px
+        return replace(design, image=replace(design.image, size_px=size_px, grey=self.grey or design.image.grey))
 
     def _learned_tip(self, design: "Design") -> tuple[Path, str]:
         """Return file and checksum of the learned tip."""

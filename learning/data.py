@@ -9,6 +9,7 @@ import numpy as np
 
 from tactip_twin.learning.labels import Labels, labels_of
 from tactip_twin.learning.quantities import quantities_of
+from tactip_twin.sim.dataset.configuration import has_grey_images
 from tactip_twin.sim.dataset.format import Dataset, read_dataset
 from tactip_twin.tactip_model.errors import TactipError
 
@@ -39,6 +40,11 @@ class Samples:
     def size(self) -> int:
         """Width of an image, px."""
         return self.images.shape[1]
+
+    @property
+    def grey(self) -> bool:
+        """Whether the images are grey, not binary."""
+        return has_grey_images(self.dataset.meta["configuration"])
 
     @property
     def folder(self) -> Path:
@@ -109,28 +115,29 @@ def read_splits(data: str | Path) -> tuple[Samples, Samples]:
     """Return the training and validation sets of a task, DATA/train and DATA/val.
 
     Raises:
-        TactipError: If one is missing, or the two differ in task, image size or sensor.
+        TactipError: If one is missing, or the two differ in task, images or sensor.
     """
     data = Path(data)
     for split in ("train", "val"):
         if not (data / split).is_dir():
             raise TactipError(f"folder {data / split} does not exist: training needs the sets {data}/train and {data}/val")
     train, val = read_samples(data / "train"), read_samples(data / "val")
-    check_compatible(val, train.labels.task, train.size, f"the training set in {train.folder}")
+    check_compatible(val, train.labels.task, train.size, train.grey, f"the training set in {train.folder}")
     train_design, val_design = (s.dataset.meta["configuration"].get("design") for s in (train, val))
     if train_design != val_design:
         raise TactipError(f"the sets in {train.folder} and {val.folder} must have the same sensor design")
     return train, val
 
 
-def check_compatible(samples: Samples, task: str, size: int, whose: str) -> None:
-    """Check the task and the image size of samples.
+def check_compatible(samples: Samples, task: str, size: int, grey: bool, whose: str) -> None:
+    """Check the task and the images of samples.
 
     Args:
         samples: The samples.
         task: Expected task.
         size: Expected image width, px.
-        whose: Model or set that has this task and size, for the message.
+        grey: Whether grey images are expected, not binary ones.
+        whose: Model or set that has this task and such images, for the message.
 
     Raises:
         TactipError: If either differs.
@@ -139,3 +146,12 @@ def check_compatible(samples: Samples, task: str, size: int, whose: str) -> None
         raise TactipError(f"the set in {samples.folder} has the task {samples.labels.task!r}, but {whose} has {task!r}")
     if samples.size != size:
         raise TactipError(f"the images in {samples.folder} are {samples.size} px wide, but {whose} uses {size} px")
+    if samples.grey != grey:
+        raise TactipError(
+            f"the images in {samples.folder} are {kind_of(samples.grey)}, but {whose} uses {kind_of(grey)} ones"
+        )
+
+
+def kind_of(grey: bool) -> str:
+    """Return the word for grey images, or for binary ones."""
+    return "grey" if grey else "binary"

@@ -1,6 +1,6 @@
 """A network as an ONNX file: from tactile images to estimates in their units, with all that `Model.estimate` does.
 
-    input   images                    (n, size, size) uint8: tactile images
+    input   images                    (n, size, size) uint8: tactile images, of the kind that metadata `images` names
     output  pose_z_mm, pose_Rx_deg …  (n,) float32 each: components of the pose; of networks that estimate them, QUANTITIES
             deviation_pose_z_mm …     their standard deviations, with the factors that were fitted to held-out samples
             contact_probability       probability that the force is at least quantities.CONTACT_FORCE_N
@@ -22,6 +22,7 @@ import numpy as np
 import torch
 from torch import nn
 
+from tactip_twin.learning.data import kind_of
 from tactip_twin.learning.deviation_scale import DeviationScale
 from tactip_twin.learning.model import Model, net_sha256, to_input
 from tactip_twin.learning.outputs import Layout
@@ -118,6 +119,7 @@ def onnx_bytes(model: Model) -> bytes:
     facts = {
         "tactip-twin": version("tactip-twin"),
         "task": model.labels.task,
+        "images": kind_of(model.grey),
         "weights_sha256": net_sha256(model.net),
         "range_low": json.dumps(low),
         "range_high": json.dumps(high),

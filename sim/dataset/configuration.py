@@ -13,6 +13,7 @@ from tactip_twin.sim.dataset.options import DatasetOptions
 from tactip_twin.sim.dataset.sampling import Ranges
 from tactip_twin.sim.dataset.symmetry import SYMMETRIES, Symmetry
 from tactip_twin.tactip_model.design import Design
+from tactip_twin.tactip_model.design_file import design_as_dict
 
 REQUIRED_KEYS = ("task", "split", "samples", "seed", "renderer", "design", "fidelity", "pose", "shear")
 """Keys that a file must have: what decides a set's samples is not left to today's defaults."""
@@ -66,7 +67,7 @@ class Configuration(DatasetOptions):
 
     def as_json(self) -> dict[str, Any]:
         """Return the configuration as a JSON object; what only sets of a learned tip have is left out in others."""
-        values = json.loads(json.dumps(dataclasses.asdict(self)))
+        values = json.loads(json.dumps(dataclasses.asdict(self) | {"design": design_as_dict(self.design)}))
         for name in ("fast_tip", "corrected"):
             if not values[name]:
                 del values[name]
@@ -81,6 +82,13 @@ def samples_per_contact(configuration: dict[str, Any]) -> int:
     """Return the number of samples of each contact for a configuration as a JSON object."""
     symmetries = len(SYMMETRIES[configuration["task"]]) if configuration["augment_symmetry"] else 1
     return symmetries * configuration["snapshots_per_contact"]
+
+
+def has_grey_images(configuration: dict[str, Any]) -> bool:
+    """Return whether a simulated or imported set has grey images, for its configuration as a JSON object."""
+    design = configuration.get("design")
+    image = design.get("image") if isinstance(design, dict) else configuration.get("layout")
+    return isinstance(image, dict) and image.get("grey") is True
 
 
 def digest_of(configuration: dict[str, Any]) -> str:

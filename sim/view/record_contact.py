@@ -1,6 +1,7 @@
 """A contact of a data set as a recording: simulated again, bit for bit, and recorded at every time step."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -118,9 +119,11 @@ class _Rows:
         scene = simulator.scene
         skin = scene.vertices()[: scene.mesh.surface_count]
         tips, directions = simulator.reader.read(skin)
-        image = tactile_image(self._render(tips, directions), self._design.image)
+        frame, settings = self._render(tips, directions), self._design.image
+        image = tactile_image(frame, replace(settings, grey=False))  # recordings have binary images
         force = scene.contact_force()
-        T, predicted = self._T_base_object @ sensor_in_contact(label), self._predicted(image)
+        predicted = self._predicted(tactile_image(frame, settings) if settings.grey else image)
+        T = self._T_base_object @ sensor_in_contact(label)
         self._tries.setdefault(simulator, []).append({
             "T_base_tcp": T,
             "T_base_tcp_measured": T,

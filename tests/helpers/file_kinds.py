@@ -73,7 +73,7 @@ from tactip_twin.sim2real.importing.import_set import import_set, read_report
 from tactip_twin.sim2real.importing.layout import Layout, read_layout
 from tactip_twin.sim2real.importing.source import read_source
 from tactip_twin.sim2real.sensor.video_frames import VideoFrames
-from tactip_twin.tactip_model.design_file import read_design, read_design_with_drift, write_fitted_design
+from tactip_twin.tactip_model.design_file import design_as_dict, read_design, read_design_with_drift, write_fitted_design
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.mesh import build_mesh
 from tactip_twin.tactip_model.neutral_image import neutral_px
@@ -401,7 +401,7 @@ def read_rig(folder, root):
 
 
 DESIGN = design_named("nominal-127")
-CHOSEN, IDENTITY = parameters(DESIGN), {"real": "rig", "design": dataclasses.asdict(DESIGN)}
+CHOSEN, IDENTITY = parameters(DESIGN), {"real": "rig", "design": design_as_dict(DESIGN)}
 
 
 def write_calibration(folder, root):
