@@ -12,6 +12,7 @@ from tactip_twin.commands._parsing import Command, Entry, last_value, parse_opti
 from tactip_twin.commands._pose_reader import load_pose_reader
 from tactip_twin.commands._progress import DelayedStatus, to_stderr
 from tactip_twin.sim.dataset.mechanics_randomization import MechanicsName
+from tactip_twin.sim.dataset.object_options import ObjectOptions
 from tactip_twin.sim.dataset.options import DatasetOptions
 from tactip_twin.sim.dataset.sampling import POSE_RANGES, SPLITS, Split
 from tactip_twin.sim.labels import LEARNED_FIDELITIES, TASKS, FidelityName, LearnedFidelityName, Task
@@ -19,6 +20,7 @@ from tactip_twin.tactip_model.errors import TactipError
 
 if TYPE_CHECKING:
     from tactip_twin.sim.dataset.generate import Job
+    from tactip_twin.sim.dataset.pressed_object import PressedObject
     from tactip_twin.tactip_model.design import Design
 
 
@@ -52,6 +54,11 @@ class Make(Command):
     """Width of the images, px. Default: that of the design, 128."""
     grey: bool = False
     """Keep the grey levels of the images instead of thresholding them."""
+    object: Annotated[ObjectOptions, tyro.conf.arg(name="")] = field(default_factory=ObjectOptions)
+    """A mesh to press on instead of the flat surface, and where."""
+    spread_mm: float = 0.0
+    """Radius of the disc about --at-mm in which each contact gets its own place, mm; poses are relative to the surface
+    there."""
     randomize_mechanics: MechanicsName = "none"
     """Randomization of the mechanics; with real, stiffness, friction, thickness and pin length of the tip differ from
     contact to contact as between real tips; with wide, the materials differ more, and the pins do not
@@ -131,6 +138,7 @@ class Make(Command):
             tip, digest = self._learned_tip(design)
         elif self.fast_tip:
             raise TactipError(f"--fast-tip is for --fidelity fast or corrected, got --fidelity {self.fidelity}")
+        data, pressed = self._pressed_object()
         jobs = []
         for split in SPLITS if self.split == "all" else (self.split,):
             configuration = Configuration(
@@ -141,10 +149,28 @@ class Make(Command):
                 fidelity=fidelity_named("standard" if learns else self.fidelity),
                 fast_tip=digest,
                 corrected=self.fidelity == "corrected",
+                object=pressed,
                 mechanics_randomization=MECHANICS_RANDOMIZATIONS[self.randomize_mechanics],
             )
-            jobs.append(Job(configuration, self.out / self.task / split if several else self.out, tip))
+            jobs.append(Job(configuration, self.out / self.task / split if several else self.out, tip, data))
         return jobs
+
+    def _pressed_object(self) -> "tuple[bytes | None, PressedObject | None]":
+        """Return the content of object.npz and the record of the object; None without one."""
+        from numpy.random import default_rng
+
+        from tactip_twin.sim.dataset.format import checksum
+        from tactip_twin.sim.dataset.pressed_object import PressedObject, PressPlaces, pack_object
+
+        if not self.object.object:
+            if self.object != ObjectOptions() or self.spread_mm:
+                raise TactipError("--unit, --scale, --rotation-deg, --at-mm and --spread-mm need an --object")
+            return None, None
+        solid = self.object.solid()
+        data = pack_object(solid)
+        chosen = PressedObject(Path(self.object.object).stem, checksum(data), self.object.at_mm, self.spread_mm)
+        PressPlaces(chosen, solid).sample(default_rng(0))  # a place beside the object fails before anything is written
+        return data, chosen
 
     def _design(self) -> "Design":
         """Return the design with the options' kind of image."""

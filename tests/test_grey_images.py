@@ -1,4 +1,4 @@
-"""Grey images and other sizes, from a set to the commands that use a network: they are recorded, learned, and not mixed up."""
+"""Grey images and other sizes, from a set to the commands that use a network: recorded, learned, not mixed up."""
 
 import json
 from dataclasses import replace
@@ -96,9 +96,8 @@ def test_servo_gives_a_network_the_images_that_it_learned(trained, design):
         NetworkEstimator(model, design, "raster")
     small = replace(design, image=replace(design.image, size_px=SIZE))
     tips, directions = neutral_pins(design)
-    found = NetworkEstimator(model, small, "raster").estimate(
-        TipState(tips, directions, tips, np.zeros(3), 0, 0, 1), np.eye(4)
-    )
+    state = TipState(tips, directions, tips, np.zeros(3), 0, 0, 1)
+    found = NetworkEstimator(model, small, "raster").estimate(state, np.eye(4))
     grey = tactile_image(Raster(design).render(tips, directions), replace(small.image, grey=True))
     label = 1e3 * found.label[2], *np.degrees(found.label[3:5])
     assert np.allclose(label, model.predict(grey))

@@ -10,6 +10,7 @@ from tactip_twin.sim.contact.fidelity import Fidelity
 from tactip_twin.sim.contact.record import QualityLimits
 from tactip_twin.sim.dataset.mechanics_randomization import MechanicsRandomization
 from tactip_twin.sim.dataset.options import DatasetOptions
+from tactip_twin.sim.dataset.pressed_object import PressedObject
 from tactip_twin.sim.dataset.sampling import Ranges
 from tactip_twin.sim.dataset.symmetry import SYMMETRIES, Symmetry
 from tactip_twin.tactip_model.design import Design
@@ -42,6 +43,8 @@ class Configuration(DatasetOptions):
     empty: all are simulated."""
     corrected: bool = False
     """Whether the simulation corrects the predicted contacts (sim/fast_tip/corrected_contacts.py)."""
+    object: PressedObject | None = None
+    """Object that is pressed on (sim/dataset/pressed_object.py); None: the flat surface or the edge."""
     mechanics_randomization: MechanicsRandomization = field(default_factory=MechanicsRandomization)
     """Randomization of the tip's mechanics by contact (sim/dataset/mechanics_randomization.py); the optics stay the same."""
 
@@ -66,9 +69,9 @@ class Configuration(DatasetOptions):
         return len(self.symmetries) * self.snapshots_per_contact
 
     def as_json(self) -> dict[str, Any]:
-        """Return the configuration as a JSON object; what only sets of a learned tip have is left out in others."""
+        """Return the configuration as a JSON object; what only some sets have is left out in others."""
         values = json.loads(json.dumps(dataclasses.asdict(self) | {"design": design_as_dict(self.design)}))
-        for name in ("fast_tip", "corrected"):
+        for name in ("fast_tip", "corrected", "object"):
             if not values[name]:
                 del values[name]
         return values

@@ -12,6 +12,7 @@ from tactip_twin.sim.contact.simulator import ContactSimulator, RetryingSimulato
 from tactip_twin.sim.dataset.configuration import Configuration
 from tactip_twin.sim.dataset.contact_sample import sample_contact, simulator_for
 from tactip_twin.sim.dataset.format import read_configuration, read_meta, read_rows, versions
+from tactip_twin.sim.dataset.sample_maker import object_places
 from tactip_twin.sim.dataset.sliding import SlidingPath
 from tactip_twin.sim.labels import COMPONENTS
 from tactip_twin.sim.pose import from_mm_deg, sensor_in_contact
@@ -63,7 +64,7 @@ def record_contact(
             else f"the set in {folder} has no samples"
         )
     number = sample // configuration.samples_per_contact
-    contact_sample = sample_contact(configuration, number)
+    contact_sample = sample_contact(configuration, number, object_places(configuration, Path(folder)))
     solid, simulator = contact_sample.solid, simulator_for(configuration, contact_sample.design)
     if solid is not None:
         simulator.replace_solid(solid)
