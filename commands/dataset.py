@@ -1,4 +1,4 @@
-"""tactip dataset: make, verify, show and record data sets."""
+"""tactip dataset: make, verify, show, record and export data sets."""
 
 import sys
 from collections.abc import Sequence
@@ -288,12 +288,56 @@ class Record(Command):
         return 0
 
 
+@dataclass(frozen=True)
+class Export(Command):
+    """Write a set or a servo run in the format of LeRobot, with images as images, pins and forces. Needs the extra
+    `lerobot`."""
+
+    example = "tactip dataset export runs/servo-bust --lerobot lerobot/servo-bust"
+
+    folder: tyro.conf.Positional[Path]
+    """Folder of a set, of a servo run, or of a recorded contact."""
+    lerobot: Path
+    """Folder to write, a LeRobot data set of version 3.0; it must not exist."""
+    fps: int = 10
+    """Frames per second that the format states: contacts and steps of a servo have no rate of their own."""
+
+    def run(self) -> int:
+        with DelayedStatus("reading the set or the run"):
+            from tactip_twin.sim.lerobot.export import export_lerobot
+
+        episodes, frames = export_lerobot(self.folder, self.lerobot, self.fps)
+        print(f"{self.lerobot} written: {frames} frames in {episodes} episodes")
+        return 0
+
+
+@dataclass(frozen=True)
+class Import(Command):
+    """Write the set or the servo run that `tactip dataset export` wrote in the format of LeRobot. Needs the extra
+    `lerobot`."""
+
+    example = "tactip dataset import lerobot/servo-bust --out runs/servo-bust"
+
+    folder: tyro.conf.Positional[Path]
+    """Folder of a LeRobot data set that `tactip dataset export` wrote."""
+    out: Path
+    """Folder to write; it must not exist."""
+
+    def run(self) -> int:
+        with DelayedStatus("reading the LeRobot data set"):
+            from tactip_twin.sim.lerobot.restore import restore
+
+        frames = restore(self.folder, self.out)
+        print(f"{self.out} written: {frames} samples or steps")
+        return 0
+
+
 class Dataset(Command):
-    """Make, verify, show and record data sets."""
+    """Make, verify, show, record and export data sets."""
 
     @classmethod
     def parse(cls, arguments: Sequence[str], prog: str) -> Command:
         """Parse the options of the named action."""
-        actions = {"make": Make, "verify": Verify, "show": Show, "record": Record}
+        actions = {"make": Make, "verify": Verify, "show": Show, "record": Record, "export": Export, "import": Import}
         table = {name: Entry(action.__doc__ or "", action.parse) for name, action in actions.items()}
         return parse_subcommand(table, arguments, prog, cls.__doc__ or "")

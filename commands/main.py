@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from tactip_twin.commands._parsing import Command
 
 COMMANDS = {
-    "dataset": ("dataset", "Dataset", "Make, verify, show and record data sets."),
+    "dataset": ("dataset", "Dataset", "Make, verify, show, record and export data sets."),
     "import": ("import_set", "Import", "Import a data set of a real sensor."),
     "calibrate": ("calibrate", "Calibrate", "Fit the sensor to real frames."),
     "fast-tip": ("fast_tip", "FastTip", "Teach a tip that predicts contacts."),
