@@ -38,6 +38,9 @@ _MAX_FILE_BYTES = 90 * 2**20
 _SAMPLE, _SAMPLE_IMAGES = 2000, 200
 """Numbers of evenly spread frames and images from which statistics are computed, of all and of each episode."""
 
+_EPISODES_PER_GROUP = 100
+"""Number of episodes that are written at once; the statistics of each are some tens of kilobytes."""
+
 _QUANTILES = (0.01, 0.1, 0.5, 0.9, 0.99)
 
 
@@ -88,9 +91,10 @@ class LeRobotWriter:
         self._every, self._every_image = max(1, frames // _SAMPLE), max(1, frames // _SAMPLE_IMAGES)
         self._sampled: dict[str, list[np.ndarray]] = {name: [] for name in self._features}
         self._pending: dict[str, list[Any]] = {name: [] for name in self._features}
-        self._bytes = self._files = self._frames = 0
+        self._bytes = self._files = self._frames = self._episodes = 0
         self._tasks: list[str] = []
-        self._episodes: list[dict[str, Any]] = []
+        self._pending_episodes: list[dict[str, Any]] = []
+        self._episode_writer: Any = None
 
     def add_episode(self, frames: Mapping[str, Sequence[Any] | np.ndarray], task: str) -> None:
         """Add an episode.
@@ -99,7 +103,7 @@ class LeRobotWriter:
             frames: For each feature, PNG files (n) as bytes, or numbers (n, length) or (n,).
             task: What is done in it, in words.
         """
-        n, episode = len(next(iter(frames.values()))), len(self._episodes)
+        n, episode = len(next(iter(frames.values()))), self._episodes
         if task not in self._tasks:
             self._tasks.append(task)
         columns: dict[str, Any] = {
@@ -119,10 +123,10 @@ class LeRobotWriter:
             image = self._is_image(name)
             some = np.arange(0, n, max(1, n // (_SAMPLE_IMAGES if image else _SAMPLE)))
             numbers = self._numbers(name, values, some)
-            statistics |= {f"stats/{name}/{key}": value for key, value in _statistics(numbers).items()}
+            statistics |= {f"stats/{name}/{key}": value for key, value in _statistics(numbers, ()).items()}
             every = self._every_image if image else self._every
             self._sampled[name].append(self._numbers(name, values, np.flatnonzero(columns["index"] % every == 0)))
-        self._episodes.append(
+        self._pending_episodes.append(
             {
                 "episode_index": episode,
                 "tasks": [task],
@@ -136,12 +140,15 @@ class LeRobotWriter:
                 "meta/episodes/file_index": 0,
             }
         )
-        self._bytes, self._frames = self._bytes + size, self._frames + n
+        self._bytes, self._frames, self._episodes = self._bytes + size, self._frames + n, episode + 1
+        if len(self._pending_episodes) >= _EPISODES_PER_GROUP:
+            self._flush_episodes()
 
     def finish(self) -> None:
         """Write what is left, and the tables of episodes, tasks, statistics and features."""
         self._flush()
-        self._write(EPISODES.format(0, 0), self._arrow.Table.from_pylist(self._episodes))
+        self._flush_episodes()
+        self._episode_writer.close()
         self._write(TASKS, self._task_table())
         samples = {name: np.concatenate(values) for name, values in self._sampled.items()}
         statistics = {
@@ -156,7 +163,7 @@ class LeRobotWriter:
             "codebase_version": VERSION,
             "fps": self._fps,
             "features": features,
-            "total_episodes": len(self._episodes),
+            "total_episodes": self._episodes,
             "total_frames": self._frames,
             "total_tasks": len(self._tasks),
             "chunks_size": _FILES_PER_CHUNK,
@@ -165,7 +172,7 @@ class LeRobotWriter:
             "data_path": "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
             "video_path": None,
             "robot_type": "tactip",
-            "splits": {"train": f"0:{len(self._episodes)}"},
+            "splits": {"train": f"0:{self._episodes}"},
         }
         for name, content in ((STATS, statistics), (INFO, info)):
             (self._folder / name).write_text(json.dumps(content, indent=4))
@@ -192,6 +199,18 @@ class LeRobotWriter:
         self._write(path, table.replace_schema_metadata({"huggingface": kinds}))
         self._pending = {name: [] for name in self._features}
         self._bytes, self._files = 0, self._files + 1
+
+    def _flush_episodes(self) -> None:
+        """Write the pending rows of the table of episodes."""
+        if not self._pending_episodes:
+            return
+        table = self._arrow.Table.from_pylist(self._pending_episodes)
+        if self._episode_writer is None:
+            path = self._folder / EPISODES.format(0, 0)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._episode_writer = self._parquet.ParquetWriter(path, table.schema, compression="zstd")
+        self._episode_writer.write_table(table)
+        self._pending_episodes = []
 
     def _column(self, feature: Feature, values: list[Any]) -> "pyarrow.Array":
         """Return a column of a file of frames."""
@@ -222,16 +241,19 @@ class LeRobotWriter:
         self._parquet.write_table(table, path, compression="snappy")
 
 
-def _statistics(numbers: np.ndarray) -> dict[str, Any]:
-    """Return statistics over frames: numbers (n,) or (n, length), or images (n, channels, height, width) by channel."""
+def _statistics(numbers: np.ndarray, quantiles: Sequence[float] = _QUANTILES) -> dict[str, Any]:
+    """Return statistics over frames.
+
+    Args:
+        numbers: Numbers (n,) or (n, length), or images (n, channels, height, width), whose channels are summed up.
+        quantiles: Quantiles beside extremes, mean and standard deviation. Episodes have none, which would be most of a set.
+    """
     count = [len(numbers)]
     channels = numbers.ndim == 4
     flat = numbers.transpose(0, 2, 3, 1) if channels else numbers[:, None] if numbers.ndim == 1 else numbers
     flat = flat.reshape(-1, flat.shape[-1])
     found = {"min": flat.min(0), "max": flat.max(0), "mean": flat.mean(0), "std": flat.std(0)}
-    found |= {
-        f"q{round(100 * q):02d}": values for q, values in zip(_QUANTILES, np.quantile(flat, _QUANTILES, 0), strict=True)
-    }
+    found |= {f"q{round(100 * q):02d}": np.quantile(flat, q, 0) for q in quantiles}
     shape = (-1, 1, 1) if channels else (-1,)
     return {**{key: value.reshape(shape).tolist() for key, value in found.items()}, "count": count}
 
