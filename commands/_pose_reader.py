@@ -20,14 +20,20 @@ def load_pose_reader(name: str, task: str, design: "Design") -> "Callable[[np.nd
         design: Design of the sensor.
 
     Raises:
-        TactipError: There is no such network, or it takes images of another size.
+        TactipError: There is no such network, or it takes images of another size or kind.
     """
+    from tactip_twin.learning.data import kind_of
     from tactip_twin.learning.model import load_network, shipped_models
 
     chosen = name or f"{task}-{design.name}"
     if name == "none" or not (name or chosen in shipped_models()):
         return None
-    model, made = load_network(chosen), design.image.size_px
-    if model.size != made:
-        raise TactipError(f"the network {chosen} expects images of {model.size} px, but the design produces {made}")
+    model, made = load_network(chosen), design.image
+    if (model.size, model.grey) != (made.size_px, made.grey):
+        if not name:
+            return None
+        raise TactipError(
+            f"the network {chosen} expects {kind_of(model.grey)} images of {model.size} px, but the design produces "
+            f"{kind_of(made.grey)} ones of {made.size_px} px"
+        )
     return lambda image: dict(zip(model.labels.components, model.predict(image[None])[0].tolist(), strict=True))

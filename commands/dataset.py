@@ -1,4 +1,4 @@
-"""tactip dataset: make, verify, show and record data sets."""
+"""tactip dataset: make, verify, show, record and export data sets."""
 
 import sys
 from collections.abc import Sequence
@@ -12,6 +12,7 @@ from tactip_twin.commands._parsing import Command, Entry, last_value, parse_opti
 from tactip_twin.commands._pose_reader import load_pose_reader
 from tactip_twin.commands._progress import DelayedStatus, to_stderr
 from tactip_twin.sim.dataset.mechanics_randomization import MechanicsName
+from tactip_twin.sim.dataset.object_options import ObjectOptions
 from tactip_twin.sim.dataset.options import DatasetOptions
 from tactip_twin.sim.dataset.sampling import POSE_RANGES, SPLITS, Split
 from tactip_twin.sim.labels import LEARNED_FIDELITIES, TASKS, FidelityName, LearnedFidelityName, Task
@@ -19,6 +20,7 @@ from tactip_twin.tactip_model.errors import TactipError
 
 if TYPE_CHECKING:
     from tactip_twin.sim.dataset.generate import Job
+    from tactip_twin.sim.dataset.pressed_object import PressedObject
     from tactip_twin.tactip_model.design import Design
 
 
@@ -48,6 +50,15 @@ class Make(Command):
     of `tactip sliding-tip`. Default: the shipped one of task and design."""
     design: str = "tactip-127"
     """Sensor: tactip-127, tactip-331, or a design file (.json) as `tactip calibrate` writes it."""
+    size_px: int | None = None
+    """Width of the images, px. Default: that of the design, 128."""
+    grey: bool = False
+    """Keep the grey levels of the images instead of thresholding them."""
+    object: Annotated[ObjectOptions, tyro.conf.arg(name="")] = field(default_factory=ObjectOptions)
+    """A mesh to press on instead of the flat surface, and where."""
+    spread_mm: float = 0.0
+    """Radius of the disc about --at-mm in which each contact gets its own place, mm; poses are relative to the surface
+    there."""
     randomize_mechanics: MechanicsName = "none"
     """Randomization of the mechanics; with real, stiffness, friction, thickness and pin length of the tip differ from
     contact to contact as between real tips; with wide, the materials differ more, and the pins do not
@@ -119,15 +130,15 @@ class Make(Command):
         from tactip_twin.sim.dataset.configuration import Configuration
         from tactip_twin.sim.dataset.generate import Job
         from tactip_twin.sim.dataset.mechanics_randomization import MECHANICS_RANDOMIZATIONS
-        from tactip_twin.tactip_model.presets import load_design
 
         several = several or self.split == "all"
-        design, tip, digest = load_design(self.design), None, ""
+        design, tip, digest = self._design(), None, ""
         learns = self.fidelity in LEARNED_FIDELITIES
         if learns:
             tip, digest = self._learned_tip(design)
         elif self.fast_tip:
             raise TactipError(f"--fast-tip is for --fidelity fast or corrected, got --fidelity {self.fidelity}")
+        data, pressed = self._pressed_object()
         jobs = []
         for split in SPLITS if self.split == "all" else (self.split,):
             configuration = Configuration(
@@ -138,10 +149,36 @@ class Make(Command):
                 fidelity=fidelity_named("standard" if learns else self.fidelity),
                 fast_tip=digest,
                 corrected=self.fidelity == "corrected",
+                object=pressed,
                 mechanics_randomization=MECHANICS_RANDOMIZATIONS[self.randomize_mechanics],
             )
-            jobs.append(Job(configuration, self.out / self.task / split if several else self.out, tip))
+            jobs.append(Job(configuration, self.out / self.task / split if several else self.out, tip, data))
         return jobs
+
+    def _pressed_object(self) -> "tuple[bytes | None, PressedObject | None]":
+        """Return the content of object.npz and the record of the object; None without one."""
+        from numpy.random import default_rng
+
+        from tactip_twin.sim.dataset.format import checksum
+        from tactip_twin.sim.dataset.pressed_object import PressedObject, PressPlaces, pack_object
+
+        if not self.object.object:
+            if self.object != ObjectOptions() or self.spread_mm:
+                raise TactipError("--unit, --scale, --rotation-deg, --at-mm and --spread-mm need an --object")
+            return None, None
+        solid = self.object.solid()
+        data = pack_object(solid)
+        chosen = PressedObject(Path(self.object.object).stem, checksum(data), self.object.at_mm, self.spread_mm)
+        PressPlaces(chosen, solid).sample(default_rng(0))  # a place beside the object fails before anything is written
+        return data, chosen
+
+    def _design(self) -> "Design":
+        """Return the design with the options' kind of image."""
+        from tactip_twin.tactip_model.presets import load_design
+
+        design = load_design(self.design)
+        size_px = design.image.size_px if self.size_px is None else self.size_px
+        return replace(design, image=replace(design.image, size_px=size_px, grey=self.grey or design.image.grey))
 
     def _learned_tip(self, design: "Design") -> tuple[Path, str]:
         """Return file and checksum of the learned tip."""
@@ -251,12 +288,56 @@ class Record(Command):
         return 0
 
 
+@dataclass(frozen=True)
+class Export(Command):
+    """Write a set or a servo run in the format of LeRobot, with images as images, pins and forces. Needs the extra
+    `lerobot`."""
+
+    example = "tactip dataset export runs/servo-bust --lerobot lerobot/servo-bust"
+
+    folder: tyro.conf.Positional[Path]
+    """Folder of a set, of a servo run, or of a recorded contact."""
+    lerobot: Path
+    """Folder to write, a LeRobot data set of version 3.0; it must not exist."""
+    fps: int = 10
+    """Frames per second that the format states: contacts and steps of a servo have no rate of their own."""
+
+    def run(self) -> int:
+        with DelayedStatus("reading the set or the run"):
+            from tactip_twin.sim.lerobot.export import export_lerobot
+
+        episodes, frames = export_lerobot(self.folder, self.lerobot, self.fps)
+        print(f"{self.lerobot} written: {frames} frames in {episodes} episodes")
+        return 0
+
+
+@dataclass(frozen=True)
+class Import(Command):
+    """Write the set or the servo run that `tactip dataset export` wrote in the format of LeRobot. Needs the extra
+    `lerobot`."""
+
+    example = "tactip dataset import lerobot/servo-bust --out runs/servo-bust"
+
+    folder: tyro.conf.Positional[Path]
+    """Folder of a LeRobot data set that `tactip dataset export` wrote."""
+    out: Path
+    """Folder to write; it must not exist."""
+
+    def run(self) -> int:
+        with DelayedStatus("reading the LeRobot data set"):
+            from tactip_twin.sim.lerobot.restore import restore
+
+        frames = restore(self.folder, self.out)
+        print(f"{self.out} written: {frames} samples or steps")
+        return 0
+
+
 class Dataset(Command):
-    """Make, verify, show and record data sets."""
+    """Make, verify, show, record and export data sets."""
 
     @classmethod
     def parse(cls, arguments: Sequence[str], prog: str) -> Command:
         """Parse the options of the named action."""
-        actions = {"make": Make, "verify": Verify, "show": Show, "record": Record}
+        actions = {"make": Make, "verify": Verify, "show": Show, "record": Record, "export": Export, "import": Import}
         table = {name: Entry(action.__doc__ or "", action.parse) for name, action in actions.items()}
         return parse_subcommand(table, arguments, prog, cls.__doc__ or "")

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from tactip_twin.commands._parsing import Command
 
 COMMANDS = {
-    "dataset": ("dataset", "Dataset", "Make, verify, show and record data sets."),
+    "dataset": ("dataset", "Dataset", "Make, verify, show, record and export data sets."),
     "import": ("import_set", "Import", "Import a data set of a real sensor."),
     "calibrate": ("calibrate", "Calibrate", "Fit the sensor to real frames."),
     "fast-tip": ("fast_tip", "FastTip", "Teach a tip that predicts contacts."),
@@ -27,6 +27,7 @@ COMMANDS = {
     "train": ("train", "Train", "Train a network on a data set."),
     "tune": ("tune", "Tune", "Search for a network."),
     "evaluate": ("evaluate", "Evaluate", "Measure the errors of a network on a set."),
+    "export": ("export", "Export", "Write a network for other software."),
     "transfer": ("transfer", "Transfer", "Train in simulation, test on a real sensor."),
     "camera": ("camera", "Camera", "Show a real sensor live."),
     "servo": ("servo", "Servo", "Follow a surface or an edge by touch."),

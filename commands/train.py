@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import tyro
 
@@ -46,10 +47,10 @@ class Train(Command):
         network."""
         data, recipe = _train_set(arguments), _recipe(arguments)
         network, training = recipe.network, recipe.settings
-        if data is not None and not _is_simulated(data):
-            # Without pins, no images can be rendered.
+        if data is not None and not _can_be_rendered(data):
             training = replace(training, augmented_fraction=0.0, undeformed_fraction=0.0)
-            if last_value(arguments, "init-from") is None and last_value(arguments, "config") is None:
+            named = last_value(arguments, "init-from") or last_value(arguments, "config")
+            if not named and not _is_simulated(data):
                 network = replace(network, quantities=False)
         return cls(data=tyro.MISSING, out=tyro.MISSING, network=network, training=training)
 
@@ -65,12 +66,10 @@ class Train(Command):
             start = load_network(self.init_from) if self.init_from else None
             train_samples, val_samples = read_splits(self.data)
         recipe = read_recipe(self.config) if self.config else RECIPES[self.recipe][train_samples.labels.task]
-        if (
-            recipe.settings.augmented_fraction
-            and not self.training.augmented_fraction
-            and not train_samples.dataset.simulated
-        ):
-            to_stderr(f"{train_samples.folder} has no pins: its images are taken as they are, without randomized optics")
+        folder = train_samples.folder
+        if recipe.settings.augmented_fraction and not self.training.augmented_fraction and not _can_be_rendered(folder):
+            why = "grey images" if train_samples.grey else "no pins"
+            to_stderr(f"{folder} has {why}: its images are taken as they are, without randomized optics")
         train(train_samples, val_samples, self.network, self.training, self.out, self.device, to_stderr, init_from=start)
         print(f"{self.out / 'model.json'} written")
         return 0
@@ -99,15 +98,27 @@ def _train_set(arguments: Sequence[str]) -> Path | None:
 
 
 def _task(folder: Path | None) -> str:
-    """Return the task of a set, or `surface` if it cannot be read: reading the set later reports the error."""
+    """Return the task of a set, or `surface` if it cannot be read."""
+    return "edge" if folder and _configuration(folder).get("task") == "edge" else "surface"
+
+
+def _configuration(folder: Path) -> dict[str, Any]:
+    """Return the configuration of a set, empty if it cannot be read: reading the set later reports the error."""
     from tactip_twin.tactip_model.errors import TactipError
     from tactip_twin.tactip_model.input_files import read_json
 
     try:
-        task = read_json(folder / "meta.json")["configuration"]["task"] if folder else "surface"
+        configuration = read_json(folder / "meta.json")["configuration"]
     except (TactipError, KeyError, TypeError):
-        return "surface"
-    return "edge" if task == "edge" else "surface"
+        return {}
+    return configuration if isinstance(configuration, dict) else {}
+
+
+def _can_be_rendered(folder: Path) -> bool:
+    """Return whether images of a set can be rendered again: its pins are known, and its images are binary."""
+    from tactip_twin.sim.dataset.configuration import has_grey_images
+
+    return _is_simulated(folder) and not has_grey_images(_configuration(folder))
 
 
 def _is_simulated(folder: Path) -> bool:

@@ -1,14 +1,20 @@
 """tactip view: the live scene in a browser."""
 
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
 
 from tactip_twin.commands._pages import serve_until_interrupted
 from tactip_twin.commands._parsing import Command
 from tactip_twin.commands._pose_reader import load_pose_reader
+from tactip_twin.sim.dataset.object_options import ObjectOptions
 from tactip_twin.sim.labels import LEARNED_FIDELITIES, TASKS, FidelityName, LearnedFidelityName
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.renderer import RendererName
+
+if TYPE_CHECKING:
+    from tactip_twin.sim.contact.solid_stimulus import SolidStimulus
 
 
 @dataclass(frozen=True)
@@ -19,6 +25,8 @@ class View(Command):
 
     task: Literal["surface", "edge", "sphere", "point", "needle", "knife", "corner", "hole"] = "surface"
     """Stimulus."""
+    object: Annotated[ObjectOptions, tyro.conf.arg(name="")] = field(default_factory=ObjectOptions)
+    """A mesh to press on instead of it, and where."""
     design: str = "tactip-127"
     """Sensor: tactip-127, tactip-331, or a design file (.json)."""
     fidelity: FidelityName | LearnedFidelityName = "standard"
@@ -43,13 +51,28 @@ class View(Command):
 
         design = load_design(self.design)
         render, read = renderer_named(self.renderer, design), load_pose_reader(self.model, self.task, design)
-        tip, fidelity = None, self.fidelity
+        tip, fidelity, stimulus = None, self.fidelity, self._stimulus()
+        if stimulus is not None and (self.task != "surface" or fidelity in LEARNED_FIDELITIES):
+            raise TactipError(f"--object needs --task surface and a simulation, got {self.task} and --fidelity {fidelity}")
         if self.fidelity in LEARNED_FIDELITIES:
             if self.task not in TASKS:
                 raise TactipError(f"--fidelity {self.fidelity} is for surface and edge, got --task {self.task}")
             tip, fidelity = read_sliding_tip(shipped_sliding_tip(self.task, design.name)), "standard"
         corrected = self.fidelity == "corrected"
         arguments = design, self.task, fidelity_named(fidelity), render, read, self.host, self.port
-        live = LivePage(*arguments, tip=tip, corrected=corrected)
-        print(f"{live.address} shows the tip {design.name} on the stimulus {self.task}; stop with Ctrl-C", flush=True)
+        live = LivePage(*arguments, tip=tip, corrected=corrected, stimulus=stimulus)
+        on = self.object.object or f"the stimulus {self.task}"
+        print(f"{live.address} shows the tip {design.name} on {on}; stop with Ctrl-C", flush=True)
         return serve_until_interrupted(live)
+
+    def _stimulus(self) -> "SolidStimulus | None":
+        """Return the object in the contact frame of its place; None without one."""
+        import numpy as np
+
+        from tactip_twin.sim.contact.solid_stimulus import SolidStimulus
+        from tactip_twin.sim.dataset.pressed_object import PressedObject, PressPlaces
+
+        if not self.object.object:
+            return None
+        places = PressPlaces(PressedObject(self.object.object, "", self.object.at_mm), self.object.solid())
+        return SolidStimulus(places.sample(np.random.default_rng(0)))

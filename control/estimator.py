@@ -6,7 +6,7 @@ from the tactile image to the label in mm and degrees.
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -89,19 +89,21 @@ class ImageEstimator:
         Raises:
             TactipError: The function does not return a label.
         """
-        self._predict, self._settings = predict, design.image
+        # Contact is detected in binary images, also if the network takes grey ones.
+        self._predict, self._settings = predict, replace(design.image, grey=False)
         self._render = renderer_named(renderer, design)
         self._noise, self._rng = noise_grey, np.random.default_rng(seed)
         self._rows = [COMPONENTS.index(c) for c in components]
-        neutral = self._image(*neutral_pins(design))
+        neutral = tactile_image(self._frame(*neutral_pins(design)), self._settings)
         self._neutral = neutral > 127
         self._label(neutral)  # an unsuitable function fails before anything is written
 
-    def _image(self, pin_tips: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    def _frame(self, pin_tips: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """Return the camera's grey frame (h, w) uint8, with noise."""
         frame = self._render(pin_tips, directions)
         if self._noise:
             frame = np.clip(frame + self._rng.normal(0, self._noise, frame.shape), 0, 255).round().astype(np.uint8)
-        return tactile_image(frame, self._settings)
+        return frame
 
     def _label(self, image: np.ndarray) -> np.ndarray:
         """Return the label (6,), mm and degrees, of an image."""
@@ -115,9 +117,10 @@ class ImageEstimator:
     def estimate(self, touch: TipState, T_base_tcp: np.ndarray) -> Estimate:
         """Return the function's estimate; the true pose is not used."""
         start = time.perf_counter()
-        image = self._image(touch.pin_tips, touch.directions)
+        frame = self._frame(touch.pin_tips, touch.directions)
+        image = tactile_image(frame, self._settings)
         rendered = time.perf_counter()
-        label, deviations = self._estimate(image)
+        label, deviations = self._estimate(frame, image)
         end = time.perf_counter()
         white = image > 127
         union = int((white | self._neutral).sum())
@@ -125,8 +128,13 @@ class ImageEstimator:
         found = None if deviations is None else from_mm_deg(deviations)
         return Estimate(from_mm_deg(label), difference, image, rendered - start, end - rendered, found)
 
-    def _estimate(self, image: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
-        """Return label (6,) and standard deviations (6,) or None, mm and degrees, of an image (size, size) uint8."""
+    def _estimate(self, frame: np.ndarray, image: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+        """Return label (6,) and standard deviations (6,) or None, mm and degrees.
+
+        Args:
+            frame: (h, w) uint8, the camera's grey frame.
+            image: (size, size) uint8, its binary tactile image.
+        """
         return self._label(image), None
 
 
@@ -145,11 +153,12 @@ class NetworkEstimator(ImageEstimator):
             raise TactipError(
                 f"the images of the design must be {model.size} px wide, as the network's, got {design.image.size_px} px"
             )
-        self._model = model
+        self._model, self._grey = model, replace(design.image, grey=True)
         super().__init__(model.predict, model.labels.components, design, renderer, noise_grey, seed)
 
-    def _estimate(self, image: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+    def _estimate(self, frame: np.ndarray, image: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
         """Return what the network estimates; see ImageEstimator."""
+        image = tactile_image(frame, self._grey) if self._model.grey else image
         estimates, label = self._model.estimate(image[None]), np.zeros(6)
         label[self._rows] = estimates.means[0, : len(self._rows)]
         if estimates.deviations is None:

@@ -161,7 +161,8 @@ def _estimator(
         return ImageEstimator(given, model.labels.components, design, options.renderer, options.noise_grey)
     if options.model == "oracle":
         return Oracle(truth, scene_object.T_base_object)
-    return NetworkEstimator(model, design, options.renderer, options.noise_grey)
+    image = dataclasses.replace(design.image, size_px=model.size)
+    return NetworkEstimator(model, dataclasses.replace(design, image=image), options.renderer, options.noise_grey)
 
 
 def _network_name(options: ServoOptions, needed: bool) -> str:

@@ -51,8 +51,13 @@ class OpticsAugmentation:
             device: Torch device.
 
         Raises:
-            TactipError: If the set has no pins.
+            TactipError: If the set has no pins, or its images are grey.
         """
+        if samples.grey:
+            raise TactipError(
+                f"the images in {samples.folder} are grey, but images that are rendered again are binary: set "
+                "augmented_fraction and undeformed_fraction to 0"
+            )
         tips, directions = _read_pins(samples)
         self.undeformed = len(tips)
         """Index of the undeformed tip."""

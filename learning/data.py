@@ -9,6 +9,7 @@ import numpy as np
 
 from tactip_twin.learning.labels import Labels, labels_of
 from tactip_twin.learning.quantities import quantities_of
+from tactip_twin.sim.dataset.configuration import has_grey_images
 from tactip_twin.sim.dataset.format import Dataset, read_dataset
 from tactip_twin.tactip_model.errors import TactipError
 
@@ -39,6 +40,11 @@ class Samples:
     def size(self) -> int:
         """Width of an image, px."""
         return self.images.shape[1]
+
+    @property
+    def grey(self) -> bool:
+        """Whether the images are grey, not binary."""
+        return has_grey_images(self.dataset.meta["configuration"])
 
     @property
     def folder(self) -> Path:
@@ -72,11 +78,7 @@ def read_samples(folder: str | Path) -> Samples:
     labels = labels_of(dataset.meta.get("configuration") or {})
     if not dataset.images:
         raise TactipError(f"the set in {folder} has no samples: at least one is needed")
-    targets = labels.of(dataset.poses)
-    _check_targets(folder, dataset.images, labels, targets)
-    if not np.isfinite(dataset.shears).all():
-        row = int(np.argmin(np.isfinite(dataset.shears).all(1)))
-        raise TactipError(f"shear of {dataset.images[row]} in {folder} must be finite, got {dataset.shears[row].tolist()}")
+    targets = checked_targets(dataset, labels)
     images = [dataset.image(i) for i in range(len(dataset.images))]
     shape = images[0].shape
     for name, image in zip(dataset.images, images, strict=True):
@@ -89,12 +91,20 @@ def read_samples(folder: str | Path) -> Samples:
     return Samples(dataset, labels, np.stack(images), targets, dataset.shears, quantities_of(dataset), rows)
 
 
-def _check_targets(folder: str | Path, names: tuple[str, ...], labels: Labels, targets: np.ndarray) -> None:
-    """Check that targets (n, k) lie in the ranges of the labels. names: names of the images, for the message."""
+def checked_targets(dataset: Dataset, labels: Labels) -> np.ndarray:
+    """Return the learned components (n, k) of a set's samples, mm and degrees.
+
+    Raises:
+        TactipError: If a label is not finite or outside its declared range, or a shear is not finite.
+    """
+    folder, names, targets = dataset.folder, dataset.images, labels.of(dataset.poses)
+    if not np.isfinite(dataset.shears).all():
+        row = int(np.argmin(np.isfinite(dataset.shears).all(1)))
+        raise TactipError(f"shear of {names[row]} in {folder} must be finite, got {dataset.shears[row].tolist()}")
     low, high = np.array(labels.low) - _ROUNDING, np.array(labels.high) + _ROUNDING
     good = (targets >= low) & (targets <= high)  # False for NaN
     if good.all():
-        return
+        return targets
     row, column = (int(i) for i in np.argwhere(~good)[0])
     value, name = targets[row, column], labels.names[column]
     allowed = f"{labels.low[column]:g} to {labels.high[column]:g} {labels.units[column]}"
@@ -105,28 +115,29 @@ def read_splits(data: str | Path) -> tuple[Samples, Samples]:
     """Return the training and validation sets of a task, DATA/train and DATA/val.
 
     Raises:
-        TactipError: If one is missing, or the two differ in task, image size or sensor.
+        TactipError: If one is missing, or the two differ in task, images or sensor.
     """
     data = Path(data)
     for split in ("train", "val"):
         if not (data / split).is_dir():
             raise TactipError(f"folder {data / split} does not exist: training needs the sets {data}/train and {data}/val")
     train, val = read_samples(data / "train"), read_samples(data / "val")
-    check_compatible(val, train.labels.task, train.size, f"the training set in {train.folder}")
+    check_compatible(val, train.labels.task, train.size, train.grey, f"the training set in {train.folder}")
     train_design, val_design = (s.dataset.meta["configuration"].get("design") for s in (train, val))
     if train_design != val_design:
         raise TactipError(f"the sets in {train.folder} and {val.folder} must have the same sensor design")
     return train, val
 
 
-def check_compatible(samples: Samples, task: str, size: int, whose: str) -> None:
-    """Check the task and the image size of samples.
+def check_compatible(samples: Samples, task: str, size: int, grey: bool, whose: str) -> None:
+    """Check the task and the images of samples.
 
     Args:
         samples: The samples.
         task: Expected task.
         size: Expected image width, px.
-        whose: Model or set that has this task and size, for the message.
+        grey: Whether grey images are expected, not binary ones.
+        whose: Model or set that has this task and such images, for the message.
 
     Raises:
         TactipError: If either differs.
@@ -135,3 +146,12 @@ def check_compatible(samples: Samples, task: str, size: int, whose: str) -> None
         raise TactipError(f"the set in {samples.folder} has the task {samples.labels.task!r}, but {whose} has {task!r}")
     if samples.size != size:
         raise TactipError(f"the images in {samples.folder} are {samples.size} px wide, but {whose} uses {size} px")
+    if samples.grey != grey:
+        raise TactipError(
+            f"the images in {samples.folder} are {kind_of(samples.grey)}, but {whose} uses {kind_of(grey)} ones"
+        )
+
+
+def kind_of(grey: bool) -> str:
+    """Return the word for grey images, or for binary ones."""
+    return "grey" if grey else "binary"

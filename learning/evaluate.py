@@ -46,11 +46,12 @@ def check_same_pins(model: Model, samples: Samples) -> None:
     """Check that the images of a model's training and of a set show about as many pins.
 
     Raises:
-        TactipError: If the numbers of pins differ by more than a fifth. A training that does not record its design passes.
+        TactipError: If the numbers of pins differ by more than a fifth. A training that does not record its design passes,
+            and so do grey frames, in which pins cannot be counted.
     """
     learned = _pin_count(model.provenance.get("train", {}).get("configuration"))
     shown = _pin_count(samples.dataset.meta["configuration"]) or _detected_pins(samples)
-    if learned and abs(shown - learned) > _MAX_PIN_DIFFERENCE * learned:
+    if learned and shown and abs(shown - learned) > _MAX_PIN_DIFFERENCE * learned:
         raise TactipError(
             f"the images in {samples.folder} show {shown} pins, but the network was trained on images of {learned}, so its "
             "predictions are meaningless; add --any-sensor to evaluate it anyway"
@@ -72,7 +73,9 @@ def _pin_count(configuration: Any) -> int:
 
 
 def _detected_pins(samples: Samples) -> int:
-    """Return the median number of pins that are detected in _DETECTION_FRAMES images of a set."""
+    """Return the median number of pins that are detected in _DETECTION_FRAMES images of a set; 0 if they are grey."""
+    if samples.grey:
+        return 0
     chosen = np.unique(np.linspace(0, len(samples) - 1, _DETECTION_FRAMES).astype(int))
     return int(np.median([len(find_blobs(samples.images[i]).centres) for i in chosen]))
 
@@ -92,8 +95,8 @@ def _outside_fraction(predictions: np.ndarray, labels: Labels) -> float:
 
 
 def evaluate(model: Model, samples: Samples) -> Evaluation:
-    """Evaluate a model on samples. Raises TactipError if their tasks or image sizes differ."""
-    check_compatible(samples, model.labels.task, model.size, "the model")
+    """Evaluate a model on samples. Raises TactipError if their tasks or images differ."""
+    check_compatible(samples, model.labels.task, model.size, model.grey, "the model")
     estimates = model.estimate(samples.images)
     k = len(model.labels.names)
     predictions = estimates.means[:, :k]

@@ -89,12 +89,13 @@ class ImageCheck:
 
 
 def image_check(model: "Model") -> ImageCheck | None:
-    """Return the check of a network's images; None where its training records no design, or images of another size."""
+    """Return the check of a network's images; None where its training records no design, or grey images or of another
+    size."""
     configuration: Any = model.provenance.get("train", {}).get("configuration")
     if not isinstance(configuration, dict) or "design" not in configuration:
         return None
     design = design_from_dict(configuration["design"], "the design of the training")
-    if design.image.size_px != model.size:
+    if design.image.size_px != model.size or design.image.grey:
         return None
     return ImageCheck(tactile_image(Raster(design).render(*neutral_pins(design)), design.image))
 

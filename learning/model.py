@@ -24,6 +24,7 @@ from tactip_twin.learning.labels import Labels
 from tactip_twin.learning.outputs import Layout
 from tactip_twin.learning.posenet import PoseNet
 from tactip_twin.learning.quantities import QUANTITIES, contact_probability
+from tactip_twin.sim.dataset.configuration import has_grey_images
 from tactip_twin.sim.dataset.format import FORCES
 from tactip_twin.tactip_model.design_file import from_dict
 from tactip_twin.tactip_model.errors import TactipError
@@ -64,6 +65,13 @@ class Model:
     """Data and settings of its training, as JSON."""
     deviation_scale: DeviationScale | None = None
     """Factors on the standard deviations as the network estimates them; None: 1."""
+
+    @property
+    def grey(self) -> bool:
+        """Whether it learned from grey images, not binary ones."""
+        train = self.provenance.get("train")
+        configuration = train.get("configuration") if isinstance(train, dict) else None
+        return isinstance(configuration, dict) and has_grey_images(configuration)
 
     def predict(self, images: ArrayLike, batch: int = 256) -> np.ndarray:
         """Predict poses from tactile images.

@@ -19,7 +19,7 @@ import torch
 
 from tactip_twin.learning.augmentation import OpticsAugmentation
 from tactip_twin.learning.configuration import DeviceName, PoseNetConfig, ScheduleName, TrainSettings
-from tactip_twin.learning.data import Samples
+from tactip_twin.learning.data import Samples, kind_of
 from tactip_twin.learning.deviation_scale import DeviationScale
 from tactip_twin.learning.device import device_named, is_half
 from tactip_twin.learning.labels import Labels
@@ -302,15 +302,17 @@ def initial_state(
             only, or if it has all.
 
     Raises:
-        TactipError: If the model has other layers than `config`, or another image size or components than the samples.
+        TactipError: If the model has other layers than `config`, or other images or components than the samples.
     """
     outputs = {"deviations": None, "quantities": None}  # the initial network may have fewer or more
     expected = {**config.shape(), **outputs, "image width": samples.size, "components": samples.labels.components}
+    expected["images"] = kind_of(samples.grey)
     initial = {
         **init_from.config.shape(),
         **outputs,
         "image width": init_from.size,
         "components": init_from.labels.components,
+        "images": kind_of(init_from.grey),
     }
     differences = [
         f"{name} is {initial[name]}, expected {value}" for name, value in expected.items() if initial[name] != value

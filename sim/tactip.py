@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from scipy.spatial.transform import Rotation
 
 from tactip_twin.sim.contact.fidelity import Fidelity, fidelity_named
+from tactip_twin.sim.contact.press_place import in_contact_frame, place_below
 from tactip_twin.sim.contact.record import Contact, QualityLimits
 from tactip_twin.sim.contact.signed_distance import SignedDistanceMesh
 from tactip_twin.sim.contact.simulator import RetryingSimulator
@@ -201,14 +201,9 @@ def _stimulus_of(stimulus: Pressable, at_mm: tuple[float, float] | None) -> Stim
 
 def _from_above(solid: SignedDistanceMesh, at: np.ndarray) -> SolidStimulus:
     """Return a solid as a stimulus whose contact frame is where a vertical line at (2,) m meets it from above."""
-    top = np.array([*at, solid.vertices[:, 2].max() + 1e-3])
-    gap = solid.first_hit(top, np.array([0.0, 0.0, -1.0]))
-    if not np.isfinite(gap):
+    place = place_below(solid, at)
+    if place is None:
         raise TactipError(
             f"at_mm must lie on the mesh, which has no surface below x, y = {1e3 * at[0]:g}, {1e3 * at[1]:g} mm"
         )
-    place = top - [0, 0, gap]
-    normal = solid.smooth_normal(place[None])[0]
-    # The shortest turn from the vertical: x stays as near to the mesh's x as it can.
-    turn = Rotation.align_vectors([normal], [[0.0, 0.0, 1.0]])[0]
-    return SolidStimulus(SignedDistanceMesh((solid.vertices - place) @ turn.as_matrix(), solid.triangles))
+    return SolidStimulus(in_contact_frame(solid, place))

@@ -148,7 +148,7 @@ class Optics:
 
 @dataclass(frozen=True)
 class TactileImage:
-    """Conversion of a grey frame to the binary tactile image. Simulated and real frames share it (tactile_image.py)."""
+    """Conversion of a grey frame to the tactile image. Simulated and real frames share it (tactile_image.py)."""
 
     crop: tuple[int, int, int, int] | None = within(0, 65536, default=None)
     """Left, top, right and bottom of the part of the frame that is used, px; None for the whole frame."""
@@ -158,6 +158,8 @@ class TactileImage:
     frames that are already binary."""
     size_px: int = within(8, 4096, default=128)
     """Width and height of the tactile image, px [P]."""
+    grey: bool = False
+    """Whether the tactile image keeps the frame's grey levels instead of being thresholded; binary [P]."""
 
     def __post_init__(self) -> None:
         check(self)

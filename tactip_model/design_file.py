@@ -31,7 +31,7 @@ def write_design(path: str | Path, design: Design, provenance: dict[str, Any]) -
     Raises:
         OSError: The file cannot be written.
     """
-    content = {"format": FORMAT, "provenance": provenance, "design": asdict(design)}
+    content = {"format": FORMAT, "provenance": provenance, "design": design_as_dict(design)}
     write_file(Path(path), (json.dumps(content, indent=1) + "\n").encode())
 
 
@@ -71,6 +71,14 @@ def read_design(path: str | Path) -> Design:
     if not isinstance(content, dict) or content.get("format") != FORMAT or not isinstance(content.get("provenance"), dict):
         raise TactipError(f"{path} is not a design file: it must have the format {FORMAT!r} and a provenance")
     return design_from_dict(content.get("design"), f"{path}: design")
+
+
+def design_as_dict(design: Design) -> dict[str, Any]:
+    """Return a design as a JSON object; what was added to designs later is left out where it is the default."""
+    values = asdict(design)
+    if not design.image.grey:
+        del values["image"]["grey"]
+    return values
 
 
 def design_from_dict(value: object, where: str) -> Design:

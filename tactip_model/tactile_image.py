@@ -1,4 +1,4 @@
-"""Conversion of a grey frame, simulated or real, to the binary tactile image that the network receives."""
+"""Conversion of a grey frame, simulated or real, to the tactile image that the network receives."""
 
 import cv2
 import numpy as np
@@ -34,28 +34,28 @@ def binary_frame(frame: ArrayLike, threshold: tuple[int, float] | None) -> np.nd
 
 
 def tactile_image(frame: ArrayLike, settings: TactileImage) -> np.ndarray:
-    """Threshold, crop and subsample a frame.
+    """Threshold, unless grey levels are kept, crop and subsample a frame.
 
     Args:
         frame: (h, w) uint8 grey, or (h, w, 3) uint8 BGR.
-        settings: Threshold, crop and size.
+        settings: Threshold, crop, size, and whether to keep grey levels.
 
     Returns:
-        The tactile image (size_px, size_px) uint8, values 0 and 255 only, pins white.
+        The tactile image (size_px, size_px) uint8, pins white; values 0 and 255 only, unless grey levels are kept.
 
     Raises:
         TactipError: The frame has another type or shape, or the crop or threshold does not fit it.
     """
-    binary = binary_frame(frame, settings.threshold)
+    image = binary_frame(frame, None if settings.grey else settings.threshold)
     if settings.crop is not None:
         left, top, right, bottom = settings.crop
-        height, width = binary.shape
+        height, width = image.shape
         if not (0 <= left < right <= width and 0 <= top < bottom <= height):
             raise TactipError(
                 f"the crop (left, top, right, bottom) must lie within the frame of {width}×{height} px, got {settings.crop}"
             )
-        binary = binary[top:bottom, left:right]
-    shrink = settings.size_px <= min(binary.shape)
+        image = image[top:bottom, left:right]
+    shrink = settings.size_px <= min(image.shape)
     size = (settings.size_px, settings.size_px)
-    small = cv2.resize(binary, size, interpolation=cv2.INTER_AREA if shrink else cv2.INTER_LINEAR)
-    return np.where(small > 127, 255, 0).astype(np.uint8)
+    small = cv2.resize(image, size, interpolation=cv2.INTER_AREA if shrink else cv2.INTER_LINEAR)
+    return small if settings.grey else np.where(small > 127, 255, 0).astype(np.uint8)

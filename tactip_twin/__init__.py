@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from tactip_twin.learning.data import read_samples
     from tactip_twin.learning.evaluate import evaluate
     from tactip_twin.learning.model import load_network
+    from tactip_twin.learning.tactile_dataset import TactileDataset
     from tactip_twin.sim.contact.stimuli import Stimulus
     from tactip_twin.sim.dataset.format import read_dataset
     from tactip_twin.sim.robot.objects import load_object
@@ -42,6 +43,7 @@ _HOMES = {
     "Stimulus": "sim.contact.stimuli",
     "TacTip": "sim.tactip",
     "TactileContact": "sim.tactip",
+    "TactileDataset": "learning.tactile_dataset",
     "TactipError": "tactip_model.errors",
     "UntrustedContact": "sim.tactip",
     "evaluate": "learning.evaluate",
@@ -65,6 +67,7 @@ __all__ = [
     "Stimulus",
     "TacTip",
     "TactileContact",
+    "TactileDataset",
     "TactipError",
     "UntrustedContact",
     "evaluate",

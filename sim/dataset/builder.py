@@ -1,7 +1,6 @@
 """The folder of a data set while it is made: its lock, its progress, and how records become a finished set."""
 
 import contextlib
-import io
 import json
 import os
 import platform
@@ -15,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from tactip_twin.sim.dataset.configuration import Configuration
-from tactip_twin.sim.dataset.format import PARTIAL, checksum, meta_json, read_meta, targets_csv, versions
+from tactip_twin.sim.dataset.format import PARTIAL, checksum, meta_json, pack_pins, read_meta, targets_csv, versions
 from tactip_twin.sim.dataset.mesh_states import pack_mesh_states
 from tactip_twin.sim.dataset.partial_record import (
     check_unaltered,
@@ -31,7 +30,6 @@ from tactip_twin.sim.parallel.worker_pool import disk_error
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.files import sync_all, write_file
 from tactip_twin.tactip_model.input_files import read_file, read_json
-from tactip_twin.tactip_model.pins import neutral_pins
 
 if TYPE_CHECKING:
     from tactip_twin.sim.dataset.shards import ShardFinalizer
@@ -283,18 +281,8 @@ class DatasetBuilder:
                 if self._configuration.keep_mesh:
                     numbers.append(number)
                     states.append(data["states"])
-        neutral_tips, neutral_directions = neutral_pins(self._configuration.design)
-        pins = io.BytesIO()
-        shape = (-1, len(neutral_tips), 3)
-        np.savez(
-            pins,
-            pin_tips=np.array(pin_tips, np.float32).reshape(shape),
-            directions=np.array(directions, np.float32).reshape(shape),
-            neutral_tips=neutral_tips.astype(np.float32),
-            neutral_directions=neutral_directions.astype(np.float32),
-            digest=np.array(self._configuration.digest()),
-        )
-        files = {"targets.csv": targets_csv(rows), "pins.npz": pins.getvalue()}
+        pins = pack_pins(self._configuration, pin_tips, directions)
+        files = {"targets.csv": targets_csv(rows), "pins.npz": pins}
         if self._configuration.keep_mesh:
             files["mesh.npz"] = pack_mesh_states(self._configuration, numbers, states)
         for name, data in files.items():

@@ -10,9 +10,11 @@ from tactip_twin.sim.contact.fidelity import Fidelity
 from tactip_twin.sim.contact.record import QualityLimits
 from tactip_twin.sim.dataset.mechanics_randomization import MechanicsRandomization
 from tactip_twin.sim.dataset.options import DatasetOptions
+from tactip_twin.sim.dataset.pressed_object import PressedObject
 from tactip_twin.sim.dataset.sampling import Ranges
 from tactip_twin.sim.dataset.symmetry import SYMMETRIES, Symmetry
 from tactip_twin.tactip_model.design import Design
+from tactip_twin.tactip_model.design_file import design_as_dict
 
 REQUIRED_KEYS = ("task", "split", "samples", "seed", "renderer", "design", "fidelity", "pose", "shear")
 """Keys that a file must have: what decides a set's samples is not left to today's defaults."""
@@ -41,6 +43,8 @@ class Configuration(DatasetOptions):
     empty: all are simulated."""
     corrected: bool = False
     """Whether the simulation corrects the predicted contacts (sim/fast_tip/corrected_contacts.py)."""
+    object: PressedObject | None = None
+    """Object that is pressed on (sim/dataset/pressed_object.py); None: the flat surface or the edge."""
     mechanics_randomization: MechanicsRandomization = field(default_factory=MechanicsRandomization)
     """Randomization of the tip's mechanics by contact (sim/dataset/mechanics_randomization.py); the optics stay the same."""
 
@@ -65,9 +69,9 @@ class Configuration(DatasetOptions):
         return len(self.symmetries) * self.snapshots_per_contact
 
     def as_json(self) -> dict[str, Any]:
-        """Return the configuration as a JSON object; what only sets of a learned tip have is left out in others."""
-        values = json.loads(json.dumps(dataclasses.asdict(self)))
-        for name in ("fast_tip", "corrected"):
+        """Return the configuration as a JSON object; what only some sets have is left out in others."""
+        values = json.loads(json.dumps(dataclasses.asdict(self) | {"design": design_as_dict(self.design)}))
+        for name in ("fast_tip", "corrected", "object"):
             if not values[name]:
                 del values[name]
         return values
@@ -81,6 +85,13 @@ def samples_per_contact(configuration: dict[str, Any]) -> int:
     """Return the number of samples of each contact for a configuration as a JSON object."""
     symmetries = len(SYMMETRIES[configuration["task"]]) if configuration["augment_symmetry"] else 1
     return symmetries * configuration["snapshots_per_contact"]
+
+
+def has_grey_images(configuration: dict[str, Any]) -> bool:
+    """Return whether a simulated or imported set has grey images, for its configuration as a JSON object."""
+    design = configuration.get("design")
+    image = design.get("image") if isinstance(design, dict) else configuration.get("layout")
+    return isinstance(image, dict) and image.get("grey") is True
 
 
 def digest_of(configuration: dict[str, Any]) -> str:

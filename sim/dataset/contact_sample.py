@@ -10,6 +10,7 @@ from tactip_twin.sim.contact.signed_distance import SignedDistanceMesh
 from tactip_twin.sim.contact.simulator import RetryingSimulator
 from tactip_twin.sim.contact.solid_stimulus import SolidStimulus
 from tactip_twin.sim.dataset.configuration import Configuration
+from tactip_twin.sim.dataset.pressed_object import PressPlaces
 from tactip_twin.sim.dataset.sampling import generator
 from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.errors import TactipError
@@ -24,7 +25,7 @@ class ContactSample:
     shear: np.ndarray
     """(6,) m and rad."""
     solid: SignedDistanceMesh | None
-    """Curved surface of this contact; None where the set's surface or edge is straight."""
+    """Curved surface or object of this contact; None where the set's surface or edge is straight."""
     design: Design
     """Tip with the mechanics of this contact."""
     rng: np.random.Generator
@@ -50,12 +51,20 @@ def sample_motion(configuration: Configuration, rng: np.random.Generator) -> tup
     )
 
 
-def sample_contact(configuration: Configuration, number: int) -> ContactSample:
-    """Return the sample of contact `number`. Poses and shears do not depend on what else varies."""
+def sample_contact(configuration: Configuration, number: int, places: PressPlaces | None = None) -> ContactSample:
+    """Return the sample of contact `number`. Poses and shears do not depend on what else varies.
+
+    Args:
+        configuration: Configuration of the set.
+        number: Number of the contact.
+        places: Places on the object, if the set has one.
+    """
     c = configuration
     rng = generator(c.seed, c.task, c.split, number)
     pose, shear = sample_motion(c, rng)
     solid = sample_curved_surface(rng, *c.curvature_per_m, c.varying_curvature_fraction) if c.is_curved else None
+    if places is not None:
+        solid = places.sample(rng)
     design = c.design if c.mechanics_randomization.is_identity else c.mechanics_randomization.sample(c.design, rng)
     return ContactSample(pose, shear, solid, design, rng)
 
@@ -64,12 +73,13 @@ def simulator_for(configuration: Configuration, design: Design) -> RetryingSimul
     """Return a simulator of the contacts of a set.
 
     Args:
-        configuration: Configuration of the set. If its surface is curved, the solid of each contact must be assigned to the
-            simulator's stimulus.
+        configuration: Configuration of the set. If its surface is curved or an object, the solid of each contact must be
+            assigned to the simulator's stimulus.
         design: The set's design, or one with other mechanics.
     """
     c = configuration
-    return RetryingSimulator(design, curved_stimulus() if c.is_curved else c.task, c.fidelity, c.bounds)
+    stimulus = c.task if c.object is None else SolidStimulus(curved_surface(0.0, 0.0, 0.0))
+    return RetryingSimulator(design, curved_stimulus() if c.is_curved else stimulus, c.fidelity, c.bounds)
 
 
 def curved_stimulus() -> SolidStimulus:

@@ -334,6 +334,27 @@ def read_dataset(folder: str | Path) -> Dataset:
     )
 
 
+def pack_pins(configuration: Configuration, pin_tips: Sequence[np.ndarray], directions: Sequence[np.ndarray]) -> bytes:
+    """Return pins.npz.
+
+    Args:
+        configuration: Configuration of the set.
+        pin_tips: Pin tips (p, 3), m, of each sample, sensor frame.
+        directions: Unit directions (p, 3) of the pins.
+    """
+    neutral_tips, neutral_directions = neutral_pins(configuration.design)
+    pins, shape = io.BytesIO(), (-1, len(neutral_tips), 3)
+    np.savez(
+        pins,
+        pin_tips=np.array(pin_tips, np.float32).reshape(shape),
+        directions=np.array(directions, np.float32).reshape(shape),
+        neutral_tips=neutral_tips.astype(np.float32),
+        neutral_directions=neutral_directions.astype(np.float32),
+        digest=np.array(configuration.digest()),
+    )
+    return pins.getvalue()
+
+
 def read_pins(folder: str | Path, meta: dict[str, Any]) -> tuple[np.ndarray, np.ndarray]:
     """Return the pin tips and directions of a simulated set; rows as of `read_dataset`.
 

@@ -24,6 +24,7 @@ from tactip_twin.sim.dataset.configuration import Configuration
 from tactip_twin.sim.dataset.contact_sample import sample_motion
 from tactip_twin.sim.dataset.format import MAX_PINS_BYTES, pins_bytes
 from tactip_twin.sim.dataset.mesh_states import MAX_MESH_BYTES, mesh_states_bytes
+from tactip_twin.sim.dataset.pressed_object import OBJECT
 from tactip_twin.sim.dataset.sample_maker import SampleMaker
 from tactip_twin.sim.dataset.sampling import generator
 from tactip_twin.sim.dataset.shards import (
@@ -39,6 +40,7 @@ from tactip_twin.sim.parallel.ray_pool import RayPool, joined, ray_here
 from tactip_twin.sim.parallel.worker_pool import WorkerPool
 from tactip_twin.tactip_model.bounds import require
 from tactip_twin.tactip_model.errors import TactipError, lookup
+from tactip_twin.tactip_model.files import write_file
 from tactip_twin.tactip_model.renderer import RENDERERS
 
 _MAX_SAMPLES = 10_000_000
@@ -58,6 +60,8 @@ class Job:
     """Folder of the set."""
     fast_tip: Path | None = None
     """File of the learned tip, if the configuration names one."""
+    object: bytes | None = None
+    """Content of object.npz, if the configuration names an object."""
 
 
 def check(configuration: Configuration) -> None:
@@ -77,6 +81,7 @@ def check(configuration: Configuration) -> None:
     _check_curvature(configuration)
     _check_mesh(configuration)
     _check_fast_tip(configuration)
+    _check_object(configuration)
     for name in ("pose", "shear"):
         if not ranges_are_symmetric(configuration.symmetries, getattr(configuration, name)):
             raise TactipError(
@@ -155,6 +160,19 @@ def _check_curvature(configuration: Configuration) -> None:
     require(-MAX_HOLLOW_PER_M <= low <= high <= MAX_CURVATURE_PER_M, "curvature_per_m", (low, high), allowed)
 
 
+def _check_object(configuration: Configuration) -> None:
+    """Raise TactipError where an object is combined with what is for the flat surface."""
+    c = configuration
+    if c.object is None:
+        return
+    if c.task != "surface":
+        raise TactipError(f"an object needs the task 'surface', got {c.task!r}")
+    unfit = {"curvature_per_m": c.is_curved, "augment_symmetry": c.augment_symmetry, "keep_mesh": c.keep_mesh}
+    for name, chosen in (unfit | {"a learned tip": bool(c.fast_tip)}).items():
+        if chosen:
+            raise TactipError(f"an object cannot be combined with {name}: its contacts are simulated, on its own surface")
+
+
 def make(jobs: list[Job], workers: int, log: Callable[[str], None] = print, cluster: str = "") -> list[dict[str, Any]]:
     """Make sets, or finish them where they were interrupted.
 
@@ -181,6 +199,9 @@ def make(jobs: list[Job], workers: int, log: Callable[[str], None] = print, clus
         check(job.configuration)
     with contextlib.ExitStack() as stack:
         builders = [stack.enter_context(open_builder(job.configuration, job.folder)) for job in jobs]
+        for job in jobs:
+            if job.object is not None:
+                write_file(job.folder / OBJECT, job.object)
         plans = [builder.plan() for builder in builders]
         count, missing = (sum(numbers) for numbers in zip(*plans, strict=True))
         # One by one, because a large set has millions: nothing here may grow with their number.

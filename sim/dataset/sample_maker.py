@@ -13,8 +13,9 @@ from tactip_twin.sim.contact.solid_stimulus import SolidStimulus
 from tactip_twin.sim.contact.stimuli import stimulus_named
 from tactip_twin.sim.dataset.configuration import Configuration
 from tactip_twin.sim.dataset.contact_sample import ContactSample, curved_stimulus, sample_contact, simulator_for
-from tactip_twin.sim.dataset.format import checksum, encode_image, image_name, row_of
+from tactip_twin.sim.dataset.format import checksum, encode_image, image_name, read_unaltered, row_of
 from tactip_twin.sim.dataset.partial_record import pack_record, record_path, sample_indices
+from tactip_twin.sim.dataset.pressed_object import OBJECT, PressPlaces, places_on
 from tactip_twin.sim.dataset.sampling import seed_text
 from tactip_twin.sim.dataset.shards import shard_dir
 from tactip_twin.sim.dataset.sliding import SlidingPath, ground_truth_on
@@ -117,6 +118,7 @@ class SampleMaker:
         self._sliding = _sliding_contact(c, fast_tip) if c.fast_tip and c.needs_sliding_tip else None
         """Predictor of contacts that slide, if the set has one."""
         self._shared = same[0] if same else None
+        self._places = object_places(c, folder)
         self._own_simulator: RetryingSimulator | None = None
         self._readers: dict[int, SymmetricReader] = {}
         """Readers of the design's pins, by the number of vertices of their meshes' skins."""
@@ -137,7 +139,7 @@ class SampleMaker:
         synced as a whole before it counts as finished.
         """
         c = self._configuration
-        sample = sample_contact(c, number)
+        sample = sample_contact(c, number, self._places)
         made = _MadeContact(sample_indices(c, number), shard_dir(c, self._folder, number), seed_text(*_seed(c, number)))
         predicted = self._fast.trusted(sample.pose, sample.shear, c.symmetries) if self._fast else None
         if self._sliding:
@@ -256,10 +258,18 @@ class SampleMaker:
             yield contact, violations
 
 
+def object_places(configuration: Configuration, folder: Path) -> PressPlaces | None:
+    """Return the places on the object of a set; None without one. Raises TactipError if its file is missing or altered."""
+    chosen = configuration.object
+    if chosen is None:
+        return None
+    return places_on(read_unaltered(folder / OBJECT, chosen.sha256), chosen, str(folder / OBJECT))
+
+
 def _physics(configuration: Configuration) -> tuple[object, ...]:
     """Return what decides a simulator, besides the design."""
     c = configuration
-    return c.task, c.is_curved, c.fidelity, c.bounds
+    return c.task, c.is_curved, c.object is None, c.fidelity, c.bounds
 
 
 def _fast_contacts(configuration: Configuration, path: str) -> FastContacts | CorrectedContacts:

@@ -18,6 +18,7 @@ from tactip_twin.sim.dataset.format import (
 )
 from tactip_twin.sim.dataset.generate import check
 from tactip_twin.sim.dataset.mesh_states import parse_mesh_states
+from tactip_twin.sim.dataset.sample_maker import object_places
 from tactip_twin.sim.dataset.sampling import seed_text
 from tactip_twin.sim.dataset.shards import shard_count, shard_name, shards_of
 from tactip_twin.sim.labels import LABELS, SHEARS
@@ -31,7 +32,12 @@ _ROUNDING = 1e-6
 
 def verify(folder: str | Path) -> list[str]:
     """Return the problems of a finished set, as sentences. Raises TactipError if there is no set to check."""
-    folder = Path(folder)
+    problems = _verify(Path(folder))
+    return problems or _object(Path(folder), read_meta(folder))
+
+
+def _verify(folder: Path) -> list[str]:
+    """Return the problems of a set, or of a shard."""
     try:
         meta = read_meta(folder)
     except TactipError as error:
@@ -61,7 +67,7 @@ def _shards(folder: Path, meta: dict[str, Any]) -> list[str]:
                 counts[key] += own["samples"][key]
             if own.get("configuration") != configuration.as_json():
                 problems.append(f"{name}: has another configuration")
-            problems += [f"{name}/{problem}" for problem in verify(folder / name)]
+            problems += [f"{name}/{problem}" for problem in _verify(folder / name)]
         except (TactipError, KeyError) as error:
             problems.append(f"{name}: {error}")
     if counts != meta.get("samples"):
@@ -82,6 +88,17 @@ def _single(folder: Path, meta: dict[str, Any]) -> list[str]:
     if _simulated(meta["configuration"]):
         problems += _pins(folder, meta, rows) + _mesh(folder, meta, rows)
     return problems
+
+
+def _object(folder: Path, meta: dict[str, Any]) -> list[str]:
+    """Return the problem of the object of a set, if it has one."""
+    if not _simulated(meta["configuration"]):
+        return []
+    try:
+        object_places(read_configuration(meta, folder), folder)
+    except TactipError as error:
+        return [str(error)]
+    return []
 
 
 def _files(folder: Path, meta: dict[str, Any]) -> list[str]:

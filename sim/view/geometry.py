@@ -113,10 +113,14 @@ def _pose(rotation: np.ndarray, position: np.ndarray) -> np.ndarray:
 def object_mesh(scenery: RecordedScene) -> ColoredMesh:
     """Return the mesh of a recorded scene's object, base frame."""
     solid = SignedDistanceMesh(scenery.object_vertices, scenery.object_triangles)
+    return solid_mesh(solid).transformed(scenery.T_base_object)
+
+
+def solid_mesh(solid: SignedDistanceMesh) -> ColoredMesh:
+    """Return the mesh of a solid, in its own frame."""
     corners = solid.vertices[solid.triangles].reshape(-1, 3)
     triangles = np.arange(len(corners)).reshape(-1, 3)
-    own = ColoredMesh(corners, triangles, solid.corner_normals.reshape(-1, 3), OBJECT_COLOR)
-    return own.transformed(scenery.T_base_object)
+    return ColoredMesh(corners, triangles, solid.corner_normals.reshape(-1, 3), OBJECT_COLOR)
 
 
 def predicted_frames(arrays: Mapping[str, np.ndarray], end: int | None = None) -> tuple[np.ndarray, np.ndarray]:

@@ -11,13 +11,14 @@ from scipy.spatial.transform import Rotation
 from tactip_twin.sim.contact.fidelity import Fidelity
 from tactip_twin.sim.contact.interactive import InteractiveContact
 from tactip_twin.sim.contact.simulator import Diverged
+from tactip_twin.sim.contact.solid_stimulus import SolidStimulus
 from tactip_twin.sim.contact.tip_state import TipState
 from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES
 from tactip_twin.sim.fast_tip.fast_interactive import FastInteractiveContact
 from tactip_twin.sim.fast_tip.sliding_tip import SlidingTip
 from tactip_twin.sim.labels import COMPONENTS
 from tactip_twin.sim.pose import from_mm_deg, inverse, label_of, matrix, sensor_in_contact, to_mm_deg
-from tactip_twin.sim.view.geometry import OBJECT_COLOR, SKIN_COLOR, body_meshes, sensor_meshes
+from tactip_twin.sim.view.geometry import OBJECT_COLOR, SKIN_COLOR, body_meshes, sensor_meshes, solid_mesh
 from tactip_twin.sim.view.viser_utils import LOCAL, add_mesh, grey, penetration_text, pin_lines, rgb, serve, set_pose, stop
 from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.errors import TactipError
@@ -62,6 +63,7 @@ class LivePage:
         port: int = 8080,
         tip: SlidingTip | None = None,
         corrected: bool = False,
+        stimulus: SolidStimulus | None = None,
     ) -> None:
         """Build the simulation and serve the page.
 
@@ -75,12 +77,13 @@ class LivePage:
             port: Port; the next free one is taken if it is in use.
             tip: Learned tip that predicts the contact, of the task `name`; None simulates it.
             corrected: Whether the simulation corrects what is predicted.
+            stimulus: Object to press on instead of the stimulus `name`, whose ranges it has.
 
         Raises:
             TactipError: If the simulation cannot be built or the page cannot be served.
         """
         start = from_mm_deg(_START_MM_DEG)
-        self._contact = InteractiveContact(design, name, fidelity, start)
+        self._contact = InteractiveContact(design, stimulus or name, fidelity, start)
         if tip is not None:
             self._contact = FastInteractiveContact(tip, design, fidelity, start, corrected)
         self._design, self._name, self._render, self._read = design, name, render, read
@@ -161,7 +164,10 @@ class LivePage:
         scene.set_up_direction("+z")
         scene.add_light_ambient("/lights/ambient", intensity=0.6)
         self._stimulus = scene.add_frame("/stimulus", show_axes=False)
-        for n, mesh in enumerate(body_meshes(self._contact.scene.model, "stimulus", OBJECT_COLOR)):
+        stimulus = self._contact.scene.stimulus
+        solid = isinstance(stimulus, SolidStimulus)
+        shown = [solid_mesh(stimulus.solid)] if solid else body_meshes(self._contact.scene.model, "stimulus", OBJECT_COLOR)
+        for n, mesh in enumerate(shown):
             add_mesh(scene, f"/stimulus/{n}", mesh)
         tip = scene.add_frame("/tip", show_axes=False)
         set_pose(tip, _T_WORLD_SENSOR)

@@ -1,6 +1,7 @@
 """A contact of a data set as a recording: simulated again, bit for bit, and recorded at every time step."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ from tactip_twin.sim.contact.simulator import ContactSimulator, RetryingSimulato
 from tactip_twin.sim.dataset.configuration import Configuration
 from tactip_twin.sim.dataset.contact_sample import sample_contact, simulator_for
 from tactip_twin.sim.dataset.format import read_configuration, read_meta, read_rows, versions
+from tactip_twin.sim.dataset.sample_maker import object_places
 from tactip_twin.sim.dataset.sliding import SlidingPath
 from tactip_twin.sim.labels import COMPONENTS
 from tactip_twin.sim.pose import from_mm_deg, sensor_in_contact
@@ -62,7 +64,7 @@ def record_contact(
             else f"the set in {folder} has no samples"
         )
     number = sample // configuration.samples_per_contact
-    contact_sample = sample_contact(configuration, number)
+    contact_sample = sample_contact(configuration, number, object_places(configuration, Path(folder)))
     solid, simulator = contact_sample.solid, simulator_for(configuration, contact_sample.design)
     if solid is not None:
         simulator.replace_solid(solid)
@@ -118,9 +120,11 @@ class _Rows:
         scene = simulator.scene
         skin = scene.vertices()[: scene.mesh.surface_count]
         tips, directions = simulator.reader.read(skin)
-        image = tactile_image(self._render(tips, directions), self._design.image)
+        frame, settings = self._render(tips, directions), self._design.image
+        image = tactile_image(frame, replace(settings, grey=False))  # recordings have binary images
         force = scene.contact_force()
-        T, predicted = self._T_base_object @ sensor_in_contact(label), self._predicted(image)
+        predicted = self._predicted(tactile_image(frame, settings) if settings.grey else image)
+        T = self._T_base_object @ sensor_in_contact(label)
         self._tries.setdefault(simulator, []).append({
             "T_base_tcp": T,
             "T_base_tcp_measured": T,

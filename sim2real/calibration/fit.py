@@ -26,6 +26,7 @@ from tactip_twin.sim2real.calibration.rounds import Calibrator, first_azimuth
 from tactip_twin.sim2real.calibration.settings import Settings
 from tactip_twin.sim2real.calibration.state import read_state, write_state
 from tactip_twin.tactip_model.design import Design
+from tactip_twin.tactip_model.design_file import design_as_dict
 from tactip_twin.tactip_model.errors import Interrupted, TactipError
 from tactip_twin.tactip_model.files import remove_leftovers
 from tactip_twin.tactip_model.neutral_image import NeutralFit, camera_change, fit_neutral
@@ -98,7 +99,7 @@ def calibrate(
     if FAST in fidelities and not can_predict(design):
         fidelities = settings.simulated_rounds
         log("the learned tip knows another shape or other fixed materials than this design: every contact is simulated")
-    identity = {"real": str(Path(real_dir).name), "design": asdict(design), "settings": asdict(settings)}
+    identity = {"real": str(Path(real_dir).name), "design": design_as_dict(design), "settings": asdict(settings)}
     identity["parameters"] = [p.name for p in chosen]
     identity = json.loads(json.dumps(identity))
     # The search takes many contacts: it is made with the learned tip if there is one.

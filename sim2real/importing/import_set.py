@@ -72,6 +72,8 @@ def import_set(
     record = {"task": layout.column_map.task, "layout": layout.as_dict()}
     if layout.column_map.video_frame == ColumnMap.video_frame:
         del record["layout"]["video_frame"]  # written only if it differs from its default, so older sets keep their digest
+    if not layout.preprocessing.grey:
+        del record["layout"]["grey"]
     record |= {"source": {"name": source.folder.resolve().name, "targets_sha256": source.digest}}
     record["source"]["neutral_sha256"] = source.neutral and checksum(read_file(source.neutral))
     if not (out / _WORK).exists() and check_resumable(out, _KIND, _recorded(out, record), record):
@@ -143,8 +145,9 @@ def _import(
         try:
             if not (np.isfinite(source.poses[i]).all() and np.isfinite(source.shears[i]).all()):
                 raise TactipError("its row has a value that is not a finite number")
-            binary = reader.masked(source.load(i))
-            pins[i], images[i] = len(find_blobs(binary).centres), encode_image(reader.shrunk(binary))
+            frame = source.load(i)
+            binary = reader.masked(frame)
+            pins[i], images[i] = len(find_blobs(binary).centres), encode_image(reader.tactile(frame, binary))
         except TactipError as error:
             left_out.append({"row": i, "frame": name, "why": str(error)})
     usual = float(np.median(list(pins.values()))) if pins else 0.0

@@ -79,10 +79,12 @@ class LiveSensor:
             settings: Settings of the filter that fuses the poses of successive frames; None: each frame stands alone.
 
         Raises:
-            TactipError: If the network takes images of another size.
+            TactipError: If the network takes images of another size or kind.
         """
         if model and model.size != options.size_px:
             raise TactipError(f"size_px must be {model.size} for this network, got {options.size_px}")
+        if model and model.grey != options.grey:
+            raise TactipError(f"grey must be {model.grey} for this network, got {options.grey}")
         self._frames, self._options, self._model, self._neutral = frames, options, model, neutral
         self._filter = None
         if model and settings and settings.enabled and model.config.deviations:
@@ -102,7 +104,7 @@ class LiveSensor:
                 reader, usual, start = self._reader(neutral)
             try:
                 binary = reader.masked(frame)
-                image = reader.shrunk(binary)
+                image = reader.tactile(frame, binary)
             except TactipError as error:
                 if number == 0:
                     raise TactipError(f"the first frame cannot be used: {error}") from error

@@ -1,4 +1,4 @@
-"""Preprocessing of real frames to binary tactile images: mirror, rotate, threshold, mask and crop."""
+"""Preprocessing of real frames to tactile images: mirror, rotate, threshold, mask and crop."""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -92,7 +92,7 @@ def _crop_round_pins(binary: np.ndarray) -> str:
 
 
 class FrameReader:
-    """Converts real frames to binary tactile images: mirrors, rotates, thresholds, masks and crops them, in this order."""
+    """Converts real frames to tactile images: mirrors, rotates, thresholds, masks and crops them, in this order."""
 
     def __init__(
         self, options: ImagePreprocessing, neutral: np.ndarray | None = None, others: Iterable[np.ndarray] = ()
@@ -120,11 +120,13 @@ class FrameReader:
 
     def binary(self, frame: np.ndarray) -> np.ndarray:
         """Return a frame (h, w[, 3]) as binary frame (h, w) uint8, pins white, upright; neither cropped nor masked."""
+        return binary_frame(self._upright(frame), self._options.threshold)
+
+    def _upright(self, frame: np.ndarray) -> np.ndarray:
+        """Return a frame (h, w[, 3]) mirrored and rotated, pins light."""
         frame = frame[:, ::-1] if self._options.mirror else frame
         frame = _turned(np.ascontiguousarray(frame), self._options.rotate_image_deg)
-        if self._options.dark_pins:
-            frame = 255 - frame
-        return binary_frame(frame, self._options.threshold)
+        return 255 - frame if self._options.dark_pins else frame
 
     def masked(self, frame: np.ndarray) -> np.ndarray:
         """Return the binary frame (h, w), black outside the pins. Raises TactipError on a frame of another size."""
@@ -138,10 +140,18 @@ class FrameReader:
 
     def read(self, frame: np.ndarray) -> np.ndarray:
         """Return the tactile image (size, size) of a frame. Raises TactipError if the frame is unusable."""
-        return self.shrunk(self.masked(frame))
+        return self.tactile(frame, self.masked(frame))
+
+    def tactile(self, frame: np.ndarray, binary: np.ndarray) -> np.ndarray:
+        """Return the tactile image (size, size) of a frame, grey if the options say so. binary: the `masked` frame."""
+        if not self._options.grey:
+            return self.shrunk(binary)
+        grey = binary_frame(self._upright(frame), None)
+        grey = grey if self._mask is None else np.where(self._mask, grey, 0).astype(np.uint8)
+        return self._square(grey, self._image.size_px, grey=True)
 
     def shrunk(self, binary: np.ndarray) -> np.ndarray:
-        """Return the tactile image (size, size) of a `masked` frame."""
+        """Return the binary tactile image (size, size) of a `masked` frame."""
         return self._square(binary, self._image.size_px)
 
     def with_rim(self, frame: np.ndarray) -> np.ndarray:
@@ -153,12 +163,12 @@ class FrameReader:
         left, top, right, bottom = self._image.crop or (0, 0, *binary.shape[::-1])
         return self._square(binary, min(right - left, bottom - top))
 
-    def _square(self, binary: np.ndarray, size: int) -> np.ndarray:
+    def _square(self, binary: np.ndarray, size: int, grey: bool = False) -> np.ndarray:
         left, top, right, bottom = self._image.crop or (0, 0, *binary.shape[::-1])
         if abs((right - left) / max(bottom - top, 1) - 1) > _MAX_OBLONG:
             problem = f"the used part of the frame must be square, got {right - left}×{bottom - top} px"
             raise TactipError(f"{problem}: give --crop {_crop_round_pins(binary)}")
-        return tactile_image(binary, replace(self._image, size_px=size))
+        return tactile_image(binary, replace(self._image, size_px=size, grey=grey))
 
 
 def _turned(frame: np.ndarray, degrees: float) -> np.ndarray:

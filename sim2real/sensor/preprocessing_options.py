@@ -1,4 +1,4 @@
-"""Options that turn a real sensor's frames into binary tactile images. Light to import, for the command line."""
+"""Options that turn a real sensor's frames into tactile images. Light to import, for the command line."""
 
 from dataclasses import dataclass
 from typing import Literal, get_args
@@ -27,6 +27,8 @@ class ImagePreprocessing:
     """Block size (px) and constant of the adaptive threshold of grey frames; None for binary frames."""
     size_px: int = within(8, 4096, default=128)
     """Width of the tactile images, px."""
+    grey: bool = False
+    """Keep the grey levels of the tactile images. The threshold then only serves to detect the pins."""
     mask: Mask = "pins"
     """pins: black out what lies outside the pins, such as light at the rim; none: keep it."""
 

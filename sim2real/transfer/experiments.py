@@ -156,6 +156,8 @@ class Experiment:
         self._workers, self._log = worker_count(workers), log
         remove_leftovers(self.out)
         self.samples = read_samples(self.real)
+        if self.samples.grey:
+            raise TactipError(f"experiments need binary images, but those in {self.real} are grey: import without --grey")
         self.split = split_of(self.samples, settings)
         self.task = self.samples.labels.task
         depth = float(np.median(self.samples.dataset.poses[:, 2]))

@@ -8,7 +8,7 @@ import csv
 import io
 import json
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -27,6 +27,7 @@ from tactip_twin.sim2real.importing.layout import Layout
 from tactip_twin.sim2real.importing.source import read_source
 from tactip_twin.sim2real.transfer.settings import PseudoKind
 from tactip_twin.tactip_model.design import Design
+from tactip_twin.tactip_model.design_file import design_as_dict
 from tactip_twin.tactip_model.files import remove_leftovers, write_file
 from tactip_twin.tactip_model.pins import neutral_pins
 from tactip_twin.tactip_model.presets import design_named
@@ -137,7 +138,7 @@ def _publish(contacts: Path, design: Design, width: int, lab: Path, seed: int) -
         write_file(lab / "images" / f"frame_{k}.png", encode_image(camera.frame(tips[k], directions[k], rng)))
         cells = [f"{sign * pose[LABELS.index(ours)]:.6f}" for ours, (_, sign) in _COLUMNS.items()]
         writer.writerow([f"frame_{k}.png", *cells, *(f"{x:.6f}" for x in shear)])
-    write_file(lab / "hidden.json", (json.dumps(asdict(design), indent=1) + "\n").encode())
+    write_file(lab / "hidden.json", (json.dumps(design_as_dict(design), indent=1) + "\n").encode())
     write_file(lab / "targets.csv", text.getvalue().encode())
 
 

@@ -40,6 +40,8 @@ from tactip_twin.learning.tune import (
 from tactip_twin.sim.dataset.contact_sheet import contact_sheet
 from tactip_twin.sim.dataset.format import checksum, meta_json, read_configuration, read_meta, read_pins
 from tactip_twin.sim.dataset.mesh_states import pack_mesh_states, read_mesh_states
+from tactip_twin.sim.dataset.pressed_object import OBJECT, PressedObject, pack_object
+from tactip_twin.sim.dataset.sample_maker import object_places
 from tactip_twin.sim.dataset.shards import shards_of
 from tactip_twin.sim.dataset.verify import verify
 from tactip_twin.sim.fast_tip.fast_tip import (
@@ -73,7 +75,7 @@ from tactip_twin.sim2real.importing.import_set import import_set, read_report
 from tactip_twin.sim2real.importing.layout import Layout, read_layout
 from tactip_twin.sim2real.importing.source import read_source
 from tactip_twin.sim2real.sensor.video_frames import VideoFrames
-from tactip_twin.tactip_model.design_file import read_design, read_design_with_drift, write_fitted_design
+from tactip_twin.tactip_model.design_file import design_as_dict, read_design, read_design_with_drift, write_fitted_design
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.mesh import build_mesh
 from tactip_twin.tactip_model.neutral_image import neutral_px
@@ -122,6 +124,18 @@ def read_set_of_meshes(folder, root):
     read = read_set(folder, root)
     found = read_mesh_states(folder, read_meta(folder))
     return hashed(found.numbers, found.states, read.encode())
+
+
+def write_set_on_object(folder, root):
+    """Write a set whose contacts are on an object."""
+    data = pack_object(objects.load_object("plate").solid)
+    write_fake_set(folder, samples=2, object=PressedObject("plate", checksum(data)))
+    (folder / OBJECT).write_bytes(data)
+
+
+def read_set_on_object(folder, root):
+    found = object_places(read_configuration(read_meta(folder), folder), folder)
+    return hashed(found.sample(np.random.default_rng(0)).vertices)
 
 
 def write_fast_tip_file(folder, root):
@@ -401,7 +415,7 @@ def read_rig(folder, root):
 
 
 DESIGN = design_named("nominal-127")
-CHOSEN, IDENTITY = parameters(DESIGN), {"real": "rig", "design": dataclasses.asdict(DESIGN)}
+CHOSEN, IDENTITY = parameters(DESIGN), {"real": "rig", "design": design_as_dict(DESIGN)}
 
 
 def write_calibration(folder, root):
@@ -437,6 +451,7 @@ KINDS = {
     "training": FileKind(write_training, read_training),
     "search": FileKind(write_search, read_search),
     "set of meshes": FileKind(write_set_of_meshes, read_set_of_meshes),
+    "set on an object": FileKind(write_set_on_object, read_set_on_object),
     "learned tip": FileKind(write_fast_tip_file, read_fast_tip_file),
     "sliding tip": FileKind(write_sliding_tip_file, read_sliding_tip_file),
     "recording": FileKind(write_recording, read_run),

@@ -81,6 +81,21 @@ def mend_checksums(folder):
     (folder / "meta.json").write_text(json.dumps(meta))
 
 
+def write_fake_shards(folder, shards=3, samples=4, **changes):
+    """Write a set of shards with `samples` each; return its folder."""
+    sums, configuration = {}, {}
+    for k in range(shards):
+        name = f"shard-{k:05d}"
+        write_fake_set(folder / name, samples=samples, seed=k, **changes)
+        data = (folder / name / "meta.json").read_bytes()
+        configuration, sums[f"{name}/meta.json"] = json.loads(data), checksum(data)
+    counts = {"asked": shards * samples, "kept": shards * samples, "failed": 0}
+    more = {"samples": counts, "shards": [key.split("/")[0] for key in sums], "files": sums}
+    meta = {key: value for key, value in configuration.items() if key not in ("images", "failures")}
+    (folder / "meta.json").write_text(json.dumps(meta | more))
+    return folder
+
+
 def write_fake_splits(folder, task="surface", samples=24, **changes):
     """Write the sets train, val and test; return the folder."""
     for split in ("train", "val", "test"):

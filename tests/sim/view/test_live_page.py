@@ -5,7 +5,10 @@ import pytest
 
 from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.contact.simulator import Diverged
+from tactip_twin.sim.contact.solid_stimulus import SolidStimulus
 from tactip_twin.sim.contact.stimuli import STIMULI
+from tactip_twin.sim.dataset.object_options import ObjectOptions
+from tactip_twin.sim.dataset.pressed_object import PressedObject, PressPlaces
 from tactip_twin.sim.pose import from_mm_deg, inverse, sensor_in_contact, to_mm_deg
 from tactip_twin.sim.view.live_page import _T_WORLD_SENSOR, LivePage, ranges_of
 from tactip_twin.sim.view.viser_utils import set_pose
@@ -110,3 +113,15 @@ def test_every_stimulus_has_a_look_and_ranges(name):
         assert np.all(np.abs(stimulus.distance(near)) < 0.2e-3)
     low, high = ranges_of(name)
     assert np.all(low <= high)
+
+
+def test_object_is_shown_and_touched():
+    design, ball = design_named("nominal-127"), ObjectOptions("sphere").solid()
+    stimulus = SolidStimulus(PressPlaces(PressedObject("sphere", ""), ball).sample(np.random.default_rng(0)))
+    render = renderer_named("raster", design)
+    page = LivePage(design, "surface", fidelity_named("draft"), render, port=8442, stimulus=stimulus)
+    try:
+        _until_rest(page)
+        assert page._contact.scene.contact_force()[2] < -0.1
+    finally:
+        page.close()

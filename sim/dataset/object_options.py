@@ -1,0 +1,33 @@
+"""Options of a mesh to press on. Light to import, for the command line."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from tactip_twin.sim.contact.signed_distance import SignedDistanceMesh
+
+
+@dataclass(frozen=True)
+class ObjectOptions:
+    """A mesh to press on, and where."""
+
+    object: str = ""
+    """Mesh file, or one of the project's objects such as bust, to press on instead of the flat surface."""
+    unit: str | None = None
+    """Unit of the mesh file: mm (default), cm or m."""
+    scale: float = 1.0
+    """Scale factor of the object."""
+    rotation_deg: tuple[float, float, float] | None = None
+    """Rotation vector of the object, degrees: it is pressed from above. Default: none; the bust lies on its back."""
+    at_mm: tuple[float, float] = (0.0, 0.0)
+    """Place to press on: x and y from the middle of the object as seen from above, mm."""
+
+    def solid(self) -> "SignedDistanceMesh":
+        """Return the object, its middle at the origin. Raises TactipError if it cannot be used."""
+        from tactip_twin.sim.contact.signed_distance import SignedDistanceMesh
+        from tactip_twin.sim.robot.objects import load_object
+
+        found = load_object(self.object, self.unit, self.scale, None, self.rotation_deg)
+        T = found.T_base_object
+        vertices = found.solid.vertices @ T[:3, :3].T + T[:3, 3] - found.middle_m
+        return SignedDistanceMesh(vertices, found.solid.triangles)

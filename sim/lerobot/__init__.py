@@ -1,0 +1,1 @@
+"""Data sets and servo runs in the format of LeRobot, and back."""
