@@ -108,6 +108,7 @@ def _description(options: ServoOptions, setup: ServoSetup) -> dict[str, Any]:
         "task": options.task,
         "object": setup.scene_object.name,
         "options": json.loads(json.dumps(dataclasses.asdict(options), default=str)),
+        "design": json.loads(json.dumps(dataclasses.asdict(setup.design))),
         "estimator": type(setup.estimator).__name__,
         "controller": type(setup.controller).__name__,
         "network": None if setup.network is None else setup.network.provenance,

@@ -68,7 +68,9 @@ class SceneRenderer:
     def _mesh(self, meshes: Sequence[ColoredMesh]) -> Any:  # pyrender has no types
         """Return meshes as one pyrender mesh, with the light in its colors."""
         counts = np.cumsum([0] + [len(m.vertices) for m in meshes])
-        color = np.concatenate([shade(m.normals) * (np.array(m.color) / 255) for m in meshes])
+        color = np.concatenate(
+            [shade(m.normals) * np.array(m.color if m.vertex_colors is None else m.vertex_colors) / 255 for m in meshes]
+        )
         primitive = self._pyrender.Primitive(
             positions=np.concatenate([m.vertices for m in meshes]).astype(np.float32),
             indices=np.concatenate([m.triangles + n for m, n in zip(meshes, counts[:-1], strict=True)]),
