@@ -91,7 +91,7 @@ def run_servo(
         figures = score(arrays, finished, reference_mm_deg(setup.depth_mm), setup.targets)
         write_file(options.out / SCORE, (json.dumps(figures, indent=1) + "\n").encode())
         if options.renderer == "pyrender":
-            write_figure(options.out / FIGURE, scenery, arrays, options.task)
+            write_figure(options.out / FIGURE, scenery, arrays, options.task, reference_mm_deg(setup.depth_mm))
         if options.video and not interrupted and finished["steps"]:
             write_video(options.out / FILM, render_frames(scenery, finished, arrays))
     finally:

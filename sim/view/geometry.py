@@ -45,6 +45,8 @@ class ColoredMesh:
     """Red, green and blue, 0 to 255."""
     vertex_colors: np.ndarray | None = None
     """(n, 3), 0 to 255, colors of the vertices in the place of `color`; None if they are alike."""
+    lit: bool = True
+    """Whether it is shaded; a mesh whose colors are read by a scale is not."""
 
     def transformed(self, T: np.ndarray) -> "ColoredMesh":
         """Return this mesh transformed by T (4, 4)."""
@@ -147,10 +149,8 @@ def path_meshes(
     if len(places) < 2:
         return []
     colors = ramp_colors(errors[steps], largest, ERROR_RAMP)
-    normals = [
-        tube(np.stack([places[k], ends[n]]), 0.3e-3, colors[[k, k]]) for n, k in enumerate(chosen)
-    ]
-    return [tube(places, 0.7e-3, colors), *normals]
+    normals = [tube(np.stack([places[k], ends[n]]), 0.3e-3, colors[[k, k]]) for n, k in enumerate(chosen)]
+    return [replace(mesh, lit=False) for mesh in (tube(places, 0.7e-3, colors), *normals)]
 
 
 def path_lines(
