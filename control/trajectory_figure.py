@@ -58,9 +58,7 @@ def write_figure(
     near = placed.vertices[cKDTree(places).query(placed.vertices)[0] < _AROUND_M]
     shown = near if len(near) else placed.vertices
     eye, target = fitted_camera(shown, towards, np.radians(_FIELD_DEG), _WIDTH / _HEIGHT, margin=0.04)
-    picture = SceneRenderer(_WIDTH, _HEIGHT, [placed]).render(
-        path_meshes(arrays, errors, largest), eye, target, _FIELD_DEG
-    )
+    picture = SceneRenderer(_WIDTH, _HEIGHT, [placed]).render(path_meshes(arrays, errors, largest), eye, target, _FIELD_DEG)
     figure, axes = figure_of(3, 1, (8, 8), heights=(5, 1, 1))
     _show_picture(axes[0], picture, largest, float(np.linalg.norm(eye - target)))
     axes[0].set_title("contact points, with estimated normals")

@@ -1,4 +1,4 @@
-"""A colored mesh as binary glTF 2.0 (https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html), as viser shows colored vertices."""
+"""A mesh as binary glTF 2.0 (https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html): so viser shows colored vertices."""
 
 import json
 

@@ -20,6 +20,7 @@ from tactip_twin.sim.pose import from_mm_deg, inverse, label_of, matrix, sensor_
 from tactip_twin.sim.view.camera_fit import beside
 from tactip_twin.sim.view.geometry import body_meshes, sensor_meshes
 from tactip_twin.sim.view.palette import OBJECT_COLOR, SKIN_RAMP
+from tactip_twin.sim.view.status import penetration_text
 from tactip_twin.sim.view.tactile_picture import PinProjection, tactile_picture
 from tactip_twin.sim.view.tip_nodes import SEE_THROUGH, SKINS, TipNodes
 from tactip_twin.sim.view.viser_utils import (
@@ -28,7 +29,6 @@ from tactip_twin.sim.view.viser_utils import (
     add_image_panel,
     add_mesh,
     color_scale,
-    penetration_text,
     serve,
     set_pose,
     stop,

@@ -36,7 +36,7 @@ def scale_end(values: ArrayLike, quantile: float = 0.98) -> float:
     if high <= 0:
         return 1.0
     power = 10.0 ** np.floor(np.log10(high))
-    return float(power * next(m for m in (1, 2, 3, 5, 10) if m * power >= high * (1 - 1e-9)))
+    return float(f"{power * next(m for m in (1, 2, 3, 5, 10) if m * power >= high * (1 - 1e-9)):.3g}")
 
 
 def css_gradient(ramp: tuple[Color, ...]) -> str:

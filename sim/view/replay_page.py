@@ -9,12 +9,13 @@ import numpy as np
 import viser
 from viser import uplot
 
-from tactip_twin.sim.robot.recording import PHASES, RecordedScene
+from tactip_twin.sim.robot.recording import RecordedScene
 from tactip_twin.sim.view.camera_fit import beside, fitted_camera
 from tactip_twin.sim.view.curves import BAND, Curve, curves_of, position_errors_mm
 from tactip_twin.sim.view.geometry import SceneGeometry, path_lines, skin_displacements_mm
 from tactip_twin.sim.view.palette import ERROR_RAMP, ESTIMATED_COLOR, SKIN_RAMP, TRUE_COLOR, scale_end
 from tactip_twin.sim.view.playback import SPEEDS, Playback
+from tactip_twin.sim.view.status import status_lines
 from tactip_twin.sim.view.tactile_picture import pin_projection, tactile_picture
 from tactip_twin.sim.view.tip_nodes import SEE_THROUGH, SKINS, TipNodes
 from tactip_twin.sim.view.viser_utils import (
@@ -24,7 +25,6 @@ from tactip_twin.sim.view.viser_utils import (
     add_mesh,
     color_scale,
     line_colors,
-    penetration_text,
     serve,
     set_pose,
     stop,
@@ -139,7 +139,8 @@ class ReplayPage:
             self._path.points = self._lines[:count]
             self._path.colors = self._line_colors[:count]
             self._show_image()
-            self._status.content = self._status_text(k)
+            first, *others = status_lines(self._record, a, k)
+            self._status.content = "  \n".join([f"**{first}**", *others])
             self._follow(before)
             now = time.monotonic()
             if not self.playback.playing or now - self._marked_s > 1 / _CURVES_HZ:
@@ -164,7 +165,9 @@ class ReplayPage:
     def _build_scene(self) -> None:
         scene, geometry, skin = self._server.scene, self._geometry, self._arrays["skin_m"][0]
         scene.set_up_direction("+z")
-        self._object, _ = (add_mesh(scene, f"/{n}", mesh) for n, mesh in zip(("object", "table"), geometry.static, strict=True))
+        self._object, _ = (
+            add_mesh(scene, f"/{n}", mesh) for n, mesh in zip(("object", "table"), geometry.static, strict=True)
+        )
         self._links = {}
         for body, meshes in geometry.links.items():
             self._links[body] = scene.add_frame(f"/arm/{body}", show_axes=False)
@@ -192,6 +195,8 @@ class ReplayPage:
             "previous event": lambda: replay.jump(-1),
             "next event": lambda: replay.jump(1),
         }
+        step_buttons = gui.add_button_group("step", list(moves)[:4])
+        event_buttons = gui.add_button_group("event", list(moves)[4:], visible=bool(record["events"]))
         views = gui.add_button_group("view", _VIEWS)
         gui.add_html(color_scale("skin displacement, mm", self._skin_end_mm, SKIN_RAMP))
         gui.add_html(color_scale("position error on the path, mm", self._error_end_mm, ERROR_RAMP))
@@ -202,27 +207,16 @@ class ReplayPage:
             skin = gui.add_dropdown("skin", SKINS)
             see_through = gui.add_checkbox("see through the object", False)
             speed = gui.add_dropdown("speed", [f"{s:g}" for s in SPEEDS], initial_value="1")
-            step_buttons = gui.add_button_group("step", list(moves)[:4])
-            event_buttons = gui.add_button_group("event", list(moves)[4:], visible=bool(record["events"]))
             self._follows = gui.add_checkbox("camera follows the tip", True)
             self._arrows = gui.add_checkbox("arrows on the image", True, visible=self._project is not None)
             gui.add_markdown(_KEYS)
 
-        def and_show(change: Callable[[], None]) -> Callable[[object], None]:
-            def callback(_: object) -> None:
-                with self._lock:
-                    change()
-                    self.show()
-
-            return callback
-
-        self._buttons["play"].on_click(and_show(replay.toggle))
+        self._buttons["play"].on_click(self._then_show(replay.toggle))
         for buttons in (step_buttons, event_buttons):
-            buttons.on_click(lambda event: and_show(moves[event.target.value])(event))
+            buttons.on_click(lambda event: self._then_show(moves[event.target.value])(event))
         views.on_click(lambda event: event.client and self._set_view(event.target.value, event.client))
-        speed.on_update(and_show(lambda: setattr(replay, "speed", float(speed.value))))
-        self._arrows.on_update(and_show(self._show_image))
-
+        speed.on_update(self._then_show(lambda: setattr(replay, "speed", float(speed.value))))
+        self._arrows.on_update(self._then_show(self._show_image))
         see_through.on_update(lambda _: setattr(self._object, "opacity", SEE_THROUGH if see_through.value else None))
 
         @skin.on_update
@@ -234,15 +228,30 @@ class ReplayPage:
         @self._slider.on_update
         def _(event: viser.GuiEvent) -> None:
             if event.client is not None:  # moved by the user, not by the replay
-                and_show(lambda: replay.go(self._slider.value))(event)
+                self._then_show(lambda: replay.go(self._slider.value))(event)
 
-        gui.add_command("Play or pause", hotkey="space").on_trigger(and_show(replay.toggle))
-        gui.add_command("Next step", hotkey="arrowright").on_trigger(and_show(moves["next"]))
-        gui.add_command("Previous step", hotkey="arrowleft").on_trigger(and_show(moves["previous"]))
-        gui.add_command("First step", hotkey="home").on_trigger(and_show(moves["first"]))
-        gui.add_command("Last step", hotkey="end").on_trigger(and_show(moves["last"]))
-        gui.add_command("Next event", hotkey="N").on_trigger(and_show(moves["next event"]))
-        gui.add_command("Previous event", hotkey="P").on_trigger(and_show(moves["previous event"]))
+        self._add_keys(moves)
+
+    def _then_show(self, change: Callable[[], None]) -> Callable[[object], None]:
+        """Return a callback that makes a change and shows it."""
+
+        def callback(_: object) -> None:
+            with self._lock:
+                change()
+                self.show()
+
+        return callback
+
+    def _add_keys(self, moves: Mapping[str, Callable[[], None]]) -> None:
+        """Bind keys to playing and to moves by name."""
+        gui = self._server.gui
+        gui.add_command("Play or pause", hotkey="space").on_trigger(self._then_show(self.playback.toggle))
+        gui.add_command("Next step", hotkey="arrowright").on_trigger(self._then_show(moves["next"]))
+        gui.add_command("Previous step", hotkey="arrowleft").on_trigger(self._then_show(moves["previous"]))
+        gui.add_command("First step", hotkey="home").on_trigger(self._then_show(moves["first"]))
+        gui.add_command("Last step", hotkey="end").on_trigger(self._then_show(moves["last"]))
+        gui.add_command("Next event", hotkey="N").on_trigger(self._then_show(moves["next event"]))
+        gui.add_command("Previous event", hotkey="P").on_trigger(self._then_show(moves["previous event"]))
 
     def _add_curves(self) -> None:
         """Add a chart for each curve."""
@@ -278,13 +287,12 @@ class ReplayPage:
     def _set_view(self, view: str, client: viser.ClientHandle) -> None:
         """Move a viewer's camera to one of _VIEWS."""
         self._views[client.client_id] = view
+        self._path.visible = view != "inside"  # it would cover the pins
         with self._lock:
             T = self._arrays["T_base_tcp"][max(0, self._shown)]
         field, camera = np.radians(110.0 if view == "inside" else _FIELD_DEG), client.camera
         if view == "overview":
-            eye, target = fitted_camera(
-                self._extent(), _TOWARDS, field, camera.aspect, self._image_fraction(camera)
-            )
+            eye, target = fitted_camera(self._extent(), _TOWARDS, field, camera.aspect, self._image_fraction(camera))
         elif view == "close":
             eye, target = beside(T[:3, 3] + _CLOSE_M, T[:3, 3], field, camera.aspect, self._image_fraction(camera))
         else:
@@ -314,35 +322,8 @@ class ReplayPage:
             if self._views.get(client.client_id) in ("close", "inside"):
                 client.camera.position = client.camera.position + moved  # the point it looks at moves along
 
-    def _status_text(self, k: int) -> str:
-        """Return the text beside the scene at a step, Markdown."""
-        a = self._arrays
-        seconds = 1e3 * a["seconds"][k]
-        lines = [
-            f"**step {k}** of {self._record['steps'] - 1}, {PHASES[int(a['phase'][k])]}{self._pass_text(k)}",
-            f"force {np.linalg.norm(a['force_n'][k]):.2f} N, {penetration_text(a['penetration_m'][k])}",
-        ]
-        if seconds.sum() > 0:
-            parts = f"simulation {seconds[0]:.0f}, image {seconds[1]:.0f}, network {seconds[2]:.0f}"
-            lines.append(f"computed in {seconds.sum():.0f} ms: {parts}")
-        events = [e for e in self._record["events"] if e["step"] == k]
-        lines += [f"**{e['kind']}**: {e['what']}" for e in events]
-        if k == self._record["steps"] - 1:
-            lines.append(f"ended: {self._record.get('stopped_because', 'the recording is incomplete')}")
-        return "  \n".join(lines)
 
-    def _pass_text(self, k: int) -> str:
-        """Return the pass at a step that follows a route, else an empty text. The even parts of a route are its passes."""
-        if PHASES[int(self._arrays["phase"][k])] != "follow":
-            return ""
-        number, odd = divmod(int(self._arrays["part"][k]), 2)
-        count = int(self._arrays["part"].max() + 1) // 2 + 1
-        return f", between passes {number + 1} and {number + 2}" if odd else f", pass {number + 1} of {count}"
-
-
-def _chart(
-    steps: np.ndarray, curve: Curve
-) -> tuple[tuple[np.ndarray, ...], list[uplot.Series], tuple[uplot.Band, ...]]:
+def _chart(steps: np.ndarray, curve: Curve) -> tuple[tuple[np.ndarray, ...], list[uplot.Series], tuple[uplot.Band, ...]]:
     """Return the data, series and bands of a curve's chart."""
     data: tuple[np.ndarray, ...] = (steps, curve.true)
     first = curve.name if curve.estimated is None else "true"

@@ -1,4 +1,4 @@
-"""A recording as video frames: arm and object, a close view of the tip, tactile image, force, and predictions against truth."""
+"""A recording as video frames: arm and object, a close view of the tip, tactile image, force and predictions."""
 
 import io
 from collections.abc import Iterator, Mapping

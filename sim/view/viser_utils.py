@@ -236,7 +236,7 @@ def set_pose(handle: viser.SceneNodeHandle, T: np.ndarray) -> None:
 
 
 def line_colors(colors: np.ndarray) -> np.ndarray:
-    """Return colors (n, 3), 0 to 255, of lines as viser needs them for both ends, (n, 2, 3) uint8: it takes them for linear."""
+    """Return colors (n, 3), 0 to 255, of lines as viser needs them, (n, 2, 3) uint8: for both ends, and linear."""
     return np.repeat((255 * linear(np.asarray(colors) / 255)).round().astype(np.uint8)[:, None], 2, 1)
 
 
@@ -260,12 +260,5 @@ def add_image_panel(gui: viser.GuiApi, image: np.ndarray, with_arrows: bool) -> 
 def color_scale(title: str, largest: float, ramp: tuple[Color, ...]) -> str:
     """Return the HTML of a color scale from 0 to `largest`."""
     bar = f'<span style="flex:1;height:10px;border-radius:3px;background:{css_gradient(ramp)}"></span>'
-    row = f'<span>{html.escape(title)}</span><span>0</span>{bar}<span>{largest:g}</span>'
+    row = f"<span>{html.escape(title)}</span><span>0</span>{bar}<span>{largest:g}</span>"
     return f'<div style="display:flex;gap:6px;align-items:center;{_SMALL}">{row}</div>'
-
-
-def penetration_text(penetration_m: float) -> str:
-    """Return a text about a penetration; NaN where the contact was predicted."""
-    if np.isfinite(penetration_m):
-        return f"penetration {1e3 * penetration_m:.3f} mm"
-    return "contact predicted by the learned tip"

@@ -63,10 +63,10 @@ def test_replay_is_drawn(replay):
     replay.browser.click("close")
 
     def drawn():
-        scene = replay.browser.screenshot()[:, :800].astype(int)
-        grey = np.ptp(scene, axis=2) < 30
-        # The skin is nearly black, the object nearly white, and the background is neither.
-        return (grey & (scene.max(2) < 80)).mean() > 0.004 and len(np.unique(scene.reshape(-1, 3), axis=0)) > 100
+        scene = replay.browser.screenshot()[:, 350:800].astype(int)
+        # The housing is dark, the object light and warm, and the background neither.
+        dark, warm = scene.max(2) < 110, scene[..., 0] - scene[..., 2] > 4
+        return dark.mean() > 0.004 and warm.mean() > 0.02 and len(np.unique(scene.reshape(-1, 3), axis=0)) > 100
 
     replay.until(drawn)
 
