@@ -29,6 +29,8 @@ from tactip_twin.sim.view.viser_utils import (
     add_image_panel,
     add_mesh,
     color_scale,
+    covered_fraction,
+    keep_in_view,
     serve,
     set_pose,
     stop,
@@ -202,7 +204,13 @@ class LivePage:
         # The handle is the target of the stimulus, which follows it.
         self._handle = scene.add_transform_controls("/target", scale=0.03, depth_test=False)
         self._handle.on_update(lambda _: self._on_drag())
-        self._server.on_client_connect(lambda client: self._set_view("overview", client))
+        self._views: dict[int, str] = {}
+
+        def welcome(client: viser.ClientHandle) -> None:
+            keep_in_view(client, lambda: self._set_view(self._views.get(client.client_id, "overview"), client))
+
+        self._server.on_client_connect(welcome)
+        self._server.on_client_disconnect(lambda client: self._views.pop(client.client_id, None))
 
     def _build_panel(self) -> None:
         gui, (low, high) = self._server.gui, ranges_of(self._name)
@@ -280,10 +288,11 @@ class LivePage:
 
     def _set_view(self, view: str, client: viser.ClientHandle) -> None:
         """Move a viewer's camera to a view: `overview`, `close` or `inside`."""
+        self._views[client.client_id] = view
         eye, target, field_deg = _VIEWS[view]
         camera, field = client.camera, float(np.radians(field_deg))
         if view != "inside":
-            covered = min(0.4, IMAGE_PANEL_PX / max(camera.image_width, 1))
+            covered = covered_fraction(camera, IMAGE_PANEL_PX)
             eye, target = beside(np.array(eye), np.array(target), field, camera.aspect, covered)
         # From inside, the handle would cover the pins.
         self._handle.visible = view != "inside"

@@ -24,6 +24,8 @@ from tactip_twin.sim.view.viser_utils import (
     add_image_panel,
     add_mesh,
     color_scale,
+    covered_fraction,
+    keep_in_view,
     line_colors,
     serve,
     set_pose,
@@ -184,7 +186,6 @@ class ReplayPage:
         gui.set_panel_label(f"{record['object']}, {record['task']}")
         has_images = self._arrays["images"].size > 0
         self._image = add_image_panel(gui, self._arrays["images"][0], self._project is not None) if has_images else None
-        self._status = gui.add_markdown("")
         self._buttons = {"play": gui.add_button("Play")}
         self._slider = gui.add_slider("step", 0, max(1, record["steps"] - 1), 1, 0)
         moves = {
@@ -198,6 +199,8 @@ class ReplayPage:
         step_buttons = gui.add_button_group("step", list(moves)[:4])
         event_buttons = gui.add_button_group("event", list(moves)[4:], visible=bool(record["events"]))
         views = gui.add_button_group("view", _VIEWS)
+        # Its number of lines changes, and what is above it stays where it is.
+        self._status = gui.add_markdown("")
         gui.add_html(color_scale("skin displacement, mm", self._skin_end_mm, SKIN_RAMP))
         gui.add_html(color_scale("position error on the path, mm", self._error_end_mm, ERROR_RAMP))
         tabs = gui.add_tab_group()
@@ -272,17 +275,15 @@ class ReplayPage:
             self._curves.append((chart, data))
 
     def _welcome(self, client: viser.ClientHandle) -> None:
-        """Show a new viewer the overview, and fit it again when the size of the scene changes, as by the panel beside it."""
-        self._set_view("overview", client)
-        sizes = {(0, 0)}
+        """Show a new viewer the overview."""
+        self._views[client.client_id] = "overview"
 
-        @client.camera.on_update
-        def _(camera: viser.CameraHandle) -> None:
-            size = (camera.image_width, camera.image_height)
-            if size not in sizes and self._views.get(client.client_id) == "overview":
-                sizes.clear()
-                sizes.add(size)
-                self._set_view("overview", client)
+        def look() -> None:
+            view = self._views.get(client.client_id)
+            if view in ("overview", "close"):
+                self._set_view(view, client)
+
+        keep_in_view(client, look)
 
     def _set_view(self, view: str, client: viser.ClientHandle) -> None:
         """Move a viewer's camera to one of _VIEWS."""
@@ -291,20 +292,17 @@ class ReplayPage:
         with self._lock:
             T = self._arrays["T_base_tcp"][max(0, self._shown)]
         field, camera = np.radians(110.0 if view == "inside" else _FIELD_DEG), client.camera
+        covered = covered_fraction(camera, IMAGE_PANEL_PX) if self._image is not None else 0.0
         if view == "overview":
-            eye, target = fitted_camera(self._extent(), _TOWARDS, field, camera.aspect, self._image_fraction(camera))
+            eye, target = fitted_camera(self._extent(), _TOWARDS, field, camera.aspect, covered)
         elif view == "close":
-            eye, target = beside(T[:3, 3] + _CLOSE_M, T[:3, 3], field, camera.aspect, self._image_fraction(camera))
+            eye, target = beside(T[:3, 3] + _CLOSE_M, T[:3, 3], field, camera.aspect, covered)
         else:
             eye, target = T[:3, 3] - 0.022 * T[:3, 2], T[:3, 3]
         with client.atomic():
             camera.position, camera.look_at, camera.fov = tuple(eye), tuple(target), float(field)
             # The view from inside is oriented as the tactile image: x to the right, y down.
             camera.up_direction = tuple(-T[:3, 1]) if view == "inside" else (0.0, 0.0, 1.0)
-
-    def _image_fraction(self, camera: viser.CameraHandle) -> float:
-        """Return the fraction of the width of a viewer's scene that the tactile image covers."""
-        return min(0.4, IMAGE_PANEL_PX / max(camera.image_width, 1)) if self._image is not None else 0.0
 
     def _extent(self) -> np.ndarray:
         """Return points (n, 3) m that the overview shows: the object, and the arm at the step that is shown."""

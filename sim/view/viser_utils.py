@@ -108,6 +108,23 @@ def serve(host: str, port: int) -> viser.ViserServer:
     return server
 
 
+def keep_in_view(client: viser.ClientHandle, look: Callable[[], None]) -> None:
+    """Move a viewer's camera by `look`, now and whenever the size of the scene changes, as by the panel beside it."""
+    look()
+    size = [client.camera.image_width, client.camera.image_height]
+
+    @client.camera.on_update
+    def _(camera: viser.CameraHandle) -> None:
+        if size != [camera.image_width, camera.image_height]:
+            size[:] = camera.image_width, camera.image_height
+            look()
+
+
+def covered_fraction(camera: viser.CameraHandle, width_px: int) -> float:
+    """Return the fraction of the width of a viewer's scene that a window at its left covers."""
+    return min(0.5, width_px / max(camera.image_width, 1))
+
+
 def _background() -> np.ndarray:
     """Return the background (h, w, 3) uint8: white above, a light grey below."""
     rows = np.linspace(_BACKGROUND[0], _BACKGROUND[1], 256).round().astype(np.uint8)
@@ -246,10 +263,12 @@ def rgb(color: Color) -> tuple[int, int, int]:
     return round(red), round(green), round(blue)
 
 
-def add_image_panel(gui: viser.GuiApi, image: np.ndarray, with_arrows: bool) -> viser.GuiImageHandle:
+def add_image_panel(
+    gui: viser.GuiApi, image: np.ndarray, with_arrows: bool, width_px: int = IMAGE_PANEL_PX - 24
+) -> viser.GuiImageHandle:
     """Add a window with the tactile image (n, n) at the top left of the scene, and return the image's handle."""
     panel = gui.add_panel()
-    panel.float(x=12, y=12, width=IMAGE_PANEL_PX - 24)
+    panel.float(x=12, y=12, width=width_px)
     with panel.add_tab("tactile image"):
         handle = gui.add_image(tactile_picture(image), format="png")
         if with_arrows:
