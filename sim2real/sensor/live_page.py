@@ -81,6 +81,7 @@ class CameraPage:
             self._build_scene(edge=model.labels.task == "edge")
             tabs = gui.add_tab_group()
             with tabs.add_tab("curves"):
+                gui.add_markdown(f"Over time, s; band: ± {BAND:g} standard deviations, if the network estimates them.")
                 self._add_curves(dict(zip(model.columns, model.units, strict=True)))
             with tabs.add_tab("numbers"):
                 self._numbers = gui.add_markdown("")
@@ -160,7 +161,7 @@ class CameraPage:
             self._curves[name] = self._server.gui.add_uplot(
                 (nothing,) * 4,
                 tuple(series),
-                title=f"{name}, {unit}" if unit else name,
+                title=f"{name.removesuffix('_N')}, {unit}",
                 bands=(uplot.Band(series=(2, 3), fill="rgba(194, 65, 12, 0.18)"),),
                 scales={"x": uplot.Scale(time=False)},
                 axes=(uplot.Axis(space=40), uplot.Axis(space=18)),
