@@ -11,10 +11,10 @@ from tactip_twin.tactip_model.pyrender_renderer import renderer
 
 BACKGROUND = (252, 252, 252)
 
-_LIGHTS = (((0.3, -0.5, 0.8), 0.66), ((-0.7, 0.5, 0.4), 0.3))
+_LIGHTS = (((0.3, -0.5, 0.8), 0.58), ((-0.7, 0.5, 0.4), 0.26))
 """Directions and strengths of the lights."""
 
-_AMBIENT = 0.2
+_AMBIENT = 0.34
 
 _NEAR_M, _FAR_M = 0.02, 6.0
 

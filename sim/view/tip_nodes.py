@@ -24,10 +24,11 @@ _MIN_ARROW_M = 1e-3
 """Length of the force arrow, and below which it is hidden."""
 
 
-_BESIDE = (1.0, 0.0)
-_BESIDE_M = 8e-3
-_RAISED_M = 12e-3
-"""Direction in which the force arrow stands beside the tip, sensor frame, its distance, and its height over the apex, m."""
+_BESIDE_M, _RAISED_M = 8e-3, 12e-3
+"""Distance of the force arrow from the tip along x of the sensor frame, and its height over the apex, m."""
+
+_LEANING = 0.1
+"""Fraction of the force against x beyond which the arrow stands on the other side."""
 
 
 class TipNodes:
@@ -62,7 +63,7 @@ class TipNodes:
         self.pins = scene.add_line_segments("/tip/pins", nowhere, rgb(PIN_COLOR), thickness=0.8e-3)
         """The pins, as line segments."""
         radius = float(np.hypot(*rest_skin[:, :2].T).max())
-        self._beside = (radius + _BESIDE_M) * np.array(_BESIDE)
+        self._beside_m = radius + _BESIDE_M
         # Arrows themselves ignore that they are invisible.
         self._force_frame = scene.add_frame("/tip/force", show_axes=False, visible=False)
         color, shape = line_colors(np.array([FORCE_COLOR]))[0, 0], {"shaft_radius": 0.9e-3, "head_radius": 2.4e-3}
@@ -72,10 +73,11 @@ class TipNodes:
         """Show a state of the tip: vertices of the skin (s, 3) m, pins (p, 3), and force (3,) N, sensor frame."""
         self._skin.glb_data = self._skin_glb(skin)
         self.pins.points = np.stack([pin_tips - _PIN_M * directions, pin_tips], 1).astype(np.float32)
-        # At the apex the tip or the object would hide the arrow: it stands beside the tip.
+        # At the apex the tip or the object would hide the arrow: it stands beside the tip, so that it leans away from it.
         self._force_frame.visible = _FORCE_M_PER_N * float(np.linalg.norm(force)) > _MIN_ARROW_M
         if self._force_frame.visible:
-            start = np.array([*self._beside, skin[:, 2].max() - _RAISED_M])
+            side = -1.0 if force[0] < -_LEANING * np.linalg.norm(force) else 1.0
+            start = np.array([side * self._beside_m, 0.0, skin[:, 2].max() - _RAISED_M])
             self._force.points = np.stack([start, start + _FORCE_M_PER_N * force])[None].astype(np.float32)
 
     def _skin_glb(self, skin: np.ndarray) -> bytes:
