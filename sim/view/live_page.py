@@ -210,7 +210,6 @@ class LivePage:
             keep_in_view(client, lambda: self._set_view(self._views.get(client.client_id, "overview"), client))
 
         self._server.on_client_connect(welcome)
-        self._server.on_client_disconnect(lambda client: self._views.pop(client.client_id, None))
 
     def _build_panel(self) -> None:
         gui, (low, high) = self._server.gui, ranges_of(self._name)

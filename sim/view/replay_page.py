@@ -103,7 +103,6 @@ class ReplayPage:
         self._build_scene()
         self._build_panel()
         self._server.on_client_connect(self._welcome)
-        self._server.on_client_disconnect(lambda client: self._views.pop(client.client_id, None))
         self.show()
 
     def run(self, seconds: float | None = None) -> None:

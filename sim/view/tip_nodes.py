@@ -66,8 +66,10 @@ class TipNodes:
         self._beside_m = radius + _BESIDE_M
         # Arrows themselves ignore that they are invisible.
         self._force_frame = scene.add_frame("/tip/force", show_axes=False, visible=False)
-        color, shape = line_colors(np.array([FORCE_COLOR]))[0, 0], {"shaft_radius": 0.9e-3, "head_radius": 2.4e-3}
-        self._force = scene.add_arrows("/tip/force/arrow", nowhere, color, head_length=5e-3, **shape)
+        color = line_colors(np.array([FORCE_COLOR]))[0, 0]
+        self._force = scene.add_arrows(
+            "/tip/force/arrow", nowhere, color, shaft_radius=0.9e-3, head_radius=2.4e-3, head_length=5e-3
+        )
 
     def show(self, skin: np.ndarray, pin_tips: np.ndarray, directions: np.ndarray, force: np.ndarray) -> None:
         """Show a state of the tip: vertices of the skin (s, 3) m, pins (p, 3), and force (3,) N, sensor frame."""

@@ -113,7 +113,7 @@ class LiveSensor:
                 size = self._options.size_px
                 yield Reading(number, time.perf_counter() - start, 0, np.zeros((size, size), np.uint8), {}, str(error))
                 continue
-            blobs = reader.on_image(find_blobs(binary).centres)
+            blobs = reader.on_image(find_blobs(binary).centres, binary)
             pins, usual = len(blobs), len(rest)
             fault = "" if pins >= MIN_PIN_FRACTION * usual else f"{pins} pins detected, the undeformed tip has {usual}"
             predicted, deviations = ({}, {}) if fault or self._model is None else self._predicted(self._model, image)
@@ -128,7 +128,8 @@ class LiveSensor:
             reader = FrameReader(self._options, neutral)
         except TactipError as error:
             raise TactipError(f"no tip in the first frame: {error}; check light, threshold and crop") from error
-        rest = reader.on_image(find_blobs(reader.masked(neutral)).centres)
+        binary = reader.masked(neutral)
+        rest = reader.on_image(find_blobs(binary).centres, binary)
         if len(rest) < _MIN_PINS:
             raise TactipError(
                 f"the first frame must show at least {_MIN_PINS} pins, got {len(rest)}: check light, threshold and crop"
