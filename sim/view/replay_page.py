@@ -12,6 +12,7 @@ from viser import uplot
 from tactip_twin.sim.robot.recording import RecordedScene
 from tactip_twin.sim.view.camera_fit import beside, fitted_camera
 from tactip_twin.sim.view.curves import BAND, Curve, curves_of, position_errors_mm
+from tactip_twin.sim.view.follow_camera import FollowCamera
 from tactip_twin.sim.view.geometry import SceneGeometry, path_lines, skin_displacements_mm
 from tactip_twin.sim.view.palette import ERROR_RAMP, ESTIMATED_COLOR, SKIN_RAMP, TRUE_COLOR, scale_end
 from tactip_twin.sim.view.playback import SPEEDS, Playback
@@ -97,12 +98,14 @@ class ReplayPage:
         """Number of steps shown so far."""
         self._lock, self._shown, self._marked_s = threading.RLock(), -1, 0.0
         self._views: dict[int, str] = {}
+        self._cameras: dict[int, FollowCamera] = {}
         self._server = serve(host, port)
         self.address = f"http://{host}:{self._server.get_port()}"
         """Address of the page."""
         self._build_scene()
         self._build_panel()
         self._server.on_client_connect(self._welcome)
+        self._server.on_client_disconnect(self._forget)
         self.show()
 
     def run(self, seconds: float | None = None) -> None:
@@ -124,9 +127,9 @@ class ReplayPage:
     def show(self) -> None:
         """Show the current step of the replay."""
         with self._lock, self._server.atomic():
-            k, before, a = self.playback.step, self._shown, self._arrays
+            k, a = self.playback.step, self._arrays
             self._buttons["play"].label = "Pause" if self.playback.playing else "Play"
-            if k == before:
+            if k == self._shown:
                 return
             self._shown, self.pictures = k, self.pictures + 1
             self._slider.value = k
@@ -142,7 +145,7 @@ class ReplayPage:
             self._show_image()
             first, *others = status_lines(self._record, a, k)
             self._status.content = "  \n".join([f"**{first}**", *others])
-            self._follow(before)
+            self._follow()
             now = time.monotonic()
             if not self.playback.playing or now - self._marked_s > 1 / _CURVES_HZ:
                 self._marked_s = now
@@ -276,6 +279,8 @@ class ReplayPage:
     def _welcome(self, client: viser.ClientHandle) -> None:
         """Show a new viewer the overview."""
         self._views[client.client_id] = "overview"
+        with self._lock:
+            self._cameras[client.client_id] = FollowCamera(client.camera)
 
         def look() -> None:
             view = self._views.get(client.client_id)
@@ -283,6 +288,12 @@ class ReplayPage:
                 self._set_view(view, client)
 
         keep_in_view(client, look)
+
+    def _forget(self, client: viser.ClientHandle) -> None:
+        """Forget a viewer who has left."""
+        with self._lock:
+            self._views.pop(client.client_id, None)
+            self._cameras.pop(client.client_id, None)
 
     def _set_view(self, view: str, client: viser.ClientHandle) -> None:
         """Move a viewer's camera to one of _VIEWS."""
@@ -302,6 +313,8 @@ class ReplayPage:
             camera.position, camera.look_at, camera.fov = tuple(eye), tuple(target), float(field)
             # The view from inside is oriented as the tactile image: x to the right, y down.
             camera.up_direction = tuple(-T[:3, 1]) if view == "inside" else (0.0, 0.0, 1.0)
+        with self._lock:
+            self._cameras[client.client_id].start(eye, target, T[:3, 3])
 
     def _extent(self) -> np.ndarray:
         """Return points (n, 3) m that the overview shows: the object, and the arm at the step that is shown."""
@@ -310,14 +323,12 @@ class ReplayPage:
         meshes = [self._geometry.static[0], *self._geometry.moving_meshes(angles, T, skin)]
         return np.concatenate([mesh.vertices for mesh in meshes])
 
-    def _follow(self, before: int) -> None:
-        """Move the cameras of viewers who look at the tip as far as it has moved since a step."""
-        if before < 0 or not self._follows.value:
-            return
-        moved = np.diff(self._arrays["T_base_tcp"][[before, self._shown], :3, 3], axis=0)[0]
-        for client in self._server.get_clients().values():
-            if self._views.get(client.client_id) in ("close", "inside"):
-                client.camera.position = client.camera.position + moved  # the point it looks at moves along
+    def _follow(self) -> None:
+        """Move the cameras of viewers who look at the tip with it."""
+        if self._follows.value:
+            for number, camera in self._cameras.items():
+                if self._views.get(number) in ("close", "inside"):
+                    camera.follow(self._arrays["T_base_tcp"][self._shown, :3, 3])
 
 
 def _chart(steps: np.ndarray, curve: Curve) -> tuple[tuple[np.ndarray, ...], list[uplot.Series], tuple[uplot.Band, ...]]:

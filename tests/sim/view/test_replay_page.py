@@ -13,6 +13,7 @@ from websockets.datastructures import Headers
 
 from helpers.recordings import RECORD, STEPS, arrays_of, scenery
 from tactip_twin.sim.view import viser_utils
+from tactip_twin.sim.view.follow_camera import FollowCamera
 from tactip_twin.sim.view.geometry import path_lines
 from tactip_twin.sim.view.palette import ERROR_RAMP
 from tactip_twin.sim.view.replay_page import ReplayPage
@@ -47,20 +48,48 @@ def test_step_is_shown_as_recorded(page):
     assert "ended: the loop is closed" in page._status.content
 
 
-def test_close_view_follows_the_tip(page):
-    class Client:
-        client_id, camera = 7, type("Camera", (), {"position": np.array([0.1, 0.2, 0.3])})()
+class Camera:
+    """A camera that reports its place only when `report` is called, as a browser does after a delay."""
 
+    position, look_at = np.zeros(3), np.zeros(3)
+
+    def on_update(self, callback):
+        self.callback = callback
+
+    def report(self, position, look_at):
+        ours = self.position, self.look_at
+        self.position, self.look_at = position, look_at
+        self.callback(self)
+        self.position, self.look_at = ours
+
+
+def test_camera_follows_in_spite_of_late_reports():
+    camera, x = Camera(), np.array([1e-3, 0, 0])
+    follow, eye = FollowCamera(camera), np.array([0.1, -0.2, 0.05])
+    follow.start(eye, np.zeros(3), np.zeros(3))
+    for k in range(1, 8):
+        follow.follow(k * x)
+        if k > 2:
+            camera.report(eye + (k - 2) * x, (k - 2) * x)
+    assert np.allclose(camera.position, eye + 7 * x) and np.allclose(camera.look_at, 7 * x)
+    turned = np.array([0.1, -0.19, 0.05])
+    camera.report(turned + 6 * x, 6 * x)  # the viewer turned it at the step before
+    follow.follow(8 * x)
+    assert np.allclose(camera.position, turned + 8 * x) and np.allclose(camera.look_at, 8 * x)
+
+
+def test_close_view_follows_the_tip(page):
     page.playback.go(2)
     page.show()
-    page._server.get_clients, clients = (lambda: {7: Client}), page._server.get_clients
-    for view, moved in (("close", 4e-3), ("overview", 0.0)):
-        page._views[7], before = view, Client.camera.position
+    camera = Camera()
+    page._cameras[7], tip = FollowCamera(camera), page._arrays["T_base_tcp"][2, :3, 3]
+    page._cameras[7].start(tip + 0.1, tip, tip)
+    for view, step in (("close", 6), ("overview", 6)):
+        page._views[7] = view
         page.playback.forward(4)
         page.show()
-        assert np.allclose(Client.camera.position - before, [moved, 0, 0])
-    page._server.get_clients = clients
-    del page._views[7]
+        assert np.allclose(camera.look_at, page._arrays["T_base_tcp"][step, :3, 3])
+    del page._views[7], page._cameras[7]
 
 
 def test_see_through_skin_shows_its_pins(page):
