@@ -13,6 +13,7 @@ from tactip_twin.sim2real.sensor.preprocessing_options import ImagePreprocessing
 from tactip_twin.tactip_model.bounds import check, within
 
 if TYPE_CHECKING:
+    from tactip_twin.learning.model import Model
     from tactip_twin.sim2real.sensor.frame_sources import CameraFrames, ImageFrames
     from tactip_twin.sim2real.sensor.live_page import CameraPage
     from tactip_twin.sim2real.sensor.video_frames import VideoFrames
@@ -68,7 +69,7 @@ class Camera(Command):
         try:
             model = None if self.model == "none" else load_network(self.model)
             neutral = None if self.neutral is None else load_neutral(self.neutral)
-            page = self._page()
+            page = self._page(model)
             count, faults, last = 0, 0, 0.0
             # A camera has no end: Ctrl-C ends the command.
             with suppress(KeyboardInterrupt):
@@ -107,12 +108,12 @@ class Camera(Command):
                 return ImageFrames(self.images)
         raise TactipError(f"one of --device, --video and --images must be given, got {count} of them")
 
-    def _page(self) -> "CameraPage | None":
+    def _page(self, model: "Model | None") -> "CameraPage | None":
         """Return the page in a browser, or None without --browser."""
         if not self.browser:
             return None
         from tactip_twin.sim2real.sensor.live_page import CameraPage
 
-        page = CameraPage(f"camera, {self.model}", self.host, self.port)
+        page = CameraPage(f"camera, {self.model}", model, self.host, self.port)
         print(f"the page is at {page.address}", file=sys.stderr)
         return page

@@ -1,4 +1,4 @@
-"""tactip replay: a recording in a browser, in a window, as a video or as a GIF."""
+"""tactip replay: a recording in a browser, in a window, as a video, as a GIF or as a page to send."""
 
 import contextlib
 import sys
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Replay(Command):
-    """Show a recording in a browser, or write a video or GIF of it. Nothing is simulated again."""
+    """Show a recording in a browser, or write a video, a GIF or a page of it. Nothing is simulated again."""
 
     example = "tactip replay runs/servo-bust --video bust.mp4"
 
@@ -30,8 +30,10 @@ class Replay(Command):
     """Video file to write (.mp4)."""
     gif: Path | None = None
     """GIF file to write (.gif)."""
+    html: Path | None = None
+    """Page to write (.html): one file with scene, image and curves that opens in a browser, without a server or network."""
     stride: int = 1
-    """Number of servo steps per video frame."""
+    """Number of servo steps per video frame, or per step of the page that is written."""
     fps: int = 25
     """Video frames per second."""
     window: bool = False
@@ -45,13 +47,15 @@ class Replay(Command):
         from tqdm import tqdm
 
         from tactip_twin.sim.robot.recording import check_skin, read_recorded_scene, read_recording
+        from tactip_twin.sim.view.replay_html import write_replay_html
         from tactip_twin.sim.view.replay_video import render_frames
         from tactip_twin.sim.view.video import write_video
 
         if self.stride < 1 or self.fps < 1:
             raise TactipError(f"--stride and --fps must be at least 1, got {self.stride} and {self.fps}")
         asked = [(path, ending) for path, ending in ((self.video, ".mp4"), (self.gif, ".gif")) if path is not None]
-        for path, ending in asked:
+        pages = [(self.html, ".html")] if self.html is not None else []
+        for path, ending in (*asked, *pages):
             if path.suffix.lower() != ending:
                 raise TactipError(f"the file name must end in {ending}, got {path}")
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -64,7 +68,10 @@ class Replay(Command):
             drawn = render_frames(scenery, record, arrays, self.stride)
             write_video(path, tqdm(drawn, total=count, unit="picture", file=sys.stderr, disable=not count), self.fps)
             print(f"{path} written")
-        if asked:
+        for path, _ in pages:
+            write_replay_html(path, record, arrays, scenery, self.stride)
+            print(f"{path} written, {path.stat().st_size / 1e6:.1f} MB")
+        if asked or pages:
             return 0
         return self._open(record, arrays, scenery) if self.window else self._serve(record, arrays, scenery)
 

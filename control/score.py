@@ -47,7 +47,7 @@ def score(
     places = poses[:, :3, 3] + arrays["true"][following][:, 2:3] * poses[:, :3, 2]
     whole, simulated = float(seconds.sum()), arrays["penetration_m"]
     force = np.linalg.norm(arrays["force_n"][following], axis=1)
-    angles = _angles(arrays["true"][following])
+    angles = angles_to_normal_deg(arrays["true"][following])
     out = {
         "task": record["task"],
         "object": record["object"],
@@ -112,7 +112,7 @@ def surface_targets(scene_object: SceneObject, corners: np.ndarray, up: ArrayLik
     return np.array(out).reshape(-1, 3)
 
 
-def _angles(labels: np.ndarray) -> np.ndarray:
+def angles_to_normal_deg(labels: np.ndarray) -> np.ndarray:
     """Return the angles (n,), degrees, between the sensor's axis and the normal, of labels (n, 6), m and rad."""
     from scipy.spatial.transform import Rotation
 

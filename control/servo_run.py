@@ -91,7 +91,7 @@ def run_servo(
         figures = score(arrays, finished, reference_mm_deg(setup.depth_mm), setup.targets)
         write_file(options.out / SCORE, (json.dumps(figures, indent=1) + "\n").encode())
         if options.renderer == "pyrender":
-            write_figure(options.out / FIGURE, scenery, arrays, options.task)
+            write_figure(options.out / FIGURE, scenery, arrays, options.task, reference_mm_deg(setup.depth_mm))
         if options.video and not interrupted and finished["steps"]:
             write_video(options.out / FILM, render_frames(scenery, finished, arrays))
     finally:
@@ -108,6 +108,7 @@ def _description(options: ServoOptions, setup: ServoSetup) -> dict[str, Any]:
         "task": options.task,
         "object": setup.scene_object.name,
         "options": json.loads(json.dumps(dataclasses.asdict(options), default=str)),
+        "design": json.loads(json.dumps(dataclasses.asdict(setup.design))),
         "estimator": type(setup.estimator).__name__,
         "controller": type(setup.controller).__name__,
         "network": None if setup.network is None else setup.network.provenance,

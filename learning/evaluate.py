@@ -28,6 +28,10 @@ WORST = 8
 _LATENCY_CALLS = 60
 
 
+_MIN_SPREAD = 0.02
+"""Minimum standard deviation of a label that varies, as a fraction of its maximum."""
+
+
 @dataclass(frozen=True)
 class Evaluation:
     """Predictions and errors of a model on a set of n samples with k components."""
@@ -94,6 +98,12 @@ def _outside_fraction(predictions: np.ndarray, labels: Labels) -> float:
     return float(((predictions < low - margin) | (predictions > high + margin)).any(1).mean())
 
 
+def outside(targets: np.ndarray, labels: Labels) -> np.ndarray:
+    """Return which labels (n, k) lie outside the range in which a network was trained, (n, k) bool."""
+    margin = 1e-6 * labels.scale
+    return (targets < np.array(labels.low) - margin) | (targets > np.array(labels.high) + margin)
+
+
 def evaluate(model: Model, samples: Samples) -> Evaluation:
     """Evaluate a model on samples. Raises TactipError if their tasks or images differ."""
     check_compatible(samples, model.labels.task, model.size, model.grey, "the model")
@@ -118,6 +128,10 @@ def evaluate(model: Model, samples: Samples) -> Evaluation:
         "p95": by_name(np.quantile(np.abs(errors), 0.95, axis=0)),
         "greatest": by_name(np.abs(errors).max(0)),
         "loss": float(((errors / model.labels.scale) ** 2).sum(1).mean()),
+        "varies": {
+            n: bool(v) for n, v in zip(names, samples.targets.std(0) > _MIN_SPREAD * model.labels.scale, strict=True)
+        },
+        "labels_outside": by_name(outside(samples.targets, model.labels).mean(0)),
         "outside_fraction": _outside_fraction(predictions, model.labels),
         "unlike_image_fraction": unlike[0],
         "unlike_in": unlike[1],

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from tactip_twin.learning.data import Samples
-from tactip_twin.learning.evaluate import Evaluation, tables
+from tactip_twin.learning.evaluate import Evaluation, outside, tables
 from tactip_twin.learning.labels import Labels
 from tactip_twin.learning.model import Model
 from tactip_twin.learning.quantities import QUANTITIES
@@ -29,11 +29,11 @@ def write_evaluation(evaluation: Evaluation, samples: Samples, model: Model, fol
     write_file(folder / "evaluation.json", (json.dumps(record, indent=1) + "\n").encode())
     write_file(folder / "evaluation.md", markdown(record, model.labels).encode())
     _plot_errors(evaluation, samples, model.labels, folder / "errors.png")
-    _plot_frames(evaluation, samples, worst(evaluation, model.labels, 8), folder / "worst.png")
+    _plot_frames(evaluation, samples, model.labels, worst(evaluation, model.labels, 8), folder / "worst.png")
     if evaluation.deviations is not None:
         _plot_uncertainty(record, model.labels, folder / "uncertainty.png")
         order = np.argsort(uncertainty(evaluation.deviations, model.labels.scale), kind="stable")
-        _plot_frames(evaluation, samples, np.concatenate([order[:4], order[-4:]]), folder / "certain.png")
+        _plot_frames(evaluation, samples, model.labels, np.concatenate([order[:4], order[-4:]]), folder / "certain.png")
 
 
 def markdown(record: dict[str, Any], labels: Labels) -> str:
@@ -44,13 +44,21 @@ def markdown(record: dict[str, Any], labels: Labels) -> str:
         "",
         f"{record['parameters']} parameters; {record['latency_ms']:.2f} ms per image on one CPU thread.",
         "",
-        "| component | mean absolute error | RMSE | bias | 95th percentile | maximum |",
-        "|---|---|---|---|---|---|",
+        "| component | mean absolute error | RMSE | bias | 95th percentile | maximum | labels outside the trained range |",
+        "|---|---|---|---|---|---|---|",
     ]
     for name, unit in units.items():
         row = [f"{record[key][name]:.3f} {unit}" for key in ("mae", "rmse", "bias", "p95", "greatest")]
+        row.append(f"{100 * record['labels_outside'][name]:.1f} %")
         lines.append(f"| {name} | " + " | ".join(row) + " |")
-    lines += ["", "Top: prediction against label, with the smoothed mean and standard deviation of the error."]
+    constant = [name for name, varies in record["varies"].items() if not varies]
+    if constant:
+        lines += ["", f"The figure leaves out {', '.join(constant)}, which hardly varies in this set."]
+    lines += [
+        "",
+        "Top: prediction against label, with the smoothed mean and standard deviation of the error. Labels outside ",
+    ]
+    lines[-1] += "the range in which the network was trained are orange, and their background is grey."
     lines += ["Bottom: absolute error against shear, with its smoothed mean.", ""]
     lines += ["![errors](errors.png)", "", "## Mean absolute error by shear", ""]
     for key, title in (("shear_mm", "shear translation, mm"), ("shear_deg", "shear rotation, °")):
@@ -119,15 +127,24 @@ def _smoothed(values: np.ndarray, errors: np.ndarray, at: np.ndarray, width: flo
 
 
 def _plot_errors(evaluation: Evaluation, samples: Samples, labels: Labels, path: Path) -> None:
-    """Plot predictions by label and errors by shear."""
-    k = len(labels.names)
+    """Plot predictions by label and errors by shear, of the components that vary; of all if none does."""
+    varying = [i for i, name in enumerate(labels.names) if evaluation.figures["varies"][name]] or range(len(labels.names))
+    k, beyond = len(varying), outside(samples.targets, labels)
     figure, axes = figure_of(2, k, (3.6 * k, 6.6))
     translation = np.linalg.norm(samples.shears[:, :3], axis=1)
-    for i, (name, unit) in enumerate(zip(labels.names, labels.units, strict=True)):
-        target, error = samples.targets[:, i], evaluation.errors[:, i]
+    for i, component in enumerate(varying):
+        name, unit = labels.names[component], labels.units[component]
+        target, error = samples.targets[:, component], evaluation.errors[:, component]
         at = np.linspace(target.min(), target.max(), 60)
         mean, deviation = _smoothed(target, error, at, _SMOOTHING * max(np.ptp(target), 1e-9))
-        axes[i].plot(target, target + error, ".", color="0.7", ms=2)
+        for marked, color in ((False, "0.7"), (True, COLORS[4])):
+            chosen = beyond[:, component] == marked
+            axes[i].plot(target[chosen], (target + error)[chosen], ".", color=color, ms=2)
+        low, high = axes[i].get_xlim()
+        for start, end in ((low, labels.low[component]), (labels.high[component], high)):
+            if beyond[:, component].any() and start < end:
+                axes[i].axvspan(start, end, color="0.95", lw=0, zorder=0)
+        axes[i].set_xlim(low, high)
         axes[i].fill_between(at, at + mean - deviation, at + mean + deviation, color=COLORS[0], alpha=0.4, lw=0)
         axes[i].plot(at, at + mean, color=COLORS[0], lw=1.2)
         axes[i].plot(at, at, color="k", lw=0.6)
@@ -190,17 +207,16 @@ def worst(evaluation: Evaluation, labels: Labels, count: int) -> np.ndarray:
     return np.argsort(-((evaluation.errors / labels.scale) ** 2).sum(1))[:count]
 
 
-def _plot_frames(evaluation: Evaluation, samples: Samples, chosen: np.ndarray, path: Path) -> None:
+def _plot_frames(evaluation: Evaluation, samples: Samples, labels: Labels, chosen: np.ndarray, path: Path) -> None:
     """Plot eight samples with indices `chosen`, with label and prediction, and deviations if there are any."""
-    figure, axes = figure_of(2, 4, (12, 6.6))
+    figure, axes = figure_of(2, 4, (12, 6.2 + 0.3 * len(labels.names)))
     for axis in axes:
         axis.axis("off")
     for axis, i in zip(axes, chosen, strict=False):
         axis.imshow(samples.images[i], cmap="gray", interpolation="nearest")
-        label = " ".join(f"{x:.1f}" for x in samples.targets[i])
-        prediction = " ".join(f"{x:.1f}" for x in evaluation.predictions[i])
-        title = f"label {label}\npredicted {prediction}"
-        if evaluation.deviations is not None:
-            title += "\n± " + " ".join(f"{x:.2g}" for x in evaluation.deviations[i])
-        axis.set_title(title, fontsize=8)
+        lines = []
+        for k, (name, unit) in enumerate(zip(labels.components, labels.units, strict=True)):
+            lines.append(f"{name} {samples.targets[i, k]:.1f}, predicted {evaluation.predictions[i, k]:.1f}")
+            lines[-1] += f" {unit}" if evaluation.deviations is None else f" ± {evaluation.deviations[i, k]:.2g} {unit}"
+        axis.set_title("\n".join(lines), fontsize=8)
     save_figure(figure, path)

@@ -4,7 +4,7 @@ The renderers (offscreen.py, viser_utils.py, replay_window.py) know nothing of r
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
@@ -15,21 +15,12 @@ from tactip_twin.sim.contact.signed_distance import SignedDistanceMesh
 from tactip_twin.sim.pose import sensor_in_contact
 from tactip_twin.sim.robot.irb120 import arm_spec
 from tactip_twin.sim.robot.recording import PHASES, RecordedScene
-
-Color = tuple[float, float, float]
-"""Red, green and blue, 0 to 255."""
-
-OBJECT_COLOR: Color = (232.0, 230.0, 225.0)
-SKIN_COLOR: Color = (58.0, 58.0, 64.0)
-TABLE_COLOR: Color = (186.0, 188.0, 192.0)
-
-PATH_COLORS: dict[str, Color] = {"surface": (200.0, 30.0, 30.0), "edge": (30.0, 70.0, 210.0)}
-"""Color of the path and its normals, by task."""
+from tactip_twin.sim.view.palette import ERROR_RAMP, HOUSING_COLOR, OBJECT_COLOR, SKIN_COLOR, TABLE_COLOR, Color, ramp_colors
 
 _CREASE_RAD = 0.6
 """Angle between two faces of an arm part above which their border is a crease, rad."""
 
-_NORMAL_M = 6e-3
+_NORMAL_M = 3e-3
 _NORMAL_SPACING_M = 2.5e-3
 """Length of the normals that are shown, and their spacing along the path, m."""
 
@@ -42,7 +33,7 @@ _TABLE_M = (0.9, 0.7)
 
 @dataclass(frozen=True)
 class ColoredMesh:
-    """A surface of one color."""
+    """A colored surface."""
 
     vertices: np.ndarray
     """(n, 3) m."""
@@ -52,11 +43,15 @@ class ColoredMesh:
     """(n, 3), unit."""
     color: Color
     """Red, green and blue, 0 to 255."""
+    vertex_colors: np.ndarray | None = None
+    """(n, 3), 0 to 255, colors of the vertices in the place of `color`; None if they are alike."""
+    lit: bool = True
+    """Whether it is shaded; a mesh whose colors are read by a scale is not."""
 
     def transformed(self, T: np.ndarray) -> "ColoredMesh":
         """Return this mesh transformed by T (4, 4)."""
         turn = T[:3, :3].T
-        return ColoredMesh(self.vertices @ turn + T[:3, 3], self.triangles, self.normals @ turn, self.color)
+        return replace(self, vertices=self.vertices @ turn + T[:3, 3], normals=self.normals @ turn)
 
 
 class SceneGeometry:
@@ -77,10 +72,11 @@ class SceneGeometry:
         self.sensor = sensor_meshes(scenery.tip_radius_m)
         """Meshes of the sensor without its skin, sensor frame."""
 
-    def skin_mesh(self, skin: np.ndarray) -> ColoredMesh:
-        """Return the mesh of recorded skin vertices (s, 3) m, sensor frame."""
-        normals = trimesh.Trimesh(skin, self.skin_triangles, process=False).vertex_normals
-        return ColoredMesh(np.asarray(skin, float), self.skin_triangles, np.asarray(normals), SKIN_COLOR)
+    def skin_mesh(self, skin: np.ndarray, colors: np.ndarray | None = None) -> ColoredMesh:
+        """Return the mesh of recorded skin vertices (s, 3) m, sensor frame, with colors (s, 3) or all alike."""
+        return ColoredMesh(
+            np.asarray(skin, float), self.skin_triangles, skin_normals(skin, self.skin_triangles), SKIN_COLOR, colors
+        )
 
     def body_poses(self, angles: ArrayLike) -> dict[str, np.ndarray]:
         """Return T_base_body (4, 4) of each body at joint angles (6,), rad."""
@@ -88,16 +84,19 @@ class SceneGeometry:
         mujoco.mj_kinematics(self._model, self._data)
         return {self._model.body(k).name: _pose(self._data.xmat[k], self._data.xpos[k]) for k in range(self._model.nbody)}
 
-    def moving_meshes(self, angles: np.ndarray, T_base_tcp: np.ndarray, skin: np.ndarray) -> list[ColoredMesh]:
+    def moving_meshes(
+        self, angles: np.ndarray, T_base_tcp: np.ndarray, skin: np.ndarray, skin_colors: np.ndarray | None = None
+    ) -> list[ColoredMesh]:
         """Return the meshes of sensor and arm at a step, base frame.
 
         Args:
             angles: (6,) rad; NaN without an arm.
             T_base_tcp: (4, 4).
             skin: (s, 3) m, sensor frame.
+            skin_colors: (s, 3), 0 to 255; None for one color.
         """
         # The sensor is placed by its own pose instead of the joint angles: the two agree up to rounding.
-        out = [mesh.transformed(T_base_tcp) for mesh in [self.skin_mesh(skin), *self.sensor]]
+        out = [mesh.transformed(T_base_tcp) for mesh in [self.skin_mesh(skin, skin_colors), *self.sensor]]
         if self.links and np.isfinite(angles).all():
             poses = self.body_poses(angles)
             out += [mesh.transformed(poses[body]) for body, meshes in self.links.items() for mesh in meshes]
@@ -138,26 +137,39 @@ def predicted_frames(arrays: Mapping[str, np.ndarray], end: int | None = None) -
     return np.array(frames).reshape(-1, 4, 4), steps
 
 
-def path_meshes(arrays: Mapping[str, np.ndarray], task: str, end: int | None = None) -> list[ColoredMesh]:
-    """Return meshes of a recording's path and of the normals predicted on it.
+def path_meshes(
+    arrays: Mapping[str, np.ndarray], errors: np.ndarray, largest: float, end: int | None = None
+) -> list[ColoredMesh]:
+    """Return meshes of a recording's path and of the normals predicted on it, colored by error.
 
     Args:
         arrays: Arrays of a recording (tactip_twin.sim.robot.recording.ARRAYS).
-        task: `surface` or `edge`.
+        errors: (steps,) errors by which it is colored.
+        largest: Error at the end of the color scale.
         end: First step that is left out; all steps are taken if None.
     """
-    places, chosen, ends = _path(predicted_frames(arrays, end)[0])
+    frames, steps = predicted_frames(arrays, end)
+    places, chosen, ends = _path(frames)
     if len(places) < 2:
         return []
-    normals = [tube(np.stack(pair), 0.3e-3, PATH_COLORS[task]) for pair in zip(places[chosen], ends, strict=True)]
-    return [tube(places, 0.7e-3, PATH_COLORS[task]), *normals]
+    colors = ramp_colors(errors[steps], largest, ERROR_RAMP)
+    normals = [tube(np.stack([places[k], ends[n]]), 0.3e-3, colors[[k, k]]) for n, k in enumerate(chosen)]
+    return [replace(mesh, lit=False) for mesh in (tube(places, 0.7e-3, colors), *normals)]
 
 
-def path_lines(arrays: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Return a recording's path and normals as line segments.
+def path_lines(
+    arrays: Mapping[str, np.ndarray], errors: np.ndarray, largest: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return a recording's path and normals as line segments, colored by error.
+
+    Args:
+        arrays: Arrays of a recording (tactip_twin.sim.robot.recording.ARRAYS).
+        errors: (steps,) errors by which it is colored.
+        largest: Error at the end of the color scale.
 
     Returns:
-        Segments (m, 2, 3) m, float32, in order of time, and their number up to each step, (steps,) int.
+        Segments (m, 2, 3) m, float32, in order of time, their colors (m, 3) uint8, and their number up to each step,
+        (steps,) int.
     """
     frames, steps = predicted_frames(arrays)
     places, chosen, ends = _path(frames)
@@ -166,7 +178,8 @@ def path_lines(arrays: Mapping[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray
     appears = np.concatenate([steps[1:], steps[chosen]])
     order = np.argsort(appears, kind="stable")
     counts = np.searchsorted(appears[order], np.arange(len(arrays["phase"])), side="right")
-    return lines[order].astype(np.float32), counts
+    colors = ramp_colors(errors[appears[order]], largest, ERROR_RAMP).round().astype(np.uint8)
+    return lines[order].astype(np.float32), colors, counts
 
 
 def _path(frames: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -180,13 +193,23 @@ def _path(frames: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return places, chosen, places[chosen] + _NORMAL_M * frames[chosen, :3, 2]
 
 
-def tube(points: np.ndarray, radius_m: float, color: Color, sides: int = 8) -> ColoredMesh:
+def skin_normals(skin: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Return the normals (s, 3) of a skin with vertices (s, 3) and triangles (t, 3)."""
+    return np.asarray(trimesh.Trimesh(skin, triangles, process=False).vertex_normals)
+
+
+def skin_displacements_mm(arrays: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Return how far each vertex of the skin is from its place at the first step, where the tip is in the air, (n, s) mm."""
+    return 1e3 * np.linalg.norm(arrays["skin_m"] - arrays["skin_m"][:1], axis=2)
+
+
+def tube(points: np.ndarray, radius_m: float, colors: np.ndarray, sides: int = 8) -> ColoredMesh:
     """Return a tube along points.
 
     Args:
         points: (n, 3) m, at least two.
         radius_m: Radius, m.
-        color: Color of the tube.
+        colors: (n, 3), 0 to 255, colors at the points.
         sides: Number of sides of its cross-section.
     """
     tangents = np.gradient(points, axis=0)
@@ -200,7 +223,9 @@ def tube(points: np.ndarray, radius_m: float, color: Color, sides: int = 8) -> C
     k, j = np.meshgrid(np.arange(len(points) - 1), np.arange(sides), indexing="ij")
     a, b = (k * sides + j).ravel(), (k * sides + (j + 1) % sides).ravel()
     triangles = np.concatenate([np.stack([a, b, a + sides], 1), np.stack([b, b + sides, a + sides], 1)])
-    return ColoredMesh(rings.reshape(-1, 3), triangles, normals.reshape(-1, 3), color)
+    return ColoredMesh(
+        rings.reshape(-1, 3), triangles, normals.reshape(-1, 3), OBJECT_COLOR, np.repeat(np.asarray(colors, float), sides, 0)
+    )
 
 
 def _table(placed: ColoredMesh) -> ColoredMesh:
@@ -223,7 +248,7 @@ def sensor_meshes(tip_radius_m: float) -> list[ColoredMesh]:
     site, body = model.site("tcp").id, model.body("sensor").id
     T_base_tcp = _pose(data.site_xmat[site], data.site_xpos[site])
     T_tcp_sensor = np.linalg.inv(T_base_tcp) @ _pose(data.xmat[body], data.xpos[body])
-    return [mesh.transformed(T_tcp_sensor) for mesh in body_meshes(model, "sensor")]
+    return [mesh.transformed(T_tcp_sensor) for mesh in body_meshes(model, "sensor", HOUSING_COLOR)]
 
 
 def body_meshes(model: mujoco.MjModel, name: str, color: Color | None = None) -> list[ColoredMesh]:

@@ -18,8 +18,24 @@ from tactip_twin.sim.fast_tip.fast_interactive import FastInteractiveContact
 from tactip_twin.sim.fast_tip.sliding_tip import SlidingTip
 from tactip_twin.sim.labels import COMPONENTS
 from tactip_twin.sim.pose import from_mm_deg, inverse, label_of, matrix, sensor_in_contact, to_mm_deg
-from tactip_twin.sim.view.geometry import OBJECT_COLOR, SKIN_COLOR, body_meshes, sensor_meshes, solid_mesh
-from tactip_twin.sim.view.viser_utils import LOCAL, add_mesh, grey, penetration_text, pin_lines, rgb, serve, set_pose, stop
+from tactip_twin.sim.view.camera_fit import beside
+from tactip_twin.sim.view.geometry import body_meshes, sensor_meshes, solid_mesh
+from tactip_twin.sim.view.palette import OBJECT_COLOR, SKIN_RAMP
+from tactip_twin.sim.view.status import penetration_text
+from tactip_twin.sim.view.tactile_picture import PinProjection, tactile_picture
+from tactip_twin.sim.view.tip_nodes import SEE_THROUGH, SKINS, TipNodes
+from tactip_twin.sim.view.viser_utils import (
+    IMAGE_PANEL_PX,
+    LOCAL,
+    add_image_panel,
+    add_mesh,
+    color_scale,
+    covered_fraction,
+    keep_in_view,
+    serve,
+    set_pose,
+    stop,
+)
 from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.tactile_image import tactile_image
@@ -32,6 +48,19 @@ _IDLE_S = 0.03
 
 _MAX_CLEARANCE_MM = 3.0
 """Largest distance from the stimulus on the slider, mm."""
+
+_PANEL_PX = 380
+"""Width of the panel, px."""
+
+_SKIN_END_MM = 4.0
+"""Displacement of the skin at the end of the color scale, mm."""
+
+_VIEWS = {
+    "overview": ((0.1, -0.25, 0.1), (0, 0, 0.025), 45.0),
+    "close": ((0.03, -0.1, 0.005), (0, 0, 0.008), 45.0),
+    "inside": ((0, 0, 0.022), (0, 0, 0), 110.0),
+}
+"""Eye, target, m, world, and field of view, degrees, of each view."""
 
 _SLIDER_NAMES = ("x, mm", "y, mm", "depth, mm", "roll, deg", "pitch, deg", "yaw, deg")
 
@@ -138,12 +167,17 @@ class LivePage:
         """Show a state of the tip, whose simulation took a number of seconds."""
         image = tactile_image(self._render(state.pin_tips, state.directions), self._design.image)
         predicted = self._read(image) if self._read else {}
+        arrows = np.stack([self._rest_px, self._project(state.pin_tips)], 1)
+        self._state = state
         with self._server.atomic():
             set_pose(self._stimulus, _T_WORLD_SENSOR @ inverse(sensor_in_contact(self._contact.label)))
-            self._skin.vertices = state.skin.astype(np.float32)
-            self._pins.points = pin_lines(state.pin_tips, state.directions)
-            self._image.image = grey(image)
+            self._show_tip()
+            self._image.image = tactile_picture(image, arrows)
             self._status.content = self._status_text(state, predicted, seconds)
+
+    def _show_tip(self) -> None:
+        """Show the tip in its last state."""
+        self._tip.show(self._state.skin, self._state.pin_tips, self._state.directions, self._state.force)
 
     def _status_text(self, state: TipState, predicted: Mapping[str, float], seconds: float) -> str:
         """Return the text beside the scene, Markdown."""
@@ -162,31 +196,33 @@ class LivePage:
     def _build_scene(self) -> None:
         scene, state = self._server.scene, self._contact.tip_state()
         scene.set_up_direction("+z")
-        scene.add_light_ambient("/lights/ambient", intensity=0.6)
         self._stimulus = scene.add_frame("/stimulus", show_axes=False)
         stimulus = self._contact.scene.stimulus
         solid = isinstance(stimulus, SolidStimulus)
         shown = [solid_mesh(stimulus.solid)] if solid else body_meshes(self._contact.scene.model, "stimulus", OBJECT_COLOR)
-        for n, mesh in enumerate(shown):
-            add_mesh(scene, f"/stimulus/{n}", mesh)
-        tip = scene.add_frame("/tip", show_axes=False)
-        set_pose(tip, _T_WORLD_SENSOR)
-        for n, mesh in enumerate(sensor_meshes(self._design.shape.radius_m)):
-            add_mesh(scene, f"/tip/{n}", mesh)
-        triangles = self._contact.scene.mesh.triangles.astype(np.uint32)
-        skin = state.skin.astype(np.float32)
-        self._skin = scene.add_mesh_simple("/tip/skin", skin, triangles, color=rgb(SKIN_COLOR), side="double")
-        pins = pin_lines(state.pin_tips, state.directions)
-        self._pins = scene.add_line_segments("/tip/pins", pins, (245, 245, 245), thickness=0.9e-3)
+        self._surfaces = [add_mesh(scene, f"/stimulus/{n}", mesh) for n, mesh in enumerate(shown)]
+        triangles = self._contact.scene.mesh.triangles
+        self._tip = TipNodes(scene, sensor_meshes(self._design.shape.radius_m), triangles, state.skin, _SKIN_END_MM)
+        set_pose(self._tip.frame, _T_WORLD_SENSOR)
+        self._state, self._project = state, PinProjection(self._design)
+        self._rest_px = self._project(state.pin_tips)
         # The handle is the target of the stimulus, which follows it.
         self._handle = scene.add_transform_controls("/target", scale=0.03, depth_test=False)
         self._handle.on_update(lambda _: self._on_drag())
-        self._set_view("overview", self._server.initial_camera)
+        self._views: dict[int, str] = {}
+
+        def welcome(client: viser.ClientHandle) -> None:
+            keep_in_view(client, lambda: self._set_view(self._views.get(client.client_id, "overview"), client))
+
+        self._server.on_client_connect(welcome)
 
     def _build_panel(self) -> None:
         gui, (low, high) = self._server.gui, ranges_of(self._name)
-        gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
+        gui.configure_theme(show_logo=False, show_share_button=False)
+        gui.main_panel.dock_right()
+        gui.main_panel.set_width(_PANEL_PX)
         gui.set_panel_label(f"{self._design.name}, {self._name}")
+        self._image = add_image_panel(gui, np.zeros((self._design.image.size_px,) * 2, np.uint8), with_arrows=True)
         self._sliders = []
 
         def on_update(event: viser.GuiEvent) -> None:
@@ -199,14 +235,24 @@ class LivePage:
             self._sliders.append(slider)
         self._place_handle()
         actions = gui.add_button_group("motion", ["lift and press", "reset"])
-        views = gui.add_button_group("view", ["overview", "close", "inside"])
-        see_through = gui.add_checkbox("transparent skin", False)
+        views = gui.add_button_group("view", list(_VIEWS))
+        skin = gui.add_dropdown("skin", SKINS)
+        see_through = gui.add_checkbox("see through the stimulus", False)
+        gui.add_html(color_scale("skin displacement, mm", _SKIN_END_MM, SKIN_RAMP))
         self._status = gui.add_markdown("")
-        self._image = gui.add_image(np.zeros((8, 8, 3), np.uint8), label="tactile image", format="png")
         functions = {"lift and press": self._on_lift, "reset": self._on_reset}
         actions.on_click(lambda event: functions[event.target.value]())
-        views.on_click(lambda event: event.client and self._set_view(event.target.value, event.client.camera))
-        see_through.on_update(lambda _: setattr(self._skin, "opacity", 0.35 if see_through.value else None))
+        views.on_click(lambda event: event.client and self._set_view(event.target.value, event.client))
+
+        @see_through.on_update
+        def _(_: viser.GuiEvent) -> None:
+            for surface in self._surfaces:
+                surface.opacity = SEE_THROUGH if see_through.value else None
+
+        @skin.on_update
+        def _(_: viser.GuiEvent) -> None:
+            self._tip.skin_style = skin.value
+            self._show_tip()
 
     def _request(self, label_mm_deg: Sequence[float] | np.ndarray) -> None:
         """Request a label (6,), mm and degrees."""
@@ -244,14 +290,17 @@ class LivePage:
         label = from_mm_deg([slider.value for slider in self._sliders])
         set_pose(self._handle, _T_WORLD_SENSOR @ inverse(sensor_in_contact(label)))
 
-    def _set_view(self, view: str, camera: viser.CameraHandle | viser.InitialCameraConfig) -> None:
-        """Move a camera to a view: `overview`, `close` or `inside`."""
-        eye, target, field = {
-            "overview": ((0.12, -0.3, 0.12), (0, 0, 0.03), 45.0),
-            "close": ((0.03, -0.1, -0.015), (0, 0, 0.005), 45.0),
-            "inside": ((0, 0, 0.022), (0, 0, 0), 110.0),
-        }[view]
-        camera.position, camera.look_at, camera.fov = eye, target, float(np.radians(field))
-        if isinstance(camera, viser.CameraHandle):
+    def _set_view(self, view: str, client: viser.ClientHandle) -> None:
+        """Move a viewer's camera to a view: `overview`, `close` or `inside`."""
+        self._views[client.client_id] = view
+        eye, target, field_deg = _VIEWS[view]
+        camera, field = client.camera, float(np.radians(field_deg))
+        if view != "inside":
+            covered = covered_fraction(camera, IMAGE_PANEL_PX)
+            eye, target = beside(np.array(eye), np.array(target), field, camera.aspect, covered)
+        # From inside, the handle would cover the pins.
+        self._handle.visible = view != "inside"
+        with client.atomic():
+            camera.position, camera.look_at, camera.fov = tuple(eye), tuple(target), field
             # The view from inside is oriented as the tactile image: x to the right, y down.
             camera.up_direction = tuple(-_T_WORLD_SENSOR[:3, 1]) if view == "inside" else (0.0, 0.0, 1.0)

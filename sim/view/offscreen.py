@@ -11,10 +11,10 @@ from tactip_twin.tactip_model.pyrender_renderer import renderer
 
 BACKGROUND = (252, 252, 252)
 
-_LIGHTS = (((0.3, -0.5, 0.8), 0.66), ((-0.7, 0.5, 0.4), 0.3))
+_LIGHTS = (((0.3, -0.5, 0.8), 0.58), ((-0.7, 0.5, 0.4), 0.26))
 """Directions and strengths of the lights."""
 
-_AMBIENT = 0.2
+_AMBIENT = 0.34
 
 _NEAR_M, _FAR_M = 0.02, 6.0
 
@@ -68,7 +68,7 @@ class SceneRenderer:
     def _mesh(self, meshes: Sequence[ColoredMesh]) -> Any:  # pyrender has no types
         """Return meshes as one pyrender mesh, with the light in its colors."""
         counts = np.cumsum([0] + [len(m.vertices) for m in meshes])
-        color = np.concatenate([shade(m.normals) * (np.array(m.color) / 255) for m in meshes])
+        color = np.concatenate([_light(m) * (m.color if m.vertex_colors is None else m.vertex_colors) / 255 for m in meshes])
         primitive = self._pyrender.Primitive(
             positions=np.concatenate([m.vertices for m in meshes]).astype(np.float32),
             indices=np.concatenate([m.triangles + n for m, n in zip(meshes, counts[:-1], strict=True)]),
@@ -87,6 +87,11 @@ def look_at(eye: ArrayLike, target: ArrayLike) -> np.ndarray:
     T[:3, :3] = np.stack([right, np.cross(back, right), back], 1)
     T[:3, 3] = eye
     return T
+
+
+def _light(mesh: ColoredMesh) -> np.ndarray:
+    """Return the light (n, 1), 0 to 1, on the vertices of a mesh."""
+    return shade(mesh.normals) if mesh.lit else np.ones((len(mesh.vertices), 1))
 
 
 def shade(normals: np.ndarray) -> np.ndarray:

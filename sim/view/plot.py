@@ -1,6 +1,7 @@
 """The style of all figures, by Matplotlib without a display."""
 
 import io
+from collections.abc import Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING
@@ -40,17 +41,20 @@ def pyplot() -> ModuleType:
     return plt
 
 
-def figure_of(rows: int, columns: int, size_in: tuple[float, float]) -> "tuple[Figure, list[Axes]]":
+def figure_of(
+    rows: int, columns: int, size_in: tuple[float, float], heights: Sequence[float] | None = None
+) -> "tuple[Figure, list[Axes]]":
     """Return a figure of the common style with rows × columns axes, row by row.
 
     Args:
         rows: Number of rows of axes.
         columns: Number of columns of axes.
         size_in: Width and height, inches.
+        heights: Ratios of the heights of the rows; None for rows alike.
     """
     plt = pyplot()
     with plt.rc_context(_STYLE):
-        figure, axes = plt.subplots(rows, columns, figsize=size_in, squeeze=False)
+        figure, axes = plt.subplots(rows, columns, figsize=size_in, squeeze=False, height_ratios=heights)
     return figure, list(axes.ravel())
 
 

@@ -1,5 +1,7 @@
 """A contact of a data set as a recording: simulated again, bit for bit, and recorded at every time step."""
 
+import dataclasses
+import json
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from os import PathLike
@@ -83,6 +85,7 @@ def record_contact(
         "task": configuration.task,
         "object": f"sample {sample} of {Path(folder).name}",
         "set": {"folder": str(folder), "digest": meta["digest"], "sample": sample, "contact": number},
+        "design": json.loads(json.dumps(dataclasses.asdict(configuration.design))),
         "shear": contact.shear.tolist(),
         "tries": len(failures) + 1,
         "versions": versions(),

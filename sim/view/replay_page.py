@@ -9,12 +9,29 @@ import numpy as np
 import viser
 from viser import uplot
 
-from tactip_twin.sim.labels import COMPONENTS, LEARNED
-from tactip_twin.sim.pose import to_mm_deg
-from tactip_twin.sim.robot.recording import PHASES, RecordedScene
-from tactip_twin.sim.view.geometry import PATH_COLORS, SKIN_COLOR, SceneGeometry, path_lines
+from tactip_twin.sim.robot.recording import RecordedScene
+from tactip_twin.sim.view.camera_fit import beside, fitted_camera
+from tactip_twin.sim.view.curves import BAND, Curve, curves_of, position_errors_mm
+from tactip_twin.sim.view.follow_camera import FollowCamera
+from tactip_twin.sim.view.geometry import SceneGeometry, path_lines, skin_displacements_mm
+from tactip_twin.sim.view.palette import ERROR_RAMP, ESTIMATED_COLOR, SKIN_RAMP, TRUE_COLOR, scale_end
 from tactip_twin.sim.view.playback import SPEEDS, Playback
-from tactip_twin.sim.view.viser_utils import LOCAL, add_mesh, grey, penetration_text, pin_lines, rgb, serve, set_pose, stop
+from tactip_twin.sim.view.status import status_lines
+from tactip_twin.sim.view.tactile_picture import pin_projection, tactile_picture
+from tactip_twin.sim.view.tip_nodes import SEE_THROUGH, SKINS, TipNodes
+from tactip_twin.sim.view.viser_utils import (
+    IMAGE_PANEL_PX,
+    LOCAL,
+    add_image_panel,
+    add_mesh,
+    color_scale,
+    covered_fraction,
+    keep_in_view,
+    line_colors,
+    serve,
+    set_pose,
+    stop,
+)
 from tactip_twin.tactip_model.errors import TactipError
 
 _PICTURES_HZ = 30.0
@@ -23,8 +40,22 @@ _PICTURES_HZ = 30.0
 _CURVES_HZ = 5.0
 """Rate at which the mark on the curves is sent: lower, because the curves are sent whole."""
 
-_CURVES = (("x", 0, "mm"), ("depth", 2, "mm"), ("Rx", 3, "deg"), ("Ry", 4, "deg"), ("Rz", 5, "deg"))
-"""Components that networks predict: name, index in a label, unit."""
+_PANEL_PX = 424
+"""Width of the panel, px."""
+
+_CURVE_PX = 104
+"""Height of a curve, px."""
+
+_FIELD_DEG = 40.0
+_TOWARDS = (0.5, -0.75, 0.45)
+"""Field of view of the overview, degrees, and the direction from the scene to its eye, base frame."""
+
+_CLOSE_M = (0.07, -0.13, 0.04)
+"""Place of the eye of the close view relative to the tip, m, base frame."""
+
+_VIEWS = ("overview", "close", "inside")
+
+_KEYS = "Keys: **space** play or pause, **← →** one step, **Home End** first and last step, **N P** next and previous event."
 
 
 class ReplayPage:
@@ -53,21 +84,28 @@ class ReplayPage:
         if not record["steps"]:
             raise TactipError("the recording has no steps to show")
         self._record, self._arrays, self._geometry = record, arrays, SceneGeometry(scenery)
-        self._predicted, self._true = to_mm_deg(arrays["predicted"]), to_mm_deg(arrays["true"])
-        self._deviations = to_mm_deg(arrays["deviations"])
-        self._lines, self._line_counts = path_lines(arrays)
-        if not len(self._lines):
-            self._lines = np.zeros((1, 2, 3), np.float32)  # viser needs a line
+        self._skin_end_mm = scale_end(skin_displacements_mm(arrays))
+        errors = position_errors_mm(arrays, record["task"])
+        self._error_end_mm = scale_end(errors)
+        self._lines, colors, self._line_counts = path_lines(arrays, errors, self._error_end_mm)
+        self._line_colors = line_colors(colors)
+        if not len(self._lines):  # viser needs a line
+            self._lines, self._line_colors = np.zeros((1, 2, 3), np.float32), np.zeros((1, 2, 3), np.uint8)
+        self._project = pin_projection(record)
         self.playback = Playback(record["steps"], [event["step"] for event in record["events"]])
         """State of the replay."""
         self.pictures = 0
         """Number of steps shown so far."""
         self._lock, self._shown, self._marked_s = threading.RLock(), -1, 0.0
+        self._views: dict[int, str] = {}
+        self._cameras: dict[int, FollowCamera] = {}
         self._server = serve(host, port)
         self.address = f"http://{host}:{self._server.get_port()}"
         """Address of the page."""
         self._build_scene()
         self._build_panel()
+        self._server.on_client_connect(self._welcome)
+        self._server.on_client_disconnect(self._forget)
         self.show()
 
     def run(self, seconds: float | None = None) -> None:
@@ -95,52 +133,63 @@ class ReplayPage:
                 return
             self._shown, self.pictures = k, self.pictures + 1
             self._slider.value = k
-            set_pose(self._tip, a["T_base_tcp"][k])
-            self._skin.vertices = a["skin_m"][k].astype(np.float32)
-            self._pins.points = pin_lines(a["pin_tips_m"][k], a["directions"][k])
+            set_pose(self._tip.frame, a["T_base_tcp"][k])
+            self._show_tip()
             if np.isfinite(a["angles_rad"][k]).all():
                 poses = self._geometry.body_poses(a["angles_rad"][k])
                 for body, frame in self._links.items():
                     set_pose(frame, poses[body])
-            self._path.points = self._lines[: max(1, self._line_counts[k])]
-            if self._image is not None:
-                self._image.image = grey(a["images"][k])
-            self._status.content = self._status_text(k)
+            count = max(1, self._line_counts[k])
+            self._path.points = self._lines[:count]
+            self._path.colors = self._line_colors[:count]
+            self._show_image()
+            first, *others = status_lines(self._record, a, k)
+            self._status.content = "  \n".join([f"**{first}**", *others])
+            self._follow()
             now = time.monotonic()
             if not self.playback.playing or now - self._marked_s > 1 / _CURVES_HZ:
                 self._marked_s = now
                 for handle, data in self._curves:
                     handle.data = (*data, _mark(data, k))
 
+    def _show_tip(self) -> None:
+        """Show the tip at the step that is shown."""
+        k, a = self._shown, self._arrays
+        self._tip.show(a["skin_m"][k], a["pin_tips_m"][k], a["directions"][k], a["force_n"][k])
+
+    def _show_image(self) -> None:
+        """Show the tactile image at the step that is shown."""
+        if self._image is not None:
+            k, tips = self._shown, self._arrays["pin_tips_m"]
+            arrows = None
+            if self._project and self._arrows.value:
+                arrows = np.stack([self._project(tips[0]), self._project(tips[k])], 1)
+            self._image.image = tactile_picture(self._arrays["images"][k], arrows)
+
     def _build_scene(self) -> None:
-        scene, geometry = self._server.scene, self._geometry
+        scene, geometry, skin = self._server.scene, self._geometry, self._arrays["skin_m"][0]
         scene.set_up_direction("+z")
-        scene.add_light_ambient("/lights/ambient", intensity=0.6)
-        for name, mesh in zip(("object", "table"), geometry.static, strict=True):
-            add_mesh(scene, f"/{name}", mesh)
+        self._object, _ = (
+            add_mesh(scene, f"/{n}", mesh) for n, mesh in zip(("object", "table"), geometry.static, strict=True)
+        )
         self._links = {}
         for body, meshes in geometry.links.items():
             self._links[body] = scene.add_frame(f"/arm/{body}", show_axes=False)
             for n, mesh in enumerate(meshes):
                 add_mesh(scene, f"/arm/{body}/{n}", mesh)
-        self._tip = scene.add_frame("/tip", show_axes=False)
-        for n, mesh in enumerate(geometry.sensor):
-            add_mesh(scene, f"/tip/{n}", mesh)
-        skin = self._arrays["skin_m"][0].astype(np.float32)
-        triangles = geometry.skin_triangles.astype(np.uint32)
-        self._skin = scene.add_mesh_simple("/tip/skin", skin, triangles, color=rgb(SKIN_COLOR), side="double")
-        pins = pin_lines(self._arrays["pin_tips_m"][0], self._arrays["directions"][0])
-        self._pins = scene.add_line_segments("/tip/pins", pins, (245, 245, 245), thickness=0.9e-3)
-        color = rgb(PATH_COLORS[self._record["task"]])
-        self._path = scene.add_line_segments("/path", self._lines[:1], color, thickness=0.6e-3)
-        self._set_view("overview", self._server.initial_camera)
+        self._tip = TipNodes(scene, geometry.sensor, geometry.skin_triangles, skin, self._skin_end_mm)
+        self._path = scene.add_line_segments("/path", self._lines[:1], self._line_colors[:1], thickness=0.8e-3)
 
     def _build_panel(self) -> None:
-        gui, replay = self._server.gui, self.playback
-        gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
-        gui.set_panel_label(f"{self._record['object']}, {self._record['task']}")
+        gui, replay, record = self._server.gui, self.playback, self._record
+        gui.configure_theme(show_logo=False, show_share_button=False)
+        gui.main_panel.dock_right()
+        gui.main_panel.set_width(_PANEL_PX)
+        gui.set_panel_label(f"{record['object']}, {record['task']}")
+        has_images = self._arrays["images"].size > 0
+        self._image = add_image_panel(gui, self._arrays["images"][0], self._project is not None) if has_images else None
         self._buttons = {"play": gui.add_button("Play")}
-        self._slider = gui.add_slider("step", 0, max(1, self._record["steps"] - 1), 1, 0)
+        self._slider = gui.add_slider("step", 0, max(1, record["steps"] - 1), 1, 0)
         moves = {
             "first": lambda: replay.forward(-(10**9)),
             "previous": lambda: replay.forward(-1),
@@ -149,112 +198,153 @@ class ReplayPage:
             "previous event": lambda: replay.jump(-1),
             "next event": lambda: replay.jump(1),
         }
-        speed = gui.add_dropdown("speed", [f"{s:g}" for s in SPEEDS], initial_value="1")
         step_buttons = gui.add_button_group("step", list(moves)[:4])
-        event_buttons = gui.add_button_group("event", list(moves)[4:])
-        views = gui.add_button_group("view", ["overview", "close", "inside"])
-        see_through = gui.add_checkbox("transparent skin", False)
+        event_buttons = gui.add_button_group("event", list(moves)[4:], visible=bool(record["events"]))
+        views = gui.add_button_group("view", _VIEWS)
+        # Its number of lines changes, and what is above it stays where it is.
         self._status = gui.add_markdown("")
-        has_images = self._arrays["images"].size > 0
-        self._image = (
-            gui.add_image(grey(self._arrays["images"][0]), label="tactile image", format="png") if has_images else None
-        )
-        self._curves = []
-        steps = np.arange(self._record["steps"], dtype=float)
-        for name, k, unit in _CURVES:
-            if COMPONENTS[k] in LEARNED[self._record["task"]]:
-                data = (steps, self._true[:, k].copy(), self._predicted[:, k].copy())
-                series = [uplot.Series(label="step"), uplot.Series(label="true", stroke="black", width=2)]
-                series += [uplot.Series(label="estimated", stroke="#c0392b", width=1)]
-                bands = ()
-                if np.isfinite(self._deviations[:, k]).any():
-                    spread = _BAND * self._deviations[:, k]
-                    data += (self._predicted[:, k] + spread, self._predicted[:, k] - spread)
-                    series += [uplot.Series(label=label, width=0) for label in ("highest", "lowest")]
-                    bands = (uplot.Band(series=(3, 4), fill="rgba(192, 57, 43, 0.2)"),)
-                series += [_dot()]
-                chart = gui.add_uplot(
-                    (*data, _mark(data, 0)),
-                    tuple(series),
-                    title=f"{name}, {unit}",
-                    bands=bands,
-                    scales={"x": uplot.Scale(time=False), "y": uplot.Scale(range=_span(data[:3]))},
-                    legend=uplot.Legend(show=False),
-                    aspect=3.0,
-                )
-                self._curves.append((chart, data))
+        gui.add_html(color_scale("skin displacement, mm", self._skin_end_mm, SKIN_RAMP))
+        gui.add_html(color_scale("position error on the path, mm", self._error_end_mm, ERROR_RAMP))
+        tabs = gui.add_tab_group()
+        with tabs.add_tab("curves"):
+            self._add_curves()
+        with tabs.add_tab("settings and keys"):
+            skin = gui.add_dropdown("skin", SKINS)
+            see_through = gui.add_checkbox("see through the object", False)
+            speed = gui.add_dropdown("speed", [f"{s:g}" for s in SPEEDS], initial_value="1")
+            self._follows = gui.add_checkbox("camera follows the tip", True)
+            self._arrows = gui.add_checkbox("arrows on the image", True, visible=self._project is not None)
+            gui.add_markdown(_KEYS)
 
-        def and_show(change: Callable[[], None]) -> Callable[[object], None]:
-            def callback(_: object) -> None:
-                with self._lock:
-                    change()
-                    self.show()
-
-            return callback
-
-        self._buttons["play"].on_click(and_show(replay.toggle))
+        self._buttons["play"].on_click(self._then_show(replay.toggle))
         for buttons in (step_buttons, event_buttons):
-            buttons.on_click(lambda event: and_show(moves[event.target.value])(event))
-        views.on_click(lambda event: event.client and self._set_view(event.target.value, event.client.camera))
-        speed.on_update(and_show(lambda: setattr(replay, "speed", float(speed.value))))
-        see_through.on_update(and_show(lambda: setattr(self._skin, "opacity", 0.35 if see_through.value else None)))
+            buttons.on_click(lambda event: self._then_show(moves[event.target.value])(event))
+        views.on_click(lambda event: event.client and self._set_view(event.target.value, event.client))
+        speed.on_update(self._then_show(lambda: setattr(replay, "speed", float(speed.value))))
+        self._arrows.on_update(self._then_show(self._show_image))
+        see_through.on_update(lambda _: setattr(self._object, "opacity", SEE_THROUGH if see_through.value else None))
+
+        @skin.on_update
+        def _(_: viser.GuiEvent) -> None:
+            with self._lock:
+                self._tip.skin_style = skin.value
+                self._show_tip()
 
         @self._slider.on_update
         def _(event: viser.GuiEvent) -> None:
             if event.client is not None:  # moved by the user, not by the replay
-                and_show(lambda: replay.go(self._slider.value))(event)
+                self._then_show(lambda: replay.go(self._slider.value))(event)
 
-        gui.add_command("Play or pause", hotkey="space").on_trigger(and_show(replay.toggle))
-        gui.add_command("Next step", hotkey="arrowright").on_trigger(and_show(moves["next"]))
-        gui.add_command("Previous step", hotkey="arrowleft").on_trigger(and_show(moves["previous"]))
-        gui.add_command("First step", hotkey="home").on_trigger(and_show(moves["first"]))
-        gui.add_command("Last step", hotkey="end").on_trigger(and_show(moves["last"]))
-        gui.add_command("Next event", hotkey="N").on_trigger(and_show(moves["next event"]))
-        gui.add_command("Previous event", hotkey="P").on_trigger(and_show(moves["previous event"]))
+        self._add_keys(moves)
 
-    def _set_view(self, view: str, camera: viser.CameraHandle | viser.InitialCameraConfig) -> None:
-        """Move a camera to a view: `overview`, `close` or `inside`."""
+    def _then_show(self, change: Callable[[], None]) -> Callable[[object], None]:
+        """Return a callback that makes a change and shows it."""
+
+        def callback(_: object) -> None:
+            with self._lock:
+                change()
+                self.show()
+
+        return callback
+
+    def _add_keys(self, moves: Mapping[str, Callable[[], None]]) -> None:
+        """Bind keys to playing and to moves by name."""
+        gui = self._server.gui
+        gui.add_command("Play or pause", hotkey="space").on_trigger(self._then_show(self.playback.toggle))
+        gui.add_command("Next step", hotkey="arrowright").on_trigger(self._then_show(moves["next"]))
+        gui.add_command("Previous step", hotkey="arrowleft").on_trigger(self._then_show(moves["previous"]))
+        gui.add_command("First step", hotkey="home").on_trigger(self._then_show(moves["first"]))
+        gui.add_command("Last step", hotkey="end").on_trigger(self._then_show(moves["last"]))
+        gui.add_command("Next event", hotkey="N").on_trigger(self._then_show(moves["next event"]))
+        gui.add_command("Previous event", hotkey="P").on_trigger(self._then_show(moves["previous event"]))
+
+    def _add_curves(self) -> None:
+        """Add a chart for each curve."""
+        self._curves = []
+        steps = np.arange(self._record["steps"], dtype=float)
+        for curve in curves_of(self._arrays, self._record["task"]):
+            data, series, bands = _chart(steps, curve)
+            chart = self._server.gui.add_uplot(
+                (*data, _mark(data, 0)),
+                (*series, _dot()),
+                title=f"{curve.name}, {curve.unit}",
+                bands=bands,
+                scales={"x": uplot.Scale(time=False), "y": uplot.Scale(range=curve.span)},
+                axes=(uplot.Axis(space=40), uplot.Axis(space=18)),
+                legend=uplot.Legend(show=True, live=True),
+                height=_CURVE_PX,
+            )
+            self._curves.append((chart, data))
+
+    def _welcome(self, client: viser.ClientHandle) -> None:
+        """Show a new viewer the overview."""
+        self._views[client.client_id] = "overview"
         with self._lock:
-            T = self._arrays["T_base_tcp"][self.playback.step]
-            poses = self._arrays["T_base_tcp"][:, :3, 3]
-        middle = (poses.min(0) + poses.max(0)) / 2
+            self._cameras[client.client_id] = FollowCamera(client.camera)
+
+        def look() -> None:
+            view = self._views.get(client.client_id)
+            if view in ("overview", "close"):
+                self._set_view(view, client)
+
+        keep_in_view(client, look)
+
+    def _forget(self, client: viser.ClientHandle) -> None:
+        """Forget a viewer who has left."""
+        with self._lock:
+            self._views.pop(client.client_id, None)
+            self._cameras.pop(client.client_id, None)
+
+    def _set_view(self, view: str, client: viser.ClientHandle) -> None:
+        """Move a viewer's camera to one of _VIEWS."""
+        self._views[client.client_id] = view
+        self._path.visible = view != "inside"  # it would cover the pins
+        with self._lock:
+            T = self._arrays["T_base_tcp"][max(0, self._shown)]
+        field, camera = np.radians(110.0 if view == "inside" else _FIELD_DEG), client.camera
+        covered = covered_fraction(camera, IMAGE_PANEL_PX) if self._image is not None else 0.0
         if view == "overview":
-            eye, target, field = middle + np.array([0.42, -0.6, 0.34]), middle + np.array([0, 0, 0.05]), 45.0
+            eye, target = fitted_camera(self._extent(), _TOWARDS, field, camera.aspect, covered)
         elif view == "close":
-            eye, target, field = T[:3, 3] + np.array([0.09, -0.14, 0.05]), T[:3, 3], 45.0
+            eye, target = beside(T[:3, 3] + _CLOSE_M, T[:3, 3], field, camera.aspect, covered)
         else:
-            eye, target, field = T[:3, 3] - 0.022 * T[:3, 2], T[:3, 3], 110.0
-        camera.position, camera.look_at, camera.fov = tuple(eye), tuple(target), float(np.radians(field))
-        if isinstance(camera, viser.CameraHandle):
+            eye, target = T[:3, 3] - 0.022 * T[:3, 2], T[:3, 3]
+        with client.atomic():
+            camera.position, camera.look_at, camera.fov = tuple(eye), tuple(target), float(field)
             # The view from inside is oriented as the tactile image: x to the right, y down.
             camera.up_direction = tuple(-T[:3, 1]) if view == "inside" else (0.0, 0.0, 1.0)
+        with self._lock:
+            self._cameras[client.client_id].start(eye, target, T[:3, 3])
 
-    def _status_text(self, k: int) -> str:
-        """Return the text beside the scene at a step, Markdown."""
-        a = self._arrays
-        seconds = 1e3 * a["seconds"][k]
-        lines = [
-            f"**step {k}** of {self._record['steps'] - 1}, {PHASES[int(a['phase'][k])]}{self._pass_text(k)}",
-            f"force {np.linalg.norm(a['force_n'][k]):.2f} N, {penetration_text(a['penetration_m'][k])}",
-            f"{seconds.sum():.0f} ms: simulation {seconds[0]:.0f}, image {seconds[1]:.0f}, network {seconds[2]:.0f}",
-        ]
-        events = [e for e in self._record["events"] if e["step"] == k]
-        lines += [f"**{e['kind']}**: {e['what']}" for e in events]
-        if k == self._record["steps"] - 1:
-            lines.append(f"ended: {self._record.get('stopped_because', 'the recording is incomplete')}")
-        return "\n\n".join(lines)
+    def _extent(self) -> np.ndarray:
+        """Return points (n, 3) m that the overview shows: the object, and the arm at the step that is shown."""
+        angles = self._arrays["angles_rad"][max(0, self._shown)]
+        T, skin = self._arrays["T_base_tcp"][max(0, self._shown)], self._arrays["skin_m"][0]
+        meshes = [self._geometry.static[0], *self._geometry.moving_meshes(angles, T, skin)]
+        return np.concatenate([mesh.vertices for mesh in meshes])
 
-    def _pass_text(self, k: int) -> str:
-        """Return the pass at a step that follows a route, else an empty text. The even parts of a route are its passes."""
-        if PHASES[int(self._arrays["phase"][k])] != "follow":
-            return ""
-        number, odd = divmod(int(self._arrays["part"][k]), 2)
-        count = int(self._arrays["part"].max() + 1) // 2 + 1
-        return f", between passes {number + 1} and {number + 2}" if odd else f", pass {number + 1} of {count}"
+    def _follow(self) -> None:
+        """Move the cameras of viewers who look at the tip with it."""
+        if self._follows.value:
+            for number, camera in self._cameras.items():
+                if self._views.get(number) in ("close", "inside"):
+                    camera.follow(self._arrays["T_base_tcp"][self._shown, :3, 3])
 
 
-_BAND = 2.0
-"""Half width of the band about the estimates, in standard deviations: it contains 95 % of the true values."""
+def _chart(steps: np.ndarray, curve: Curve) -> tuple[tuple[np.ndarray, ...], list[uplot.Series], tuple[uplot.Band, ...]]:
+    """Return the data, series and bands of a curve's chart."""
+    data: tuple[np.ndarray, ...] = (steps, curve.true)
+    first = curve.name if curve.estimated is None else "true"
+    series = [uplot.Series(label="step"), uplot.Series(label=first, stroke=TRUE_COLOR, width=2)]
+    if curve.estimated is None:
+        return data, series, ()
+    data, series = (*data, curve.estimated), [*series, uplot.Series(label="estimated", stroke=ESTIMATED_COLOR, width=1.5)]
+    if curve.deviations is None:
+        return data, series, ()
+    spread = BAND * curve.deviations
+    series += [uplot.Series(label=f"{sign}{BAND:g}σ", width=0) for sign in ("+", "−")]
+    bands = (uplot.Band(series=(3, 4), fill="rgba(194, 65, 12, 0.18)"),)
+    return (*data, curve.estimated + spread, curve.estimated - spread), series, bands
 
 
 def _mark(data: tuple[np.ndarray, ...], k: int) -> np.ndarray:
@@ -262,13 +352,6 @@ def _mark(data: tuple[np.ndarray, ...], k: int) -> np.ndarray:
     out = np.full(len(data[0]), np.nan)
     out[k] = data[1][k]
     return out
-
-
-def _span(data: tuple[np.ndarray, ...]) -> tuple[float, float]:
-    """Return the lowest and highest value of the curves, with a margin."""
-    values = np.concatenate(data[1:])
-    low, high = float(np.nanmin(values)), float(np.nanmax(values))
-    return low - 0.05 * (high - low) - 1e-3, high + 0.05 * (high - low) + 1e-3
 
 
 def _dot() -> uplot.Series:

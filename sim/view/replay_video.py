@@ -1,4 +1,4 @@
-"""A recording as video frames: the arm over the object, the tactile image, and predictions against ground truth."""
+"""A recording as video frames: arm and object, a close view of the tip, tactile image, force and predictions."""
 
 import io
 from collections.abc import Iterator, Mapping
@@ -7,11 +7,14 @@ from typing import Any
 import cv2
 import numpy as np
 
-from tactip_twin.sim.pose import to_mm_deg
 from tactip_twin.sim.robot.recording import RecordedScene
-from tactip_twin.sim.view.geometry import SceneGeometry, path_meshes
+from tactip_twin.sim.view.camera_fit import fitted_camera
+from tactip_twin.sim.view.curves import BAND, curves_of, position_errors_mm
+from tactip_twin.sim.view.geometry import SceneGeometry, path_meshes, skin_displacements_mm
 from tactip_twin.sim.view.offscreen import BACKGROUND, SceneRenderer
+from tactip_twin.sim.view.palette import ESTIMATED_COLOR, SKIN_RAMP, TRUE_COLOR, ramp_colors, scale_end
 from tactip_twin.sim.view.plot import pyplot
+from tactip_twin.sim.view.tactile_picture import pin_projection, tactile_picture
 
 WIDTH, HEIGHT = 1120, 630
 _VIEW = 700
@@ -20,19 +23,18 @@ _VIEW = 700
 _IMAGE = 256
 """Width of the tactile image, px."""
 
-_EYE_M = (0.30, -0.44, 0.24)
-"""Position of the eye relative to the path, m, base frame."""
+_TOWARDS = (0.5, -0.75, 0.45)
+"""Direction from the scene to the eye, base frame."""
 
-_CLOSE_UP = 0.55
-"""Factor on that distance without an arm, -."""
+_FIELD_DEG = 36.0
 
-_FIELD_DEG = 40.0
+_INSET = 230
+_INSET_EYE_M = (0.07, -0.13, 0.05)
+_INSET_FIELD_DEG = 34.0
+"""Width of the close view, px, the place of its eye relative to the tip, m, base frame, and its field of view."""
 
-_CURVES = {
-    "surface": (("depth, mm", 2), ("Rx, deg", 3), ("Ry, deg", 4)),
-    "edge": (("x, mm", 0), ("depth, mm", 2), ("Rz, deg", 5)),
-}
-"""Curves by task: title and index in a label."""
+_CURVES = {"surface": ("force", "depth", "Rx", "Ry"), "edge": ("force", "x", "depth", "Rz")}
+"""Names of the curves by task."""
 
 
 def render_frames(
@@ -54,24 +56,30 @@ def render_frames(
     """
     if not record["steps"]:
         return
-    task = record["task"]
-    geometry = SceneGeometry(scenery)
+    task, poses = record["task"], arrays["T_base_tcp"]
+    geometry, project = SceneGeometry(scenery), pin_projection(record)
     renderer = SceneRenderer(_VIEW, HEIGHT, geometry.static)
     curves, left, right = _curves(arrays, task)
-    poses = arrays["T_base_tcp"]
-    middle = (poses[:, :3, 3].min(0) + poses[:, :3, 3].max(0)) / 2 + [0, 0, 0.03]
-    eye = middle + np.multiply(_EYE_M, 1.0 if scenery.with_arm else _CLOSE_UP)
+    errors, displacements = position_errors_mm(arrays, task), skin_displacements_mm(arrays)
+    error_end, displacement_end = scale_end(errors), scale_end(displacements)
+    extent = [geometry.static[0], *geometry.moving_meshes(arrays["angles_rad"][-1], poses[-1], arrays["skin_m"][-1])]
+    eye, target = fitted_camera(
+        np.concatenate([mesh.vertices for mesh in extent]), _TOWARDS, np.radians(_FIELD_DEG), _VIEW / HEIGHT, left=0.18
+    )
     for k in range(0, len(poses), every):
-        meshes = geometry.moving_meshes(arrays["angles_rad"][k], poses[k], arrays["skin_m"][k])
-        meshes += path_meshes(arrays, task, k + 1)
+        colors = ramp_colors(displacements[k], displacement_end, SKIN_RAMP)
+        meshes = geometry.moving_meshes(arrays["angles_rad"][k], poses[k], arrays["skin_m"][k], colors)
+        meshes += path_meshes(arrays, errors, error_end, k + 1)
         frame = np.empty((HEIGHT, WIDTH, 3), np.uint8)
         frame[:] = BACKGROUND
-        frame[:, :_VIEW] = renderer.render(meshes, eye, middle, _FIELD_DEG)
-        image = arrays["images"][k]
-        if image.size:
-            left_px = _VIEW + (WIDTH - _VIEW - _IMAGE) // 2
-            large = cv2.resize(image, (_IMAGE, _IMAGE), interpolation=cv2.INTER_AREA)
-            frame[16 : 16 + _IMAGE, left_px : left_px + _IMAGE] = large[..., None]
+        frame[:, :_VIEW] = renderer.render(meshes, eye, target, _FIELD_DEG)
+        tip = poses[k, :3, 3]
+        close = renderer.render(meshes, tip + _INSET_EYE_M, tip, _INSET_FIELD_DEG)
+        _paste(frame, close[:, (_VIEW - HEIGHT) // 2 :][:, :HEIGHT], 12, 12, _INSET)
+        if arrays["images"][k].size:
+            arrows = None if project is None else np.stack([project(arrays["pin_tips_m"][j]) for j in (0, k)], 1)
+            picture = tactile_picture(arrays["images"][k], arrows)
+            _paste(frame, picture, 16, _VIEW + (WIDTH - _VIEW - _IMAGE) // 2, _IMAGE)
         marked = curves.copy()
         now = round(left + (right - left) * k / max(1, len(poses) - 1))
         marked[:, now : now + 2] = (120, 120, 120)
@@ -79,8 +87,11 @@ def render_frames(
         yield frame
 
 
-_BAND = 2.0
-"""Half width of the band about the estimates, in standard deviations: it contains 95 % of the true values."""
+def _paste(frame: np.ndarray, picture: np.ndarray, top: int, left: int, width: int) -> None:
+    """Draw a square picture into a frame, `width` px wide, with a thin border."""
+    frame[top - 1 : top + width + 1, left - 1 : left + width + 1] = (150, 150, 150)
+    small = cv2.resize(np.ascontiguousarray(picture), (width, width), interpolation=cv2.INTER_AREA)
+    frame[top : top + width, left : left + width] = small
 
 
 def _curves(arrays: Mapping[str, np.ndarray], task: str) -> tuple[np.ndarray, float, float]:
@@ -90,24 +101,25 @@ def _curves(arrays: Mapping[str, np.ndarray], task: str) -> tuple[np.ndarray, fl
         Image (h, w, 3) uint8, and the columns of its first and last step, px.
     """
     plt = pyplot()
-    predicted, true, deviations = (to_mm_deg(arrays[name]) for name in ("predicted", "true", "deviations"))
-    touching = arrays["touching"] > 0
     wide, high = WIDTH - _VIEW, HEIGHT - _IMAGE - 32
-    names = _CURVES[task]
-    figure, axes = plt.subplots(len(names), 1, figsize=(wide / 100, high / 100), dpi=100, sharex=True)
-    for axis, (name, k) in zip(axes, names, strict=True):
-        axis.plot(true[:, k], color="0.15", lw=1.2, label="true")
-        if np.isfinite(deviations[touching, k]).all():
-            low, top = predicted[:, k] - _BAND * deviations[:, k], predicted[:, k] + _BAND * deviations[:, k]
-            axis.fill_between(range(len(low)), low, top, where=touching, color="C3", alpha=0.2, lw=0)
-        axis.plot(predicted[:, k], color="C3", lw=0.8, label="estimated")
-        values = np.concatenate([true[touching, k], [-1.0, 1.0]])
-        low, top = np.percentile(values, [1, 99])
-        axis.set(xlim=(0, max(1, len(predicted) - 1)), ylim=(low - 0.15 * (top - low), top + 0.15 * (top - low)))
-        axis.set_ylabel(name, fontsize=8)
+    by_name = {curve.name: curve for curve in curves_of(arrays, task)}
+    chosen = [by_name[name] for name in _CURVES[task]]
+    steps = np.arange(len(arrays["phase"]))
+    figure, axes = plt.subplots(len(chosen), 1, figsize=(wide / 100, high / 100), dpi=100, sharex=True)
+    for axis, curve in zip(axes, chosen, strict=True):
+        axis.plot(steps, curve.true, color=TRUE_COLOR, lw=1.2, label="true")
+        if curve.estimated is not None:
+            if curve.deviations is not None:
+                low, top = curve.estimated - BAND * curve.deviations, curve.estimated + BAND * curve.deviations
+                axis.fill_between(steps, low, top, color=ESTIMATED_COLOR, alpha=0.2, lw=0)
+            axis.plot(steps, curve.estimated, color=ESTIMATED_COLOR, lw=0.9, label="estimated")
+        axis.set(xlim=(0, max(1, len(steps) - 1)), ylim=curve.span)
+        axis.set_ylabel(f"{curve.name}, {curve.unit}", fontsize=8)
+        axis.locator_params(axis="y", nbins=4)
         axis.tick_params(labelsize=7)
         axis.spines[["top", "right"]].set_visible(False)
-    axes[0].legend(fontsize=7, loc="lower right", bbox_to_anchor=(1, 0.95), frameon=False, ncol=2)
+    axes[1].legend(fontsize=7, loc="lower right", bbox_to_anchor=(1, 0.9), frameon=False, ncol=2)
+    figure.align_ylabels()
     axes[-1].set_xlabel("step", fontsize=8)
     figure.tight_layout(pad=0.6)
     data = io.BytesIO()

@@ -19,7 +19,9 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from tactip_twin.sim.robot.recording import PHASES, RecordedScene
-from tactip_twin.sim.view.geometry import PATH_COLORS, SKIN_COLOR, ColoredMesh, SceneGeometry, path_lines
+from tactip_twin.sim.view.curves import position_errors_mm
+from tactip_twin.sim.view.geometry import ColoredMesh, SceneGeometry, path_lines
+from tactip_twin.sim.view.palette import SKIN_COLOR, scale_end
 from tactip_twin.sim.view.playback import Playback
 from tactip_twin.tactip_model.errors import TactipError
 
@@ -61,7 +63,8 @@ class ReplayWindow:
         self.model = self._compile()
         """The model that is shown."""
         self.data = mujoco.MjData(self.model)
-        self._lines, self._line_counts = path_lines(arrays)
+        errors = position_errors_mm(arrays, record["task"])
+        self._lines, self._line_colors, self._line_counts = path_lines(arrays, errors, scale_end(errors))
         self._shown = -1
         self.show()
 
@@ -119,9 +122,10 @@ class ReplayWindow:
     def draw_path(self, scene: mujoco.MjvScene) -> None:
         """Add the path so far and the normals predicted on it to a scene, as far as it has room."""
         count, kind = min(int(self._line_counts[self._shown]), scene.maxgeom), mujoco.mjtGeom.mjGEOM_CAPSULE
-        rgba = np.array([*(c / 255 for c in PATH_COLORS[self._record["task"]]), 1.0], np.float32)
-        for geom, (start, end) in zip(scene.geoms[scene.ngeom : count], self._lines[scene.ngeom : count], strict=True):
-            mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.zeros(9), rgba)
+        rgba = np.concatenate([self._line_colors / np.float32(255), np.ones((len(self._lines), 1), np.float32)], 1)
+        chosen = slice(scene.ngeom, count)
+        for geom, (start, end), color in zip(scene.geoms[chosen], self._lines[chosen], rgba[chosen], strict=True):
+            mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.zeros(9), color)
             mujoco.mjv_connector(geom, kind, _PATH_RADIUS_M, start.astype(float), end.astype(float))
         scene.ngeom = count
 

@@ -18,7 +18,7 @@ ENDINGS = (".mp4", ".gif")
 _GIF_WIDTH = 960
 """Maximum width of a GIF, px."""
 
-_GIF_COLORS = 128
+_GIF_COLORS = 256
 
 
 def write_video(path: str | os.PathLike[str], frames: Iterable[np.ndarray], rate: int = 25) -> int:
@@ -76,6 +76,6 @@ def _gif(path: Path, frames: Iterator[np.ndarray], rate: int) -> int:
     for frame in frames:
         height = round(frame.shape[0] * min(1.0, _GIF_WIDTH / frame.shape[1]))
         small = cv2.resize(frame, (min(frame.shape[1], _GIF_WIDTH), height), interpolation=cv2.INTER_AREA)
-        images.append(Image.fromarray(small).quantize(_GIF_COLORS, dither=Image.Dither.NONE))
+        images.append(Image.fromarray(small).quantize(_GIF_COLORS, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE))
     images[0].save(path, "GIF", save_all=True, append_images=images[1:], duration=round(1000 / rate), loop=0)
     return len(images)

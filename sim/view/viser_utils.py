@@ -7,6 +7,7 @@ site's name resolves to this machine, and so are programs other than browsers.
 
 import asyncio
 import contextlib
+import html
 import io
 import logging
 import math
@@ -27,7 +28,9 @@ from websockets.asyncio.server import ServerConnection
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
-from tactip_twin.sim.view.geometry import Color, ColoredMesh
+from tactip_twin.sim.view.geometry import ColoredMesh
+from tactip_twin.sim.view.palette import Color, css_gradient, linear
+from tactip_twin.sim.view.tactile_picture import ARROW_TEXT, tactile_picture
 from tactip_twin.tactip_model.bounds import require
 from tactip_twin.tactip_model.errors import TactipError
 
@@ -35,8 +38,20 @@ LOCAL = "127.0.0.1"
 
 _MAX_PORT = 65535
 
-_PIN_M = 1.1e-3
-"""Length at which a pin is shown, m: shorter than the pin, whose root is within the skin."""
+_SKY_COLOR, _GROUND_COLOR = (255, 255, 255), (172, 166, 160)
+_SKY, _SUN, _HEADLIGHT = 1.1, 1.5, 0.8
+"""Colors and strengths of the lights: from all around, from above, and from the viewer's camera."""
+
+IMAGE_PANEL_PX = 344
+"""Width of the window with the tactile image, with its margins, px."""
+
+_SMALL = "font-size:12px;margin:3px 10px"
+"""Style of small text."""
+
+_BACKGROUND = (255, 255, 255), (222, 226, 232)
+"""Colors of the background at the top and at the bottom."""
+
+_SUN_FROM = (0.3, -0.5, 0.9)
 
 
 def serve(host: str, port: int) -> viser.ViserServer:
@@ -84,9 +99,45 @@ def serve(host: str, port: int) -> viser.ViserServer:
     finally:
         websockets.asyncio.server.serve = unrestricted
     # In a browser without a GPU, shadows and reflections would take five sixths of the frame rate.
-    server.scene.configure_default_lights(cast_shadow=False)
+    server.scene.configure_default_lights(enabled=False, cast_shadow=False)
     server.scene.configure_environment_map(None)
+    server.scene.add_light_hemisphere("/lights/sky", sky_color=_SKY_COLOR, ground_color=_GROUND_COLOR, intensity=_SKY)
+    server.scene.add_light_directional("/lights/sun", intensity=_SUN, position=_SUN_FROM)
+    server.scene.set_background_image(_background(), format="png")
+    server.on_client_connect(_add_headlight)
     return server
+
+
+def keep_in_view(client: viser.ClientHandle, look: Callable[[], None]) -> None:
+    """Move a viewer's camera by `look`, now and whenever the size of the scene changes, as by the panel beside it."""
+    look()
+    size = [client.camera.image_width, client.camera.image_height]
+
+    @client.camera.on_update
+    def _(camera: viser.CameraHandle) -> None:
+        if size != [camera.image_width, camera.image_height]:
+            size[:] = camera.image_width, camera.image_height
+            look()
+
+
+def covered_fraction(camera: viser.CameraHandle, width_px: int) -> float:
+    """Return the fraction of the width of a viewer's scene that a window at its left covers."""
+    return min(0.5, width_px / max(camera.image_width, 1))
+
+
+def _background() -> np.ndarray:
+    """Return the background (h, w, 3) uint8: white above, a light grey below."""
+    rows = np.linspace(_BACKGROUND[0], _BACKGROUND[1], 256).round().astype(np.uint8)
+    return np.repeat(rows[:, None], 4, 1)
+
+
+def _add_headlight(client: viser.ClientHandle) -> None:
+    """Give a viewer a light that shines from where it looks, so what it sees is never dark."""
+    light = client.scene.add_light_directional("/lights/head", intensity=_HEADLIGHT)
+
+    @client.camera.on_update
+    def _(camera: viser.CameraHandle) -> None:
+        light.position = camera.position - camera.look_at
 
 
 def _refusal(headers: Headers, served: str) -> str:
@@ -201,14 +252,9 @@ def set_pose(handle: viser.SceneNodeHandle, T: np.ndarray) -> None:
     handle.wxyz = Rotation.from_matrix(T[:3, :3]).as_quat(scalar_first=True)
 
 
-def pin_lines(tips: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """Return segments (p, 2, 3) m, float32, that show pins: pin tips and directions (p, 3), sensor frame."""
-    return np.stack([tips - _PIN_M * directions, tips], 1).astype(np.float32)
-
-
-def grey(image: np.ndarray) -> np.ndarray:
-    """Return a tactile image (n, n) as (n, n, 3), as viser needs it."""
-    return np.repeat(image[..., None], 3, axis=-1)
+def line_colors(colors: np.ndarray) -> np.ndarray:
+    """Return colors (n, 3), 0 to 255, of lines as viser needs them, (n, 2, 3) uint8: for both ends, and linear."""
+    return np.repeat((255 * linear(np.asarray(colors) / 255)).round().astype(np.uint8)[:, None], 2, 1)
 
 
 def rgb(color: Color) -> tuple[int, int, int]:
@@ -217,6 +263,21 @@ def rgb(color: Color) -> tuple[int, int, int]:
     return round(red), round(green), round(blue)
 
 
-def penetration_text(penetration_m: float) -> str:
-    """Return a text about a penetration; NaN where the contact was predicted."""
-    return f"penetration {1e3 * penetration_m:.3f} mm" if np.isfinite(penetration_m) else "predicted"
+def add_image_panel(
+    gui: viser.GuiApi, image: np.ndarray, with_arrows: bool, width_px: int = IMAGE_PANEL_PX - 24
+) -> viser.GuiImageHandle:
+    """Add a window with the tactile image (n, n) at the top left of the scene, and return the image's handle."""
+    panel = gui.add_panel()
+    panel.float(x=12, y=12, width=width_px)
+    with panel.add_tab("tactile image"):
+        handle = gui.add_image(tactile_picture(image), format="png")
+        if with_arrows:
+            gui.add_html(f'<div style="{_SMALL}">{ARROW_TEXT}</div>')
+    return handle
+
+
+def color_scale(title: str, largest: float, ramp: tuple[Color, ...]) -> str:
+    """Return the HTML of a color scale from 0 to `largest`."""
+    bar = f'<span style="flex:1;height:10px;border-radius:3px;background:{css_gradient(ramp)}"></span>'
+    row = f"<span>{html.escape(title)}</span><span>0</span>{bar}<span>{largest:g}</span>"
+    return f'<div style="display:flex;gap:6px;align-items:center;{_SMALL}">{row}</div>'

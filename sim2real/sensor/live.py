@@ -47,6 +47,10 @@ class Reading:
 
     deviations: dict[str, float] = field(default_factory=dict)
     """Standard deviations of the predicted values; empty if the network has none."""
+    pins_px: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
+    """(n, 2) places of the detected pins on the tactile image, px."""
+    rest_px: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
+    """(p, 2) those of the undeformed tip."""
     unlike: str = ""
     """In what the image is unlike those that the network learned, in words; empty if in nothing, or without a network."""
 
@@ -96,12 +100,12 @@ class LiveSensor:
         Raises:
             TactipError: If the first frame shows no tip, or the source of the frames fails.
         """
-        reader, usual, start = None, 0, 0.0
+        reader, rest, start = None, np.zeros((0, 2)), 0.0
         check = None if self._model is None else image_check(self._model)
         for number, frame in enumerate(self._frames):
             if reader is None:
                 neutral = frame if self._neutral is None else self._neutral
-                reader, usual, start = self._reader(neutral)
+                reader, rest, start = self._reader(neutral)
             try:
                 binary = reader.masked(frame)
                 image = reader.tactile(frame, binary)
@@ -111,24 +115,28 @@ class LiveSensor:
                 size = self._options.size_px
                 yield Reading(number, time.perf_counter() - start, 0, np.zeros((size, size), np.uint8), {}, str(error))
                 continue
-            pins = len(find_blobs(binary).centres)
+            blobs = reader.on_image(find_blobs(binary).centres, binary)
+            pins, usual = len(blobs), len(rest)
             fault = "" if pins >= MIN_PIN_FRACTION * usual else f"{pins} pins detected, the undeformed tip has {usual}"
             predicted, deviations = ({}, {}) if fault or self._model is None else self._predicted(self._model, image)
             unlike = check.problem(image) if check and predicted else ""
-            yield Reading(number, time.perf_counter() - start, pins, image, predicted, fault, deviations, unlike)
+            yield Reading(
+                number, time.perf_counter() - start, pins, image, predicted, fault, deviations, blobs, rest, unlike
+            )
 
-    def _reader(self, neutral: np.ndarray) -> tuple[FrameReader, int, float]:
-        """Return a FrameReader, the number of pins of the undeformed tip, and the time now, s."""
+    def _reader(self, neutral: np.ndarray) -> tuple[FrameReader, np.ndarray, float]:
+        """Return a FrameReader, the places (p, 2) of the undeformed tip's pins on the image, px, and the time now, s."""
         try:
             reader = FrameReader(self._options, neutral)
         except TactipError as error:
             raise TactipError(f"no tip in the first frame: {error}; check light, threshold and crop") from error
-        usual = len(find_blobs(reader.masked(neutral)).centres)
-        if usual < _MIN_PINS:
+        binary = reader.masked(neutral)
+        rest = reader.on_image(find_blobs(binary).centres, binary)
+        if len(rest) < _MIN_PINS:
             raise TactipError(
-                f"the first frame must show at least {_MIN_PINS} pins, got {usual}: check light, threshold and crop"
+                f"the first frame must show at least {_MIN_PINS} pins, got {len(rest)}: check light, threshold and crop"
             )
-        return reader, usual, time.perf_counter()
+        return reader, rest, time.perf_counter()
 
     def _predicted(self, model: "Model", image: np.ndarray) -> tuple[dict[str, float], dict[str, float]]:
         """Return a network's estimates and their standard deviations by column, from a tactile image (size, size)."""

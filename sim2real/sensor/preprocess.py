@@ -154,6 +154,11 @@ class FrameReader:
         """Return the binary tactile image (size, size) of a `masked` frame."""
         return self._square(binary, self._image.size_px)
 
+    def on_image(self, places: np.ndarray, binary: np.ndarray) -> np.ndarray:
+        """Return the places (..., 2), px, on the tactile image of places on a `masked` frame (h, w)."""
+        left, top, right, bottom = self._image.crop or (0, 0, *binary.shape[::-1])
+        return (places + 0.5 - (left, top)) * self._image.size_px / (right - left, bottom - top) - 0.5
+
     def with_rim(self, frame: np.ndarray) -> np.ndarray:
         """Return the binary frame in its own resolution, cropped but not masked."""
         return self.cropped(self.binary(frame))

@@ -1,6 +1,7 @@
 """Evaluation: figures, tables, and sets that do not fit the network."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from tactip_twin.commands import main as tactip
 from tactip_twin.learning.configuration import TrainSettings
 from tactip_twin.learning.data import read_samples, read_splits
 from tactip_twin.learning.evaluate import binned, evaluate, tables
+from tactip_twin.learning.evaluation_page import write_evaluation
 from tactip_twin.learning.model import load_model, save_model
 from tactip_twin.sim.dataset.format import read_dataset
 from tactip_twin.tactip_model.presets import design_named
@@ -104,3 +106,20 @@ def test_predictions_far_outside_the_learned_range_are_counted_and_said(splits, 
     out, err = capsys.readouterr()
     assert json.loads(out)["outside_fraction"] == 1
     assert "100% of the predictions are far outside the range that the network learned" in err
+
+
+def test_constant_components_and_labels_outside_the_range_are_told(data, splits, tmp_path):
+    quiet(*splits, NET, QUICK, tmp_path / "run")
+    model, samples = load_model(tmp_path / "run"), read_samples(data / "test")
+    labels = model.labels
+    model = replace(model, labels=replace(labels, low=(labels.low[0], labels.low[1] / 2, labels.low[2])))
+    samples.targets[:, 2] = 0.3
+    evaluation = evaluate(model, samples)
+    assert evaluation.figures["varies"] == {"pose_z": True, "pose_Rx": True, "pose_Ry": False}
+    fractions = evaluation.figures["labels_outside"]
+    assert fractions["pose_Rx"] == (samples.targets[:, 1] < labels.low[1] / 2).mean() > 0.1
+    assert fractions["pose_z"] == fractions["pose_Ry"] == 0
+    write_evaluation(evaluation, samples, model, tmp_path / "report")
+    page = (tmp_path / "report" / "evaluation.md").read_text()
+    assert "leaves out pose_Ry, which hardly varies" in page
+    assert f"| {100 * fractions['pose_Rx']:.1f} % |" in page

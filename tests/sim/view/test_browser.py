@@ -59,16 +59,16 @@ def replay():
 
 
 def test_replay_is_drawn(replay):
+    def drawn(holds):
+        scene = replay.browser.screenshot()[:, 350:800].astype(int)
+        return len(np.unique(scene.reshape(-1, 3), axis=0)) > 100 and holds(scene)
+
     replay.text("step 0")
+    # The object is warm; the background is not.
+    replay.until(lambda: drawn(lambda scene: (scene[..., 0] - scene[..., 2] > 4).mean() > 0.005))
     replay.browser.click("close")
-
-    def drawn():
-        scene = replay.browser.screenshot()[:, :800].astype(int)
-        grey = np.ptp(scene, axis=2) < 30
-        # The skin is nearly black, the object nearly white, and the background is neither.
-        return (grey & (scene.max(2) < 80)).mean() > 0.004 and len(np.unique(scene.reshape(-1, 3), axis=0)) > 100
-
-    replay.until(drawn)
+    # The housing and the lit skin fill the middle: neither is black, nor as light as the background.
+    replay.until(lambda: drawn(lambda scene: ((scene.max(2) < 150) & (scene.max(2) > 40)).mean() > 0.15))
 
 
 def test_replay_plays_and_pauses_on_click(replay):

@@ -64,9 +64,10 @@ def test_meshes_are_moved_whole(geometry):
 
 def test_tube_is_round():
     points = np.column_stack([np.linspace(0, 1, 20), np.zeros(20), np.zeros(20)])
-    one = tube(points, 0.05, (255.0, 0, 0))
+    one = tube(points, 0.05, np.column_stack([np.arange(20.0), np.zeros((20, 2))]))
     assert np.allclose(np.hypot(*one.vertices[:, 1:].T), 0.05)
     assert one.triangles.max() == len(one.vertices) - 1
+    assert np.allclose(one.vertex_colors[:, 0], 19 * one.vertices[:, 0])
 
 
 def test_image_shows_the_nearest_object():

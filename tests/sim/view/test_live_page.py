@@ -40,8 +40,8 @@ def test_sliders_move_the_stimulus_and_deform_the_tip(page):
     _until_rest(page)
     state = page._contact.tip_state()
     assert np.allclose(to_mm_deg(page._contact.label), [2, -1, -3, 5, 0, 20])
-    assert np.allclose(page._skin.vertices, state.skin, atol=1e-7)
-    assert np.allclose(page._pins.points[:, 1], state.pin_tips, atol=1e-7)
+    assert np.array_equal(page._tip._skin.glb_data, page._tip._skin_glb(state.skin))
+    assert np.allclose(page._tip.pins.points[:, 1], state.pin_tips, atol=1e-7)
     wanted = _T_WORLD_SENSOR @ inverse(sensor_in_contact(page._contact.label))
     assert np.allclose(page._stimulus.position, wanted[:3, 3])
     assert np.allclose(page._handle.position, wanted[:3, 3])
@@ -102,7 +102,8 @@ def test_diverged_tip_is_lifted_and_reported(page, monkeypatch):
 @pytest.mark.parametrize("name", list(STIMULI))
 def test_every_stimulus_has_a_look_and_ranges(name):
     from tactip_twin.sim.contact.scene import Scene
-    from tactip_twin.sim.view.geometry import OBJECT_COLOR, body_meshes
+    from tactip_twin.sim.view.geometry import body_meshes
+    from tactip_twin.sim.view.palette import OBJECT_COLOR
 
     meshes = body_meshes(Scene(design_named("nominal-127"), name, fidelity_named("draft")).model, "stimulus", OBJECT_COLOR)
     assert meshes

@@ -2,16 +2,20 @@
 
 import asyncio
 import http.client
+import io
 
 import numpy as np
 import pytest
+import trimesh
 import viser
 import websockets
 from websockets.datastructures import Headers
 
 from helpers.recordings import RECORD, STEPS, arrays_of, scenery
 from tactip_twin.sim.view import viser_utils
+from tactip_twin.sim.view.follow_camera import FollowCamera
 from tactip_twin.sim.view.geometry import path_lines
+from tactip_twin.sim.view.palette import ERROR_RAMP
 from tactip_twin.sim.view.replay_page import ReplayPage
 from tactip_twin.tactip_model.errors import TactipError
 
@@ -23,25 +27,85 @@ def page():
     page.close()
 
 
+def shown_skin(page):
+    """Return the skin that a page sends, read by an independent library."""
+    return trimesh.load(io.BytesIO(page._tip._skin.glb_data), file_type="glb", process=False).to_geometry()
+
+
 def test_step_is_shown_as_recorded(page):
     arrays = arrays_of()
     for step in (3, 7, STEPS - 1):
         page.playback.go(step)
         page.show()
-        assert np.allclose(page._tip.position, arrays["T_base_tcp"][step, :3, 3])
-        assert np.allclose(page._skin.vertices, arrays["skin_m"][step])
-        assert np.allclose(page._pins.points[:, 1], arrays["pin_tips_m"][step])
+        assert np.allclose(page._tip.frame.position, arrays["T_base_tcp"][step, :3, 3])
+        assert np.allclose(shown_skin(page).vertices, arrays["skin_m"][step], atol=1e-7)
+        assert np.allclose(page._tip.pins.points[:, 1], arrays["pin_tips_m"][step])
         poses = page._geometry.body_poses(arrays["angles_rad"][step])
         assert np.allclose(page._links["link_4"].position, poses["link_4"][:3, 3])
         assert page._slider.value == step
-        assert f"**step {step}** of {STEPS - 1}" in page._status.content
+        assert f"**step {step} of {STEPS - 1}, " in page._status.content
         assert ("9.0 N on the tip" in page._status.content) == (step == 7)
     assert "ended: the loop is closed" in page._status.content
 
 
+class Camera:
+    """A camera that reports its place only when `report` is called, as a browser does after a delay."""
+
+    position, look_at = np.zeros(3), np.zeros(3)
+
+    def on_update(self, callback):
+        self.callback = callback
+
+    def report(self, position, look_at):
+        ours = self.position, self.look_at
+        self.position, self.look_at = position, look_at
+        self.callback(self)
+        self.position, self.look_at = ours
+
+
+def test_camera_follows_in_spite_of_late_reports():
+    camera, x = Camera(), np.array([1e-3, 0, 0])
+    follow, eye = FollowCamera(camera), np.array([0.1, -0.2, 0.05])
+    follow.start(eye, np.zeros(3), np.zeros(3))
+    for k in range(1, 8):
+        follow.follow(k * x)
+        if k > 2:
+            camera.report(eye + (k - 2) * x, (k - 2) * x)
+    assert np.allclose(camera.position, eye + 7 * x) and np.allclose(camera.look_at, 7 * x)
+    turned = np.array([0.1, -0.19, 0.05])
+    camera.report(turned + 6 * x, 6 * x)  # the viewer turned it at the step before
+    follow.follow(8 * x)
+    assert np.allclose(camera.position, turned + 8 * x) and np.allclose(camera.look_at, 8 * x)
+
+
+def test_close_view_follows_the_tip(page):
+    page.playback.go(2)
+    page.show()
+    camera = Camera()
+    page._cameras[7], tip = FollowCamera(camera), page._arrays["T_base_tcp"][2, :3, 3]
+    page._cameras[7].start(tip + 0.1, tip, tip)
+    for view, step in (("close", 6), ("overview", 6)):
+        page._views[7] = view
+        page.playback.forward(4)
+        page.show()
+        assert np.allclose(camera.look_at, page._arrays["T_base_tcp"][step, :3, 3])
+    del page._views[7], page._cameras[7]
+
+
+def test_see_through_skin_shows_its_pins(page):
+    page._tip.skin_style = "see through"
+    page._show_tip()
+    material = shown_skin(page).visual.material
+    assert material.alphaMode == "BLEND"
+    page._tip.skin_style = "displacement"
+    page._show_tip()
+
+
 def test_path_grows_with_the_steps():
     arrays = arrays_of()
-    lines, counts = path_lines(arrays)
+    errors = np.arange(STEPS, dtype=float)
+    lines, colors, counts = path_lines(arrays, errors, errors[-1])
+    assert np.array_equal(colors[-1], np.round(ERROR_RAMP[-1]))
     assert counts[2] <= 1 and counts[-1] == len(lines)
     assert np.all(np.diff(counts) >= 0)
     pieces = [line for line in lines if abs(line[1, 2] - line[0, 2]) < 1e-6]

@@ -51,7 +51,7 @@ def test_normals_of_the_skin_are_outward_and_unit(window):
 
 
 def test_path_grows_and_shrinks_with_the_steps(window):
-    lines, counts = path_lines(arrays_of())
+    lines, _, counts = path_lines(arrays_of(), np.zeros(STEPS), 1.0)
     scene = mujoco.MjvScene(window.model, maxgeom=100)
     for step in (5, STEPS - 1, 3):
         window.playback.go(step)
