@@ -58,7 +58,7 @@ class Import(Command):
         layout, found = Layout(self.column_map, self.preprocessing), None
         recording = read_recording(self.source, layout.column_map, self.targets, self.neutral)
         if self.find:
-            from tactip_twin.sim2real.importing.find_layout import CONVENTIONS, find_layout, write_picture
+            from tactip_twin.sim2real.importing.find_layout import find_layout
 
             found = find_layout(recording, layout)
             layout = found.layout
@@ -66,8 +66,7 @@ class Import(Command):
             print(f"found: {found.options()}")
         report = import_set(with_labels(recording, layout.column_map), layout, self.out)
         if found:
-            write_picture(found.contacts, self.out / CONVENTIONS)
-            print(f"check the picture of measured and simulated pins, {self.out / CONVENTIONS}")
+            print(f"check the picture of measured and simulated pins, {found.write_picture(self.out)}")
         for line in report_lines(report):
             print(line)
         print(f"{self.out} written; check the picture {self.out / PICTURE}")

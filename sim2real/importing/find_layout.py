@@ -39,6 +39,12 @@ class FoundLayout:
         out += f" --camera-rotation-deg {table.camera_rotation_deg:g} --tcp-behind-apex-mm {table.tcp_behind_apex_mm:g}"
         return out + (f" --rotate-image-deg {frames.rotate_image_deg:g}" if frames.rotate_image_deg else "")
 
+    def write_picture(self, folder: Path) -> Path:
+        """Write CONVENTIONS into a folder: measured and simulated motion of the pins. Return its path."""
+        path = folder / CONVENTIONS
+        _write_picture(self.contacts, path)
+        return path
+
 
 def find_layout(recording: Recording, given: Layout, log: Callable[[str], object] = print) -> FoundLayout:
     """Find the layout of a set.
@@ -61,7 +67,7 @@ def find_layout(recording: Recording, given: Layout, log: Callable[[str], object
     return FoundLayout(Layout(found.column_map, preprocessing), found.evidence, contacts)
 
 
-def write_picture(contacts: EstimatedContacts, path: Path) -> None:
+def _write_picture(contacts: EstimatedContacts, path: Path) -> None:
     """Write a picture of six frames: how pins moved since rest, measured and as simulated for the estimated contacts."""
     order = np.argsort(contacts.poses[:, 2])
     chosen = order[np.linspace(0, len(order) - 1, 6).astype(int)]
