@@ -50,6 +50,7 @@ def test_wheel_holds_nothing_outside_tactip_twin(wheel):
     inside = {name.split("/")[1] for name in names if name.startswith("tactip_twin/")}
     assert {"__init__.py", "py.typed", "assets", "tactip_model", "sim", "learning", "control", "sim2real"} <= inside
     assert "benchmarks" not in inside
+    assert "tactip_twin/sim/view/replay.html" in names
 
 
 @pytest.mark.slow

@@ -1,7 +1,7 @@
 """Recordings on disk: the steps of a servo run or a contact, to be replayed without simulating it again.
 
-recording.json    settings and versions; once the recording is complete, also events and why the run stopped; checksums of
-                  itself and of the files below
+recording.json    settings, design and versions; once the recording is complete, also events and why the run stopped;
+                  checksums of itself and of the files below
 scenery.npz       the object and the skin's triangles (see RecordedScene)
 steps.npz         one array per quantity, one row per control step (see ARRAYS); images are packed, eight pixels per byte
 steps.log         the same while the recording is incomplete, one frame per step: after a kill, whole frames can be read

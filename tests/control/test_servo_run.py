@@ -293,7 +293,10 @@ def test_servo_video_shows_every_step(tmp_path):
     assert (out / "figure.png").stat().st_size > 5000
     # A replay of the recording gives the same frames.
     again, gif = tmp_path / "again.mp4", tmp_path / "again.gif"
-    assert tactip.main(["replay", str(out), "--video", str(again), "--gif", str(gif), "--stride", "4"]) == 0
+    page = tmp_path / "page.html"
+    written = ["--video", str(again), "--gif", str(gif), "--html", str(page)]
+    assert tactip.main(["replay", str(out), *written, "--stride", "4"]) == 0
+    assert 5e4 < page.stat().st_size < 20e6 and "@DATA@" not in page.read_text()
     with av.open(str(again)) as film:
         few = [f.to_ndarray(format="rgb24") for f in film.decode(video=0)]
     assert len(few) == len(frames[::4])
