@@ -24,6 +24,7 @@ from tactip_twin.benchmarks.report import read_results, table, write_results
 from tactip_twin.benchmarks.servo.contact_patch import RADII_MM, contact_patch_normal
 from tactip_twin.benchmarks.servo.filter_table import WITHOUT, filter_table
 from tactip_twin.control.options import RouteOptions, ServoOptions, Settings
+from tactip_twin.control.score import events_text
 from tactip_twin.control.servo_run import SCORE, run_servo
 from tactip_twin.learning.filter_settings import FilterSettings
 from tactip_twin.learning.model import load_network, weights_sha256
@@ -335,7 +336,7 @@ def _notes(rows: Sequence[dict[str, Any]], prefix: str = "") -> str:
             lines.append(f"- {prefix}{row['name']}: not run: {row['error']}")
             continue
         notes = [] if row["stopped_because"].startswith(_COMPLETED) else [row["stopped_because"]]
-        notes += [f"events: {row['events']}"] if row["events"] else []
+        notes += [f"events: {events_text(row['events'])}"] if row["events"] else []
         fraction = row["coverage"] / (best[row["name"].partition(",")[0]] or 1)
         notes += [f"followed {fraction:.0%} of the path"] if fraction < 0.9 else []
         lines += [f"- {prefix}{row['name']}: {'; '.join(notes)}"] if notes else []
