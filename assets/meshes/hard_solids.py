@@ -3,11 +3,13 @@
 Conventions are those of solids.py.
 """
 
+from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from tactip_twin.assets.meshes.solids import ball, ellipsoid, joined, limb, without
+from tactip_twin.assets.meshes.solids import BUST_SCALE, ball, bust, ellipsoid, joined, limb, without
 
 
 def head(points_mm: np.ndarray) -> np.ndarray:
@@ -65,3 +67,13 @@ def vase(points_mm: np.ndarray) -> np.ndarray:
         handle = limb(p, start, end, 6, 6)
         d = joined(d, np.maximum(handle, outer - 3 - r), 3.0)
     return d
+
+
+HARD_SOLIDS: dict[str, tuple[Callable[[np.ndarray], np.ndarray], ArrayLike, ArrayLike, float]] = {
+    "bust-sharp": (bust, BUST_SCALE * np.array([-92, -102, -122]), BUST_SCALE * np.array([78, 102, 124]), 2.0),
+    "head": (head, [-112, -90, -134], [118, 90, 152], 2.0),
+    "relief": (relief, [-68, -68, -20], [68, 68, 14], 1.2),
+    "vase": (vase, [-66, -66, -92], [84, 66, 92], 1.2),
+}
+"""Signed distance, lower and upper corner of the box around it, mm, and width of the cubes of marching cubes, mm.
+`bust-sharp` is the bust before its hollows and ridges are rounded for the fingertip."""

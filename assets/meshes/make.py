@@ -2,8 +2,7 @@
 
 This takes some minutes and needs scikit-image, from the extra `dev`. Marching cubes triangulates solids (solids.py), and
 the vertices are then projected onto the solid's surface; rims (rims.py) are swept. The bust is rounded to suit the
-fingertip, because a ball of 20 mm fits into no narrower hollow; `bust-sharp` and the solids of hard_solids.py are not.
-Meshes are in metres. An object with an edge to follow also
+fingertip, because a ball of 20 mm fits into no narrower hollow. Meshes are in metres. An object with an edge to follow also
 has a file of the edge: points and the outward normal of the top; a closed edge ends with its first point.
 """
 
@@ -14,7 +13,6 @@ import igl
 import numpy as np
 import trimesh
 
-from tactip_twin.assets.meshes.hard_solids import head, relief, vase
 from tactip_twin.assets.meshes.rims import RIMS, block
 from tactip_twin.assets.meshes.solids import BUST_SCALE, ball, bust, saddle
 
@@ -121,12 +119,8 @@ def write(name: str, mesh: trimesh.Trimesh, edge: np.ndarray | None = None) -> N
 def main() -> None:
     """Make all meshes."""
     s = BUST_SCALE
-    low, high = np.array([-92, -102, -122]) * s, np.array([78, 102, 124]) * s
-    write("bust", rounded(cut(bust, low, high, 1.5 * s), HOLLOW_MM, RIDGE_MM, 1.5 * s))
-    write("bust-sharp", cut(bust, low, high, 2.5))
-    write("head", cut(head, np.array([-112, -90, -134]), np.array([118, 90, 152]), 2.5))
-    write("relief", cut(relief, np.array([-68, -68, -20]), np.array([68, 68, 14]), 1.2))
-    write("vase", cut(vase, np.array([-66, -66, -92]), np.array([84, 66, 92]), 1.5))
+    head = cut(bust, np.array([-92, -102, -122]) * s, np.array([78, 102, 124]) * s, 1.5 * s)
+    write("bust", rounded(head, HOLLOW_MM, RIDGE_MM, 1.5 * s))
     write("saddle", cut(saddle, np.array([-74, -74, -54]), np.array([74, 74, 32])))
     write("sphere", cut(lambda p: ball(p, (0, 0, 0), SPHERE_MM), np.full(3, -SPHERE_MM - 4), np.full(3, SPHERE_MM + 4)))
     write("plate", trimesh.convex.convex_hull(block(80.0, 20.0)))
