@@ -79,6 +79,9 @@ _EASE_MM_PER_N, _EASE_STEP_MM, _MAX_EASE_MM = 0.3, 0.1, 2.0
 _TRANSIT_M = 10e-3
 """Longest motion through the air between two checks of force and clearance, m."""
 
+_BACK_STEPS = 5
+"""Number of steps that the tip goes back before the arm tries again to lift it."""
+
 _FREE = 0.1
 """Fraction of Settings.contact_threshold below which the tip counts as free, -."""
 
@@ -140,6 +143,7 @@ class ContourFollower:
             TactipError: The start is inside the object.
         """
         self._T_free, self._T_good, self._wrist_rad, self._highest = T_start, T_start, route.wrist_rad, -np.inf
+        self._trail: list[np.ndarray] = []
         self._direction, self._tries = route.approach, Tries(self._settings, route.approach is not None)
         try:
             self._mounted_tip.reset_to(T_start, route.wrist_rad)
@@ -250,17 +254,32 @@ class ContourFollower:
         Raises:
             Obstacle: There is no way, or no contact.
         """
-        s, direction = self._settings, self._direction
-        self._go(_moved(self._mounted_tip.arm_model.measured_pose(), None, -s.retract_mm))
-        here = self._mounted_tip.arm_model.measured_pose()
-        if direction is None:
-            lifts = [s.clearance_mm, s.clearance_mm]
-        else:
-            lifts = [s.clearance_mm + 1e3 * max(0.0, self._highest + float(P[:3, 3] @ direction)) for P in (here, T)]
-        over = [_moved(P, direction, -lift) for P, lift in zip((here, T), lifts, strict=True)]
-        self._travel(over[0])
-        self._travel(over[1], watched=True)
-        return self._search(lifts[1] + s.clearance_mm, 3 * s.search_step_mm, direction)
+        s = self._settings
+        self._lift()
+        height_mm = self._height_mm(T)
+        self._travel(_moved(T, self._direction, -height_mm), watched=True)
+        return self._search(height_mm + s.clearance_mm, 3 * s.search_step_mm, self._direction)
+
+    def _height_mm(self, T: np.ndarray) -> float:
+        """Return the height above a pose (4, 4), mm, at which the tip is clear of what it has touched so far."""
+        if self._direction is None:
+            return self._settings.clearance_mm
+        return self._settings.clearance_mm + 1e3 * max(0.0, self._highest + float(T[:3, 3] @ self._direction))
+
+    def _lift(self) -> None:
+        """Lift off. Where the arm cannot, at a limit of its joints, go back until it can. Raises Obstacle."""
+        trail = self._trail[::-1]
+        for k in range(0, len(trail), _BACK_STEPS):
+            try:
+                self._go(_moved(self._mounted_tip.arm_model.measured_pose(), None, -self._settings.retract_mm))
+                here = self._mounted_tip.arm_model.measured_pose()
+                self._travel(_moved(here, self._direction, -self._height_mm(here)))
+                return
+            except Obstacle as obstacle:
+                if obstacle.kind != "unreachable" or k + _BACK_STEPS >= len(trail):
+                    raise
+            for pose in trail[k : k + _BACK_STEPS]:
+                self._go(pose)
 
     def _travel(self, T: np.ndarray, watched: bool = False) -> None:
         """Move to a pose (4, 4) off the object. watched: whether contact on the way is an obstacle. Raises Obstacle."""
@@ -373,9 +392,10 @@ class ContourFollower:
         own = self._estimator.estimate(self._touch, arm.pose)
         measured = arm.measured_pose()
         if own.touching < _FREE * self._settings.contact_threshold:
-            self._T_free, self._wrist_rad = measured, float(np.nan_to_num(arm.angles[5]))
+            self._T_free, self._wrist_rad, self._trail = measured, float(np.nan_to_num(arm.angles[5])), []
         elif self._direction is not None:
             self._highest = max(self._highest, -float(measured[:3, 3] @ self._direction))
+        self._trail.append(measured)
         estimate = self._filtered(own, measured)
         seconds = {
             "simulation": simulation_s,

@@ -42,7 +42,7 @@ class Settings:
     range_margin: float = within(0, 10, default=0.5)
     """Distance beyond the trained label range at which an estimate is rejected, as a fraction of the range's half
     width."""
-    max_force_n: float = within(0.1, 100, default=5.0)
+    max_force_n: float = within(0.1, 100, default=4.5)
     """Contact force at which the arm stops and retracts, N [?]. For presses deeper than by default it rises with the
     depth."""
     ease_force_n: float = within(0.1, 100, default=2.0)

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from helpers.profiles import profiled_block
 from tactip_twin.control.estimator import Estimate, Estimator, Oracle
 from tactip_twin.control.follow import ContourFollower
 from tactip_twin.control.options import Settings
@@ -23,7 +24,6 @@ from tactip_twin.sim.robot.mounted_tip import MountedTip
 from tactip_twin.sim.robot.objects import Edge, load_object
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.presets import load_design
-from tests.helpers.profiles import profiled_block
 
 SURFACE = Labels("surface", (-5, -15, -15), (-1, 15, 15))
 EDGE = Labels("edge", (-5, -5, -15, -15, -45), (5, -1, 15, 15, 45))

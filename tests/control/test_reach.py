@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import trimesh
 
+from helpers.profiles import profiled_block
 from tactip_twin.control.reach import fits, touchable
 from tactip_twin.control.surface_score import extreme_curvature
 from tactip_twin.sim.contact.signed_distance import SignedDistanceMesh
-from tests.helpers.profiles import profiled_block
 
 RADIUS_M, DEPTH_M = 20e-3, 2e-3
 
