@@ -358,6 +358,26 @@ class ServoBenchOptions:
 
 
 @dataclass(frozen=True)
+class HardObjectsOptions:
+    """Follow objects with features that are smaller and more hollow than the tip. Rerun to resume."""
+
+    fidelity: FidelityName | Literal["fast"] = "standard"
+    """Fidelity of the contact simulation."""
+    only: tuple[str, ...] = ()
+    """Names of the objects. Default: all. Results of others remain on the page."""
+    starts: int = 0
+    """Number of random starts per object, up to 50."""
+    meshes: Path = Path("build/hard-objects")
+    """Folder for the meshes of the objects, which are made there."""
+    runs: Path = Path("runs/hard-objects")
+    """Folder of the runs."""
+    out: Path = Path("docs")
+    """Folder for hard_objects.json and hard_objects.md."""
+    workers: str = "auto"
+    """Number of worker processes; auto: one per core."""
+
+
+@dataclass(frozen=True)
 class PerformanceOptions:
     """Measure rates and memory of data sets, rendering, training, prediction and servo, and how they scale."""
 
@@ -423,6 +443,7 @@ MEASUREMENTS = {
         "tactip_twin.benchmarks.learning.real_comparison", RealComparisonOptions, "real_and_simulated.png"
     ),
     "servo": Measurement("tactip_twin.benchmarks.servo.servo", ServoBenchOptions, "servo.md"),
+    "hard-objects": Measurement("tactip_twin.benchmarks.servo.hard_objects", HardObjectsOptions, "hard_objects.md"),
     "performance": Measurement("tactip_twin.benchmarks.scale.performance", PerformanceOptions, "performance.md"),
     "scale": Measurement("tactip_twin.benchmarks.scale.scale", ScaleOptions, "scale.md"),
 }

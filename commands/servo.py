@@ -39,6 +39,7 @@ class Servo(ServoOptions, Command):
 
         try:
             with waiting:
+                from tactip_twin.control.score import summary
                 from tactip_twin.control.servo_run import FIGURE, SCORE, run_servo
 
                 score = run_servo(self, progress, log=(lambda line: None) if self.json else print)
@@ -50,14 +51,6 @@ class Servo(ServoOptions, Command):
         if self.json:
             print(dumps(score))
             return status
-        for name, unit in (
-            ("depth_mae_mm", "mm"),
-            ("lateral_mae_mm", "mm"),
-            ("angle_mean_deg", "°"),
-            ("angle_p95_deg", "°"),
-        ):
-            if score[name] is not None:
-                print(f"{name}: {score[name]:.3f} {unit}")
-        print(f"{score['steps']} steps, {score['contact_losses']} contact losses; {score['stopped_because']}")
+        print("\n".join(summary(score)))
         print(f"{self.out / SCORE}{f' and {self.out / FIGURE}' if self.renderer == 'pyrender' else ''} written")
         return status

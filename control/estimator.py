@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tactip_twin.learning.model import Model
+from tactip_twin.learning.quantities import forces_of
 from tactip_twin.sim.contact.tip_state import TipState
 from tactip_twin.sim.ground_truth import EdgeGroundTruth, SurfaceGroundTruth
 from tactip_twin.sim.labels import COMPONENTS
@@ -48,6 +49,9 @@ class Estimate:
     """Time for the network, s."""
     deviations: np.ndarray | None = None
     """(6,) standard deviations of the label, m and rad; None if the estimator has none."""
+    force_n: float | None = None
+    """Estimated upper limit of the force on the tip, N: two standard deviations above its mean. None if the estimator has
+    none."""
 
 
 @runtime_checkable
@@ -120,22 +124,22 @@ class ImageEstimator:
         frame = self._frame(touch.pin_tips, touch.directions)
         image = tactile_image(frame, self._settings)
         rendered = time.perf_counter()
-        label, deviations = self._estimate(frame, image)
+        label, deviations, force_n = self._estimate(frame, image)
         end = time.perf_counter()
         white = image > 127
         union = int((white | self._neutral).sum())
         difference = 1 - int((white & self._neutral).sum()) / union if union else 0.0
         found = None if deviations is None else from_mm_deg(deviations)
-        return Estimate(from_mm_deg(label), difference, image, rendered - start, end - rendered, found)
+        return Estimate(from_mm_deg(label), difference, image, rendered - start, end - rendered, found, force_n)
 
-    def _estimate(self, frame: np.ndarray, image: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
-        """Return label (6,) and standard deviations (6,) or None, mm and degrees.
+    def _estimate(self, frame: np.ndarray, image: np.ndarray) -> tuple[np.ndarray, np.ndarray | None, float | None]:
+        """Return label (6,), standard deviations (6,) or None, mm and degrees, and Estimate.force_n.
 
         Args:
             frame: (h, w) uint8, the camera's grey frame.
             image: (size, size) uint8, its binary tactile image.
         """
-        return self._label(image), None
+        return self._label(image), None, None
 
 
 class NetworkEstimator(ImageEstimator):
@@ -156,16 +160,20 @@ class NetworkEstimator(ImageEstimator):
         self._model, self._grey = model, replace(design.image, grey=True)
         super().__init__(model.predict, model.labels.components, design, renderer, noise_grey, seed)
 
-    def _estimate(self, frame: np.ndarray, image: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+    def _estimate(self, frame: np.ndarray, image: np.ndarray) -> tuple[np.ndarray, np.ndarray | None, float | None]:
         """Return what the network estimates; see ImageEstimator."""
         image = tactile_image(frame, self._grey) if self._model.grey else image
         estimates, label = self._model.estimate(image[None]), np.zeros(6)
-        label[self._rows] = estimates.means[0, : len(self._rows)]
+        components = len(self._rows)
+        label[self._rows] = estimates.means[0, :components]
         if estimates.deviations is None:
-            return label, None
-        deviations = np.zeros(6)
-        deviations[self._rows] = estimates.deviations[0, : len(self._rows)]
-        return label, deviations
+            return label, None, None
+        deviations, force_n = np.zeros(6), None
+        deviations[self._rows] = estimates.deviations[0, :components]
+        if self._model.columns[components:]:
+            force, sigma = (forces_of(a[:, components:])[0] for a in (estimates.means, estimates.deviations))
+            force_n = float(force + 2 * sigma)
+        return label, deviations, force_n
 
 
 class Oracle:

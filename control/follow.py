@@ -1,15 +1,19 @@
-"""Following a surface or an edge by touch: make contact, keep the reference, move along a route, and recover from failures.
+"""Following a surface or an edge by touch: make contact, keep the reference, move along a route, and get past obstacles.
 
-The follower knows the arm's measured pose and what its estimator returns. The force limit belongs to the arm: it is a
-protective stop, as robots have.
+At a failure the tip seeks contact again on the spot. If it fails again, it lifts off and touches down farther along the
+route (obstacles.py); the stretch between is left out and reported. A run ends at the end of its route. The follower knows
+the arm's measured pose and what its estimator returns. The force limit belongs to the arm: it is a protective stop, as
+robots have.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from tactip_twin.control.estimator import Estimate, Estimator
+from tactip_twin.control.obstacles import LeftOut, Obstacle, Tries
 from tactip_twin.control.options import Settings
 from tactip_twin.control.routes import Route
 from tactip_twin.control.servo import Controller, pose_error
@@ -18,7 +22,7 @@ from tactip_twin.learning.pose_filter import PoseFilter
 from tactip_twin.sim.contact.simulator import Diverged
 from tactip_twin.sim.contact.tip_state import TipState
 from tactip_twin.sim.labels import COMPONENTS
-from tactip_twin.sim.pose import from_mm_deg, inverse, sensor_in_contact, to_mm_deg
+from tactip_twin.sim.pose import from_mm_deg, interpolate, inverse, matrix, sensor_in_contact, shortest_turn, to_mm_deg
 from tactip_twin.sim.robot.irb120 import Unreachable
 from tactip_twin.sim.robot.mounted_tip import TipOnArm
 from tactip_twin.tactip_model.errors import TactipError
@@ -31,7 +35,7 @@ class Event:
     step: int
     """Number of steps recorded before the event."""
     kind: str
-    """contact lost, estimate out of range, force, collision, diverged, unreachable."""
+    """contact lost, no contact, estimate out of range, force, collision, no progress, too steep, diverged, unreachable."""
     what: str
     """Description, with values."""
 
@@ -66,8 +70,26 @@ _SLOW_DEG = {"surface": 2.0, "edge": 0.0}
 _MIN_STEP_FRACTION = 0.2
 """Smallest fraction of the tangential step, - [?]."""
 
-_RECOVERED_STEPS = 3
-"""Good steps after which the count of recoveries restarts at zero."""
+_MAX_MOTION_M, _MAX_TURN_RAD = 2e-3, np.radians(4.0)
+"""Longest motion and largest turn of a control step, m and rad: a turn about the apex moves the tip's flanks [?]."""
+
+_EASE_MM_PER_N, _EASE_STEP_MM, _MAX_EASE_MM = 0.3, 0.1, 2.0
+"""Gain, decrease per step, and maximum of the depth by which the tip presses less where the force is high [?]."""
+
+_TRANSIT_M = 10e-3
+"""Longest motion through the air between two checks of force and clearance, m."""
+
+_BACK_STEPS = 5
+"""Number of steps that the tip goes back before the arm tries again to lift it."""
+
+_FREE = 0.1
+"""Fraction of Settings.contact_threshold below which the tip counts as free, -."""
+
+_MAX_DIVERGED = 20
+"""Number of divergences of the simulation after which a run ends."""
+
+_LEFT_OUT_M = 2e-3
+"""Spacing of the recorded places of a stretch that was left out, m."""
 
 
 class ContourFollower:
@@ -102,6 +124,9 @@ class ContourFollower:
         self._labels, self._settings = labels, settings
         self._record, self._clock, self._on_event, self._filter = record, clock, note, pose_filter
         self._phase, self._part, self._steps = "search", 0, 0
+        self._followed_to_m, self._centred, self._ease_mm = 0.0, 0, 0.0
+        self.left_out: list[LeftOut] = []
+        """Stretches of the route that were not followed."""
         self.events: list[Event] = []
         """Events so far."""
         self.stopped_because = ""
@@ -117,6 +142,9 @@ class ContourFollower:
         Raises:
             TactipError: The start is inside the object.
         """
+        self._T_free, self._T_good, self._wrist_rad, self._highest = T_start, T_start, route.wrist_rad, -np.inf
+        self._trail: list[np.ndarray] = []
+        self._direction, self._tries = route.approach, Tries(self._settings, route.approach is not None)
         try:
             self._mounted_tip.reset_to(T_start, route.wrist_rad)
         except Unreachable as error:
@@ -128,34 +156,140 @@ class ContourFollower:
             self.stopped_because = str(reason)
 
     def _follow(self, route: Route) -> None:
-        estimate, centred, good, failures = self._search(self._settings.search_mm), 0, 0, 0
+        estimate: Estimate | None = None
+        try:
+            estimate = self._search(self._settings.search_mm)
+        except Obstacle as obstacle:
+            if obstacle.kind == "no contact":
+                raise FollowingFailed(str(obstacle)) from obstacle
+            estimate = self._get_past(obstacle, route)
+        while estimate is not None and self._steps < self._settings.max_steps:
+            try:
+                estimate = self._step(route, estimate)
+            except Obstacle as obstacle:
+                estimate = self._get_past(obstacle, route)
+        self.stopped_because = route.ended or f"reached the limit of {self._settings.max_steps} steps"
+
+    def _step(self, route: Route, estimate: Estimate) -> Estimate | None:
+        """Take a control step, and return the estimate after it; None at the end of the route. Raises Obstacle."""
+        aligning = self._centred < self._settings.alignment_steps
+        failure = self._failure(estimate, aligning)
+        if failure:
+            raise Obstacle(*failure)
+        measured, start, along = self._mounted_tip.arm_model.measured_pose(), self._clock(), np.zeros(3)
+        if aligning:
+            self._phase, self._centred = "centre", self._centred + 1
+        else:
+            self._phase = "follow"
+            direction = route.direction(measured, measured @ inverse(sensor_in_contact(estimate.label)))
+            self._part = route.part
+            if direction is None:
+                return None
+            self._T_good, self._followed_to_m = measured, route.travelled_m
+            self._tries.followed(route.travelled_m)
+            along = measured[:3, :3].T @ (self._step_fraction(estimate) * self._settings.step_mm / 1e3 * direction)
+        motion = self._controller.move(self._eased(estimate), along)
+        return self._go(measured @ self._limited(motion), self._clock() - start)
+
+    def _limited(self, motion: np.ndarray) -> np.ndarray:
+        """Return a motion (4, 4) of the sensor, shortened to what is safe in contact."""
+        turn = Rotation.from_matrix(motion[:3, :3]).as_rotvec()
+        max_m = max(_MAX_MOTION_M, 1.5e-3 * self._settings.step_mm)
+        fraction = 1 / max(1.0, np.linalg.norm(motion[:3, 3]) / max_m, np.linalg.norm(turn) / _MAX_TURN_RAD)
+        return matrix(fraction * motion[:3, 3], Rotation.from_rotvec(fraction * turn))
+
+    def _eased(self, estimate: Estimate) -> np.ndarray:
+        """Return the label (6,), m and rad, for the controller: as if the tip were deeper where the force is high."""
+        excess_n = (estimate.force_n or 0.0) - self._settings.ease_force_n
+        self._ease_mm += _EASE_MM_PER_N * excess_n if excess_n > 0 else -_EASE_STEP_MM
+        self._ease_mm = float(np.clip(self._ease_mm, 0.0, _MAX_EASE_MM))
+        label = self._in_range(estimate.label)
+        label[2] -= 1e-3 * self._ease_mm
+        return label
+
+    def _in_range(self, label: np.ndarray) -> np.ndarray:
+        """Return a label (6,), m and rad, with the estimated components within the range of the training."""
+        rows = [COMPONENTS.index(c) for c in self._labels.components]
+        out = to_mm_deg(label)
+        out[rows] = np.clip(out[rows], self._labels.low, self._labels.high)
+        return from_mm_deg(out)
+
+    def _get_past(self, obstacle: Obstacle, route: Route) -> Estimate | None:
+        """Try to continue after an obstacle until there is contact. Return the estimate there; None at the end of the
+        route."""
         while self._steps < self._settings.max_steps:
-            measured = self._mounted_tip.arm_model.measured_pose()
-            failure = self._failure(estimate)
-            if failure:
-                failures, good = failures + 1, 0
-                self._note(*failure)
-                if failures > self._settings.max_recoveries:
-                    raise FollowingFailed(f"{failure[0]} {failures} times in a row: {failure[1]}")
-                estimate, centred = self._recover_from(failure[0]), 0
-                continue
-            good += 1
-            failures = 0 if good >= _RECOVERED_STEPS else failures
-            start = self._clock()
-            along = np.zeros(3)
-            if centred < self._settings.alignment_steps:
-                self._phase, centred = "centre", centred + 1
-            else:
-                self._phase = "follow"
-                direction = route.direction(measured, measured @ inverse(sensor_in_contact(estimate.label)))
-                self._part = route.part
-                if direction is None:
-                    self.stopped_because = route.ended
-                    return
-                along = measured[:3, :3].T @ (self._step_fraction(estimate) * self._settings.step_mm / 1e3 * direction)
-            T = measured @ self._controller.move(estimate.label, along)
-            estimate = self._go(T, self._clock() - start)
-        self.stopped_because = f"reached the limit of {self._settings.max_steps} steps"
+            self._note(obstacle.kind, str(obstacle))
+            self._phase, self._centred, self._ease_mm = "search", 0, 0.0
+            self._controller.reset()
+            if self._filter is not None:
+                self._filter.reset()
+            what = self._tries.next(obstacle.kind)
+            try:
+                if what.skip_mm is None:
+                    return self._recover_from(obstacle.kind)
+                T = route.skip(what.skip_mm / 1e3, self._T_good)
+                self._leave_out(route, T, obstacle.kind)
+                if T is None:
+                    return None
+                self._tries.skipped_to(route.travelled_m)
+                return self._approach(_facing(T, route.approach) if what.turned else T)
+            except Obstacle as another:
+                obstacle = another
+        return None
+
+    def _leave_out(self, route: Route, T: np.ndarray | None, kind: str) -> None:
+        """Report that the route was not followed up to a pose T (4, 4), or its end, because of a kind of obstacle."""
+        start_m, end_m = self._followed_to_m, route.travelled_m
+        if self.left_out and self.left_out[-1].from_mm == 1e3 * start_m:  # a longer skip at the same obstacle
+            self.left_out.pop()
+        if end_m > start_m:
+            distances = np.linspace(start_m, end_m, 2 + int((end_m - start_m) / _LEFT_OUT_M))
+            start = self._T_good[:3, 3]
+            places = route.places(distances, start, start if T is None else T[:3, 3])
+            self.left_out.append(LeftOut(1e3 * start_m, 1e3 * end_m, kind, places.tolist()))
+
+    def _approach(self, T: np.ndarray) -> Estimate:
+        """Lift off, move over a place on the route at a pose T (4, 4), and search for contact there. Return the estimate.
+
+        Raises:
+            Obstacle: There is no way, or no contact.
+        """
+        s = self._settings
+        self._lift()
+        height_mm = self._height_mm(T)
+        self._travel(_moved(T, self._direction, -height_mm), watched=True)
+        return self._search(height_mm + s.clearance_mm, 3 * s.search_step_mm, self._direction)
+
+    def _height_mm(self, T: np.ndarray) -> float:
+        """Return the height above a pose (4, 4), mm, at which the tip is clear of what it has touched so far."""
+        if self._direction is None:
+            return self._settings.clearance_mm
+        return self._settings.clearance_mm + 1e3 * max(0.0, self._highest + float(T[:3, 3] @ self._direction))
+
+    def _lift(self) -> None:
+        """Lift off. Where the arm cannot, at a limit of its joints, go back until it can. Raises Obstacle."""
+        trail = self._trail[::-1]
+        for k in range(0, len(trail), _BACK_STEPS):
+            try:
+                self._go(_moved(self._mounted_tip.arm_model.measured_pose(), None, -self._settings.retract_mm))
+                here = self._mounted_tip.arm_model.measured_pose()
+                self._travel(_moved(here, self._direction, -self._height_mm(here)))
+                return
+            except Obstacle as obstacle:
+                if obstacle.kind != "unreachable" or k + _BACK_STEPS >= len(trail):
+                    raise
+            for pose in trail[k : k + _BACK_STEPS]:
+                self._go(pose)
+
+    def _travel(self, T: np.ndarray, watched: bool = False) -> None:
+        """Move to a pose (4, 4) off the object. watched: whether contact on the way is an obstacle. Raises Obstacle."""
+        start = self._mounted_tip.arm_model.measured_pose()
+        count = max(1, int(np.ceil(np.linalg.norm(T[:3, 3] - start[:3, 3]) / _TRANSIT_M)))
+        for k in range(1, count + 1):
+            self._go(interpolate(start, T, k / count))
+            danger = self._danger() if watched else None
+            if danger:
+                raise Obstacle(*danger)
 
     def _step_fraction(self, estimate: Estimate) -> float:
         """Return the fraction of the tangential step to take: smaller where the sensor tilts, because it lags behind the
@@ -166,8 +300,9 @@ class ContourFollower:
         tilt = np.degrees(np.linalg.norm(pose_error(estimate.label, np.zeros(6))[3:5]))
         return max(_MIN_STEP_FRACTION, 1 - tilt / slow) if slow else 1.0
 
-    def _failure(self, estimate: Estimate) -> tuple[str, str] | None:
-        """Return kind and description of a failure, or None."""
+    def _failure(self, estimate: Estimate, aligning: bool) -> tuple[str, str] | None:
+        """Return kind and description of a failure, or None. aligning: whether estimates may be out of range, because the
+        tip turns in place."""
         danger, s = self._danger(), self._settings
         if danger:
             return danger
@@ -178,7 +313,7 @@ class ContourFollower:
         predicted = to_mm_deg(estimate.label)[[COMPONENTS.index(c) for c in self._labels.components]]
         out = np.maximum(low - predicted, predicted - high) / ((high - low) / 2)
         worst = int(out.argmax())
-        if not np.isfinite(predicted).all() or out[worst] > s.range_margin:
+        if not np.isfinite(predicted).all() or (out[worst] > s.range_margin and not aligning):
             unit = self._labels.units[worst]
             return (
                 "estimate out of range",
@@ -197,59 +332,56 @@ class ContourFollower:
         return None
 
     def _recover_from(self, kind: str) -> Estimate:
-        """Search for contact; unless contact was lost, retract first. Return the new estimate."""
-        self._phase = "search"
-        self._controller.reset()
-        if self._filter is not None:
-            self._filter.reset()
+        """Search for contact; unless contact was lost, retract first. Return the new estimate. Raises Obstacle."""
         if kind != "contact lost":
-            self._go(self._mounted_tip.arm_model.measured_pose() @ _shift(-self._settings.retract_mm))
+            self._go(_moved(self._mounted_tip.arm_model.measured_pose(), None, -self._settings.retract_mm))
         return self._search(self._settings.search_mm / 2)
 
-    def _search(self, max_mm: float) -> Estimate:
-        """Move along the sensor's axis until contact is detected. Return the estimate there.
+    def _search(self, max_mm: float, step_mm: float | None = None, direction: np.ndarray | None = None) -> Estimate:
+        """Move until contact is detected. Return the estimate there.
+
+        Args:
+            max_mm: Maximum travel.
+            step_mm: Length of a step; Settings.search_step_mm if None.
+            direction: (3,) unit, base frame; the sensor's axis if None.
 
         Raises:
-            FollowingFailed: There is no contact within `max_mm`, or a high force or a collision shows that it was missed.
+            Obstacle: There is no contact within `max_mm`, or a high force or a collision shows that it was missed.
         """
-        s, self._phase = self._settings, "search"
+        s = self._settings
+        step_mm = step_mm or s.search_step_mm
         estimate = self._estimate(0.0)
         travelled_mm = 0.0
         while estimate.touching < s.contact_threshold:
             danger = self._danger()
             if danger:
-                self._note(*danger)
-                raise FollowingFailed(f"no contact detected in the image, but {danger[0]}: {danger[1]}")
+                raise Obstacle(danger[0], f"no contact detected in the image, but {danger[1]}")
             if travelled_mm >= max_mm:
-                raise FollowingFailed(f"no contact detected within {max_mm:g} mm")
-            estimate = self._go(self._mounted_tip.arm_model.measured_pose() @ _shift(s.search_step_mm))
-            travelled_mm += s.search_step_mm
+                raise Obstacle("no contact", f"no contact detected within {max_mm:g} mm")
+            estimate = self._go(_moved(self._mounted_tip.arm_model.measured_pose(), direction, step_mm))
+            travelled_mm += step_mm
         return estimate
 
     def _go(self, T: np.ndarray, control_s: float = 0.0) -> Estimate:
-        """Move to a pose (4, 4) and estimate there. Raises FollowingFailed if that is impossible."""
+        """Move to a pose (4, 4) and estimate there. Raises Obstacle if that is impossible."""
         start = self._clock()
         try:
-            self._touch = self._mounted_tip.go(T)
+            self._touch = self._mounted_tip.go(T, self._settings.max_force_n)
         except Unreachable as error:
-            self._note("unreachable", str(error))
-            raise FollowingFailed(str(error)) from error
+            raise Obstacle("unreachable", str(error)) from error
         except Diverged as error:
-            self._note("diverged", str(error))
             self._restart()
+            raise Obstacle("diverged", str(error)) from error
         return self._estimate(self._clock() - start, control_s)
 
     def _restart(self) -> None:
-        """Restart with an undeformed tip, retracted from the pose at which the simulation diverged."""
-        self._phase = "search"
-        diverged = self._note_count("diverged")
-        if diverged > self._settings.max_recoveries:
-            raise FollowingFailed(f"the simulation diverged {diverged} times")
-        T = self._mounted_tip.arm_model.measured_pose() @ _shift(-3 * self._settings.retract_mm)
+        """Restart with an undeformed tip, where the tip was last free."""
+        if sum(event.kind == "diverged" for event in self.events) >= _MAX_DIVERGED:
+            raise FollowingFailed(f"the simulation diverged more than {_MAX_DIVERGED} times")
         try:
-            self._mounted_tip.reset_to(T, float(np.nan_to_num(self._mounted_tip.arm_model.angles[5])))
+            self._mounted_tip.reset_to(self._T_free, self._wrist_rad)
         except TactipError as error:
-            raise FollowingFailed(f"the simulation diverged and cannot restart from the retracted pose: {error}") from error
+            raise FollowingFailed(f"the simulation diverged and cannot restart where the tip was free: {error}") from error
         self._touch = self._mounted_tip.tip_state()
 
     def _estimate(self, simulation_s: float, control_s: float = 0.0) -> Estimate:
@@ -258,7 +390,13 @@ class ContourFollower:
             self._touch = self._mounted_tip.tip_state()
         arm = self._mounted_tip.arm_model
         own = self._estimator.estimate(self._touch, arm.pose)
-        estimate = self._filtered(own, arm.measured_pose())
+        measured = arm.measured_pose()
+        if own.touching < _FREE * self._settings.contact_threshold:
+            self._T_free, self._wrist_rad, self._trail = measured, float(np.nan_to_num(arm.angles[5])), []
+        elif self._direction is not None:
+            self._highest = max(self._highest, -float(measured[:3, 3] @ self._direction))
+        self._trail.append(measured)
+        estimate = self._filtered(own, measured)
         seconds = {
             "simulation": simulation_s,
             "image": estimate.image_s,
@@ -270,7 +408,7 @@ class ContourFollower:
                 self._phase,
                 self._part,
                 arm.pose,
-                arm.measured_pose(),
+                measured,
                 arm.angles,
                 self._touch,
                 estimate,
@@ -295,16 +433,20 @@ class ContourFollower:
         self.events.append(Event(self._steps, kind, what))
         self._on_event(self.events[-1])
 
-    def _note_count(self, kind: str) -> int:
-        return sum(e.kind == kind for e in self.events)
-
 
 class FollowingFailed(Exception):
     """A route cannot be followed further; the message says why."""
 
 
-def _shift(forward_mm: float) -> np.ndarray:
-    """Return the motion (4, 4) along the sensor's axis."""
-    T = np.eye(4)
-    T[2, 3] = from_mm_deg([forward_mm, 0, 0, 0, 0, 0])[0]
-    return T
+def _facing(T: np.ndarray, direction: np.ndarray | None) -> np.ndarray:
+    """Return a pose (4, 4) turned about its apex by the smallest angle, so that its axis points in a direction (3,)."""
+    if direction is None:
+        return T
+    return matrix(T[:3, 3], shortest_turn(T[:3, 2], direction) * Rotation.from_matrix(T[:3, :3]))
+
+
+def _moved(T: np.ndarray, direction: np.ndarray | None, by_mm: float) -> np.ndarray:
+    """Return a pose (4, 4), moved in a direction (3,) of the base frame, or along the sensor's axis if None."""
+    out = T.copy()
+    out[:3, 3] += from_mm_deg([by_mm, 0, 0, 0, 0, 0])[0] * (T[:3, 2] if direction is None else direction)
+    return out

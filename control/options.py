@@ -42,13 +42,22 @@ class Settings:
     range_margin: float = within(0, 10, default=0.5)
     """Distance beyond the trained label range at which an estimate is rejected, as a fraction of the range's half
     width."""
-    max_force_n: float = within(0.1, 100, default=8.0)
-    """Contact force at which the arm retracts, N [?]. It is above the force of the deepest press in the training
-    sets."""
+    max_force_n: float = within(0.1, 100, default=4.5)
+    """Contact force at which the arm stops and retracts, N [?]. For presses deeper than by default it rises with the
+    depth."""
+    ease_force_n: float = within(0.1, 100, default=2.0)
+    """Estimated contact force above which the tip presses less deep, N [M]. It rises as max_force_n. Along the face of the
+    bust the force is 1.4 N at most; in hollows that are narrower than the tip it is higher, because the flanks touch."""
     retract_mm: float = within(0.1, 20, default=2.0)
     """Distance of a retraction along the sensor's axis, mm."""
-    max_recoveries: int = within(0, 1000, default=5)
-    """Maximum number of recoveries in a row with fewer than three good steps between them."""
+    max_recoveries: int = within(0, 1000, default=2)
+    """Maximum number of searches for contact on the spot after failures, before a piece of the route is skipped."""
+    skip_mm: float = within(0.1, 100, default=4.0)
+    """Length of the first piece of the route that is skipped at an obstacle, mm. Every second skip is longer by as much."""
+    max_skips: int = within(0, 1000, default=6)
+    """Maximum number of skips at one obstacle. After them, the rest of the pass is left out, or the edge is given up."""
+    clearance_mm: float = within(1, 200, default=15.0)
+    """Height of the lifted tip above the part of the object touched so far, mm."""
     max_steps: int = within(1, 1000000, default=20000)
     """Maximum number of steps of a run."""
 

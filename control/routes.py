@@ -5,6 +5,8 @@ from abc import ABC, abstractmethod
 import numpy as np
 from numpy.typing import ArrayLike
 
+from tactip_twin.control.obstacles import Obstacle
+
 _LOOKAHEAD_M = 3e-3
 """Distance to the point of the line that a route aims at, m: three steps."""
 
@@ -24,6 +26,10 @@ class Route(ABC):
     """Whether it returned to its start."""
     wrist_rad = 0.0
     """Desired angle of joint 6 at the start, rad."""
+    travelled_m = 0.0
+    """Distance along the route, m."""
+    approach: np.ndarray | None = None
+    """(3,) unit, the direction in the base frame from which any place on the route can be approached; None: unknown."""
 
     @abstractmethod
     def direction(self, T_base_tcp: np.ndarray, T_base_contact: np.ndarray) -> np.ndarray | None:
@@ -32,7 +38,33 @@ class Route(ABC):
         Args:
             T_base_tcp: (4, 4), measured pose of the sensor.
             T_base_contact: (4, 4), estimated contact frame (sim/pose.py).
+
+        Raises:
+            Obstacle: The route has no direction on a surface as steep as this.
         """
+
+    @abstractmethod
+    def skip(self, distance_m: float, T_base_tcp: np.ndarray) -> np.ndarray | None:
+        """Skip a piece of the route.
+
+        Args:
+            distance_m: Length of the piece, m; infinite for the rest of the present part.
+            T_base_tcp: (4, 4), measured pose at which the tip last followed the route.
+
+        Returns:
+            That pose (4, 4), moved to where the route continues, as far as this is known; None at the end.
+        """
+
+    def places(self, distances_m: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+        """Return the places (n, 3), m, base frame, at distances (n,) along a stretch that was left out.
+
+        Args:
+            distances_m: From the start of the stretch to its end, along the route.
+            start: (3,) m, place where the tip last followed the route.
+            end: (3,) m, place where it continues.
+        """
+        span = max(float(np.ptp(distances_m)), 1e-9)
+        return start + ((distances_m - distances_m[0]) / span)[:, None] * (end - start)
 
 
 class PlanarPath(Route):
@@ -49,31 +81,52 @@ class PlanarPath(Route):
         flat = np.asarray(points, float)
         self._up, self._points = up, flat - np.outer(flat @ up, up)
         self._before = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(self._points, axis=0), axis=1))])
-        self._at = 0.0
+        self.approach = -up
 
     @property
     def length_m(self) -> float:
         """Length of the line, m."""
         return float(self._before[-1])
 
+    @property
+    def _part_now(self) -> int:
+        return int(np.clip(np.searchsorted(self._before, self.travelled_m + 1e-9, "right") - 1, 0, len(self._before) - 2))
+
     def direction(self, T_base_tcp: np.ndarray, T_base_contact: np.ndarray) -> np.ndarray | None:
         """Return the next direction; see Route."""
         place, axis = T_base_tcp[:3, 3], T_base_tcp[:3, 2]
         place = place - (place @ self._up) * self._up
         # Forward only, and within a few steps, because the line may pass close to itself.
-        candidates = np.linspace(self._at, min(self._at + 2 * _LOOKAHEAD_M, self.length_m), 25)
-        self._at = float(candidates[np.linalg.norm(self._point(candidates) - place, axis=1).argmin()])
-        self.part = int(np.clip(np.searchsorted(self._before, self._at + 1e-9, "right") - 1, 0, len(self._before) - 2))
-        if self.length_m - self._at < _LOOKAHEAD_M / 6:
+        candidates = np.linspace(self.travelled_m, min(self.travelled_m + 2 * _LOOKAHEAD_M, self.length_m), 25)
+        self.travelled_m = float(candidates[np.linalg.norm(self._point(candidates) - place, axis=1).argmin()])
+        self.part = self._part_now
+        if self.length_m - self.travelled_m < _LOOKAHEAD_M / 6:
             self.ended = "route completed"
             return None
         if axis @ -self._up < MIN_TILT_COSINE:
             slope = np.degrees(np.arccos(axis @ -self._up))
-            self.ended = f"the surface is too steep: {slope:.0f} degrees from the plane of the route"
-            return None
-        heading = self._point(np.array([min(self._at + _LOOKAHEAD_M, self.length_m)]))[0] - place
+            raise Obstacle("too steep", f"the surface is {slope:.0f} degrees from the plane of the route")
+        heading = self._point(np.array([min(self.travelled_m + _LOOKAHEAD_M, self.length_m)]))[0] - place
         heading = heading - (heading @ axis) / (self._up @ axis) * self._up
         return heading / np.linalg.norm(heading)
+
+    def skip(self, distance_m: float, T_base_tcp: np.ndarray) -> np.ndarray | None:
+        """Skip a piece; see Route."""
+        # A part ends where the next begins.
+        end = float(self._before[self._part_now + 1])
+        self.travelled_m = min(end + 1e-6 if np.isinf(distance_m) else self.travelled_m + distance_m, self.length_m)
+        if self.length_m - self.travelled_m < _LOOKAHEAD_M / 6:
+            self.ended = "route completed"
+            return None
+        self.part = self._part_now
+        T, place = T_base_tcp.copy(), T_base_tcp[:3, 3]
+        T[:3, 3] = self._point(np.array([self.travelled_m]))[0] + (place @ self._up) * self._up
+        return T
+
+    def places(self, distances_m: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+        """Return places on the line, at heights between those of start and end; see Route."""
+        heights = super().places(distances_m, start, end) @ self._up
+        return self._point(distances_m) + heights[:, None] * self._up
 
     def _point(self, distances: np.ndarray) -> np.ndarray:
         """Return the points (n, 3) at distances (n,) along the line."""
@@ -86,18 +139,29 @@ class Geodesic(Route):
     def __init__(self, heading_rad: float, length_m: float) -> None:
         """Set the heading, from the sensor's x axis towards its y axis, and the length."""
         self._heading = np.array([np.cos(heading_rad), np.sin(heading_rad), 0.0])
-        self._left = length_m
+        self._length = length_m
         self._last: np.ndarray | None = None
 
     def direction(self, T_base_tcp: np.ndarray, T_base_contact: np.ndarray) -> np.ndarray | None:
         """Return the next direction; see Route."""
         if self._last is not None:
-            self._left -= float(np.linalg.norm(T_base_tcp[:3, 3] - self._last))
+            self.travelled_m += float(np.linalg.norm(T_base_tcp[:3, 3] - self._last))
         self._last = T_base_tcp[:3, 3].copy()
-        if self._left <= 0:
+        if self.travelled_m >= self._length:
             self.ended = "route completed"
             return None
         return T_base_tcp[:3, :3] @ self._heading
+
+    def skip(self, distance_m: float, T_base_tcp: np.ndarray) -> np.ndarray | None:
+        """Skip a piece; see Route."""
+        self.travelled_m = min(self.travelled_m + distance_m, self._length)
+        if self.travelled_m >= self._length:
+            self.ended = "the rest of the route was left out" if np.isinf(distance_m) else "route completed"
+            return None
+        T = T_base_tcp.copy()
+        T[:3, 3] += distance_m * (T[:3, :3] @ self._heading)
+        self._last = None
+        return T
 
 
 class EdgePath(Route):
@@ -115,28 +179,40 @@ class EdgePath(Route):
         # A full loop turns the sensor once, and joint 6, which points down, in the opposite direction.
         self.wrist_rad = self._sense * np.pi
         self._start: np.ndarray | None = None
-        self._last = np.zeros(3)
-        self._gone, self._farthest = 0.0, 0.0
+        self._last: np.ndarray | None = None
+        self._heading, self._skipped, self._farthest = np.zeros(3), 0.0, 0.0
 
     def direction(self, T_base_tcp: np.ndarray, T_base_contact: np.ndarray) -> np.ndarray | None:
         """Return the next direction; see Route."""
         place = T_base_tcp[:3, 3].copy()
         if self._start is None:
-            self._start = self._last = place
-        self._gone += float(np.linalg.norm(place - self._last))
+            self._start = place
+        if self._last is not None:
+            self.travelled_m += float(np.linalg.norm(place - self._last))
         self._last = place
         away = float(np.linalg.norm(place - self._start))
         self._farthest = max(self._farthest, away)
-        if self._farthest > 4 * self._close and away < self._close and self._gone > 2 * self._farthest:
+        if self._farthest > 4 * self._close and away < self._close and self.travelled_m > 2 * self._farthest:
             self.closed, self.ended = True, "loop closed"
             return None
-        if self._gone > self._limit:
+        if self.travelled_m > self._limit:
             self.ended = f"stopped at the path limit of {1e3 * self._limit:.0f} mm"
             return None
         axis = T_base_tcp[:3, 2]
         heading = self._sense * T_base_contact[:3, 1]
         heading = heading - (heading @ axis) * axis
-        return heading / np.linalg.norm(heading)
+        self._heading, self._skipped = heading / np.linalg.norm(heading), 0.0
+        return self._heading
+
+    def skip(self, distance_m: float, T_base_tcp: np.ndarray) -> np.ndarray | None:
+        """Skip a piece, straight ahead from where the edge was last followed; see Route."""
+        if np.isinf(distance_m) or not self._heading.any():
+            self.ended = f"the edge was not found again within {1e3 * self._skipped:.0f} mm"
+            return None
+        self.travelled_m, self._skipped, self._last = self.travelled_m + distance_m, self._skipped + distance_m, None
+        T = T_base_tcp.copy()
+        T[:3, 3] += self._skipped * self._heading
+        return T
 
 
 def serpentine(

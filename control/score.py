@@ -1,11 +1,13 @@
 """Scores of a trajectory, compared with the true geometry."""
 
+from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from tactip_twin.sim.contact.record import QualityLimits
 from tactip_twin.sim.labels import COMPONENTS
 from tactip_twin.sim.pose import to_mm_deg
 from tactip_twin.sim.robot.objects import SceneObject
@@ -37,35 +39,36 @@ def score(
         targets: (m, 3), target points, base frame, m.
 
     Mean errors are over the steps of the phase `follow`: depth and, along an edge, x, of the true label against the
-    reference; angle between the sensor's axis and the true normal.
+    reference; angle between the sensor's axis and the true normal. The maximum force is that of all steps.
     """
     following = arrays["phase"] == PHASES.index("follow")
     true, predicted = to_mm_deg(arrays["true"][following]), to_mm_deg(arrays["predicted"][following])
     edge = record["task"] == "edge"
-    poses, seconds = arrays["T_base_tcp"][following], arrays["seconds"]
-    # Points of contact: the apex is below them by the depth.
-    places = poses[:, :3, 3] + arrays["true"][following][:, 2:3] * poses[:, :3, 2]
-    whole, simulated = float(seconds.sum()), arrays["penetration_m"]
-    force = np.linalg.norm(arrays["force_n"][following], axis=1)
+    places, seconds = contact_places(arrays, following), arrays["seconds"]
+    # Predicted contacts have no penetration.
+    whole, penetration = float(seconds.sum()), arrays["penetration_m"][np.isfinite(arrays["penetration_m"])]
+    force = np.linalg.norm(arrays["force_n"], axis=1)
     angles = angles_to_normal_deg(arrays["true"][following])
     out = {
         "task": record["task"],
         "object": record["object"],
-        "depth_mae_mm": _mean(np.abs(true[:, 2] - reference_mm_deg[2])),
-        "depth_bias_mm": _mean(true[:, 2] - reference_mm_deg[2]),
-        "angle_mean_deg": _mean(angles),
+        "depth_mae_mm": mean_or_none(np.abs(true[:, 2] - reference_mm_deg[2])),
+        "depth_bias_mm": mean_or_none(true[:, 2] - reference_mm_deg[2]),
+        "angle_mean_deg": mean_or_none(angles),
         "angle_p95_deg": float(np.percentile(angles, 95)) if len(angles) else None,
-        "lateral_mae_mm": _mean(np.abs(true[:, 0] - reference_mm_deg[0])) if edge else None,
-        "prediction_mae": {name: _mean(np.abs(predicted - true)[:, k]) for k, name in enumerate(COMPONENTS)},
+        "lateral_mae_mm": mean_or_none(np.abs(true[:, 0] - reference_mm_deg[0])) if edge else None,
+        "prediction_mae": {name: mean_or_none(np.abs(predicted - true)[:, k]) for k, name in enumerate(COMPONENTS)},
         "contact_losses": sum(e["kind"] == "contact lost" for e in record["events"]),
-        "events": len(record["events"]),
+        "events": dict(Counter(event["kind"] for event in record["events"])),
+        # The places are in the recording.
+        "left_out": [{k: v for k, v in s.items() if k != "places_m"} for s in record.get("left_out", [])],
         "coverage": coverage(places, targets, EDGE_COVERED_M if edge else COVERED_M),
         "path_mm": float(1e3 * np.linalg.norm(np.diff(places, axis=0), axis=1).sum()) if len(places) else 0.0,
         "closed": record["closed"],
-        "force_mean_n": _mean(force),
+        "force_mean_n": mean_or_none(force[following]),
         "force_max_n": float(force.max()) if len(force) else None,
-        # Predicted contacts have no penetration.
-        "penetration_max_mm": float(1e3 * np.nanmax(simulated)) if np.isfinite(simulated).any() else None,
+        "penetration_max_mm": float(1e3 * penetration.max()) if len(penetration) else None,
+        "penetration_within_bound": mean_or_none(penetration <= QualityLimits().while_sliding().penetration_m),
         "steps_simulated": int((arrays["sim_steps"] > 0).sum()),
         "steps": len(seconds),
         "steps_followed": int(following.sum()),
@@ -75,6 +78,44 @@ def score(
         "passes": _passes(arrays, following, true, angles, reference_mm_deg) if not edge else [],
     }
     return out
+
+
+def events_text(events: Mapping[str, int] | int) -> str:
+    """Return the number of events by kind in words; as it is where a result of an older version has their sum only."""
+    return str(events) if isinstance(events, int) else ", ".join(f"{n} × {kind}" for kind, n in events.items()) or "none"
+
+
+def summary(figures: Mapping[str, Any]) -> list[str]:
+    """Return the lines of a readable summary of a score."""
+
+    def mean(values: Mapping[str, Any]) -> str:
+        found = [("depth", "depth_mae_mm", " mm"), ("lateral", "lateral_mae_mm", " mm"), ("angle", "angle_mean_deg", "°")]
+        found += [("95 % below", "angle_p95_deg", "°")]
+        texts = [f"{title} {values[key]:.2f}{unit}" for title, key, unit in found if values.get(key) is not None]
+        return ", ".join(texts) or "none"
+
+    left = sum(stretch["to_mm"] - stretch["from_mm"] for stretch in figures["left_out"])
+    covered = f"path {figures['path_mm']:.0f} mm, covered {figures['coverage']:.0%}"
+    if "reachable" in figures:
+        covered += f" of the area and {figures['coverage_of_reachable']:.0%} of what the tip can touch"
+    lines = [covered, f"errors: {mean(figures)}"]
+    for name, errors in figures.get("errors", {}).items():
+        if errors["steps"]:
+            lines.append(f"  {name} ({errors['steps'] / figures['steps_followed']:.0%} of the steps): {mean(errors)}")
+    if figures["force_max_n"] is not None:
+        lines.append(f"force: at most {figures['force_max_n']:.1f} N")
+    if figures["penetration_within_bound"] is not None:
+        lines.append(f"penetration within its bound: {figures['penetration_within_bound']:.1%} of the simulated steps")
+    lines.append(f"events: {events_text(figures['events'])}")
+    lines += [f"left out: {left:.0f} mm of the route"] if left else []
+    lines += [f"  {s['from_mm']:.0f} to {s['to_mm']:.0f} mm: {s['kind']}" for s in figures["left_out"]]
+    return [*lines, f"{figures['steps']} steps, {figures['steps_per_s'] or 0:.1f} per second; {figures['stopped_because']}"]
+
+
+def contact_places(arrays: Mapping[str, np.ndarray], chosen: np.ndarray) -> np.ndarray:
+    """Return the places of contact (n, 3), m, base frame, at the chosen steps: the apex is below them by the depth."""
+    poses = arrays["T_base_tcp"][chosen]
+    return poses[:, :3, 3] + arrays["true"][chosen][:, 2:3] * poses[:, :3, 2]
 
 
 def coverage(places: np.ndarray, targets: np.ndarray, reach_m: float) -> float:
@@ -137,15 +178,16 @@ def _passes(
             {
                 "pass": part // 2,
                 "steps": int(mine.sum()),
-                "depth_mae_mm": _mean(np.abs(true[mine, 2] - reference_mm_deg[2])),
-                "angle_mean_deg": _mean(angles[mine]),
+                "depth_mae_mm": mean_or_none(np.abs(true[mine, 2] - reference_mm_deg[2])),
+                "angle_mean_deg": mean_or_none(angles[mine]),
                 "angle_p95_deg": float(np.percentile(angles[mine], 95)),
             }
         )
     return out
 
 
-def _mean(values: np.ndarray) -> float | None:
+def mean_or_none(values: np.ndarray) -> float | None:
+    """Return the mean of values (n,); None if there are none."""
     return float(np.mean(values)) if len(values) else None
 
 

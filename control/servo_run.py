@@ -15,6 +15,7 @@ from tactip_twin.control.options import ServoOptions
 from tactip_twin.control.score import score
 from tactip_twin.control.servo import Controller, reference_mm_deg
 from tactip_twin.control.servo_setup import ServoSetup, prepare
+from tactip_twin.control.surface_score import surface_score
 from tactip_twin.control.trajectory_figure import write_figure
 from tactip_twin.learning.pose_filter import PoseFilter
 from tactip_twin.sim.pose import inverse
@@ -68,7 +69,7 @@ def run_servo(
         setup.estimator,
         setup.controller,
         setup.labels,
-        options.settings,
+        setup.settings,
         record,
         time.perf_counter,
         note,
@@ -84,14 +85,20 @@ def run_servo(
     outcome = {
         "closed": setup.route.closed,
         "stopped_because": follower.stopped_because,
+        "left_out": [dataclasses.asdict(stretch) for stretch in follower.left_out],
         "warnings": setup.mounted_tip.warnings,
     }
     finished, arrays = recorder.results(outcome)
     try:
         figures = score(arrays, finished, reference_mm_deg(setup.depth_mm), setup.targets)
+        if options.task == "surface":
+            radius_m = setup.design.shape.radius_m
+            figures |= surface_score(arrays, setup.scene_object, setup.targets, setup.depth_mm, radius_m)
         write_file(options.out / SCORE, (json.dumps(figures, indent=1) + "\n").encode())
         if options.renderer == "pyrender":
-            write_figure(options.out / FIGURE, scenery, arrays, options.task, reference_mm_deg(setup.depth_mm))
+            left_out = [np.array(stretch.places_m) for stretch in follower.left_out]
+            reference = reference_mm_deg(setup.depth_mm)
+            write_figure(options.out / FIGURE, scenery, arrays, options.task, reference, left_out=left_out)
         if options.video and not interrupted and finished["steps"]:
             write_video(options.out / FILM, render_frames(scenery, finished, arrays))
     finally:

@@ -8,7 +8,7 @@ import numpy as np
 
 from tactip_twin.assets import MESHES, MODELS
 from tactip_twin.control.estimator import Estimator, ImageEstimator, LabelFunction, NetworkEstimator, Oracle
-from tactip_twin.control.options import ServoOptions
+from tactip_twin.control.options import ServoOptions, Settings
 from tactip_twin.control.routes import EdgePath, Geodesic, PlanarPath, Route, serpentine
 from tactip_twin.control.score import surface_targets
 from tactip_twin.control.servo import DEPTHS_MM, Controller, Servo, gains_named
@@ -20,7 +20,7 @@ from tactip_twin.sim.ground_truth import EdgeGroundTruth, SurfaceGroundTruth
 from tactip_twin.sim.pose import from_mm_deg, inverse, sensor_in_contact
 from tactip_twin.sim.robot.arm_models import ArmModel, arm_model_named
 from tactip_twin.sim.robot.fast_mounted_tip import FastMountedTip
-from tactip_twin.sim.robot.mounted_tip import MountedTip, TipOnArm
+from tactip_twin.sim.robot.mounted_tip import MountedTip, TipOnArm, clear_pose
 from tactip_twin.sim.robot.objects import SceneObject, load_object
 from tactip_twin.tactip_model.bounds import require
 from tactip_twin.tactip_model.design import Design
@@ -32,6 +32,9 @@ UP = np.array([0.0, 0, 1])
 
 _START_GAP_MM = 2.5
 """Distance from the object at which a run starts, mm."""
+
+_FORCE_EXPONENT = 1.75
+"""The force of a press on a plane grows with about this power of the depth, - [?]."""
 
 _SHIPPED_DESIGN = "tactip-127"
 """Design that the shipped networks were trained for."""
@@ -59,6 +62,8 @@ class ServoSetup:
     """Controller of the sensor's pose."""
     depth_mm: float
     """Depth to keep, mm."""
+    settings: Settings
+    """Settings of the follower, with forces for that depth."""
     T_start: np.ndarray
     """(4, 4), first pose of the sensor."""
     route: Route
@@ -104,6 +109,7 @@ def prepare(
     mounted_tip = _mounted_tip(options, design, scene_object, arm_model, truth)
     depth_mm = _depth_mm(options, model.labels)
     T_start, route, targets = _plan(options, scene_object, truth)
+    T_start = clear_pose(mounted_tip, T_start)
     network = model if isinstance(chosen, NetworkEstimator) else None
     controller = Servo(gains, depth_mm) if controller is None else controller
     return ServoSetup(
@@ -116,6 +122,7 @@ def prepare(
         network,
         controller,
         depth_mm,
+        _with_forces(options, depth_mm),
         T_start,
         route,
         targets,
@@ -208,6 +215,13 @@ def _depth_mm(options: ServoOptions, labels: Labels) -> float:
             "on these depths only"
         )
     return depth_mm
+
+
+def _with_forces(options: ServoOptions, depth_mm: float) -> Settings:
+    """Return the options' settings of the follower, with limits of the force that rise with the depth."""
+    factor = max(1.0, depth_mm / DEPTHS_MM[options.task]) ** _FORCE_EXPONENT
+    s = options.settings
+    return dataclasses.replace(s, max_force_n=factor * s.max_force_n, ease_force_n=factor * s.ease_force_n)
 
 
 def _ground_truth(options: ServoOptions, scene_object: SceneObject) -> SurfaceGroundTruth | EdgeGroundTruth:

@@ -1,26 +1,31 @@
 """The figure of a servo run: the path on the object, colored by the error of the contact, and the errors along it."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+import trimesh
 from scipy.spatial import cKDTree
 
 from tactip_twin.control.score import angles_to_normal_deg
+from tactip_twin.sim.contact.signed_distance import SignedDistanceMesh
 from tactip_twin.sim.labels import Task
 from tactip_twin.sim.pose import to_mm_deg
 from tactip_twin.sim.robot.recording import PHASES, RecordedScene
 from tactip_twin.sim.view.camera_fit import fitted_camera
-from tactip_twin.sim.view.geometry import object_mesh, path_meshes
+from tactip_twin.sim.view.geometry import ColoredMesh, object_mesh, path_meshes
 from tactip_twin.sim.view.offscreen import SceneRenderer
-from tactip_twin.sim.view.palette import ERROR_RAMP, scale_end
+from tactip_twin.sim.view.palette import ERROR_RAMP, LEFT_OUT_COLOR, scale_end
 from tactip_twin.sim.view.plot import COLORS, figure_of, save_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _WIDTH, _HEIGHT = 1500, 1000
+_MARK_M = 1e-3
+"""Radius of a mark of what was left out, m."""
+
 _FIELD_DEG = 20.0
 """Field of view of the figure, degrees: narrow, for little distortion."""
 
@@ -37,6 +42,7 @@ def write_figure(
     task: Task,
     reference_mm_deg: np.ndarray,
     towards: tuple[float, float, float] = (0.45, -0.5, 0.8),
+    left_out: Sequence[np.ndarray] = (),
 ) -> None:
     """Render a recorded path on its object and plot the errors along it to a file.
 
@@ -47,6 +53,7 @@ def write_figure(
         task: Task of the run.
         reference_mm_deg: (6,), the label to keep, mm and degrees.
         towards: (3,), direction from the object to the eye, base frame.
+        left_out: Places (n, 3), m, base frame, of each stretch that was left out, which is marked.
 
     Raises:
         TactipError: OpenGL cannot be used.
@@ -58,10 +65,11 @@ def write_figure(
     near = placed.vertices[cKDTree(places).query(placed.vertices)[0] < _AROUND_M]
     shown = near if len(near) else placed.vertices
     eye, target = fitted_camera(shown, towards, np.radians(_FIELD_DEG), _WIDTH / _HEIGHT, margin=0.04)
-    picture = SceneRenderer(_WIDTH, _HEIGHT, [placed]).render(path_meshes(arrays, errors, largest), eye, target, _FIELD_DEG)
+    meshes = [*path_meshes(arrays, errors, largest), *_left_out_meshes(left_out, placed)]
+    picture = SceneRenderer(_WIDTH, _HEIGHT, [placed]).render(meshes, eye, target, _FIELD_DEG)
     figure, axes = figure_of(3, 1, (8, 8), heights=(5, 1, 1))
     _show_picture(axes[0], picture, largest, float(np.linalg.norm(eye - target)))
-    axes[0].set_title("contact points, with estimated normals")
+    axes[0].set_title("contact points, with estimated normals" + ("; black: left out" if len(left_out) else ""))
     _plot_errors(axes[1:], arrays, errors)
     save_figure(figure, path)
 
@@ -101,3 +109,11 @@ def _plot_errors(axes: "list[Axes]", arrays: Mapping[str, np.ndarray], errors_mm
         axis.set(ylabel=name, ylim=(0, None), title=f"error of the {name.split(',')[0]}, {mean}")
         axis.title.set_fontsize(9)
     axes[-1].set_xlabel("length of the path, mm")
+
+
+def _left_out_meshes(left_out: Sequence[np.ndarray], placed: ColoredMesh) -> list[ColoredMesh]:
+    """Return a mark on the object for each stretch (n, 3), m, that was left out."""
+    solid = SignedDistanceMesh(placed.vertices, placed.triangles)
+    places = [place for stretch in left_out for place in solid.nearest(stretch).place]
+    dot = trimesh.creation.icosphere(2, _MARK_M)
+    return [ColoredMesh(dot.vertices + p, dot.faces, np.asarray(dot.vertex_normals), LEFT_OUT_COLOR) for p in places]

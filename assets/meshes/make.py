@@ -58,7 +58,8 @@ def cut(
     mesh = trimesh.Trimesh(vertices, triangles, process=True)
     mesh.update_faces(mesh.nondegenerate_faces())
     mesh.fix_normals()
-    return mesh
+    # Where a wall is thin, flat slivers can remain beside the solid.
+    return max(mesh.split(only_watertight=False), key=lambda part: len(part.faces))
 
 
 def rounded(mesh: trimesh.Trimesh, hollow_mm: float, ridge_mm: float, spacing_mm: float) -> trimesh.Trimesh:

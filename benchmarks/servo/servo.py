@@ -24,6 +24,7 @@ from tactip_twin.benchmarks.report import read_results, table, write_results
 from tactip_twin.benchmarks.servo.contact_patch import RADII_MM, contact_patch_normal
 from tactip_twin.benchmarks.servo.filter_table import WITHOUT, filter_table
 from tactip_twin.control.options import RouteOptions, ServoOptions, Settings
+from tactip_twin.control.score import events_text
 from tactip_twin.control.servo_run import SCORE, run_servo
 from tactip_twin.learning.filter_settings import FilterSettings
 from tactip_twin.learning.model import load_network, weights_sha256
@@ -129,11 +130,11 @@ def cases(options: ServoBenchOptions) -> list[Case]:
     for name, run in _LONG.items():
         middle = load_object(name).middle_m
         for seed in range(STARTS):
-            out.append(Case("starts", f"{name}, {seed}", _random_start(run, seed, middle)))
+            out.append(Case("starts", f"{name}, {seed}", random_start(run, seed, middle)))
     return out
 
 
-def _random_start(run: ServoOptions, seed: int, middle_m: np.ndarray) -> ServoOptions:
+def random_start(run: ServoOptions, seed: int, middle_m: np.ndarray) -> ServoOptions:
     """Return a short run from a random place, with a random initial pose error, in a random direction."""
     rng = np.random.default_rng((seed, 5))
     settings = Settings(max_steps=_START_STEPS)
@@ -146,11 +147,11 @@ def _random_start(run: ServoOptions, seed: int, middle_m: np.ndarray) -> ServoOp
     return replace(run, seed=seed, route=route, settings=settings)
 
 
-class _Runner:
+class Runner:
     """Worker task that makes runs."""
 
-    def __init__(self, runs: str, options: ServoBenchOptions) -> None:
-        self._runs, self._cases = Path(runs), {(c.group, c.name): c for c in cases(options)}
+    def __init__(self, runs: str, cases: Sequence[Case]) -> None:
+        self._runs, self._cases = Path(runs), {(c.group, c.name): c for c in cases}
 
     def __call__(self, key: tuple[str, str]) -> None:
         """Make the run of a (group, name); an error message goes into its folder."""
@@ -188,11 +189,9 @@ def run(options: ServoBenchOptions, log: Callable[[str], None] = print) -> dict[
     """
     groups = [lookup("group", name, dict.fromkeys(GROUPS, name)) for name in options.groups or GROUPS]
     chosen = [case for case in cases(options) if case.group in groups]
-    todo = [(c.group, c.name) for c in chosen if not _is_done(options.runs, c)]
+    todo = [(c.group, c.name) for c in chosen if not is_done(options.runs, c)]
     workers = worker_count(options.workers)
-    if todo:
-        pool = WorkerPool(_Runner, (str(options.runs), options), todo, "run", log, lambda run: f"run {run[1]!r} of {run[0]}")
-        pool.work(workers, lambda *done: None)
+    make(options.runs, [c for c in chosen if (c.group, c.name) in todo], workers, log)
     before = read_results(options.out / "servo.json") or {"groups": {}, "made": {}}
     rows = before["groups"] | {c.group: [_row(options.runs, one) for one in chosen if one.group == c.group] for c in chosen}
     rows = {g: rows[g] for g in GROUPS if g in rows}
@@ -216,6 +215,14 @@ def run(options: ServoBenchOptions, log: Callable[[str], None] = print) -> dict[
     return record
 
 
+def make(runs: Path, missing: Sequence[Case], workers: int, log: Callable[[str], None]) -> None:
+    """Make runs. Raises TactipError, and Interrupted on Ctrl-C."""
+    if missing:
+        todo = [(c.group, c.name) for c in missing]
+        pool = WorkerPool(Runner, (str(runs), missing), todo, "run", log, lambda run: f"run {run[1]!r} of {run[0]}")
+        pool.work(workers, lambda *done: None)
+
+
 def _training_of(name: str) -> str:
     """Return what a network (name or folder) was trained on, in words."""
     provenance = load_network(name).provenance
@@ -233,7 +240,8 @@ def _patch(runs: Path, case: Case) -> dict[str, Any]:
     return {"depth_mm": case.options.depth_mm, **contact_patch_normal(folder, load_object(case.options.object))}
 
 
-def _is_done(runs: Path, case: Case) -> bool:
+def is_done(runs: Path, case: Case) -> bool:
+    """Return whether a run exists."""
     path = run_folder(runs, case.group, case.name) / "case.json"
     return path.exists() and path.read_text() == identity(case)
 
@@ -335,7 +343,7 @@ def _notes(rows: Sequence[dict[str, Any]], prefix: str = "") -> str:
             lines.append(f"- {prefix}{row['name']}: not run: {row['error']}")
             continue
         notes = [] if row["stopped_because"].startswith(_COMPLETED) else [row["stopped_because"]]
-        notes += [f"events: {row['events']}"] if row["events"] else []
+        notes += [f"events: {events_text(row['events'])}"] if row["events"] else []
         fraction = row["coverage"] / (best[row["name"].partition(",")[0]] or 1)
         notes += [f"followed {fraction:.0%} of the path"] if fraction < 0.9 else []
         lines += [f"- {prefix}{row['name']}: {'; '.join(notes)}"] if notes else []

@@ -120,21 +120,22 @@ class KinematicArm(ArmModel):
         self._set_angles(self.arm.solve(np.asarray(T_base_tcp, float), wrist_rad))
 
     def _set_angles(self, angles: np.ndarray) -> None:
-        self._angles = self._from = self._to = angles
+        self._angles = self._from = self._to = self._commanded = angles
         self.pose = self.arm.forward(angles)
 
     def set_target(self, T_base_tcp: ArrayLike, steps: int, step_s: float) -> int:
         """Set the target: see ArmModel."""
-        to = self.arm.solve_near(np.asarray(T_base_tcp, float), self._to)
-        min_steps = np.abs((to - self._to) / MAX_SPEEDS_RAD_S).max() * _PEAK_SPEED_RATIO / step_s
+        # The last motion may have been stopped on its way.
+        to = self.arm.solve_near(np.asarray(T_base_tcp, float), self._commanded)
+        min_steps = np.abs((to - self._commanded) / MAX_SPEEDS_RAD_S).max() * _PEAK_SPEED_RATIO / step_s
         if min_steps > _MAX_STEPS:
             raise Unreachable("the joints would have to turn too far for this motion: the arm is close to a singularity")
-        self._from, self._to = self._to, to
+        self._from, self._to = self._commanded, to
         return max(steps, int(np.ceil(min_steps)))
 
     def advance(self, fraction: float, step_s: float, force: np.ndarray, torque: np.ndarray) -> np.ndarray:
         """Move towards the target: see ArmModel."""
-        self._angles = self._from + fraction * (self._to - self._from)
+        self._angles = self._commanded = self._from + fraction * (self._to - self._from)
         self.pose = self.arm.forward(self._angles)
         return self.pose
 
@@ -164,7 +165,6 @@ class DynamicArm(KinematicArm):
         super()._set_angles(angles)
         mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[:] = self.data.ctrl[:] = angles
-        self._commanded = angles
         mujoco.mj_forward(self.model, self.data)
 
     def advance(self, fraction: float, step_s: float, force: np.ndarray, torque: np.ndarray) -> np.ndarray:

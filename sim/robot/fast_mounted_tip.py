@@ -17,7 +17,7 @@ from tactip_twin.sim.fast_tip.sliding_tip import SlidingTip
 from tactip_twin.sim.ground_truth import GroundTruth
 from tactip_twin.sim.pose import inverse
 from tactip_twin.sim.robot.arm_models import ArmModel
-from tactip_twin.sim.robot.mounted_tip import TipOnArm
+from tactip_twin.sim.robot.mounted_tip import TipOnArm, check_force
 from tactip_twin.tactip_model.design import Design
 
 
@@ -61,14 +61,16 @@ class FastMountedTip(TipOnArm):
         """Return T_object_sensor (4, 4)."""
         return inverse(self.T_base_object) @ self.arm_model.pose
 
-    def go(self, T_base_tcp: np.ndarray) -> TipState:
-        """Move to a pose and settle there: see TipOnArm."""
+    def go(self, T_base_tcp: np.ndarray, max_force_n: float = np.inf) -> TipState:
+        """Move to a pose and settle there: see TipOnArm. The arm does not stop on its way, because forces on it are
+        unknown."""
         motion, force = self._motion, self.arm_model.pose[:3, :3] @ self.sliding.contact.force_n
         fractions = self._set_target(T_base_tcp, motion.shear_step_m, 1.0)
         for fraction in (*fractions, *[1.0] * motion.pause_steps):
             self.arm_model.advance(fraction, motion.step_s, force, np.zeros(3))
         with counted_warnings() as messages:
             self.sliding.move(self._sensor())
+        check_force(self.sliding.contact.force_n)
         self.warnings += len(messages)
         return self.tip_state()
 

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from tactip_twin.sim.contact.fidelity import Fidelity
 from tactip_twin.sim.contact.mujoco_warnings import counted_warnings
+from tactip_twin.sim.contact.record import QualityLimits
 from tactip_twin.sim.contact.rigid_points import RigidPoints
 from tactip_twin.sim.contact.scene import Scene
 from tactip_twin.sim.contact.signed_distance import SignedDistanceMesh
@@ -28,6 +29,16 @@ from tactip_twin.tactip_model.pins import PinReader
 
 _CLEAR_M = 0.5e-3
 """Gap between tip and object that counts as clear, m."""
+
+_BACK_M, _MAX_BACKS = 1e-3, 100
+"""Step by which a pose is moved back, m, and the number of such steps."""
+
+MAX_FORCE_N = 100.0
+"""Force on the tip above which the simulation counts as diverged, N: some twenty times that of the deepest press."""
+
+_MAX_EXTRA_STEPS, _MAX_PENETRATION_M = 12, QualityLimits().while_sliding().penetration_m
+"""Maximum number of further time steps at rest, and penetration, m, above which they are made. The dynamic arm needs some
+100 ms to come to rest after a fast turn, and presses the skin into steep flanks meanwhile [M]."""
 
 _HOUSING_GROUPS = 12
 """Number of groups of the points on the housing [M]."""
@@ -74,11 +85,12 @@ class TipOnArm(ABC):
         return float(min(self._solid.distance(centre[None])[0], self._solid.distance(back).min()) - self._radius)
 
     @abstractmethod
-    def go(self, T_base_tcp: np.ndarray) -> TipState:
+    def go(self, T_base_tcp: np.ndarray, max_force_n: float = np.inf) -> TipState:
         """Move to a pose at the fidelity's pace, in contact or not, and settle there.
 
         Args:
             T_base_tcp: (4, 4).
+            max_force_n: Force on the tip at which the arm stops on its way, N, unless the force has only fallen.
 
         Returns:
             The tip's state at rest.
@@ -116,6 +128,27 @@ class TipOnArm(ABC):
         travel = np.linalg.norm(T_base_tcp[:3, 3] - here[:3, 3]) + LEVER_M * angle_between(here, T_base_tcp)
         count = max(int(np.ceil(motion.min_steps / pace)), int(np.ceil(travel / (step_m * pace))))
         return motion_fractions(self.arm_model.set_target(T_base_tcp, count, motion.step_s), motion)[1:]
+
+
+def check_force(force_n: np.ndarray) -> None:
+    """Raise Diverged if a force (3,), N, on the tip is beyond MAX_FORCE_N."""
+    size = float(np.linalg.norm(force_n))
+    if not size <= MAX_FORCE_N:
+        raise Diverged(f"the simulation diverged: a force of {size:.0f} N on the tip (at most {MAX_FORCE_N:g} N)")
+
+
+def clear_pose(mounted_tip: TipOnArm, T_base_tcp: np.ndarray) -> np.ndarray:
+    """Return a pose (4, 4), moved back along the sensor's axis until the undeformed tip is clear of the object.
+
+    In a narrow hollow, the tip's flanks touch before its apex does.
+    """
+    back = np.eye(4)
+    back[2, 3] = -_BACK_M
+    for _ in range(_MAX_BACKS):
+        if mounted_tip.gap(T_base_tcp) > _CLEAR_M:
+            break
+        T_base_tcp = T_base_tcp @ back
+    return T_base_tcp
 
 
 class MountedTip(TipOnArm):
@@ -158,18 +191,23 @@ class MountedTip(TipOnArm):
         self._place(self.arm_model.pose)
         self._steps_since_read = 0
 
-    def go(self, T_base_tcp: np.ndarray) -> TipState:
+    def go(self, T_base_tcp: np.ndarray, max_force_n: float = np.inf) -> TipState:
         """Move to a pose and settle there: see TipOnArm."""
-        motion = self._motion
+        motion, limit = self._motion, max(max_force_n, self._force_n())
         near = self.scene.data.ncon or self.gap(T_base_tcp) < _CLEAR_M
         fractions = self._set_target(T_base_tcp, motion.shear_step_m if near else motion.press_step_m, self._pace)
         with counted_warnings() as messages:
             self.scene.stiffen(resting=False)
+            fraction = 0.0
             for fraction in fractions:
                 self._step(fraction)
+                if self._force_n() > limit:
+                    break
             self.scene.stiffen(resting=True)
-            for _ in range(self._settle_steps):
-                self._step(1.0)
+            for k in range(self._settle_steps + _MAX_EXTRA_STEPS):
+                if k >= self._settle_steps and self.scene.penetration() <= _MAX_PENETRATION_M:
+                    break
+                self._step(fraction)
         self.warnings += len(messages)
         return self.tip_state()
 
@@ -178,8 +216,13 @@ class MountedTip(TipOnArm):
         state = read_tip_state(self.scene, self._reader, self._steps_since_read, self._clearance())
         if not (np.isfinite(state.skin).all() and np.abs(state.skin).max() < 4 * self._radius):
             raise Diverged("the simulation diverged: the tip is deformed beyond four times its radius")
+        check_force(state.force)
         self._steps_since_read = 0
         return state
+
+    def _force_n(self) -> float:
+        """Return the magnitude of the contact force, N."""
+        return float(np.linalg.norm(self.scene.contact_wrench()[0]))
 
     def _step(self, fraction: float) -> None:
         """Make one time step, to a fraction of the arm model's path."""

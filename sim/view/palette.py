@@ -12,6 +12,7 @@ HOUSING_COLOR: Color = (92.0, 99.0, 114.0)
 TABLE_COLOR: Color = (196.0, 199.0, 204.0)
 PIN_COLOR: Color = (250.0, 250.0, 250.0)
 FORCE_COLOR: Color = (0.0, 130.0, 90.0)
+LEFT_OUT_COLOR: Color = (40.0, 42.0, 48.0)
 
 TRUE_COLOR, ESTIMATED_COLOR = "#22262e", "#c2410c"
 """Colors of curves."""

@@ -26,6 +26,7 @@ PAGES = {
     "performance": "scale.performance",
     "scale": "scale.scale",
     "servo": "servo.servo",
+    "hard_objects": "servo.hard_objects",
 }
 """Page, and the module that makes its tables from the page's JSON."""
 

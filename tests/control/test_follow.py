@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from helpers.profiles import profiled_block
 from tactip_twin.control.estimator import Estimate, Estimator, Oracle
 from tactip_twin.control.follow import ContourFollower
 from tactip_twin.control.options import Settings
@@ -20,7 +21,7 @@ from tactip_twin.sim.ground_truth import EdgeGroundTruth, SurfaceGroundTruth
 from tactip_twin.sim.pose import from_mm_deg, inverse, sensor_in_contact, to_mm_deg
 from tactip_twin.sim.robot.arm_models import arm_model_named
 from tactip_twin.sim.robot.mounted_tip import MountedTip
-from tactip_twin.sim.robot.objects import load_object
+from tactip_twin.sim.robot.objects import Edge, load_object
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.presets import load_design
 
@@ -28,11 +29,19 @@ SURFACE = Labels("surface", (-5, -15, -15), (-1, 15, 15))
 EDGE = Labels("edge", (-5, -5, -15, -15, -45), (5, -1, 15, 15, 45))
 
 
+BRISK = {"max_skips": 1, "skip_mm": 8.0, "clearance_mm": 4.0}
+"""Settings with few and long skips."""
+
+
 class World:
     """An object, a tip on an arm, and the ground truth."""
 
-    def __init__(self, name, arm="none", task="surface"):
-        self.scene_object = load_object(name)
+    def __init__(self, source, arm="none", task="surface", edge=None):
+        self.scene_object = load_object(source)
+        if edge is not None:  # the ends of a straight edge on top of a mesh
+            points = np.linspace(*edge, 50)
+            edge = Edge(points, np.tile([0.0, 0, 1], (len(points), 1)), closed=False)
+            self.scene_object = replace(self.scene_object, edge=edge)
         self.labels = SURFACE if task == "surface" else EDGE
         self.truth = (
             SurfaceGroundTruth(self.scene_object.solid) if task == "surface" else EdgeGroundTruth(self.scene_object.edge)
@@ -102,7 +111,7 @@ def test_follower_with_a_filter_follows_noisy_estimates_more_closely():
         assert all(np.array_equal(s.estimate.label, s.label_from_image) for s in world.steps if not s.estimate.touching)
         if pose_filter is not None:
             assert all((s.estimate.deviations[2:5] < NoisyOracle.deviations[2:5]).all() for s in following)
-    assert errors["fused"] < 0.75 * errors["alone"]
+    assert errors["fused"] < 0.85 * errors["alone"]
 
 
 def over(world, length_m=0.012):
@@ -182,15 +191,18 @@ def test_follower_single_failure_is_recorded_and_recovered(failure, kind):
     assert [e.kind for e in follower.events] == [kind]
 
 
-def test_follower_repeated_failure_ends_the_route_with_its_reason():
+def test_follower_failure_that_remains_is_left_out_to_the_end_of_the_route():
     world = World("plate")
-    replaced = dict.fromkeys(range(12, 400), wild)
-    follower = world.follow(world.start([0, 0, 0]), over(world), Scripted(world, replaced), max_recoveries=2)
-    assert (
-        "estimate out of range 3 times in a row: pose_Rx predicted as 40.0 ° (training range: -15 to 15)"
-        in follower.stopped_because
+    replaced = dict.fromkeys(range(12, 4000), wild)
+    follower = world.follow(
+        world.start([0, 0, 0]), over(world), Scripted(world, replaced), max_recoveries=1, alignment_steps=3, skip_mm=5.0
     )
-    assert len(follower.events) == 3
+    assert follower.stopped_because == "route completed"
+    left = follower.left_out
+    assert [(stretch.to_mm, stretch.kind) for stretch in left] == [(pytest.approx(12), "estimate out of range")]
+    assert len(follower.events) <= 8
+    places = np.array(left[0].places_m)
+    assert np.ptp(places[:, 0]) == pytest.approx(1e-3 * (left[0].to_mm - left[0].from_mm), abs=1e-6)
 
 
 def test_follower_without_contact_reports_it():
@@ -199,20 +211,86 @@ def test_follower_without_contact_reports_it():
     assert follower.stopped_because == "no contact detected within 2 mm"
 
 
-def test_follower_beyond_the_border_of_the_object_stops():
+def test_follower_beyond_the_border_of_the_object_leaves_the_rest_out():
     """Beyond the border of a plate, the estimate is of an upright surface or there is no contact."""
     world = World("plate")
-    follower = world.follow(world.start([0.076, 0, 0]), over(world, 0.2), search_mm=3.0, alignment_steps=3)
-    assert follower.stopped_because.startswith(("no contact detected", "contact lost", "estimate out of range"))
-    assert {e.kind for e in follower.events} <= {"contact lost", "estimate out of range"}
+    follower = world.follow(
+        world.start([0.076, 0, 0]), beside(world, 0.076, 0.03), search_mm=3.0, alignment_steps=3, **BRISK
+    )
+    assert follower.stopped_because == "route completed"
+    assert {e.kind for e in follower.events} <= {
+        "contact lost",
+        "no contact",
+        "estimate out of range",
+        "too steep",
+        "collision",
+    }
+    assert follower.left_out[-1].to_mm == pytest.approx(30)
+    assert follower.left_out[-1].from_mm < 12
+
+
+def beside(world, x_m, length_m):
+    """Return a straight path from a place x_m off the middle of an object."""
+    start = world.scene_object.T_base_object[:3, 3] + [x_m, 0, 0]
+    return PlanarPath([start, start + [length_m, 0, 0]], [0, 0, 1])
+
+
+@pytest.mark.slow
+def test_follower_lifts_over_a_wall_and_continues_behind_it():
+    """A wall 16 mm high and 6 mm thick stands across the route on a plate."""
+    world = World(profiled_block([(-60, 0), (-3.1, 0), (-3, 16), (3, 16), (3.1, 0), (60, 0)], -20, 80))
+    follower = world.follow(world.start([-0.04, 0, 0]), beside(world, -0.04, 0.08), max_force_n=3.0)
+    assert follower.stopped_because == "route completed"
     assert follower.events
+    following = [s for s in world.steps if s.phase == "follow"]
+    places = np.array([s.T_base_tcp[0, 3] - world.scene_object.T_base_object[0, 3] for s in following])
+    assert places.min() < -0.03
+    assert places.max() > 0.035
+    # The arm stops at the limit; at the pace of this fidelity the force overshoots.
+    assert max(np.linalg.norm(s.touch.force) for s in world.steps) < 6.0
+    assert 10 < sum(stretch.to_mm - stretch.from_mm for stretch in follower.left_out) < 60
+    assert len(following) > 20
+
+
+@pytest.mark.slow
+def test_follower_bridges_a_gap_of_an_edge():
+    """The gap is 30 mm wide and 15 mm deep, and the edge is straight across it."""
+    block = profiled_block([(-60, 0), (-25, 0), (-24.9, -15), (4.9, -15), (5, 0), (60, 0)], -25, 60)
+    world = World(block, task="edge", edge=([0.06, 0.03, 0], [-0.06, 0.03, 0]))
+    route = EdgePath(max_length_m=0.085)
+    follower = world.follow(world.start([0.03, 0.03, 0]), route)
+    assert follower.stopped_because == "stopped at the path limit of 85 mm"
+    assert {"contact lost", "no contact"} & {e.kind for e in follower.events}
+    places = [s.T_base_tcp[0, 3] - world.scene_object.T_base_object[0, 3] for s in world.steps if s.phase == "follow"]
+    assert max(places) > 0.025
+    assert min(places) < -0.03
+    assert 8 < sum(stretch.to_mm - stretch.from_mm for stretch in follower.left_out) < 50
 
 
 def test_follower_high_force_is_an_event():
     world = World("plate")
-    follower = world.follow(world.start([0, 0, 0]), over(world), max_force_n=0.8, max_recoveries=1)
-    assert follower.stopped_because.startswith("force 2 times in a row: ")
-    assert follower.events[0].kind == "force"
+    follower = world.follow(world.start([0, 0, 0]), over(world), max_force_n=0.8, max_recoveries=1, **BRISK)
+    assert {e.kind for e in follower.events} == {"force"}
+    assert follower.stopped_because == "route completed"
+    assert follower.left_out[-1].to_mm == pytest.approx(12)
+
+
+def test_follower_eases_off_where_the_estimated_force_is_high():
+    class Forceful(Oracle):
+        def estimate(self, touch, T_base_tcp):
+            return replace(super().estimate(touch, T_base_tcp), force_n=float(np.linalg.norm(touch.force)))
+
+    depths, forces = {}, {}
+    for limit in (100.0, 1.0):
+        world = World("plate")
+        oracle = Forceful(world.truth, world.scene_object.T_base_object)
+        follower = world.follow(world.start([0, 0, 0]), over(world, 0.005), oracle, ease_force_n=limit)
+        assert follower.stopped_because == "route completed"
+        depths[limit] = -world.true_labels()[-1, 2]
+        forces[limit] = np.linalg.norm(world.steps[-1].touch.force)
+    assert depths[100.0] == pytest.approx(3.0, abs=0.1)
+    assert depths[1.0] < 2.7
+    assert forces[1.0] < 1.2 < forces[100.0]
 
 
 def test_follower_retraction_is_not_in_the_phase_follow():
@@ -225,15 +303,18 @@ def test_follower_retraction_is_not_in_the_phase_follow():
 
 def test_follower_search_without_detection_stops_at_the_force_limit():
     world = World("plate")
-    blind = Scripted(world, dict.fromkeys(range(400), lost))
-    follower = world.follow(world.start([0, 0, 0]), over(world), blind, search_mm=8.0, max_force_n=2.0)
-    assert follower.stopped_because.startswith("no contact detected in the image, but force: ")
-    assert [e.kind for e in follower.events] == ["force"]
+    blind = Scripted(world, dict.fromkeys(range(4000), lost))
+    follower = world.follow(world.start([0, 0, 0]), over(world), blind, search_mm=8.0, max_force_n=2.0, **BRISK)
+    assert follower.stopped_because == "route completed"
+    assert {e.kind for e in follower.events} <= {"force", "no contact"}
+    assert follower.events[0].kind == "force"
+    assert follower.events[0].what.startswith("no contact detected in the image, but ")
     forces = [np.linalg.norm(s.touch.force) for s in world.steps]
-    assert forces[-1] > 2.0 >= max(forces[:-1])
+    assert 2.0 < max(forces) < 3.0
+    assert follower.left_out[-1].to_mm == pytest.approx(12)
 
 
-def test_follower_beyond_the_arms_reach_stops():
+def test_follower_beyond_the_arms_reach_leaves_the_rest_out():
     world = World("plate", "kinematic")
     T = world.scene_object.T_base_object.copy()
     T[0, 3] += 0.16  # its far end is beyond the arm's reach with the sensor pointing down
@@ -242,9 +323,10 @@ def test_follower_beyond_the_arms_reach_stops():
     )
     world.mounted_tip, world.scene_object = mounted_tip, replace(world.scene_object, T_base_object=T)
     world.oracle = Oracle(world.truth, T)
-    follower = world.follow(world.start([-0.06, 0, 0]), over(world, 0.2), alignment_steps=3)
-    assert "the arm" in follower.stopped_because
+    follower = world.follow(world.start([-0.06, 0, 0]), over(world, 0.2), alignment_steps=3, **BRISK)
+    assert follower.stopped_because == "route completed"
     assert follower.events[-1].kind == "unreachable"
+    assert follower.left_out[-1].kind == "unreachable"
 
 
 def test_follower_after_divergence_restarts(monkeypatch):

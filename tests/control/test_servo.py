@@ -129,12 +129,6 @@ def test_planar_path_serpentine_is_completed_part_by_part():
     assert route.length_m == pytest.approx(0.11)
 
 
-def test_planar_path_ends_where_the_surface_is_too_steep():
-    route = PlanarPath([[0, 0, 0], [0.1, 0, 0]], [0, 0, 1])
-    assert route.direction(matrix([0, 0, 0], DOWN * Rotation.from_rotvec([1.4, 0, 0])), np.eye(4)) is None
-    assert "too steep" in route.ended
-
-
 def test_geodesic_keeps_its_heading_and_ends_at_its_length():
     route = Geodesic(np.pi / 2, 0.01)
     places = followed(route, matrix([0, 0, 0], DOWN), 100)

@@ -51,7 +51,15 @@ def test_servo_options_out_of_bounds_are_refused(tmp_path, options, words):
 def test_servo_run_writes_a_complete_score(ran):
     _, score, record, _ = ran
     assert score["stopped_because"] == "route completed"
-    assert score["contact_losses"] == score["events"] == 0
+    assert score["contact_losses"] == 0
+    assert score["events"] == {}
+    assert score["left_out"] == []
+    assert score["reachable"] == 1
+    assert score["coverage_of_reachable"] == score["coverage"]
+    assert score["penetration_within_bound"] > 0.99
+    fitting = score["errors"]["where the tip fits"]
+    assert fitting["steps"] == score["steps_followed"]
+    assert fitting["depth_mae_mm"] == pytest.approx(score["depth_mae_mm"])
     assert score["depth_mae_mm"] < 0.4
     assert score["angle_mean_deg"] < score["angle_p95_deg"] < 3
     assert (

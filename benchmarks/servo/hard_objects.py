@@ -1,0 +1,185 @@
+"""Servo runs over objects with features that are smaller, deeper or steeper than the fingertip.
+
+`tactip bench hard-objects` makes the meshes, follows each object with the defaults of `tactip servo`, and writes
+docs/hard_objects.md and hard_objects.json. The bust comes at three scales. After an interruption it resumes: each run is a
+folder of RUNS.
+"""
+
+import json
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from tactip_twin.assets.meshes.hard_solids import HARD_SOLIDS
+from tactip_twin.benchmarks.hardware import machine, machine_text
+from tactip_twin.benchmarks.options import HardObjectsOptions
+from tactip_twin.benchmarks.report import read_results, table, write_results
+from tactip_twin.benchmarks.servo.servo import ERROR, Case, is_done, make, random_start, run_folder
+from tactip_twin.control.options import RouteOptions, ServoOptions
+from tactip_twin.control.score import events_text
+from tactip_twin.control.servo_run import SCORE
+from tactip_twin.control.surface_score import CURVATURE_BINS
+from tactip_twin.sim.parallel.worker_pool import worker_count
+from tactip_twin.sim.robot.objects import load_object
+from tactip_twin.tactip_model.errors import lookup
+
+_FACE_UP_DEG = (0.0, -90.0, 0.0)
+_ON_ITS_SIDE = Rotation.from_matrix(np.array([[0, 1, 0], [0, 0, 1], [1, 0, 0]], float))
+_ON_ITS_SIDE_DEG = tuple(np.degrees(_ON_ITS_SIDE.as_rotvec()).tolist())
+
+
+@dataclass(frozen=True)
+class HardObject:
+    """An object to follow."""
+
+    solid: str
+    """Its name in HARD_SOLIDS."""
+    scale: float = 1.0
+    """Scale of the solid."""
+    rotation_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Rotation vector, degrees."""
+    position_mm: tuple[float, float, float] = (380.0, 0.0, 60.0)
+    """Position of the centre of its underside, base frame, mm."""
+    middle_mm: tuple[float, float, float] | None = None
+    """Middle of the route, in the frame of the unscaled solid, mm; None: the middle of the object."""
+
+
+_FACE_MM, _HEADS_FACE_MM = (80.0, 0.0, 55.0), (85.0, 0.0, 5.0)
+
+OBJECTS = {
+    "bust, 370 mm tall": HardObject("bust-sharp", 1.0, _FACE_UP_DEG, (400.0, 0.0, 70.0), _FACE_MM),
+    "bust, 300 mm tall": HardObject("bust-sharp", 0.81, _FACE_UP_DEG, (400.0, 0.0, 70.0), _FACE_MM),
+    "bust, 200 mm tall": HardObject("bust-sharp", 0.54, _FACE_UP_DEG, (400.0, 0.0, 100.0), _FACE_MM),
+    "head": HardObject("head", 1.0, _FACE_UP_DEG, (400.0, 0.0, 60.0), _HEADS_FACE_MM),
+    "relief": HardObject("relief"),
+    "vase": HardObject("vase", 1.0, _ON_ITS_SIDE_DEG),
+}
+"""Objects by name: busts and the head lie face up, the vase on its side with the handle up."""
+
+MAX_STARTS = 50
+
+
+def mesh_file(folder: Path, solid: str) -> Path:
+    """Return the file of a mesh, mm, which is made if it is missing. It needs scikit-image, from the extra `dev`."""
+    path = folder / f"{solid}.ply"
+    if not path.exists():
+        from tactip_twin.assets.meshes.make import cut
+
+        distance, low, high, spacing_mm = HARD_SOLIDS[solid]
+        folder.mkdir(parents=True, exist_ok=True)
+        partial = path.with_suffix(".partial.ply")
+        cut(distance, np.asarray(low, float), np.asarray(high, float), spacing_mm).export(partial)
+        partial.replace(path)
+    return path
+
+
+def cases(options: HardObjectsOptions) -> list[Case]:
+    """Return the runs over the chosen objects: one over each, then those from random starts."""
+    out = []
+    for name in [lookup("object", name, dict.fromkeys(OBJECTS, name)) for name in options.only or OBJECTS]:
+        one = OBJECTS[name]
+        path = str(mesh_file(options.meshes, one.solid))
+        placed = load_object(path, None, one.scale, one.position_mm, one.rotation_deg)
+        middle = placed.middle_m
+        if one.middle_mm is not None:
+            middle = (placed.T_base_object @ [*(one.scale * np.array(one.middle_mm) / 1e3), 1])[:3]
+        run = ServoOptions(
+            Path("-"), "surface", path, None, one.scale, one.position_mm, one.rotation_deg, fidelity=options.fidelity
+        )
+        x, y = 1e3 * middle[:2]
+        out.append(Case("whole", name, replace(run, route=RouteOptions(middle_mm=(float(x), float(y))))))
+        for seed in range(min(options.starts, MAX_STARTS)):
+            out.append(Case("starts", f"{name}, {seed}", random_start(run, seed, middle)))
+    return out
+
+
+def run(options: HardObjectsOptions, log: Callable[[str], None] = print) -> dict[str, Any]:
+    """Make the runs that are missing, write hard_objects.json and hard_objects.md, and return the results.
+
+    Progress goes to `log`. Raises TactipError, and Interrupted on Ctrl-C.
+    """
+    chosen = cases(options)
+    workers = worker_count(options.workers)
+    make(options.runs, [case for case in chosen if not is_done(options.runs, case)], workers, log)
+    before = read_results(options.out / "hard_objects.json") or {"rows": {}}
+    rows = before["rows"]
+    for case in chosen:
+        rows[case.name] = {"group": case.group, "fidelity": options.fidelity, **_row(options.runs, case)}
+    record = {"rows": rows, "machine": machine(), "workers": workers, "version": version("tactip-twin")}
+    write_results("hard_objects", record, tables(record), options.out)
+    return record
+
+
+_KEPT = (
+    "reachable", "coverage", "coverage_of_reachable", "depth_mae_mm", "angle_mean_deg", "angle_p95_deg", "errors", "events",
+    "left_out", "force_max_n", "penetration_max_mm", "penetration_within_bound", "steps", "steps_followed", "path_mm",
+    "steps_per_s", "stopped_because",
+)  # fmt: skip
+
+
+def _row(runs: Path, case: Case) -> dict[str, Any]:
+    folder = run_folder(runs, case.group, case.name)
+    if (folder / ERROR).exists():
+        return {"error": (folder / ERROR).read_text().strip()}
+    score = json.loads((folder / SCORE).read_text())
+    return {name: score[name] for name in _KEPT}
+
+
+def tables(record: dict[str, Any]) -> dict[str, str]:
+    """Return the tables of docs/hard_objects.md from hard_objects.json."""
+    whole = {name: row for name, row in record["rows"].items() if row["group"] == "whole" and "error" not in row}
+    starts = {name: row for name, row in record["rows"].items() if row["group"] == "starts"}
+    made = f"Version {record['version']}; {record['workers']} at a time; {machine_text(record['machine'])}."
+    return {"runs": _runs(whole), "curvature": _by_curvature(whole), "starts": _starts(starts), "machine": made}
+
+
+def _runs(rows: dict[str, dict[str, Any]]) -> str:
+    """Return the table of the runs over whole objects, with what was left out below it."""
+    head = ["object", "fidelity", "touchable", "covered of it", "tip fits: steps", "depth, mm", "angle, °", "95 %, °"]
+    head += ["all steps: depth, mm", "angle, °", "95 %, °", "max force, N", "penetration in bound", "left out, mm"]
+    cells, lines = [], []
+    for name, row in rows.items():
+        fitting = row["errors"]["where the tip fits"]
+        left = sum(s["to_mm"] - s["from_mm"] for s in row["left_out"])
+        shares = [row["reachable"], row["coverage_of_reachable"], fitting["steps"] / max(1, row["steps_followed"])]
+        limits = [f"{row['force_max_n']:.1f}", f"{row['penetration_within_bound'] or 1:.1%}", f"{left:.0f}"]
+        cells.append([name, row["fidelity"], *map("{:.0%}".format, shares), *_errors(fitting), *_errors(row), *limits])
+        kinds = Counter(s["kind"] for s in row["left_out"])
+        lines.append(
+            f"- {name}: {row['stopped_because']}; events: {events_text(row['events'])}; left out: {events_text(kinds)}"
+        )
+    return table(head, cells) + "\n\n" + "\n".join(lines)
+
+
+def _by_curvature(rows: dict[str, dict[str, Any]]) -> str:
+    """Return the table of errors by local curvature."""
+    cells = []
+    for bin_name in CURVATURE_BINS:
+        found = {name: row["errors"][bin_name] for name, row in rows.items()}
+        texts = [f"{' / '.join(_errors(e)[:2])} ({e['steps']})" if e["steps"] else "" for e in found.values()]
+        cells.append([bin_name, *texts])
+    return table(["surface below the apex", *rows], cells)
+
+
+def _starts(rows: dict[str, dict[str, Any]]) -> str:
+    """Return the table of the random starts."""
+    cells = []
+    for name in OBJECTS:
+        mine = [row for key, row in rows.items() if key.startswith(f"{name}, ") and key.count(",") > name.count(",")]
+        if mine:
+            good = [row for row in mine if "error" not in row and row["steps_followed"] >= 10]
+            others = Counter(row.get("error") or row["stopped_because"] for row in mine if row not in good)
+            cells.append([name, f"{len(good)} of {len(mine)}", "; ".join(f"{n}: {reason}" for reason, n in others.items())])
+    return table(["object", "followed", "reasons of the others"], cells)
+
+
+def _errors(errors: dict[str, Any]) -> list[str]:
+    """Return mean depth, mean angle and its 95th percentile as cells."""
+    forms = {"depth_mae_mm": "{:.2f}", "angle_mean_deg": "{:.1f}", "angle_p95_deg": "{:.1f}"}
+    return ["" if errors[name] is None else form.format(errors[name]) for name, form in forms.items()]

@@ -1,0 +1,86 @@
+"""Scores of a trajectory over a surface by what the tip can touch and by the local curvature."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from tactip_twin.control.reach import fits, touchable
+from tactip_twin.control.score import COVERED_M, angles_to_normal_deg, contact_places, coverage, mean_or_none
+from tactip_twin.sim.contact.signed_distance import SignedDistanceMesh
+from tactip_twin.sim.robot.objects import SceneObject
+from tactip_twin.sim.robot.recording import PHASES
+
+_CURVATURE_SPAN_M = 2e-3
+"""Distance over which the curvature of a surface is measured, m."""
+
+_DIRECTIONS = 8
+
+CURVATURE_BINS = {
+    "hollow, radius below 20 mm": (-np.inf, -1 / 20e-3),
+    "hollow, radius 20 to 40 mm": (-1 / 20e-3, -1 / 40e-3),
+    "radius above 40 mm": (-1 / 40e-3, 1 / 40e-3),
+    "ridge, radius 12.5 to 40 mm": (1 / 40e-3, 1 / 12.5e-3),
+    "ridge, radius below 12.5 mm": (1 / 12.5e-3, np.inf),
+}
+"""Ranges of the curvature, 1/m, convex positive: the tip's radius is 20 mm, and 12.5 mm is the smallest in the training."""
+
+
+def surface_score(
+    arrays: Mapping[str, np.ndarray],
+    scene_object: SceneObject,
+    targets: np.ndarray,
+    depth_mm: float,
+    radius_m: float,
+) -> dict[str, Any]:
+    """Return the scores, as JSON values.
+
+    Args:
+        arrays: Arrays of the recording (recording.read_recording).
+        scene_object: The object.
+        targets: (m, 3), target points, base frame, m.
+        depth_mm: Commanded depth, mm.
+        radius_m: Radius of the dome, m.
+    """
+    following, solid = arrays["phase"] == PHASES.index("follow"), scene_object.solid
+    places, true = contact_places(arrays, following), arrays["true"][following]
+    T = np.linalg.inv(scene_object.T_base_object)
+    reached = touchable(solid, targets @ T[:3, :3].T + T[:3, 3], radius_m, depth_mm / 1e3)
+    apexes = arrays["T_base_tcp"][following][:, :3, 3] @ T[:3, :3].T + T[:3, 3]
+    nearest = solid.nearest(apexes).place if len(apexes) else np.zeros((0, 3))
+    depth_errors, angles = np.abs(1e3 * true[:, 2] + depth_mm), angles_to_normal_deg(true)
+    groups = {"where the tip fits": fits(solid, nearest, radius_m, depth_mm / 1e3)}
+    curvature = extreme_curvature(solid, nearest)
+    groups |= {name: (curvature >= low) & (curvature < high) for name, (low, high) in CURVATURE_BINS.items()}
+    return {
+        "reachable": mean_or_none(reached),
+        "coverage_of_reachable": coverage(places, targets[reached], COVERED_M),
+        "errors": {name: _errors(depth_errors[chosen], angles[chosen]) for name, chosen in groups.items()},
+    }
+
+
+def extreme_curvature(solid: SignedDistanceMesh, places: np.ndarray) -> np.ndarray:
+    """Return the normal curvature (n,), 1/m, convex positive, of largest magnitude at places (n, 3), m, on a solid."""
+    if not len(places):
+        return np.zeros(0)
+    normals = solid.smooth_normal(places)
+    helper = np.eye(3)[np.abs(normals).argmin(1)]
+    u = np.cross(normals, helper)
+    u /= np.linalg.norm(u, axis=1, keepdims=True)
+    v, h = np.cross(normals, u), _CURVATURE_SPAN_M
+    found = []
+    for angle in np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS:
+        along = np.cos(angle) * u + np.sin(angle) * v
+        change = solid.smooth_normal(places + h * along) - solid.smooth_normal(places - h * along)
+        found.append((change * along).sum(1) / (2 * h))
+    curvatures = np.array(found)
+    return np.take_along_axis(curvatures, np.abs(curvatures).argmax(0)[None], 0)[0]
+
+
+def _errors(depth_errors_mm: np.ndarray, angles: np.ndarray) -> dict[str, Any]:
+    return {
+        "steps": len(angles),
+        "depth_mae_mm": mean_or_none(depth_errors_mm),
+        "angle_mean_deg": mean_or_none(angles),
+        "angle_p95_deg": float(np.percentile(angles, 95)) if len(angles) else None,
+    }

@@ -1,0 +1,82 @@
+"""What is tried at obstacles, and how routes are skipped."""
+
+import numpy as np
+import pytest
+
+from tactip_twin.control.obstacles import Obstacle, Tries
+from tactip_twin.control.options import Settings
+from tactip_twin.control.routes import EdgePath, Geodesic, PlanarPath
+
+UP = [0.0, 0.0, 1.0]
+
+
+def test_tries_are_on_the_spot_then_farther_and_bounded():
+    tries = Tries(Settings(max_recoveries=2, skip_mm=4.0, max_skips=3), can_turn=True)
+    chosen = [tries.next("contact lost") for _ in range(9)]
+    assert [one.skip_mm for one in chosen] == [None, None, 4, 0, 4, 0, 8, 0, np.inf]
+    assert [one.turned for one in chosen] == [False, False, False, True, False, True, False, True, False]
+
+
+def test_tries_after_a_collision_are_not_on_the_spot():
+    assert Tries(Settings(), can_turn=False).next("collision").skip_mm == Settings().skip_mm
+
+
+def test_tries_start_again_after_progress_only():
+    tries = Tries(Settings(max_recoveries=1), can_turn=False)
+    assert tries.next("contact lost").skip_mm is None
+    for mm in (0.5, 1.0, 1.5):
+        tries.followed(mm / 1e3)
+    assert tries.next("contact lost").skip_mm is not None
+    for mm in (2.0, 3.0, 4.0, 5.0):
+        tries.followed(mm / 1e3)
+    assert tries.next("contact lost").skip_mm is None
+
+
+def test_tries_without_progress_raise_an_obstacle():
+    tries = Tries(Settings(), can_turn=False)
+    with pytest.raises(Obstacle, match="moved the tip by less than 2 mm") as raised:
+        for _ in range(1000):
+            tries.followed(0.0)
+    assert raised.value.kind == "no progress"
+
+
+def test_planar_path_skips_along_its_line_and_to_the_next_part():
+    path = PlanarPath([[0, 0, 0], [0.06, 0, 0], [0.06, 0.01, 0], [0, 0.01, 0]], UP)
+    T = np.eye(4)
+    T[:3, 3] = [0.01, 0.002, 0.3]
+    ahead = path.skip(0.004, T)
+    assert ahead[:3, 3] == pytest.approx([0.004, 0, 0.3])
+    assert path.skip(np.inf, T)[:3, 3] == pytest.approx([0.06, 0, 0.3], abs=1e-5)
+    assert path.part == 1
+    assert path.skip(np.inf, T)[:3, 3] == pytest.approx([0.06, 0.01, 0.3], abs=1e-5)
+    assert path.skip(np.inf, T) is None
+    assert path.ended == "route completed"
+
+
+def test_planar_path_places_of_a_stretch_follow_its_corners():
+    path = PlanarPath([[0, 0, 0], [0.01, 0, 0], [0.01, 0.01, 0]], UP)
+    places = path.places(np.linspace(0.005, 0.015, 5), np.array([0.0, 0, 0.1]), np.array([0.0, 0, 0.2]))
+    assert places[2] == pytest.approx([0.01, 0, 0.15])
+    assert places[-1] == pytest.approx([0.01, 0.005, 0.2])
+
+
+def test_planar_path_on_a_steep_surface_is_an_obstacle():
+    T = np.eye(4)
+    T[:3, :3] = [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]  # the sensor points along x
+    with pytest.raises(Obstacle, match="90 degrees") as raised:
+        PlanarPath([[0, 0, 0], [0.1, 0, 0]], UP).direction(T, T)
+    assert raised.value.kind == "too steep"
+
+
+def test_geodesic_and_edge_skip_straight_ahead_and_end():
+    T = np.diag([1.0, -1, -1, 1])
+    geodesic = Geodesic(0.0, 0.02)
+    geodesic.direction(T, T)
+    assert geodesic.skip(0.005, T)[:3, 3] == pytest.approx([0.005, 0, 0])
+    assert geodesic.skip(0.05, T) is None
+    edge = EdgePath()
+    edge.direction(T, T)
+    assert edge.skip(0.004, T)[:3, 3] == pytest.approx([0, -0.004, 0])
+    assert edge.skip(0.004, T)[:3, 3] == pytest.approx([0, -0.008, 0])
+    assert edge.skip(np.inf, T) is None
+    assert edge.ended == "the edge was not found again within 8 mm"
