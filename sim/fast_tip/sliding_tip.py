@@ -111,7 +111,9 @@ class Inputs:
         """Which quantities (e,) bool of `extents` are sizes of a tilt or a motion. Zero is amid their learned range, but no
         training path has it exactly."""
         count = self.extents(np.zeros((1, self.count))).shape[1]
-        scalars = {"surface": (0, 3), "edge": (0, 1, 4)}[self.task]  # position across an edge, depth, motion along the normal
+        scalars = {"surface": (0, 3), "edge": (0, 1, 4)}[
+            self.task
+        ]  # position across an edge, depth, motion along the normal
         return np.array([k < count - self.overlap_modes and k not in scalars for k in range(count)])
 
 
