@@ -5,7 +5,7 @@ was not. Checkpoints hold tensors alone: the library's own files hold pickles.
 """
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,14 +14,15 @@ import numpy as np
 import torch
 from gymnasium.spaces import Box
 
-from tactip_twin.control.environments.policy import Policy
+from tactip_twin.control.policy import Policy, read_policy, write_policy
 from tactip_twin.learning.model import tensors_from_bytes, weights_bytes
+from tactip_twin.sim.labels import LEARNED
 from tactip_twin.tactip_model.bounds import check, within
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.files import write_file
 from tactip_twin.tactip_model.input_files import read_file
 
-_CHECKPOINT, _MAX_CHECKPOINT_BYTES = "checkpoint.pt", 2**28
+_CHECKPOINT, _MAX_CHECKPOINT_BYTES, _POLICY = "checkpoint.pt", 2**28, "policy-{}.npz"
 
 _ERROR_SCALE = {"x": 1.0, "z": 1.0, "Rx": 5.0, "Ry": 5.0, "Rz": 5.0}
 """What observed errors are divided by, mm and degrees [?]."""
@@ -38,7 +39,7 @@ class TrainingSettings:
 
     steps: int = within(1, 10**8, default=6000)
     """Steps of the environment."""
-    chunk_steps: int = within(100, 10**6, default=1000)
+    chunk_steps: int = within(100, 10**6, default=500)
     """Steps between checkpoints and points of the curve."""
     seed: int = within(0, 2**31 - 1, default=0)
     """Seed."""
@@ -75,8 +76,6 @@ class _Vector(gymnasium.ObservationWrapper):
 
 def scale_of(environment: gymnasium.Env) -> np.ndarray:
     """Return what the observed vector (n,) of a following environment, in mode oracle or pose, is divided by."""
-    from tactip_twin.sim.labels import LEARNED
-
     inner: Any = environment.unwrapped
     errors = [_ERROR_SCALE[c] for c in LEARNED[inner.task]]
     (space,) = inner.observation_space.spaces.values()
@@ -86,7 +85,7 @@ def scale_of(environment: gymnasium.Env) -> np.ndarray:
 def train(
     name: str, options: dict[str, Any], settings: TrainingSettings, folder: Path, score: Score, log: Callable[[str], None]
 ) -> tuple[Policy, list[dict[str, float]]]:
-    """Train a policy; continue a training in the same folder.
+    """Train a policy; continue a training in the same folder, also to more steps.
 
     Args:
         name: Name of the environment.
@@ -97,7 +96,7 @@ def train(
         log: Callback for messages to the user.
 
     Returns:
-        The policy, and the curve: the scores with the number of `steps`.
+        The policy of the point of the curve with the best `return`, and the curve: the scores with the number of `steps`.
 
     Raises:
         TactipError: Stable-Baselines3 is not installed, or the folder has a training with other settings.
@@ -121,25 +120,30 @@ def train(
         seed=settings.seed,
         device="cpu",
     )
-    about = {"environment": name, "options": options, "settings": asdict(settings)}
+    # Without the number of steps: a training may continue to more of them.
+    known = {key: value for key, value in asdict(settings).items() if key != "steps"}
+    about = {"environment": name, "options": options, "settings": known}
     curve = _resume(model, folder / _CHECKPOINT, about)
     while model.num_timesteps < settings.steps:
         model.set_random_seed(int(np.random.SeedSequence([settings.seed, model.num_timesteps]).generate_state(1)[0]))
         model._last_obs = None  # a new episode, as after a checkpoint
         model.learn(min(settings.chunk_steps, settings.steps - model.num_timesteps), reset_num_timesteps=False)
-        curve.append({"steps": model.num_timesteps, **score(_policy(model, about, environment.scale, curve))})
+        policy = _policy(model, about, environment.scale)
+        curve.append({"steps": model.num_timesteps, **score(policy)})
+        write_policy(replace(policy, provenance=about | {"curve": list(curve)}), folder / _POLICY.format(curve[-1]["steps"]))
         log(f"{name}, {model.num_timesteps} of {settings.steps} steps: {curve[-1]}")
         _save(model, folder / _CHECKPOINT, about, curve)
     environment.close()
-    return _policy(model, about, environment.scale, curve), curve
+    best = max(curve, key=lambda point: point["return"])
+    return read_policy(folder / _POLICY.format(best["steps"])), curve
 
 
-def _policy(model: Any, about: dict[str, Any], scale: np.ndarray, curve: list[dict[str, float]]) -> Policy:
+def _policy(model: Any, about: dict[str, Any], scale: np.ndarray) -> Policy:
     """Return the present policy of a training."""
     actor = model.policy.actor
     layers = [layer for layer in (*actor.latent_pi, actor.mu) if isinstance(layer, torch.nn.Linear)]
     weights = tuple(w.detach().numpy().copy() for layer in layers for w in (layer.weight, layer.bias))
-    return Policy(about["environment"], about["options"], scale, weights, about | {"curve": list(curve)})
+    return Policy(about["environment"], about["options"], scale, weights, about)
 
 
 def _save(model: Any, path: Path, about: dict[str, Any], curve: list[dict[str, float]]) -> None:

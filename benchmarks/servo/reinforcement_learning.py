@@ -15,7 +15,7 @@ from tactip_twin.benchmarks.hardware import machine, machine_text
 from tactip_twin.benchmarks.options import ReinforcementLearningOptions
 from tactip_twin.benchmarks.report import read_results, table, write_results
 from tactip_twin.benchmarks.servo.policy_training import TrainingSettings, train
-from tactip_twin.control.environments.policy import Policy, write_policy
+from tactip_twin.control.policy import Policy, write_policy
 from tactip_twin.control.servo import DEPTHS_MM, Servo, gains_named, reference_mm_deg
 from tactip_twin.sim.labels import LABELS, LEARNED, Task
 from tactip_twin.sim.pose import from_mm_deg, to_mm_deg
@@ -28,6 +28,9 @@ ENVIRONMENTS: dict[Task, str] = {"edge": "tactip_twin/EdgeFollow-v0", "surface":
 _TRAINED: dict[Task, tuple[str, ...]] = {"edge": ("rim-round", "rim-square"), "surface": ("sphere", "saddle")}
 """Objects to train on."""
 
+_OPTIONS: dict[Task, dict[str, Any]] = {"edge": {"movement_mode": "TxRz", "max_turn_deg": 3.0}, "surface": {}}
+"""Other options: along edges, a policy moves in the plane of the edge, as in Tactile Gym."""
+
 _TESTED: dict[Task, tuple[str, ...]] = {
     "edge": ("rim-round", "rim-square", "rim-uneven"),
     "surface": ("sphere", "saddle", "bust"),
@@ -37,7 +40,7 @@ _TESTED: dict[Task, tuple[str, ...]] = {
 _ALIGNED = 10
 """Steps at the start of an episode that are not scored, because the first pose has an error."""
 
-_CURVE_EPISODES, _CURVE_SEED, _TEST_SEED = 6, 50_000, 100_000
+_CURVE_EPISODES, _CURVE_SEED, _TEST_SEED = 4, 50_000, 100_000
 """Episodes of a point of the curve, its seed, and that of the tests; trainings have others."""
 
 _FIDELITIES = ("fast", "draft", "standard", "reference")
@@ -119,7 +122,7 @@ def run(options: ReinforcementLearningOptions, log: Callable[[str], None] = prin
 def _train(
     task: Task, settings: TrainingSettings, folder: Path, log: Callable[[str], None]
 ) -> tuple[Policy, list[dict[str, float]]]:
-    options = {"observation_mode": "oracle", "objects": list(_TRAINED[task])}
+    options: dict[str, Any] = {"observation_mode": "oracle", "objects": list(_TRAINED[task])} | _OPTIONS[task]
     environment = gymnasium.make(ENVIRONMENTS[task], **options)
 
     def score(policy: Policy) -> dict[str, float]:
@@ -133,7 +136,9 @@ def _tests(task: Task, policy: Policy, episodes: int, log: Callable[[str], None]
     rows = []
     for name in _TESTED[task]:
         for mode in ("oracle", "pose"):
-            environment = gymnasium.make(ENVIRONMENTS[task], observation_mode=mode, objects=(name,))
+            environment = gymnasium.make(
+                ENVIRONMENTS[task], **policy.options | {"observation_mode": mode, "objects": (name,)}
+            )
             for controller, act in (("policy", policy), ("PI servo", ServoPolicy(task, environment))):
                 row = {"object": name, "observed": mode, "controller": controller}
                 rows.append(row | score_episodes(environment, act, episodes, _TEST_SEED))

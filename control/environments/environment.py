@@ -1,8 +1,9 @@
 """What the environments have in common: actions, observations, images of the scene, and pickling."""
 
 from abc import abstractmethod
+from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import cv2
 import gymnasium
@@ -23,9 +24,6 @@ from tactip_twin.tactip_model.errors import TactipError, lookup
 from tactip_twin.tactip_model.presets import load_design
 from tactip_twin.tactip_model.renderer import renderer_named
 from tactip_twin.tactip_model.tactile_image import tactile_image
-
-if TYPE_CHECKING:
-    from tactip_twin.tactip_model.renderer import RenderPins
 
 Observation = dict[str, np.ndarray]
 
@@ -98,7 +96,7 @@ class TouchEnvironment(gymnasium.Env[Observation, np.ndarray]):
 
     def _forget(self) -> None:
         """Drop what is built lazily, and the episode."""
-        self._rendered: RenderPins | None = None
+        self._rendered: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None
         self._view: SceneRenderer | None = None
         self._server: Any = None
         self._touch: TipState | None = None

@@ -109,9 +109,8 @@ class _Follow(TouchEnvironment):
         T_object_sensor[:3, 3] = self._sample_path()
         T_base_contact = scene_object.T_base_object @ truth.frame(T_object_sensor)
         label = reference_mm_deg(self._depth_mm)
-        label[self._rows] += rng.uniform(-1, 1, len(self._rows)) * np.where(
-            np.array(self._rows) < 3, f.start_mm, f.start_deg
-        )
+        size = np.where(np.arange(6) < 3, f.start_mm, f.start_deg) * np.isin(np.arange(6), self.movement.axes)
+        label[self._rows] += (rng.uniform(-1, 1, 6) * size)[self._rows]
         above = label.copy()
         above[2] = _GAP_MM
         T_above = T_base_contact @ sensor_in_contact(from_mm_deg(above))

@@ -109,9 +109,10 @@ class FollowOptions(EnvironmentOptions):
     length_mm: float = within(1, 1000, default=40.0)
     """Length of the path to the goal, mm."""
     start_mm: float = within(0, 3, default=1.0)
-    """Largest error of the first pose in depth and, along an edge, across it, mm."""
+    """Largest error of the first pose in depth and, along an edge, across it, mm; 0 in axes that an action does not
+    move."""
     start_deg: float = within(0, 10, default=5.0)
-    """Largest error of the first pose about each axis, degrees."""
+    """Largest error of the first pose about each axis, degrees, likewise."""
 
 
 @dataclass(frozen=True)

@@ -44,7 +44,7 @@ _GOAL_COLOR: Color = (40.0, 160.0, 70.0)
 class ObjectRoll(TouchEnvironment):
     """Roll a ball to a goal, by motions of the tip along the table.
 
-    The ball rolls half as far as the tip, so in the tip's frame it goes back by half. The goal lies in the tip's frame.
+    The ball rolls about half as far as the tip, so in the tip's frame it goes back by half. The goal lies in that frame.
     """
 
     def __init__(self, render_mode: str | None = None, **options: Any) -> None:

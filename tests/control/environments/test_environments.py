@@ -7,13 +7,13 @@ import sys
 import numpy as np
 import pytest
 
-from tactip_twin.control.environments.options import FollowOptions, movement_named
 from tactip_twin.tactip_model.errors import TactipError
 
 gymnasium = pytest.importorskip("gymnasium")
 
 EDGE = {"id": "tactip_twin/EdgeFollow-v0", "objects": ("rim-round",), "image_size_px": 32}
 SURFACE = {"id": "tactip_twin/SurfaceFollow-v0", "objects": ("plate",), "image_size_px": 32}
+SLOW = pytest.mark.slow
 ROLL = {"id": "tactip_twin/ObjectRoll-v0", "image_size_px": 32}
 
 
@@ -47,14 +47,14 @@ def episode(environment, seed, steps=4):
     return b"".join(seen)
 
 
-@pytest.mark.parametrize("options", [EDGE, pytest.param(SURFACE, marks=pytest.mark.slow), ROLL], ids=lambda o: o["id"])
+@pytest.mark.parametrize("options", [EDGE, pytest.param(SURFACE, marks=SLOW), ROLL])
 def test_environment_meets_the_interface(made, options):
     from gymnasium.utils.env_checker import check_env
 
     check_env(made(options, observation_mode="tactile_and_feature").unwrapped, skip_render_check=True)
 
 
-@pytest.mark.parametrize("options", [EDGE, SURFACE, ROLL], ids=lambda o: o["id"])
+@pytest.mark.parametrize("options", [EDGE, pytest.param(SURFACE, marks=SLOW), pytest.param(ROLL, marks=SLOW)])
 def test_seed_reproduces_an_episode_byte_for_byte(made, options):
     """Also after other episodes, and in a copy that went through a pickle."""
     environment = made(options, observation_mode="tactile_and_feature")
@@ -75,12 +75,16 @@ def test_seed_reproduces_an_episode_byte_for_byte(made, options):
     [("xy", False, (0, 1)), ("xyRz", False, (0, 1, 5)), ("TyRz", True, (1, 5)), ("TxzRxRyRz", True, (0, 2, 3, 4, 5))],
 )
 def test_movement_mode_names_the_axes(mode, forward, axes):
+    from tactip_twin.control.environments.options import movement_named
+
     movement = movement_named(mode)
     assert (movement.forward, movement.axes) == (forward, axes)
 
 
 @pytest.mark.parametrize("mode", ["T", "yx", "RzT", "xyw"])
 def test_movement_mode_that_is_none_is_refused(mode):
+    from tactip_twin.control.environments.options import FollowOptions
+
     with pytest.raises(TactipError, match="movement_mode must be some of x, y, z, Rx, Ry and Rz in this order"):
         FollowOptions(movement_mode=mode)
 
@@ -153,6 +157,7 @@ def test_failure_ends_the_episode(made):
     assert reward == -10 and not info["is_success"] and count < 16
 
 
+@pytest.mark.slow
 def test_goal_is_reached_and_rewarded(made):
     """Without T, the policy moves itself; the goal is where the edge leads."""
     options = {"movement_mode": "xyRz", "length_mm": 12.0, "reward_mode": "sparse", "start_mm": 0.0, "start_deg": 0.0}
