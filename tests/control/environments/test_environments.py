@@ -194,6 +194,22 @@ def test_base_install_has_an_error_of_one_sentence(monkeypatch):
         importlib.import_module("tactip_twin.control.environments")
 
 
+def test_shipped_policy_follows_a_surface(made):
+    from tactip_twin.assets import POLICIES
+    from tactip_twin.control.policy import read_policy
+
+    policy = read_policy(POLICIES / "surface-follow.npz")
+    environment = made({"id": policy.environment, **policy.options, "objects": ("sphere",), "length_mm": 20.0})
+    observation, info = environment.reset(seed=1)
+    over, steps, errors = False, 0, []
+    while not over:
+        observation, _, over, _, info = environment.step(policy(observation))
+        errors.append(info["error_mm_deg"])
+        steps += 1
+    assert info["is_success"] and steps < 30
+    assert np.abs(errors[10:]).mean(0)[2] < 0.3 and np.linalg.norm(np.array(errors[10:])[:, 3:5], axis=1).mean() < 4
+
+
 @pytest.mark.slow
 def test_vector_environment_in_processes_gives_the_same_episodes(made):
     from gymnasium.vector import AsyncVectorEnv
