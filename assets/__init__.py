@@ -13,3 +13,6 @@ ARM = Path(__file__).parent / "irb120" / "irb120.xml"
 
 FAST_TIPS = Path(__file__).parent / "fast_tips"
 """Folder of the shipped learned tips, TASK-DESIGN.npz (sim/fast_tip)."""
+
+POLICIES = Path(__file__).parent / "policies"
+"""Folder of the shipped policies, TASK-follow.npz (control/policy.py, benchmarks/servo/reinforcement_learning.py)."""

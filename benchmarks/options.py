@@ -378,6 +378,26 @@ class HardObjectsOptions:
 
 
 @dataclass(frozen=True)
+class ReinforcementLearningOptions:
+    """Train policies in the environments, compare them with the servo, and measure each fidelity. Rerun to resume."""
+
+    tasks: tuple[Task, ...] = ("edge", "surface")
+    """Tasks to train and to test. Results of others remain on the page."""
+    steps: int = 6000
+    """Number of steps of the environment of each training."""
+    episodes: int = 20
+    """Number of test episodes of each row."""
+    fidelities: bool = True
+    """Measure the fidelities, too. Otherwise their results remain on the page."""
+    runs: Path = Path("runs/reinforcement-learning")
+    """Folder of the trainings: RUNS/TASK."""
+    out: Path = Path("docs")
+    """Folder for reinforcement_learning.json, reinforcement_learning.md and reinforcement_learning.png."""
+    release: Path | None = None
+    """Folder that the policies are written to, as TASK-follow.npz. Default: none is written."""
+
+
+@dataclass(frozen=True)
 class PerformanceOptions:
     """Measure rates and memory of data sets, rendering, training, prediction and servo, and how they scale."""
 
@@ -444,6 +464,9 @@ MEASUREMENTS = {
     ),
     "servo": Measurement("tactip_twin.benchmarks.servo.servo", ServoBenchOptions, "servo.md"),
     "hard-objects": Measurement("tactip_twin.benchmarks.servo.hard_objects", HardObjectsOptions, "hard_objects.md"),
+    "reinforcement-learning": Measurement(
+        "tactip_twin.benchmarks.servo.reinforcement_learning", ReinforcementLearningOptions, "reinforcement_learning.md"
+    ),
     "performance": Measurement("tactip_twin.benchmarks.scale.performance", PerformanceOptions, "performance.md"),
     "scale": Measurement("tactip_twin.benchmarks.scale.scale", ScaleOptions, "scale.md"),
 }

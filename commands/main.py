@@ -31,6 +31,7 @@ COMMANDS = {
     "transfer": ("transfer", "Transfer", "Train in simulation, test on a real sensor."),
     "camera": ("camera", "Camera", "Show a real sensor live."),
     "servo": ("servo", "Servo", "Follow a surface or an edge by touch."),
+    "track": ("track", "Track", "Follow a moving object by touch."),
     "replay": ("replay", "Replay", "Show a recording in a browser, or write a video of it."),
     "view": ("view", "View", "Show the live scene in a browser."),
     "bench": ("bench", "Bench", "Measure errors, costs and limits."),

@@ -57,6 +57,9 @@ class Scene:
             raise TactipError(f"the tip {design.name!r} cannot be built: {error}") from error
         self.data = mujoco.MjData(self.model)
         self._free = ~self.mesh.bonded
+        count = 3 * np.count_nonzero(self._free)
+        self._tip_qpos = slice(_STIMULUS_QPOS, _STIMULUS_QPOS + count)
+        self._tip_qvel = slice(_STIMULUS_QVEL, _STIMULUS_QVEL + count)
         self._neighbours = _neighbours(self.mesh.triangles)
         self._areas = np.linalg.norm(_area_normals(self.mesh.vertices, self.mesh.triangles), axis=1)
         self._patch_reader = PatchReader(self.model, self.mesh)
@@ -93,12 +96,16 @@ class Scene:
         self._proxies = None
         if isinstance(self.stimulus, SolidStimulus):
             self._proxies = SurfaceContactProxies(spec, self.stimulus, self.mesh, friction, self.fidelity.contact)
+        self._add_bodies(spec)
         model = spec.compile()
         if self._proxies:
             self._proxies.bind(model)
         # The solver's tolerance is relative to the mean inertia: the stimulus's 1000 kg must not loosen it.
         model.stat.meaninertia = model.body_mass[model.body_mass < 1].mean()
         return model
+
+    def _add_bodies(self, spec: mujoco.MjSpec) -> None:
+        """Add what a subclass has beside stimulus and tip."""
 
     def reset(self) -> None:
         """Reset to the undeformed tip without history, so a contact does not depend on earlier ones."""
@@ -110,8 +117,8 @@ class Scene:
 
     def deform(self, vertices: np.ndarray) -> None:
         """Move the tip's free vertices to those of a deformed mesh (n, 3), m, in the sensor frame, at rest."""
-        self.data.qpos[_STIMULUS_QPOS:] = (vertices - self.mesh.vertices)[self._free].ravel()
-        self.data.qvel[_STIMULUS_QVEL:] = 0.0
+        self.data.qpos[self._tip_qpos] = (vertices - self.mesh.vertices)[self._free].ravel()
+        self.data.qvel[self._tip_qvel] = 0.0
 
     def stiffen(self, resting: bool) -> None:
         """Set contact stiffness and solver tolerance to those of a tip at rest (True) or in motion (False).
@@ -213,7 +220,7 @@ class Scene:
     def vertices(self) -> np.ndarray:
         """Return the vertices (n, 3) m of the deformed mesh, in the sensor frame."""
         vertices = self.mesh.vertices.copy()
-        vertices[self._free] += self.data.qpos[_STIMULUS_QPOS:].reshape(-1, 3)
+        vertices[self._free] += self.data.qpos[self._tip_qpos].reshape(-1, 3)
         return vertices
 
     def skin_in_stimulus(self) -> np.ndarray:
@@ -224,7 +231,7 @@ class Scene:
 
     def max_vertex_speed(self) -> float:
         """Return the speed of the fastest vertex, m/s."""
-        return float(np.sqrt((self.data.qvel[_STIMULUS_QVEL:].reshape(-1, 3) ** 2).sum(1).max()))
+        return float(np.sqrt((self.data.qvel[self._tip_qvel].reshape(-1, 3) ** 2).sum(1).max()))
 
     def contact_force(self) -> np.ndarray:
         """Return the force (3,) N of the stimulus on the tip at the last step, in the sensor frame."""
@@ -253,7 +260,7 @@ class Scene:
     def _contact_forces(self) -> tuple[np.ndarray, np.ndarray]:
         """Return forces (c, 3) N on the tip and positions (c, 3) m of the active contacts, in the sensor frame."""
         contacts, forces = self.data.contact, self.data.efc_force
-        active = contacts.efc_address >= 0
+        active = self._on_tip()
         if not active.any():
             return np.zeros((0, 3)), np.zeros((0, 3))
         # With elliptic cones there is a row per axis of the contact's frame; without friction, only for the first.
@@ -263,6 +270,10 @@ class Scene:
         sign = np.where((first >= 0) & (self.model.geom_bodyid[first] == self._stimulus_body), 1.0, -1.0)
         axes = contacts.frame[active].reshape(-1, 3, 3)[:, : rows.shape[1]]
         return np.matmul((sign[:, None] * forces[rows])[:, None], axes)[:, 0], contacts.pos[active]
+
+    def _on_tip(self) -> np.ndarray:
+        """Return which contacts (c,) bool press on the tip."""
+        return self.data.contact.efc_address >= 0
 
     def penetration(self) -> float:
         """Return the maximum depth (m) of a contact point inside the stimulus at the last step; 0 without contact."""
@@ -301,14 +312,14 @@ class Scene:
         (norms), -; 0 without contact."""
         if self.data.nefc == self.data.ne:
             return 0.0
-        constraint = self.data.qfrc_constraint[_STIMULUS_QVEL:]
+        constraint = self.data.qfrc_constraint[self._tip_qvel]
         size = float(np.linalg.norm(constraint - self._volume_forces()))
-        return float(np.linalg.norm(self.data.qfrc_smooth[_STIMULUS_QVEL:] + constraint)) / size if size else 0.0
+        return float(np.linalg.norm(self.data.qfrc_smooth[self._tip_qvel] + constraint)) / size if size else 0.0
 
     def elastic_energy_rate(self) -> float:
         """Return the magnitude of the rate of change of the elastic energy of gel and skin, W."""
-        elastic = self.data.qfrc_spring[_STIMULUS_QVEL:] + self._volume_forces()
-        return abs(float(elastic @ self.data.qvel[_STIMULUS_QVEL:]))
+        elastic = self.data.qfrc_spring[self._tip_qvel] + self._volume_forces()
+        return abs(float(elastic @ self.data.qvel[self._tip_qvel]))
 
     def _volume_forces(self) -> np.ndarray | float:
         """Return the forces that keep the gel's volume on the free vertices (3 per vertex), N; 0 without them."""

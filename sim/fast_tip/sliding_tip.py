@@ -106,6 +106,16 @@ class Inputs:
         columns += list(np.hypot(inputs[:, self.overlap.start : half], inputs[:, half : self.overlap.stop]).T)
         return np.stack(columns, 1)
 
+    @cached_property
+    def can_vanish(self) -> np.ndarray:
+        """Which quantities (e,) bool of `extents` are sizes of a tilt or a motion. Zero is amid their learned range, but no
+        training path has it exactly."""
+        count = self.extents(np.zeros((1, self.count))).shape[1]
+        scalars = {"surface": (0, 3), "edge": (0, 1, 4)}[
+            self.task
+        ]  # position across an edge, depth, motion along the normal
+        return np.array([k < count - self.overlap_modes and k not in scalars for k in range(count)])
+
 
 @dataclass(frozen=True)
 class SlidingTip:
@@ -167,7 +177,8 @@ class SlidingTip:
         count, mean = len(self.modes.orders), outputs.mean(0)
         spread = field_rms_m(outputs - mean, self.modes.orders)
         extents = self.inputs.extents(raw)
-        inside = ((extents >= self.extents[:, 0]) & (extents <= self.extents[:, 1])).all(1)
+        low = np.where(self.inputs.can_vanish, 0.0, self.extents[:, 0])
+        inside = ((extents >= low) & (extents <= self.extents[:, 1])).all(1)
         measures = self.measure_network(scaled) * self.measure_scale + self.measure_center
         after = self.modes.turned(before + mean[:, :count] + 1j * mean[:, count:], yaw).astype(np.complex64)
         return Stepped(after, measures, spread, inside & (spread <= self.max_spread_m))

@@ -15,6 +15,7 @@ import torch
 import trimesh
 
 from helpers.learning_sets import add_pins, mend_checksums, write_fake_set, write_fake_splits
+from tactip_twin.control.policy import Policy, read_policy, write_policy
 from tactip_twin.learning.checkpoint import METRICS, load_checkpoint, provenance, read_metrics, save_checkpoint
 from tactip_twin.learning.configuration import PoseNetConfig, SearchSpace, TrainSettings, TuneSettings
 from tactip_twin.learning.data import read_samples, read_splits
@@ -192,6 +193,18 @@ def read_sliding_tip_file(folder, root):
     still = Steps(np.zeros((1, 6)), np.zeros((1, 6)), np.zeros((1, RINGS, MAX_ORDER + 1), np.complex64), np.array([True]))
     found = tip.step(still, np.ones((1, len(tip.modes.orders)), np.complex64))
     return hashed(found.states, found.measures)
+
+
+def write_policy_file(folder, root):
+    """Write a policy of random weights."""
+    rng = np.random.default_rng(0)
+    weights = tuple(rng.normal(size=size).astype(np.float32) for size in ((4, 3), (4,), (2, 4), (2,)))
+    policy = Policy("tactip_twin/EdgeFollow-v0", {"objects": ["plate"]}, np.ones(3, np.float32), weights, {})
+    write_policy(policy, folder / "policy.npz")
+
+
+def read_policy_file(folder, root):
+    return hashed(read_policy(folder / "policy.npz")({"oracle": np.ones(3, np.float32)}))
 
 
 def read_set(folder, root):
@@ -454,6 +467,7 @@ KINDS = {
     "set on an object": FileKind(write_set_on_object, read_set_on_object),
     "learned tip": FileKind(write_fast_tip_file, read_fast_tip_file),
     "sliding tip": FileKind(write_sliding_tip_file, read_sliding_tip_file),
+    "policy": FileKind(write_policy_file, read_policy_file),
     "recording": FileKind(write_recording, read_run),
     "design": FileKind(write_design, read_designs),
     "layout": FileKind(write_layout, lambda folder, root: read_layout(folder / "layout.json") and None),

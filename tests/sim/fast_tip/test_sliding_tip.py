@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from tactip_twin.sim.fast_tip.features import COUNT, mirrored, pairs
 from tactip_twin.sim.fast_tip.network import Network, network_of
-from tactip_twin.sim.fast_tip.sliding_tip import Inputs, motion_between, shipped_sliding_tip
+from tactip_twin.sim.fast_tip.sliding_tip import Inputs, motion_between, read_sliding_tip, shipped_sliding_tip
 from tactip_twin.sim.pose import before_shear, from_mm_deg, sensor_in_contact
 from tactip_twin.tactip_model.errors import TactipError
 
@@ -38,6 +38,22 @@ def test_learned_range_does_not_change_with_turns_and_mirrors(task):
         found = inputs.extents(inputs.pack(turned, overlap * np.exp(-2j * angle), state, touched))
         assert np.allclose(extents, found, atol=1e-6)
     assert inputs.pack(values, overlap, state, touched).shape == (20, inputs.count)
+
+
+@pytest.mark.parametrize("task", ["surface", "edge"])
+def test_shipped_tip_trusts_a_motion_without_a_tilt_or_a_turn(task):
+    """Training paths always have a little of each, so exact zeros lie below all of them."""
+    tip = read_sliding_tip(shipped_sliding_tip(task, "tactip-127"))
+    inputs = tip.inputs
+    values = np.zeros((1, COUNT[task]))
+    sizes = inputs.extents(inputs.pack(values, np.zeros((1, inputs.overlap_modes)), np.zeros((1, 200)), np.ones(1)))[0]
+    assert (sizes[inputs.can_vanish] == 0).all() and (tip.extents[inputs.can_vanish, 0] >= 0).all()
+    assert (tip.extents[~inputs.can_vanish, 0][: {"surface": 2, "edge": 3}[task]] < 0).all()
+    for k in range(COUNT[task]):  # only scalars show the sign of a feature
+        values[0] = 0
+        values[0, k] = -1
+        found = inputs.extents(inputs.pack(values, np.zeros((1, inputs.overlap_modes)), np.zeros((1, 200)), np.ones(1)))[0]
+        assert (found[inputs.can_vanish] >= 0).all()
 
 
 def test_network_with_a_linear_map_adds_it():

@@ -1,0 +1,194 @@
+"""Tracking of a moving object by touch: the servo keeps depth and angle, and removes the shear that the motion causes.
+
+The label that the servo gets has the shear in the components that a surface does not define: x and y, and the rotation about
+the normal. It is the pose of the sensor relative to the place that it touched, as in Lloyd & Lepora (IJRR 2024), so the same
+control law follows motions in all axes. The score is the pose relative to the object, which they do not report.
+"""
+
+import dataclasses
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tactip_twin.control.estimator import Estimate, Estimator, NetworkEstimator
+from tactip_twin.control.servo import Servo, gains_named, pose_error, reference_mm_deg
+from tactip_twin.control.track_options import TrackOptions
+from tactip_twin.learning.model import Model, load_network
+from tactip_twin.sim.contact.fidelity import fidelity_named
+from tactip_twin.sim.contact.simulator import Diverged
+from tactip_twin.sim.contact.tip_state import TipState
+from tactip_twin.sim.dataset.format import EFFECTIVE_SHEARS
+from tactip_twin.sim.fast_tip.sliding_tip import read_sliding_tip, shipped_sliding_tip
+from tactip_twin.sim.ground_truth import SurfaceGroundTruth
+from tactip_twin.sim.pose import from_mm_deg, inverse, label_of, sensor_in_contact, to_mm_deg
+from tactip_twin.sim.robot.arm_models import arm_model_named
+from tactip_twin.sim.robot.irb120 import Unreachable
+from tactip_twin.sim.robot.moving_object import MovingFastTip, MovingMountedTip, TipOnMovingObject, moved_object
+from tactip_twin.sim.robot.objects import SceneObject, load_object
+from tactip_twin.sim.view.plot import COLORS, figure_of, save_figure
+from tactip_twin.tactip_model.design import Design
+from tactip_twin.tactip_model.errors import TactipError
+from tactip_twin.tactip_model.files import write_file
+from tactip_twin.tactip_model.presets import load_design
+from tactip_twin.tactip_model.renderer import RendererName
+
+SCORE, FIGURE = "score.json", "tracking.png"
+
+_SHEAR_COMPONENTS = (0, 1, 5)
+"""Components of the label that the shear stands for: x, y and Rz."""
+
+_GAP_MM = 3.0
+"""Height of the sensor above the object before it touches down, mm."""
+
+_ALIGNMENT_STEPS = 15
+"""Control steps in contact before the object moves, in which depth and angle are aligned."""
+
+
+class PoseAndShearEstimator(NetworkEstimator):
+    """A network's pose, with its shear in the components that a surface does not define."""
+
+    def __init__(self, model: Model, design: Design, renderer: RendererName) -> None:
+        """Prepare the network.
+
+        Raises:
+            TactipError: It does not estimate the shear, or its images have another size than the design's.
+        """
+        if not set(EFFECTIVE_SHEARS) <= set(model.columns):
+            raise TactipError(f"the network must estimate the shear, got one that estimates {', '.join(model.columns)}")
+        self._shears = [model.columns.index(name) for name in EFFECTIVE_SHEARS]
+        super().__init__(model, design, renderer)
+
+    def _estimate(self, image: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+        means, label = self._model.estimate(image[None]).means[0], np.zeros(6)
+        label[self._rows] = means[: len(self._rows)]
+        label[list(_SHEAR_COMPONENTS)] = means[self._shears]
+        return label, None
+
+
+class RelativePoseOracle:
+    """The true pose of the sensor relative to the place that it touched."""
+
+    def __init__(self, tip: TipOnMovingObject, T_object_contact: np.ndarray) -> None:
+        """Use the contact frame (4, 4) of the first touch."""
+        self._tip, self._to_contact = tip, inverse(T_object_contact)
+
+    def estimate(self, touch: TipState, T_base_tcp: np.ndarray) -> Estimate:
+        """Return the true label."""
+        return Estimate(label_of(self._to_contact @ inverse(self._tip.T_base_object) @ T_base_tcp), 1.0)
+
+
+def track(options: TrackOptions, progress: Callable[[int, int], None] = lambda done, count: None) -> dict[str, Any]:
+    """Track a moving object, and write score and figure to `options.out`.
+
+    Args:
+        options: Options.
+        progress: Called with the number of control steps made and of all.
+
+    Returns:
+        The score, as JSON values: root mean square and largest errors of the sensor's pose relative to the object.
+
+    Raises:
+        TactipError: The options are invalid, or the folder is not empty.
+    """
+    if options.out.exists() and any(options.out.iterdir()):
+        raise TactipError(f"the folder {options.out} is not empty: choose another folder, or remove this one")
+    scene_object = load_object(options.object, position_mm=options.position_mm)
+    design = load_design(options.design)
+    tip = _tip(options, design, scene_object)
+    T_start, reference = scene_object.T_base_object, from_mm_deg(reference_mm_deg(options.depth_mm))
+    pivot = scene_object.middle_m * [1, 1, 0] + [0, 0, float((scene_object.solid.vertices @ T_start[:3, :3].T)[:, 2].max())]
+    pivot[2] += T_start[2, 3]
+    T_base_contact = np.eye(4)
+    T_base_contact[:3, :3], T_base_contact[:3, 3] = np.diag([-1.0, -1, 1]), pivot
+    estimator = _estimator(options, design, tip, inverse(T_start) @ T_base_contact)
+    tip.reset_to(T_base_contact @ sensor_in_contact(from_mm_deg([0, 0, _GAP_MM, 0, 0, 0])))
+    touch = tip.go(T_base_contact @ sensor_in_contact(reference))
+    servo, period = Servo(gains_named(options.gains, "surface"), options.depth_mm), 1 / options.rate_hz
+    count, stopped, errors, estimates = round(options.seconds * options.rate_hz), "completed", [], []
+    to_contact, shears, offset = inverse(inverse(T_start) @ T_base_contact), [], np.zeros(3)
+    shear_rows = list(_SHEAR_COMPONENTS)
+    for k in range(-_ALIGNMENT_STEPS, count):
+        label = estimator.estimate(touch, tip.arm_model.pose).label.copy()
+        if k < 0:
+            # The shear is zero by definition where the tip has touched down: what is estimated is the network's offset.
+            shears.append(label[shear_rows])
+            label[shear_rows] = 0.0
+        else:
+            label[shear_rows] -= offset
+        true = label_of(to_contact @ inverse(tip.T_base_object) @ tip.arm_model.pose)
+        if k >= 0:
+            errors.append(to_mm_deg(pose_error(true, reference)))
+            estimates.append(to_mm_deg(label - true))
+            progress(k + 1, count)
+        if not np.linalg.norm(touch.force) > 0:
+            stopped = "contact lost"
+            break
+        offset = np.mean(shears, axis=0)
+        # The object moves on while the arm moves to where the object was.
+        tip.move_object(moved_object(T_start, pivot, options.motion, max(0, k + 1) * period))
+        try:
+            touch = tip.go(tip.arm_model.measured_pose() @ servo.move(label))
+        except (Unreachable, Diverged) as error:
+            stopped = str(error)
+            break
+    result = _score(np.array(errors).reshape(-1, 6), np.array(estimates).reshape(-1, 6), stopped, period)
+    result |= {"options": json.loads(json.dumps(dataclasses.asdict(options), default=str))}
+    options.out.mkdir(parents=True, exist_ok=True)
+    _plot(np.array(errors).reshape(-1, 6), period, options.out / FIGURE)
+    write_file(options.out / SCORE, (json.dumps(result, indent=1) + "\n").encode())
+    return result
+
+
+def _tip(options: TrackOptions, design: Design, scene_object: SceneObject) -> TipOnMovingObject:
+    """Return the tip of the options' fidelity on its arm model."""
+    solid, T, arm = scene_object.solid, scene_object.T_base_object, arm_model_named(options.arm)
+    if options.fidelity != "fast":
+        return MovingMountedTip(design, solid, fidelity_named(options.fidelity), arm, T)
+    tip = read_sliding_tip(shipped_sliding_tip("surface", options.design))
+    return MovingFastTip(tip, design, solid, fidelity_named("standard"), arm, T, SurfaceGroundTruth(solid))
+
+
+def _estimator(options: TrackOptions, design: Design, tip: TipOnMovingObject, T_object_contact: np.ndarray) -> Estimator:
+    """Return the estimator of pose and shear."""
+    if options.model == "oracle":
+        return RelativePoseOracle(tip, T_object_contact)
+    model = load_network(options.model)
+    if model.labels.task != "surface":
+        raise TactipError(f"the network must be of the task surface, got one of {model.labels.task}")
+    return PoseAndShearEstimator(model, design, options.renderer)
+
+
+def _score(errors: np.ndarray, estimates: np.ndarray, stopped: str, period_s: float) -> dict[str, Any]:
+    """Return the scores of errors (n, 6), mm and degrees, of the pose and of its estimate."""
+    if not len(errors):
+        raise TactipError(f"nothing was tracked: {stopped}")
+    distance, angle = np.linalg.norm(errors[:, :3], axis=1), np.linalg.norm(errors[:, 3:], axis=1)
+    return {
+        "rms_mm": _rms(distance),
+        "rms_deg": _rms(angle),
+        "max_mm": float(distance.max()),
+        "max_deg": float(angle.max()),
+        "rms_by_axis": [_rms(column) for column in errors.T],
+        "estimate_rms_by_axis": [_rms(column) for column in estimates.T],
+        "seconds": len(errors) * period_s,
+        "stopped_because": stopped,
+    }
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt((values**2).mean()))
+
+
+def _plot(errors: np.ndarray, period_s: float, path: Path) -> None:
+    """Plot the errors (n, 6), mm and degrees, over time."""
+    figure, axes = figure_of(1, 2, (9.0, 3.0))
+    seconds = period_s * np.arange(len(errors))
+    for axis, first, label, names in ((axes[0], 0, "error, mm", "xyz"), (axes[1], 3, "error, °", ("Rx", "Ry", "Rz"))):
+        for k, name in enumerate(names):
+            axis.plot(seconds, errors[:, first + k], color=COLORS[k], label=name, lw=1)
+        axis.set(xlabel="time, s", ylabel=label)
+        axis.legend(ncol=3)
+    save_figure(figure, path)
