@@ -162,8 +162,7 @@ class NetworkEstimator(ImageEstimator):
 
     def _estimate(self, frame: np.ndarray, image: np.ndarray) -> tuple[np.ndarray, np.ndarray | None, float | None]:
         """Return what the network estimates; see ImageEstimator."""
-        image = tactile_image(frame, self._grey) if self._model.grey else image
-        estimates, label = self._model.estimate(image[None]), np.zeros(6)
+        estimates, label = self._model.estimate(self._seen(frame, image)[None]), np.zeros(6)
         components = len(self._rows)
         label[self._rows] = estimates.means[0, :components]
         if estimates.deviations is None:
@@ -174,6 +173,10 @@ class NetworkEstimator(ImageEstimator):
             force, sigma = (forces_of(a[:, components:])[0] for a in (estimates.means, estimates.deviations))
             force_n = float(force + 2 * sigma)
         return label, deviations, force_n
+
+    def _seen(self, frame: np.ndarray, image: np.ndarray) -> np.ndarray:
+        """Return the image of the kind that the network learned, grey or binary."""
+        return tactile_image(frame, self._grey) if self._model.grey else image
 
 
 class Oracle:

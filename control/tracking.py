@@ -61,11 +61,12 @@ class PoseAndShearEstimator(NetworkEstimator):
         self._shears = [model.columns.index(name) for name in EFFECTIVE_SHEARS]
         super().__init__(model, design, renderer)
 
-    def _estimate(self, image: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
-        means, label = self._model.estimate(image[None]).means[0], np.zeros(6)
+    def _estimate(self, frame: np.ndarray, image: np.ndarray) -> tuple[np.ndarray, np.ndarray | None, float | None]:
+        """Return what the network estimates; see ImageEstimator."""
+        means, label = self._model.estimate(self._seen(frame, image)[None]).means[0], np.zeros(6)
         label[self._rows] = means[: len(self._rows)]
         label[list(_SHEAR_COMPONENTS)] = means[self._shears]
-        return label, None
+        return label, None, None
 
 
 class RelativePoseOracle:

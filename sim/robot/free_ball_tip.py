@@ -59,19 +59,22 @@ class FreeBallTip(TipOnArm):
         self.scene.place_table(to_sensor)
         self._steps_since_read = 0
 
-    def go(self, T_base_tcp: np.ndarray) -> TipState:
+    def go(self, T_base_tcp: np.ndarray, max_force_n: float = np.inf) -> TipState:
         """Move to a pose and settle there: see TipOnArm. The ball moves with it."""
-        motion = self._motion
+        motion, fraction = self._motion, 0.0
+        limit = max(max_force_n, float(np.linalg.norm(self.scene.contact_force())))
         fractions = self._set_target(T_base_tcp, motion.shear_step_m, 1.0)
         with counted_warnings() as messages:
             self.scene.stiffen(resting=False)
             for fraction in fractions:
                 self._step(fraction)
+                if np.linalg.norm(self.scene.contact_force()) > limit:
+                    break
             self.scene.stiffen(resting=True)
             for k in range(motion.settle_limit):
                 if k >= motion.pause_steps and np.linalg.norm(self.scene.ball_velocity()) < motion.settle_speed_m_s:
                     break
-                self._step(1.0)
+                self._step(fraction)
         self.warnings += len(messages)
         return self.tip_state()
 
