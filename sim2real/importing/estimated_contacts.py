@@ -93,18 +93,17 @@ def estimate_contacts(
     rows = np.array([i for i, path in enumerate(recording.paths) if path])
     rows = np.sort(rng.choice(rows, min(FRAMES, len(rows)), replace=False))
     images: dict[int, np.ndarray] = {}
-    with_rim = []
+    with_rim, problem = [], ""
     for i in rows:
         try:
             frame = recording.load(i)
             images[int(i)] = reader.cropped(reader.masked(frame))
-        except TactipError:  # the import leaves it out later, and reports it
+        except TactipError as error:  # the import leaves it out later, and reports it
+            problem = problem or f"{recording.names[i]}: {error}"
             continue
         with_rim.append(reader.with_rim(frame))
     if not images:
-        raise TactipError(
-            f"none of {len(rows)} frames in {recording.folder} can be read, for example {recording.paths[rows[0]]}"
-        )
+        raise TactipError(f"none of {len(rows)} frames can be used, for example {problem}")
     at_rest = reader.cropped(reader.masked(neutral)) if neutral is not None else _least_spread(list(images.values()))
     blobs = len(find_blobs(at_rest).centres)
     layout = min(NOMINAL, key=lambda name: abs(len(neutral_pins(NOMINAL[name])[0]) - blobs))
