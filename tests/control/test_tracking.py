@@ -59,7 +59,7 @@ def test_tip_and_object_that_move_together_stay_as_they_are(design):
 
 
 def test_servo_with_true_poses_tracks_all_axes(tmp_path, capsys):
-    words = ["track", "--model", "oracle", "--fidelity", "fast", "--arm", "none", "--seconds", "0.5", "--motion.ramp-s", "3"]
+    words = ["track", "--model", "oracle", "--fidelity", "fast", "--arm", "none", "--seconds", "0.5", "--ramp-s", "3"]
     assert tactip.main([*words, "--out", str(tmp_path / "run")]) == 0
     assert "error relative to the object, root mean square: 0." in capsys.readouterr().out
     score = json.loads((tmp_path / "run" / "score.json").read_text())
