@@ -6,7 +6,8 @@ or too large, but its sign and its axis are right.
 """
 
 import itertools
-from dataclasses import dataclass, fields, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -47,7 +48,7 @@ _PIXEL_NOISE, _INDEPENDENT = 0.5, 10
 """Residual of a good estimate, px of 256, and number of independent measurements that a frame counts for, because the
 residuals of its pins are correlated (as in calibration/rounds.py)."""
 
-_RANDOM_CONTACTS, _SECTORS = 4000, 4
+_RANDOM_CONTACTS, _SECTORS = 4000, 6
 """Number of random contacts of which the nearest is the start of an estimate, and number of ranges of yaw, each with its own
 starts, on an edge."""
 
@@ -72,6 +73,9 @@ class EstimatedContacts:
     """(n, p, 2) detected pins, px of 256; NaN where one is not detected."""
     simulated_px: np.ndarray
     """(n, p, 2) pins of the estimated contacts, px of 256."""
+    optima: "tuple[EstimatedContacts, ...]" = ()
+    """On an edge, estimates from several starts, of which this holds the one that fits best in each frame: another may be
+    right."""
 
 
 def estimate_contacts(
@@ -130,23 +134,31 @@ def estimate_contacts(
     materials = None if tip.materials is None else np.clip(material_inputs(design.materials), *tip.materials.T)
     model = PinModel(tip, PinDecoder(design, tip.modes), _POSES[task], _SHEARS, Lens(design), materials)
     noise = _PIXEL_NOISE * np.sqrt(2 * pins.shape[1] / _INDEPENDENT)
-    found = _most_likely(model, pins, noise, task, rng)
-    values = np.concatenate([found.poses, found.shears], 1)[:, model.free]
-    simulated = model.positions(values).reshape(pins.shape)
-    deviations = found.deviations[:, :6]
-    return EstimatedContacts(rows, found.poses, deviations, found.shears, found.residuals, fit.pins_px, pins, simulated)
+    optima = []
+    for found in _optima(model, pins, noise, task, rng):
+        values = np.concatenate([found.poses, found.shears], 1)[:, model.free]
+        simulated = model.positions(values).reshape(pins.shape)
+        deviations = found.deviations[:, :6]
+        one = EstimatedContacts(rows, found.poses, deviations, found.shears, found.residuals, fit.pins_px, pins, simulated)
+        optima.append(one)
+    best = chosen_of(optima, np.argmin([one.residuals_px for one in optima], 0))
+    return replace(best, optima=tuple(optima) if len(optima) > 1 else ())
 
 
-def _most_likely(model: PinModel, pins: np.ndarray, noise: float, task: Task, rng: np.random.Generator) -> MostLikely:
-    """Return the most likely contacts for pins (n, p, 2), px. On an edge, other yaws are local optima: of starts in each of
-    _SECTORS the one that fits best is kept."""
+def _optima(model: PinModel, pins: np.ndarray, noise: float, task: Task, rng: np.random.Generator) -> list[MostLikely]:
+    """Return the most likely contacts for pins (n, p, 2), px; on an edge, from starts in each of _SECTORS of the yaw."""
     edges = np.linspace(-180, 180, _SECTORS + 1)
     sectors = [{5: ends} for ends in itertools.pairwise(edges)] if task == "edge" else [{}]
     starts = [model.nearest_of(pins, _RANDOM_CONTACTS, rng, within) for within in sectors]
-    found = [most_likely(model, pins, start, noise) for start in starts]
-    best = np.argmin([one.residuals for one in found], 0), np.arange(len(pins))
-    chosen = {f.name: np.stack([getattr(one, f.name) for one in found])[best] for f in fields(MostLikely)}
-    return MostLikely(**chosen)
+    return [most_likely(model, pins, start, noise) for start in starts]
+
+
+def chosen_of(optima: Sequence[EstimatedContacts], which: np.ndarray) -> EstimatedContacts:
+    """Return for each of n frames that of some estimates whose index is in `which`, (n,) int."""
+    frames = np.arange(len(which))
+    per_frame = ("poses", "pose_deviations", "shears", "residuals_px", "simulated_px")
+    parts = {name: np.stack([getattr(one, name) for one in optima])[which, frames] for name in per_frame}
+    return replace(optima[0], **parts)
 
 
 def _least_spread(images: list[np.ndarray]) -> np.ndarray:

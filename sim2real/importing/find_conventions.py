@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from tactip_twin.sim2real.importing.column_map import Angles, ColumnMap, parse_column
 from tactip_twin.sim2real.importing.convert_labels import convert_labels
-from tactip_twin.sim2real.importing.estimated_contacts import EstimatedContacts
+from tactip_twin.sim2real.importing.estimated_contacts import EstimatedContacts, chosen_of
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.input_files import read_json
 
@@ -43,11 +43,18 @@ offset of some tenths, and an estimate with other mechanics one of 1 mm in the t
 _SAME_DEG = 0.5
 """Mean difference of labels, degrees, that does not matter."""
 
+_MAX_UNEXPLAINED = 0.6
+"""Largest part of the circular variance of the yaw that a column may leave [?]."""
+
 _SAME_VECTORS = 0.3
 """Difference of two readings of a vector, in standard deviations of its columns, that does not matter."""
 
 _MAX_UNCLEAR_DEG = 2.0
 """Mean difference of the labels of two readings that fit equally well, degrees, above which none is taken [?]."""
+
+_INDEPENDENT, _YAW_SPREAD_RAD, _OUTLIERS = 10.0, 0.2, 0.05
+"""Choice among the optima of an edge's yaw: number of independent measurements in a frame, standard deviation of a right
+yaw, and fraction of frames in which no optimum is right [?]."""
 
 _CLEAR_YAW_DEG = 8.0
 """Standard deviation of an edge's yaw below which a frame shows it [?]."""
@@ -113,6 +120,8 @@ def find_conventions(
     """
     columns = _numeric(table, contacts.rows)
     known = dict(parse_column(spec) for spec in given.columns)
+    if contacts.optima:
+        contacts = _resolved(columns, contacts)
     found, evidence, free = _depth(columns, contacts, tap_mm)
     if "pose_z" in known:
         _check_sign("pose_z", known["pose_z"], found["pose_z"])
@@ -156,6 +165,26 @@ def _numeric(table: Mapping[str, Sequence[str]], rows: np.ndarray) -> _Columns:
     if not names:
         raise TactipError(f"the table has no column of numbers that vary: its columns are {', '.join(table)}")
     return _Columns(tuple(names), np.stack(values, -1))
+
+
+def _resolved(columns: _Columns, contacts: EstimatedContacts) -> EstimatedContacts:
+    """Return contacts on an edge whose yaw is chosen among several optima: in each frame, the likelier of those that agree
+    with the column, sign and offset that explain the yaws of all frames best. A frame alone may fit a wrong one better."""
+    yaws = np.radians([one.poses[:, 5] for one in contacts.optima])
+    misfits = np.square([one.residuals_px for one in contacts.optima])
+    weights = np.exp(-0.5 * _INDEPENDENT * (misfits / misfits.min(0) - 1))
+    weights /= weights.sum(0)
+    offsets = np.radians(np.arange(0.0, 360.0, 5.0))
+    best, which = -np.inf, np.zeros(len(contacts.rows), int)
+    for values in columns.values.T:
+        for sign, factor in itertools.product((1.0, -1.0), _UNITS["angle"]):
+            expected = sign * np.radians(factor * values) + offsets[:, None]
+            agreement = weights * np.exp(-((1 - np.cos(yaws - expected[:, None])) / _YAW_SPREAD_RAD**2))
+            scores = np.log(_OUTLIERS + agreement.sum(1)).sum(1)
+            k = int(scores.argmax())
+            if scores[k] > best:
+                best, which = float(scores[k]), agreement[k].argmax(0)
+    return chosen_of(contacts.optima, which)
 
 
 def _depth(
@@ -310,7 +339,7 @@ def _edge_rotations(
     }
     best = max(scores, key=lambda key: abs(scores[key]), default=None)
     alone = abs(np.exp(1j * yaw).mean())
-    if best is None or abs(scores[best]) < alone + 0.5 * (1 - alone):
+    if best is None or 1 - abs(scores[best]) > _MAX_UNEXPLAINED * (1 - alone):
         raise TactipError("no column explains the yaw of the edge that the frames show: give --columns pose_Rz=…")
     name, same = columns.likeliest(best[0], free, ("Rz",))
     sign, factor = best[1:]
