@@ -35,7 +35,7 @@ from tactip_twin.tactip_model.input_images import read_image
 _SENSORS: tuple[tuple[Task, str, int], ...] = (
     ("surface", "nominal-127", 11),
     ("surface", "nominal-331", 13),
-    ("edge", "nominal-127", 15),
+    ("edge", "nominal-127", 16),
     ("edge", "nominal-331", 12),
 )
 """Task, preset and seed of each hidden sensor."""

@@ -233,8 +233,9 @@ def _on_surface(columns: _Columns, free: list[str], contacts: EstimatedContacts,
     """Return the readings of tilts and shears, which one rotation of the camera must explain together."""
     tilt = _centred(contacts.poses[:, 3] + 1j * contacts.poses[:, 4])
     shear = _centred(contacts.shears[:, 0] + 1j * contacts.shears[:, 1])
-    tilts, free = _explaining(columns, free, tilt, ("Rx", "Ry"))
-    shears, _ = _explaining(columns, free, shear, ("x", "y"))
+    r = {one: [abs(_correlation(columns.of(one), estimate)) for estimate in (tilt, shear)] for one in free}
+    tilts, _ = _explaining(columns, [one for one in free if r[one][0] >= r[one][1]], tilt, ("Rx", "Ry"))
+    shears, _ = _explaining(columns, [one for one in free if one not in tilts], shear, ("x", "y"))
     evidence = []
     if not tilts:
         evidence.append("no column explains the tilts of the frames, so none is taken")
@@ -294,7 +295,8 @@ def _on_edge(columns: _Columns, free: list[str], contacts: EstimatedContacts, kn
     deviations = contacts.pose_deviations[:, 5]
     clear = deviations <= max(_CLEAR_YAW_DEG, float(np.sort(deviations)[min(len(deviations), 30) - 1]))
     estimated = Rotation.from_rotvec(contacts.poses[clear, 3:], degrees=True)
-    found, angles, offset_deg, evidence, left = _edge_rotations(columns, free, estimated, clear, known)
+    sheared = _centred(contacts.shears[:, 0] + 1j * contacts.shears[:, 1])
+    found, angles, offset_deg, evidence, left = _edge_rotations(columns, free, estimated, clear, sheared, known)
     quarter_turns = round(offset_deg / 90)
     wanted = {"pose_x": contacts.poses[:, 0]}
     wanted |= {"shear_x": contacts.shears[:, 0], "shear_y": contacts.shears[:, 1], "shear_Rz": contacts.shears[:, 5]}
@@ -318,7 +320,7 @@ def _on_edge(columns: _Columns, free: list[str], contacts: EstimatedContacts, kn
 
 
 def _edge_rotations(
-    columns: _Columns, free: list[str], estimated: Rotation, clear: np.ndarray, known: _Known
+    columns: _Columns, free: list[str], estimated: Rotation, clear: np.ndarray, sheared: np.ndarray, known: _Known
 ) -> tuple[dict[str, str], Angles, float, list[str], list[str]]:
     """Return the readings of the rotations on an edge, their convention, the yaw at which the camera is mounted, degrees,
     the evidence, and the columns that are left.
@@ -328,6 +330,7 @@ def _edge_rotations(
         free: Those that may be taken.
         estimated: Estimated rotations of the frames that show the yaw.
         clear: (n,) bool, which frames these are.
+        sheared: (n,) complex, estimated shears, without their mean.
         known: Columns that are given.
     """
     yaw = np.radians(estimated.as_rotvec(degrees=True)[:, 2])
@@ -345,7 +348,7 @@ def _edge_rotations(
     sign, factor = best[1:]
     agreement = scores[name, sign, factor]
     left = [one for one in free if one not in same]
-    tilts, left = _tilts_on_edge(columns, left, estimated, clear)
+    tilts, left = _tilts_on_edge(columns, left, estimated, clear, sheared)
     turn, scored = factor * values[name] * sign, []
     for reading in _assignments(tilts, ("Rx", "Ry"), known):
         about = {"x": np.zeros(len(turn)), "y": np.zeros(len(turn)), "z": turn}
@@ -375,14 +378,21 @@ def _edge_rotations(
 
 
 def _tilts_on_edge(
-    columns: _Columns, free: list[str], estimated: Rotation, clear: np.ndarray
+    columns: _Columns, free: list[str], estimated: Rotation, clear: np.ndarray, sheared: np.ndarray
 ) -> tuple[list[str], list[str]]:
     """Return the columns that explain the tilts, and those that are left. A tilt before the yaw turns with the sensor, one
-    after it does not: both are tried."""
+    after it does not: both are tried. A column that explains the shear better is none, because shear shows as tilt too."""
     shown = _Columns(columns.names, columns.values[clear])
-    normals = estimated.apply([0.0, 0.0, 1.0]), estimated.inv().apply([0.0, 0.0, 1.0])
-    options = [_explaining(shown, free, _centred(normal[:, 0] + 1j * normal[:, 1]), ("Rx", "Ry")) for normal in normals]
-    return max(options, key=lambda option: len(option[0]))
+    normals = [turn.apply([0.0, 0.0, 1.0]) for turn in (estimated, estimated.inv())]
+    tilted = [_centred(normal[:, 0] + 1j * normal[:, 1]) for normal in normals]
+    shears = [
+        one
+        for one in free
+        if abs(_correlation(columns.of(one), sheared)) > max(abs(_correlation(shown.of(one), t)) for t in tilted)
+    ]
+    options = [_explaining(shown, [one for one in free if one not in shears], tilt, ("Rx", "Ry")) for tilt in tilted]
+    tilts, left = max(options, key=lambda option: len(option[0]))
+    return tilts, [*left, *shears]
 
 
 def _rotation_fit(
