@@ -96,6 +96,7 @@ class NoisyOracle:
         return replace(estimate, label=noisy, deviations=self.deviations)
 
 
+@pytest.mark.slow
 def test_follower_with_a_filter_follows_noisy_estimates_more_closely():
     """The recorded label is the fused one, beside that of the image alone; in the air nothing is fused."""
     errors = {}

@@ -284,6 +284,7 @@ def test_coverage_counts_targets_within_reach():
     assert coverage(targets[:0], targets, 2.5) == 0
 
 
+@pytest.mark.slow
 def test_servo_video_shows_every_step(tmp_path):
     """Each frame shows the arm, the object and the tactile image of its step."""
     import av

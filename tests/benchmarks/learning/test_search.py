@@ -38,6 +38,7 @@ def test_search_sets_have_no_symmetric_copies(options):
     assert train.shear == val.shear != train.pose
 
 
+@pytest.mark.slow
 def test_page_is_written_and_search_can_be_extended(options):
     searched.run(options, log=lambda line: None)
     record = searched.run(replace(options, trials=3), log=lambda line: None)

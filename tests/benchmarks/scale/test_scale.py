@@ -9,6 +9,7 @@ from tactip_twin.benchmarks.scale.scale import run
 from tactip_twin.tactip_model.errors import TactipError
 
 
+@pytest.mark.slow
 def test_run_measures_rates_and_writes_them(tmp_path):
     options = ScaleOptions(contacts=2, warm_up_contacts=1, messages=40, out=tmp_path)
     record = run(options, lambda line: None)

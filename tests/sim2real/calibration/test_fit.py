@@ -82,6 +82,7 @@ def test_robust_cost_of_outliers_is_linear():
     )
 
 
+@pytest.mark.slow
 def test_calibrate_rounds_lower_cost_and_resume(real, tmp_path):
     """Two frames of each kind suffice to check the signs of the derivatives."""
     log = []

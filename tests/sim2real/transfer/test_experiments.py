@@ -195,6 +195,7 @@ def test_score_removes_offset_of_depth_only(lab):
     assert figures["mae_zeroed"]["pose_Ry"] == figures["mae"]["pose_Ry"] == pytest.approx(3.0)
 
 
+@pytest.mark.slow
 def test_fine_tune_learns_real_frames_and_keeps_base(lab, tiny, tmp_path):
     few = TransferSettings(real_train_frames=30, contacts=12, val_contacts=10, fidelity="draft")
     experiment = Experiment(lab, tmp_path, few, workers=1)
@@ -218,6 +219,7 @@ def test_fine_tune_learns_real_frames_and_keeps_base(lab, tiny, tmp_path):
         fine_tune(base, trained, known.take(slice(0, 0)), settings, tmp_path / "none", "cpu")
 
 
+@pytest.mark.slow
 def test_gap_is_small_with_right_design(lab, tmp_path, capsys):
     """The hidden sensor's own design explains its frames; a design fitted to the neutral image alone nearly does."""
     command = ["transfer", "gap", "--real", str(lab), "--out", str(tmp_path / "out"), "--real-train-frames", "20"]
