@@ -26,6 +26,7 @@ PAGES = {
     "performance": "scale.performance",
     "scale": "scale.scale",
     "servo": "servo.servo",
+    "conventions": "learning.conventions",
     "hard_objects": "servo.hard_objects",
     "reinforcement_learning": "servo.reinforcement_learning",
 }
