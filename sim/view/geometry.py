@@ -44,7 +44,7 @@ class ColoredMesh:
     color: Color
     """Red, green and blue, 0 to 255."""
     vertex_colors: np.ndarray | None = None
-    """(n, 3), 0 to 255, colors of the vertices in the place of `color`; None if they are alike."""
+    """(n, 3), 0 to 255, colors of the vertices; None if all have `color`."""
     lit: bool = True
     """Whether it is shaded; a mesh whose colors are read by a scale is not."""
 

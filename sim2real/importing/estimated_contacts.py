@@ -1,4 +1,4 @@
-"""Contacts estimated from the pins of some frames of a set, whatever its table says: what its table is held against.
+"""Contacts estimated from the pins of some frames of a set, without its table, which is then compared with them.
 
 The neutral image gives camera and pins, and the learned tip (sim/fast_tip/) says which contact moves pins as those of a
 frame have moved (learning/pose_from_pins.py). The mechanics are not this sensor's, so an estimate may be a third too small

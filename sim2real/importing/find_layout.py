@@ -30,7 +30,7 @@ class FoundLayout:
     evidence: tuple[str, ...]
     """A sentence for each choice."""
     contacts: EstimatedContacts
-    """The contacts that it was held against."""
+    """The estimated contacts with which the table was compared."""
 
     def options(self) -> str:
         """Return the options of `tactip import` that give this layout without another search."""

@@ -1,4 +1,4 @@
-"""Files of policies: what is read is what was written, and an observation of another kind is refused."""
+"""Files of policies: a policy is read back unchanged, and refuses observations of another kind."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Sets and runs in LeRobot's format: what is written is what they have, and comes back unchanged."""
+"""Sets and runs in LeRobot's format: they are written completely, and come back unchanged."""
 
 import json
 import os
