@@ -102,7 +102,7 @@ def train(
         TactipError: Stable-Baselines3 is not installed, or the folder has a training with other settings.
     """
     try:
-        from stable_baselines3 import SAC
+        from stable_baselines3 import SAC  # pyright: ignore[reportMissingImports]
     except ModuleNotFoundError as error:
         raise TactipError("training needs stable-baselines3: install it with `pip install stable-baselines3`") from error
     environment = _Vector(gymnasium.make(name, **options))
