@@ -19,6 +19,9 @@ ExperimentName = Literal["zero-shot", "ablate", "few-shot", "gap"]
 ServoGroup = Literal["objects", "oracle", "arm", "fidelity", "robust", "filter", "starts"]
 """Groups of servo runs (benchmarks/servo/servo.py)."""
 
+SearchBudget = Literal["laptop", "gpu", "paper"]
+"""Names of the settings of a search (benchmarks/learning/search.py)."""
+
 PerformanceGroup = Literal["samples", "images", "learning", "servo", "shared-cores"]
 """Groups of rates (benchmarks/scale/performance.py)."""
 
@@ -171,24 +174,32 @@ class ConventionsOptions:
 
 @dataclass(frozen=True)
 class SearchOptions:
-    """Run the paper's hyperparameter search with fewer trials, and write its page. Rerun to resume."""
+    """Run the paper's hyperparameter search at a budget, train its best networks in full, and write its page. Rerun to
+    resume."""
 
     task: Task = "surface"
     """Task."""
-    trials: int = 60
-    """Number of trainings."""
+    budget: SearchBudget = "laptop"
+    """Settings of the search: laptop (60 trials of up to 16 filters), gpu (the paper's 300 trials, of up to 128 filters, in
+    short trainings; a few minutes on one GPU and a dozen cores) or paper (the paper's whole search)."""
+    trials: int | None = None
+    """Number of trainings; None: that of the budget."""
     jobs: int = 2
     """Number of simultaneous trainings."""
-    paper: bool = False
-    """The paper's whole search: 300 trials, up to 512 filters. It needs a GPU."""
+    page_only: bool = False
+    """Only write the page of what has been done so far; make no sets and train nothing."""
     contacts: int = 2000
-    """Number of training contacts."""
-    val_contacts: int = 2000
-    """Number of validation contacts."""
-    data: Path = Path("data/learning")
-    """Folder of the data sets: DATA/plain/TASK/SPLIT."""
+    """Number of training contacts of the search, which the learned tip predicts."""
+    long_contacts: int = 5000
+    """Number of training contacts of the networks that are trained in full."""
+    val_contacts: int = 500
+    """Number of validation contacts, which the learned tip predicts."""
+    test_contacts: int = 1000
+    """Number of test contacts, which are simulated."""
+    data: Path = Path("data/search")
+    """Folder of the data sets: DATA/TASK/NAME/SPLIT."""
     runs: Path = Path("runs/search")
-    """Folder of the searches: RUNS/TASK."""
+    """Folder of the searches, RUNS/TASK, and of the long trainings, RUNS/TASK-long."""
     out: Path = Path("docs")
     """Folder for search.json, search.md and the figures."""
     workers: str = "auto"

@@ -186,7 +186,9 @@ class Make(Command):
         from tactip_twin.sim.fast_tip.sliding_tip import read_sliding_tip, shipped_sliding_tip
 
         task: Task = "edge" if self.task == "edge" else "surface"
-        slides = self.options.snapshots_per_contact > 1 or any(self.options.curvature_per_m)
+        slides = (
+            self.options.snapshots_per_contact > 1 or any(self.options.curvature_per_m) or self.options.rough_fraction > 0
+        )
         path = self.fast_tip or (shipped_sliding_tip if slides else shipped_fast_tip)(task, design.name)
         tip = read_sliding_tip(path) if slides else read_fast_tip(path)
         tip.check_design(design)

@@ -56,8 +56,9 @@ def to_hyperopt_trials(results: Sequence[Result], domain: Domain) -> Trials:
         values = result["values"]
         misc = {"tid": tid, "cmd": domain.cmd, "workdir": None}
         misc |= {"idxs": {k: [tid] for k in values}, "vals": {k: [v] for k, v in values.items()}}
-        good = result["status"] == "ok"
-        outcome = {"status": STATUS_OK, "loss": result["loss"]} if good else {"status": STATUS_FAIL}
+        # The loss at which a trial was pruned is above the one that it would have reached, so it is not better than it is.
+        loss = result["loss"] if result["status"] == "ok" else result.get("loss_when_pruned")
+        outcome = {"status": STATUS_FAIL} if loss is None else {"status": STATUS_OK, "loss": loss}
         docs += trials.new_trial_docs(trials.new_trial_ids(1), [None], [outcome], [misc])
         docs[-1]["state"] = JOB_STATE_DONE
     trials.insert_trial_docs(docs)
@@ -233,6 +234,8 @@ def _check_result(result: Any, index: int | None, space: SearchSpace, name: str)
         raise TactipError(f"{name}: status must be ok, pruned or failed, and the loss of ok a number, got {status!r:.60}")
     if status == "ok":
         from_dict(PoseNetConfig, result.get("network"), f"{name}: network")
+    elif status == "pruned" and type(result.get("loss_when_pruned", 0.0)) not in (int, float):
+        raise TactipError(f"{name}: loss_when_pruned must be a number, got {result['loss_when_pruned']!r:.60}")
     elif status == "failed" and not isinstance(result.get("why"), str):
         raise TactipError(f"{name}: why must be a sentence, got {result.get('why')!r:.60}")
     return result
@@ -329,7 +332,9 @@ def run_trial(data: str, folder: str, index: int, settings: TuneSettings, device
         result |= {"status": "ok", "loss": min(h["val_loss"] for h in history), "epochs": len(history)}
         result["seconds"] = sum(h["seconds"] for h in history)
     except Pruned as pruned:
-        result |= {"status": "pruned", "why": str(pruned)}
+        history = read_metrics(place)
+        result |= {"status": "pruned", "why": str(pruned), "epochs": len(history)}
+        result["loss_when_pruned"] = min(h["val_loss"] for h in history)
     except TactipError as error:
         result["why"] = str(error)
     write_file(place / TRIAL, (json.dumps(result) + "\n").encode())

@@ -1,6 +1,6 @@
 """Curved surfaces, with constant or varying curvature, for contacts on curved objects."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -92,24 +92,46 @@ def curved_surface(
         turn_rad: Angle from x to u, rad.
         profiles: Up to two, along u and along v.
     """
-    count = round(2 * HALF_WIDTH_M / _SPACING_M) + 1
-    line = np.linspace(-HALF_WIDTH_M, HALF_WIDTH_M, count)
-    u, v = (a.ravel() for a in np.meshgrid(line, line, indexing="ij"))
-    top = -(first_per_m * u**2 + second_per_m * v**2) / 2
-    for profile, s in zip(profiles, (u, v), strict=False):
-        top += profile.top(s)
     cos, sin = np.cos(turn_rad), np.sin(turn_rad)
-    across = np.stack([cos * u - sin * v, sin * u + cos * v], -1)
-    low = np.full(len(u), top.min() - _THICKNESS_M)
+
+    def height(at: np.ndarray) -> np.ndarray:
+        """Return heights (...) m at positions (..., 2) m along u and v."""
+        top = -(first_per_m * at[..., 0] ** 2 + second_per_m * at[..., 1] ** 2) / 2
+        for profile, k in zip(profiles, (0, 1), strict=False):
+            top += profile.top(at[..., k])
+        return top
+
+    return SignedDistanceMesh(*slab(height, _SPACING_M, np.array([[cos, -sin], [sin, cos]])))
+
+
+_NO_TURN = np.eye(2)
+
+
+def slab(
+    height: Callable[[np.ndarray], np.ndarray], spacing_m: float, axes: np.ndarray = _NO_TURN
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return vertices (n, 3), m, and triangles (k, 3) of a solid whose top has heights over a square of twice HALF_WIDTH_M.
+
+    Args:
+        height: Heights (...) m at positions (..., 2) m in the square.
+        spacing_m: Spacing of the triangles' corners, m.
+        axes: Matrix (2, 2) that turns positions in the square to x and y of the solid.
+    """
+    count = round(2 * HALF_WIDTH_M / spacing_m) + 1
+    line = np.linspace(-HALF_WIDTH_M, HALF_WIDTH_M, count)
+    square = np.stack([a.ravel() for a in np.meshgrid(line, line, indexing="ij")], -1)
+    # Written out: a matrix product rounds differently from machine to machine, and sets must keep their bytes.
+    top, across = height(square), square[:, :1] * axes[:, 0] + square[:, 1:] * axes[:, 1]
+    low = np.full(len(top), top.min() - _THICKNESS_M)
     vertices = np.concatenate([np.column_stack([across, top]), np.column_stack([across, low])])
     i, j = (a.ravel() for a in np.meshgrid(np.arange(count - 1), np.arange(count - 1), indexing="ij"))
     corner, beside, ahead, diagonal = i * count + j, i * count + j + 1, (i + 1) * count + j, (i + 1) * count + j + 1
     upper = np.concatenate([np.stack([corner, ahead, beside], 1), np.stack([beside, ahead, diagonal], 1)])
-    lower = upper[:, ::-1] + len(u)
+    lower = upper[:, ::-1] + len(top)
     k = np.arange(count - 1)
     rim = np.concatenate([k * count, (count - 1) * count + k, (count - 1 - k) * count + count - 1, count - 1 - k])
     after = np.roll(rim, -1)
     sides = np.concatenate([
-        np.stack([rim, rim + len(u), after], 1), np.stack([after, rim + len(u), after + len(u)], 1)
+        np.stack([rim, rim + len(top), after], 1), np.stack([after, rim + len(top), after + len(top)], 1)
     ])  # fmt: skip
-    return SignedDistanceMesh(vertices, np.concatenate([upper, lower, sides]))
+    return vertices, np.concatenate([upper, lower, sides])

@@ -50,8 +50,8 @@ class Configuration(DatasetOptions):
 
     @property
     def is_curved(self) -> bool:
-        """Whether the surface is not flat."""
-        return any(self.curvature_per_m)
+        """Whether the surface of some contacts is not flat."""
+        return any(self.curvature_per_m) or self.rough_fraction > 0
 
     @property
     def needs_sliding_tip(self) -> bool:
@@ -71,7 +71,7 @@ class Configuration(DatasetOptions):
     def as_json(self) -> dict[str, Any]:
         """Return the configuration as a JSON object; what only some sets have is left out in others."""
         values = json.loads(json.dumps(dataclasses.asdict(self) | {"design": design_as_dict(self.design)}))
-        for name in ("fast_tip", "corrected", "object"):
+        for name in ("fast_tip", "corrected", "object", "rough_fraction"):
             if not values[name]:
                 del values[name]
         return values

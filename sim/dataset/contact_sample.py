@@ -6,6 +6,7 @@ import numpy as np
 
 from tactip_twin.sim.contact.curved_surface import MAX_CURVATURE_PER_M, curved_surface, sample_curved_surface
 from tactip_twin.sim.contact.limits import MAX_TILT_RAD, exceeds_max_tilt
+from tactip_twin.sim.contact.rough_surface import sample_rough_surface
 from tactip_twin.sim.contact.signed_distance import SignedDistanceMesh
 from tactip_twin.sim.contact.simulator import RetryingSimulator
 from tactip_twin.sim.contact.solid_stimulus import SolidStimulus
@@ -62,11 +63,18 @@ def sample_contact(configuration: Configuration, number: int, places: PressPlace
     c = configuration
     rng = generator(c.seed, c.task, c.split, number)
     pose, shear = sample_motion(c, rng)
-    solid = sample_curved_surface(rng, *c.curvature_per_m, c.varying_curvature_fraction) if c.is_curved else None
-    if places is not None:
-        solid = places.sample(rng)
+    solid = _sample_surface(c, rng) if places is None else places.sample(rng)
     design = c.design if c.mechanics_randomization.is_identity else c.mechanics_randomization.sample(c.design, rng)
     return ContactSample(pose, shear, solid, design, rng)
+
+
+def _sample_surface(configuration: Configuration, rng: np.random.Generator) -> SignedDistanceMesh | None:
+    """Return the surface of a contact; None where it is flat."""
+    c = configuration
+    # Without rough surfaces no number is sampled for them, so sets made before that option keep their bytes.
+    if c.rough_fraction and rng.uniform() < c.rough_fraction:
+        return sample_rough_surface(rng, *c.curvature_per_m)
+    return sample_curved_surface(rng, *c.curvature_per_m, c.varying_curvature_fraction) if c.is_curved else None
 
 
 def simulator_for(configuration: Configuration, design: Design) -> RetryingSimulator:

@@ -146,15 +146,13 @@ def _check_mesh(configuration: Configuration) -> None:
 
 def _check_curvature(configuration: Configuration) -> None:
     low, high = configuration.curvature_per_m
-    if configuration.is_curved and configuration.task != "surface":
-        raise TactipError(f"curvature_per_m applies to the task 'surface' only, got the task {configuration.task!r}")
-    require(
-        0 <= configuration.varying_curvature_fraction <= 1,
-        "varying_curvature_fraction",
-        configuration.varying_curvature_fraction,
-        "between 0 and 1",
-    )
-    if configuration.varying_curvature_fraction and not configuration.is_curved:
+    for name, chosen in {"curvature_per_m": any((low, high)), "rough_fraction": configuration.rough_fraction > 0}.items():
+        if chosen and configuration.task != "surface":
+            raise TactipError(f"{name} applies to the task 'surface' only, got the task {configuration.task!r}")
+    for name in ("varying_curvature_fraction", "rough_fraction"):
+        fraction = getattr(configuration, name)
+        require(0 <= fraction <= 1, name, fraction, "between 0 and 1")
+    if configuration.varying_curvature_fraction and not any((low, high)):
         raise TactipError("varying_curvature_fraction needs a range of curvature: give --curvature-per-m too")
     allowed = f"a low and a high between -{MAX_HOLLOW_PER_M:g} and {MAX_CURVATURE_PER_M:g} 1/m"
     require(-MAX_HOLLOW_PER_M <= low <= high <= MAX_CURVATURE_PER_M, "curvature_per_m", (low, high), allowed)
@@ -167,7 +165,8 @@ def _check_object(configuration: Configuration) -> None:
         return
     if c.task != "surface":
         raise TactipError(f"an object needs the task 'surface', got {c.task!r}")
-    unfit = {"curvature_per_m": c.is_curved, "augment_symmetry": c.augment_symmetry, "keep_mesh": c.keep_mesh}
+    unfit = {"curvature_per_m": any(c.curvature_per_m), "rough_fraction": c.rough_fraction > 0}
+    unfit |= {"augment_symmetry": c.augment_symmetry, "keep_mesh": c.keep_mesh}
     for name, chosen in (unfit | {"a learned tip": bool(c.fast_tip)}).items():
         if chosen:
             raise TactipError(f"an object cannot be combined with {name}: its contacts are simulated, on its own surface")

@@ -23,6 +23,9 @@ class DatasetOptions:
     Curvature is not a label."""
     varying_curvature_fraction: float = 0.0
     """Fraction of the contacts, 0 to 1, whose curvature varies along the surface within its range."""
+    rough_fraction: float = 0.0
+    """Fraction of the contacts, 0 to 1, on surfaces with ridges, bumps, hollows, folds and steps that are smaller than the
+    tip, on a base of half the curvature."""
     shard_samples: int = 10_000
     """Maximum number of samples per shard: a larger set is a folder of shards, which every command reads as one set."""
     snapshots_per_contact: int = 1

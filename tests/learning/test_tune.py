@@ -13,13 +13,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from hyperopt.base import Domain
 
 from helpers.kills import contents
 from helpers.learning_sets import write_fake_splits
 from tactip_twin.learning.configuration import SearchSpace, TrainSettings, TuneSettings
 from tactip_twin.learning.recipes import read_recipe
-from tactip_twin.learning.search_space import network_of_values
-from tactip_twin.learning.tune import read_results, record_start, run_trial, suggest, tune
+from tactip_twin.learning.search_space import expressions, network_of_values
+from tactip_twin.learning.tune import read_results, record_start, run_trial, suggest, to_hyperopt_trials, tune
 from tactip_twin.learning.tune_ray import clear, tune_on_cluster
 from tactip_twin.tactip_model.errors import TactipError
 
@@ -199,6 +200,10 @@ def test_tune_prune_ends_bad_trials(data, tmp_path):
     pruned = [r for r in results if r["status"] == "pruned"]
     assert pruned
     assert all("had a lower loss after" in r["why"] for r in pruned)
+    # A pruned trial still tells the search that its place is a bad one.
+    assert all(np.isfinite(r["loss_when_pruned"]) for r in pruned)
+    told = to_hyperopt_trials(results, Domain(lambda point: 0.0, expressions(settings.space))).losses()
+    assert told == [r["loss"] if r["status"] == "ok" else r["loss_when_pruned"] for r in results]
     good = [r for r in results if r["status"] == "ok"]
     assert len(good) >= 2
 

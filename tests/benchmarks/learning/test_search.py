@@ -4,12 +4,13 @@ import dataclasses
 import json
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from helpers.learning_sets import write_fake_set
 from tactip_twin.benchmarks.learning import search as searched
 from tactip_twin.benchmarks.options import SearchOptions
-from tactip_twin.learning.configuration import SearchSpace, TrainSettings, TuneSettings
+from tactip_twin.learning.configuration import PoseNetConfig, SearchSpace, TrainSettings, TuneSettings
 from tactip_twin.tactip_model.errors import TactipError
 
 TINY = TuneSettings(
@@ -22,20 +23,35 @@ TINY = TuneSettings(
 @pytest.fixture
 def options(tmp_path, monkeypatch):
     monkeypatch.setattr(searched, "make", lambda jobs, workers, log: None)
-    monkeypatch.setattr(searched, "LAPTOP", TINY)
+    monkeypatch.setitem(searched.BUDGETS, "laptop", TINY)
+    monkeypatch.setattr(searched, "LONG_TRAINING", TrainSettings(epochs=2))
     folders = {name: tmp_path / name for name in ("data", "runs", "out")}
-    options = SearchOptions(**folders, trials=2, jobs=1, contacts=12, val_contacts=8)
+    options = SearchOptions(**folders, trials=2, jobs=1, contacts=12, long_contacts=16, val_contacts=8, test_contacts=8)
     for job in searched.jobs(options):
         c = job.configuration
         write_fake_set(job.folder, c.task, c.split, c.samples)
     return options
 
 
-def test_search_sets_have_no_symmetric_copies(options):
-    val, train = (job.configuration for job in searched.jobs(options))
-    assert (val.split, val.samples, train.split, train.samples) == ("val", 8, "train", 12)
-    assert not train.augment_symmetry
-    assert train.shear == val.shear != train.pose
+def test_search_sets_are_predicted_and_the_test_set_is_simulated(options):
+    sets = {str(job.folder.relative_to(options.data)): job.configuration for job in searched.jobs(options)}
+    samples = {"short/train": 12, "short/val": 8, "long/train": 16, "long/val": 8, "test/test": 8}
+    assert {name: c.samples for name, c in sets.items()} == {f"surface/{name}": n for name, n in samples.items()}
+    assert all(bool(c.fast_tip) != (c.split == "test") and not c.augment_symmetry for c in sets.values())
+
+
+def test_importance_is_one_for_the_only_parameter_that_matters_and_small_for_noise():
+    rng = np.random.default_rng(0)
+    results = []
+    for _ in range(400):
+        network = dataclasses.asdict(PoseNetConfig(filters=int(2 ** rng.integers(1, 6)), dropout=float(rng.uniform(0, 0.5))))
+        loss = 1.0 / network["filters"] + 1e-3 * rng.uniform()
+        results.append({"status": "ok", "loss": loss, "network": network})
+    found = searched.importance(results)
+    assert found["filters"] > 0.9 and found["dropout"] < 0.05
+    # A pruned trial counts with the loss that it had.
+    pruned = [{"status": "pruned", "loss": None, "loss_when_pruned": r["loss"], "network": r["network"]} for r in results]
+    assert searched.importance(pruned) == found
 
 
 @pytest.mark.slow
@@ -52,6 +68,13 @@ def test_page_is_written_and_search_can_be_extended(options):
     assert page.index(f"| {best['trial']} | {best['loss']:.4g} |") > 0
     assert (options.out / "search_surface.png").stat().st_size > 5000
     assert list(json.loads((options.out / "search.json").read_text())) == ["surface"]
+    assert [set(t["mae"]) for t in record["long"]] == 3 * [{"pose_z", "pose_Rx", "pose_Ry"}]
+    assert [t["epochs"] for t in record["long"]] == [2, 2, 2]
+    # The page can be written again, and by who has only the results.
+    again = searched.run(replace(options, page_only=True), log=lambda line: None)
+    assert again["trials"] == record["trials"] and [t["trial"] for t in again["long"]] == [
+        t["trial"] for t in record["long"]
+    ]
 
 
 def test_paper_search_lists_no_reductions():
