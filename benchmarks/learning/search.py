@@ -238,8 +238,8 @@ def _made(record: Mapping[str, Any]) -> str:
     counts = ", ".join(f"{n} {status}" for status, n in sorted(ended.items()))
     return (
         f"{len(record['trials'])} trials ({counts}); {record['contacts']} contacts for training, {record['val_contacts']} "
-        f"for validation. In full: {record['long_contacts']} contacts, up to {LONG_TRAINING.epochs} epochs; errors, where given, "
-        f"are on {record['test_contacts']} simulated contacts. Page written on: {machine_text(record['machine'])}. "
+        f"for validation. In full: {record['long_contacts']} contacts, up to {LONG_TRAINING.epochs} epochs; errors, if any, "
+        f"on {record['test_contacts']} simulated contacts. Page written on: {machine_text(record['machine'])}. "
         f"Differences from the paper: {', '.join(differences(record['settings'])) or 'none'}."
     )
 
