@@ -28,6 +28,7 @@ from tactip_twin.sim.dataset.sampling import SHEAR_RANGES, Ranges, Split
 from tactip_twin.sim.parallel.worker_pool import worker_count
 from tactip_twin.sim2real.importing.import_set import read_report
 from tactip_twin.sim2real.transfer.fine_tune import FineTuning, fine_tune
+from tactip_twin.sim2real.transfer.linear_errors import linear_errors
 from tactip_twin.sim2real.transfer.neutral_calibration import (
     camera_of,
     fit_design_to_neutral_image,
@@ -302,9 +303,11 @@ def score(model: Predictor, samples: Samples) -> dict[str, Any]:
     """Return the errors of a network on samples of a real set: mae, rmse, bias, and mae without the depth's offset.
 
     A rig's depth has an offset of some tenths of a millimetre: for the depth only, the median error is also taken out
-    (`mae_zeroed`). A set gives no errors of components that do not vary in it; `varies` tells which do.
+    (`mae_zeroed`). A set gives no errors of components that do not vary in it; `varies` tells which do. `linear` is the
+    linear part of the errors (linear_errors.py).
     """
-    errors = model.predict(samples.images) - samples.targets
+    predictions = model.predict(samples.images)
+    errors = predictions - samples.targets
     names = samples.labels.names
     zeroed = errors - np.where([name == "pose_z" for name in names], np.median(errors, 0), 0.0)
 
@@ -320,6 +323,7 @@ def score(model: Predictor, samples: Samples) -> dict[str, Any]:
         "rmse": by_name(np.sqrt((errors**2).mean(0))),
         "bias": by_name(errors.mean(0)),
         "varies": {name: bool(v) for name, v in zip(names, varies, strict=True)},
+        "linear": linear_errors(predictions, samples),
     }
 
 

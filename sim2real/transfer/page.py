@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from tactip_twin.learning.labels import LEARNED
+from tactip_twin.sim2real.transfer.linear_errors import advice, table_of
 from tactip_twin.sim2real.transfer.settings import GAP
 from tactip_twin.tactip_model.files import write_file
 
@@ -50,8 +51,13 @@ def sections(record: Mapping[str, Any], task: str, figure: str = GAP) -> list[st
         lines += ["|" + "---|" * (1 + len(names))]
         lines += [f"| {what} | {' | '.join(_cell(figures, n) for n in names)} |" for what, figures in rows]
         out.append("\n".join(lines))
+    linear = record.get("zero-shot", {}).get("simulation", {}).get("linear")
+    if linear:
+        out += ["Linear part of the errors of the network trained in simulation:", table_of(linear)]
     if "gap" in record:
         out += _gap(record["gap"], figure)
+    if linear:
+        out.append("What this says:\n\n" + "\n".join(f"- {remark}" for remark in advice(linear)))
     return out
 
 

@@ -1,0 +1,125 @@
+"""The linear part of a network's errors on a real set, and what it says about the rig, the tip and the next step.
+
+A rig's zero of depth and its tilt show as offsets, a tip of other mechanics or optics as a gain, and a skin that sticks
+longer or shorter than the simulated one as a leak of shear into the pose. What is left is noise of frames, labels and
+network.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from tactip_twin.learning.data import Samples
+from tactip_twin.sim.labels import SHEARS
+
+_MIN_SPREAD = {"mm": 0.1, "°": 0.5}
+"""Minimum standard deviation of a label or shear that is fitted, by unit: noise of a rig is less."""
+
+_MIN_FRAMES_PER_TERM = 5
+"""Minimum number of frames per term of the fit."""
+
+_GAIN = 0.1
+"""Difference of a gain from 1 that is worth a remark, -."""
+
+_LEAK = {"mm": 0.02, "°": 0.2}
+"""Leak of a shear of 1 mm or 1 degree that is worth a remark, by unit of the component: with the paper's 5 mm, 0.1 mm and 1
+degree [?]."""
+
+_OFFSET = {"mm": 0.1, "°": 0.5}
+"""Offset that is worth a remark, by unit [?]."""
+
+
+def linear_errors(predictions: np.ndarray, samples: Samples) -> dict[str, Any] | None:
+    """Return the linear part of predictions (n, k), mm and degrees; None where a set has too few frames for a fit.
+
+    Each component is fitted by least squares as offset + gain · label + the other labels and shears that vary, times a
+    coefficient each.
+
+    Returns:
+        For each component that varies: offset at the middle of the labels, gain, leak by the name of the shear, and the mean
+        error without the linear part.
+    """
+    names = samples.labels.names
+    varying = [k for k, name in enumerate(names) if samples.targets[:, k].std() > _MIN_SPREAD[unit_of(name)]]
+    sheared = [k for k, name in enumerate(SHEARS) if samples.shears[:, k].std() > _MIN_SPREAD[unit_of(name)]]
+    terms = np.concatenate([samples.targets[:, varying], samples.shears[:, sheared]], 1)
+    if len(terms) < _MIN_FRAMES_PER_TERM * (1 + terms.shape[1]):
+        return None
+    middle = terms.mean(0)
+    columns = np.column_stack([np.ones(len(terms)), terms - middle])
+    found, *_ = np.linalg.lstsq(columns, predictions[:, varying], rcond=None)
+    rest = np.abs(predictions[:, varying] - columns @ found).mean(0)
+    out = {}
+    for i, k in enumerate(varying):
+        leaks = found[1 + len(varying) :, i]
+        out[names[k]] = {
+            "offset": float(found[0, i] - middle[i]),
+            "gain": float(found[1 + i, i]),
+            "leak": {SHEARS[j]: float(leak) for j, leak in zip(sheared, leaks, strict=True)},
+            "rest": float(rest[i]),
+        }
+    return out
+
+
+def table_of(linear: Mapping[str, Any]) -> str:
+    """Return the linear part of the errors as a Markdown table."""
+    lines = ["| component | offset | gain | largest leak of shear | error without these |", "|---|---|---|---|---|"]
+    for name, part in linear.items():
+        unit = unit_of(name)
+        cells = [f"{part['offset']:+.2f} {unit}", f"{part['gain']:.2f}", _leak(name, part), f"{part['rest']:.2f} {unit}"]
+        lines.append(f"| {name} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def advice(linear: Mapping[str, Any]) -> list[str]:
+    """Return what the linear part of the errors says, a sentence or two per remark; the first is worth most."""
+    out = []
+    low = [name for name, part in linear.items() if part["gain"] < 1 - _GAIN]
+    high = [name for name, part in linear.items() if part["gain"] > 1 + _GAIN]
+    for found, word in ((low, "small"), (high, "large")):
+        if found:
+            gains = ", ".join(f"{name} at {linear[name]['gain']:.0%}" for name in found)
+            out.append(
+                f"Read too {word}: {gains} of the labels. The real tip moves its pins differently from the simulated one: "
+                "fit its mechanics with `tactip calibrate`, or fine-tune with 50 labelled frames (`tactip transfer few-shot`)."
+            )
+    leaks = [name for name, part in linear.items() if _largest(part) > _LEAK[unit_of(name)]]
+    if leaks:
+        worst = ", ".join(f"{name} by {_leak(name, linear[name])}" for name in leaks)
+        out.append(
+            f"Shear leaks into the pose: {worst}. Friction or the thickness of the skin differ: calibrate, or fine-tune."
+        )
+    offsets = {name: part["offset"] for name, part in linear.items() if abs(part["offset"]) > _OFFSET[unit_of(name)]}
+    if "pose_z" in offsets:
+        out.append(
+            f"Depth is off by {offsets.pop('pose_z'):+.2f} mm in the middle of its range: the rig's zero of depth is not at "
+            "the surface, or the camera's image has grown. Measure where the tip first touches."
+        )
+    if offsets:
+        values = ", ".join(f"{name} {value:+.2f} {unit_of(name)}" for name, value in offsets.items())
+        out.append(
+            f"Constant offsets: {values}. The stimulus or the sensor is mounted so: measure it, or add it to --columns."
+        )
+    return out or [
+        "No offset, gain or leak of shear stands out: what is left is noise of frames, labels and network. More labelled "
+        "frames help little; a sharper image and a cleaner lens may."
+    ]
+
+
+def unit_of(name: str) -> str:
+    """Return the unit of a component of a pose or shear."""
+    return "°" if "_R" in name else "mm"
+
+
+def _largest(part: Mapping[str, Any]) -> float:
+    """Return the magnitude of the largest leak; 0 if nothing was sheared."""
+    return max((abs(leak) for leak in part["leak"].values()), default=0.0)
+
+
+def _leak(name: str, part: Mapping[str, Any]) -> str:
+    """Return the largest leak as text."""
+    if not part["leak"]:
+        return "no shear"
+    shear, leak = max(part["leak"].items(), key=lambda item: abs(item[1]))
+    return f"{leak:+.2f} {unit_of(name)} per {unit_of(shear)} of {shear}"
