@@ -42,7 +42,9 @@ def linear_errors(predictions: np.ndarray, samples: Samples) -> dict[str, Any] |
     """
     names = samples.labels.names
     varying = [k for k, name in enumerate(names) if samples.targets[:, k].std() > _MIN_SPREAD[unit_of(name)]]
-    sheared = [k for k, name in enumerate(SHEARS) if samples.shears[:, k].std() > _MIN_SPREAD[unit_of(name)]]
+    # A motion along the normal is a press, not a shear: only what it leaves the skin at counts, which is the depth.
+    tangential = [k for k, name in enumerate(SHEARS) if name != "shear_z"]
+    sheared = [k for k in tangential if samples.shears[:, k].std() > _MIN_SPREAD[unit_of(SHEARS[k])]]
     terms = np.concatenate([samples.targets[:, varying], samples.shears[:, sheared]], 1)
     if len(terms) < _MIN_FRAMES_PER_TERM * (1 + terms.shape[1]):
         return None
