@@ -221,7 +221,7 @@ def _long(task: str, record: Mapping[str, Any]) -> str:
         rows.append([t["trial"], t["rank"], t["epochs"], f"{t['val_loss']:.4g}", *errors])
     text = table(["trial", "rank in the search", "epochs", "validation loss", *names], rows)
     if len(long) > 2:
-        correlation = spearmanr(*([t[key] for t in long] for key in ("rank", "val_loss"))).statistic
+        correlation = spearmanr([t["rank"] for t in long], [t["val_loss"] for t in long]).statistic
         text += f"\n\nRank correlation (Spearman) of both losses over these networks: {correlation:.2f}."
     return text
 
