@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
 COMMANDS = {
     "dataset": ("dataset", "Dataset", "Make, verify, show, record and export data sets."),
-    "protocol": ("protocol", "Protocol", "Write the poses to record with a real sensor."),
     "import": ("import_set", "Import", "Import a data set of a real sensor."),
     "calibrate": ("calibrate", "Calibrate", "Fit the sensor to real frames."),
     "fast-tip": ("fast_tip", "FastTip", "Teach a tip that predicts contacts."),
