@@ -262,7 +262,7 @@ class Experiment:
         name = self.settings.fidelity
         if name not in (AUTO, "fast") or (name == AUTO and self.task != "surface"):
             return None, ""
-        path = ANY_MATERIALS if self.task == "surface" else shipped_fast_tip(self.task, design.name)
+        path = ANY_MATERIALS if self.task == "surface" else shipped_fast_tip("edge", design.name)
         tip = read_fast_tip(path)
         try:
             tip.check_design(design, randomized)
