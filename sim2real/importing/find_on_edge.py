@@ -33,7 +33,6 @@ from tactip_twin.tactip_model.errors import TactipError
 _MAX_UNEXPLAINED = 0.6
 """Largest part of the circular variance of the yaw that a column may leave [?]."""
 
-
 _MAX_UNCLEAR_DEG = 2.0
 """Mean difference of the labels of two readings that fit equally well, degrees, above which none is taken [?]."""
 
@@ -41,7 +40,6 @@ _MAX_UNCLEAR_DEG = 2.0
 _INDEPENDENT, _YAW_SPREAD_RAD, _OUTLIERS = 10.0, 0.2, 0.05
 """Choice among the optima of an edge's yaw: number of independent measurements in a frame, standard deviation of a right
 yaw, and fraction of frames in which no optimum is right [?]."""
-
 
 _CLEAR_YAW_DEG = 8.0
 """Standard deviation of an edge's yaw below which a frame shows it [?]."""
@@ -69,11 +67,18 @@ def with_yaws_resolved(columns: Columns, contacts: EstimatedContacts) -> Estimat
 
 @dataclass(frozen=True)
 class EdgeReading:
+    """What the columns mean on an edge."""
+
     columns: dict[str, str]
+    """Columns by our components, as --columns has them, rotations by axis."""
     angles: Angles
+    """Convention of the angles."""
     camera_deg: float
+    """Rotation of the table's axes relative to the image's, degrees, after the quarter turns."""
     quarter_turns: int
+    """Number of quarter turns by which the frames are to be rotated, so that an edge is upright."""
     evidence: list[str]
+    """A sentence for each choice."""
 
 
 def on_edge(

@@ -24,7 +24,6 @@ from tactip_twin.tactip_model.errors import TactipError
 _SAME_VECTORS = 0.3
 """Difference of two readings of a vector, in standard deviations of its columns, that does not matter."""
 
-
 _ROTATION_STEPS = np.radians(np.arange(0.0, 360.0, 0.5))
 
 

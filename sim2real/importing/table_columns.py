@@ -11,23 +11,20 @@ from tactip_twin.tactip_model.errors import TactipError
 MIN_CORRELATION = 0.35
 """Correlation with an estimate above which a column explains it; by chance, 120 frames give 0.09 rms."""
 
-
 _SAME_COLUMN = 0.99
 """Correlation of two columns above which they say the same: a table that is sorted by a tilt numbers its rows by it too."""
-
 
 MIN_EVIDENCE = 6.0
 """Logarithm of the likelihood ratio above which one reading of the frames is preferred to another [?]."""
 
-
 UNITS = {"pose": {1.0: "", 1000.0: "m"}, "angle": {1.0: "", 57.29578: "rad"}}
 """Factors to mm and degrees, and the units that they are from."""
 
-
 Known = Mapping[str, tuple[float, str | None, float]]
-
+"""Columns that are given: (factor, column, offset) by our components."""
 
 _SUFFIXES = {"1": "x", "2": "y", "3": "z", "4": "Rx", "5": "Ry", "6": "Rz"}
+"""Components by the last digit of a column's name."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +32,7 @@ class Columns:
     """Numeric columns of the table that vary. (n frames, k columns)"""
 
     names: tuple[str, ...]
+    """Names of the columns."""
     values: np.ndarray
     """(n, k)."""
 
@@ -56,6 +54,7 @@ class Columns:
 
 
 def numeric_columns(table: Mapping[str, Sequence[str]], rows: np.ndarray) -> Columns:
+    """Return the numeric columns of some rows (n,) of a table that vary. Raises TactipError if there is none."""
     names, values = [], []
     for name, cells in table.items():
         try:
@@ -148,6 +147,7 @@ def column_spec(factor: float, name: str, offset: float) -> str:
 
 
 def centred(values: np.ndarray) -> np.ndarray:
+    """Return values without their mean."""
     return values - values.mean()
 
 
