@@ -186,12 +186,17 @@ class Make(Command):
         from tactip_twin.sim.fast_tip.sliding_tip import read_sliding_tip, shipped_sliding_tip
 
         task: Task = "edge" if self.task == "edge" else "surface"
-        slides = (
-            self.options.snapshots_per_contact > 1 or any(self.options.curvature_per_m) or self.options.rough_fraction > 0
-        )
-        path = self.fast_tip or (shipped_sliding_tip if slides else shipped_fast_tip)(task, design.name)
-        tip = read_sliding_tip(path) if slides else read_fast_tip(path)
-        tip.check_design(design)
+        o = self.options
+        slides = o.snapshots_per_contact > 1 or any(o.curvature_per_m) or o.rough_fraction > 0
+        randomized = self.randomize_mechanics != "none"
+        if slides:
+            path = self.fast_tip or shipped_sliding_tip(task, design.name)
+            tip = read_sliding_tip(path)
+            tip.check_design(design)
+        else:
+            path = self.fast_tip or shipped_fast_tip(task, design.name, randomized)
+            tip = read_fast_tip(path)
+            tip.check_design(design, randomized)
         if tip.task != task:
             raise TactipError(f"the learned tip in {path} is for {tip.task}, got --task {task}")
         return path, tip.digest

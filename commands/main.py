@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 COMMANDS = {
     "dataset": ("dataset", "Dataset", "Make, verify, show, record and export data sets."),
+    "protocol": ("protocol", "WriteProtocol", "Write the poses of a recording with a real sensor."),
     "import": ("import_set", "Import", "Import a data set of a real sensor."),
     "calibrate": ("calibrate", "Calibrate", "Fit the sensor to real frames."),
     "fast-tip": ("fast_tip", "FastTip", "Teach a tip that predicts contacts."),

@@ -122,13 +122,11 @@ def _check_fast_tip(configuration: Configuration) -> None:
     require(bool(c.fast_tip) or not c.corrected, "corrected", c.corrected, "False without a learned tip")
     if not c.fast_tip:
         return
-    unlearned = {
-        "keep_mesh": c.keep_mesh,
-        "mechanics_randomization": not c.mechanics_randomization.is_identity,
-    }
-    for name, chosen in unlearned.items():
-        if chosen:
-            raise TactipError(f"{name} needs a simulated tip: the learned tip knows no mesh, and one tip only")
+    if c.keep_mesh:
+        raise TactipError("keep_mesh needs a simulated tip: the learned tip knows no mesh")
+    if not c.mechanics_randomization.is_identity and (c.corrected or c.needs_sliding_tip):
+        what = "correction" if c.corrected else "learned tip that slides"
+        raise TactipError(f"mechanics_randomization needs a simulated tip: the {what} knows the mechanics of one tip only")
 
 
 def _check_mesh(configuration: Configuration) -> None:

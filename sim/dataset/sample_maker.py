@@ -23,6 +23,7 @@ from tactip_twin.sim.dataset.symmetry import SymmetricReader
 from tactip_twin.sim.fast_tip.corrected_contacts import CorrectedContacts
 from tactip_twin.sim.fast_tip.fast_contacts import FastContacts
 from tactip_twin.sim.fast_tip.fast_tip import read_fast_tip
+from tactip_twin.sim.fast_tip.randomized_contacts import RandomizedContacts
 from tactip_twin.sim.fast_tip.sliding_contact import SlidingContact, TouchedObject
 from tactip_twin.sim.fast_tip.sliding_tip import read_sliding_tip
 from tactip_twin.sim.pose import before_shear, sensor_in_contact, to_mm_deg
@@ -141,7 +142,8 @@ class SampleMaker:
         c = self._configuration
         sample = sample_contact(c, number, self._places)
         made = _MadeContact(sample_indices(c, number), shard_dir(c, self._folder, number), seed_text(*_seed(c, number)))
-        predicted = self._fast.trusted(sample.pose, sample.shear, c.symmetries) if self._fast else None
+        predictor = self._fast.of(sample.design) if isinstance(self._fast, RandomizedContacts) else self._fast
+        predicted = predictor.trusted(sample.pose, sample.shear, c.symmetries) if predictor else None
         if self._sliding:
             self._slide(self._sliding, sample, made)
         elif predicted is None:
@@ -272,11 +274,13 @@ def _physics(configuration: Configuration) -> tuple[object, ...]:
     return c.task, c.is_curved, c.object is None, c.fidelity, c.bounds
 
 
-def _fast_contacts(configuration: Configuration, path: str) -> FastContacts | CorrectedContacts:
+def _fast_contacts(configuration: Configuration, path: str) -> FastContacts | CorrectedContacts | RandomizedContacts:
     """Return the predictor of a set's contacts. Raises TactipError if the file holds another tip than the set's."""
     c, tip = configuration, read_fast_tip(path)
     if tip.digest != c.fast_tip or tip.task != c.task:
         raise TactipError(f"{path} is not the learned tip of this set: its checksum is {tip.digest}, not {c.fast_tip}")
+    if not c.mechanics_randomization.is_identity:
+        return RandomizedContacts(tip, c.design)
     return CorrectedContacts(tip, c.design, c.fidelity, c.bounds) if c.corrected else FastContacts(tip, c.design)
 
 

@@ -72,18 +72,19 @@ def predicted_contact(
 class FastContacts:
     """Predicts contacts of a design."""
 
-    def __init__(self, tip: FastTip, design: Design) -> None:
+    def __init__(self, tip: FastTip, design: Design, decoder: PinDecoder | None = None) -> None:
         """Prepare the prediction.
 
         Args:
             tip: Learned tip.
             design: Design with the shape and the materials that the tip learned.
+            decoder: Decoder of the design's pins; None: it is made.
 
         Raises:
             TactipError: The design has another shape or other materials.
         """
         tip.check_design(design)
-        self._tip, self._decoder = tip, PinDecoder(design, tip.modes)
+        self._tip, self._decoder = tip, decoder or PinDecoder(design, tip.modes)
         self._materials = material_inputs(design.materials)
 
     def pins(self, poses: np.ndarray, shears: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

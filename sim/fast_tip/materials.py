@@ -19,6 +19,9 @@ skin_thickness_m; and as in Materials."""
 _VARIABLE = ("skin_young_pa", "gel_young_pa", "friction", "kinetic_fraction", "slip_weakening_m", "skin_thickness_m")
 """Fields of Materials that INPUTS and the scale of forces describe."""
 
+_ROUNDING = 1e-9
+"""Distance that an input may lie outside its range, because of rounding."""
+
 
 def material_inputs(materials: Materials) -> np.ndarray:
     """Return INPUTS (5,) of materials."""
@@ -52,10 +55,16 @@ def check_mechanics(learned: dict[str, Any], design: Design) -> None:
                 )
 
 
+def are_learned(inputs: np.ndarray, ranges: np.ndarray) -> np.ndarray:
+    """Return for each of INPUTS (5,) whether it lies in the ranges (5, 2) that a tip has learned, (5,) bool."""
+    return (inputs >= ranges[:, 0] - _ROUNDING) & (inputs <= ranges[:, 1] + _ROUNDING)
+
+
 def check_inputs(inputs: np.ndarray, ranges: np.ndarray) -> None:
     """Raise TactipError if INPUTS (5,) lie outside of the ranges (5, 2) that a tip has learned."""
-    for name, value, (low, high) in zip(INPUTS, inputs, ranges, strict=True):
-        if not low - 1e-9 <= value <= high + 1e-9:
+    learned = are_learned(inputs, ranges)
+    for name, value, (low, high), known in zip(INPUTS, inputs, ranges, learned, strict=True):
+        if not known:
             quantity = name.removeprefix("log_")
             numbers = np.array([low, high, value])
             allowed = np.exp(numbers) if quantity != name else numbers

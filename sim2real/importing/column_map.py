@@ -23,6 +23,9 @@ Task = Literal["surface", "edge"]
 Angles = Literal["vector", "xyz", "xzy", "yxz", "yzx", "zxy", "zyx", "XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX"]
 """A rotation vector, or Euler angles about fixed axes (small letters) or rotated axes (capitals)."""
 
+AnglesChoice = Literal["auto", Angles]
+"""A convention of angles, or `auto`: vector, or what --find finds."""
+
 _NUMBER = r"\d+\.?\d*(?:[eE][+-]?\d+)?"
 _TERM = re.compile(rf"(?P<sign>[+-]?)(?:(?P<factor>{_NUMBER})\*)?(?P<column>[A-Za-z_]\w*)(?P<offset>[+-]{_NUMBER})?")
 
@@ -50,9 +53,9 @@ class ColumnMap:
     sensor_video, video_name and video."""
     video_frame: int = within(-100000, 100000, default=-1)
     """Frame to use if the table names videos: 0 is the first, -1 the last."""
-    angles: Angles = "vector"
+    angles: AnglesChoice = "auto"
     """Convention of the three angles: `vector` (axis times angle), or Euler angles in the order of the letters, about
-    fixed axes (xyz) or rotated axes (XYZ)."""
+    fixed axes (xyz) or rotated axes (XYZ). auto: vector, or with --find the one that the frames show."""
     camera_rotation_deg: float = within(-360, 360, default=0.0)
     """Rotation of the table's axes relative to the image's about the axis of the tip, degrees; the labels are rotated by
     it."""
@@ -63,7 +66,8 @@ class ColumnMap:
     def __post_init__(self) -> None:
         check(self)
         lookup("task", self.task, dict.fromkeys(get_args(Task)))
-        require(self.angles in get_args(Angles), "angles", repr(self.angles), "vector, or three letters as xyz or ZYX")
+        allowed = "auto, vector, or three letters as xyz or ZYX"
+        require(self.angles in get_args(AnglesChoice), "angles", repr(self.angles), allowed)
         names = [parse_column(spec)[0] for spec in self.columns]
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:

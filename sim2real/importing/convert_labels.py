@@ -67,7 +67,8 @@ def _pose_and_shear(column_map: ColumnMap, end: np.ndarray, start: np.ndarray) -
 def _label(column_map: ColumnMap, command: np.ndarray) -> np.ndarray:
     """Return the label (6,) of a pose (6,) in their conventions, both in m and rad."""
     angles = column_map.angles
-    turn = Rotation.from_rotvec(command[3:]) if angles == "vector" else Rotation.from_euler(angles, command[3:])
+    plain = angles in ("auto", "vector")
+    turn = Rotation.from_rotvec(command[3:]) if plain else Rotation.from_euler(angles, command[3:])
     lever = np.array([0.0, 0.0, 1e-3 * column_map.tcp_behind_apex_mm])
     camera = matrix(np.zeros(3), Rotation.from_euler("z", column_map.camera_rotation_deg, degrees=True))
     tool = matrix(command[:3] + lever - turn.apply(lever), turn) @ camera.T

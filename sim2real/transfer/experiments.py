@@ -25,6 +25,8 @@ from tactip_twin.sim.dataset.configuration import Configuration
 from tactip_twin.sim.dataset.generate import Job, make
 from tactip_twin.sim.dataset.mechanics_randomization import MECHANICS_RANDOMIZATIONS
 from tactip_twin.sim.dataset.sampling import SHEAR_RANGES, Ranges, Split
+from tactip_twin.sim.fast_tip.fast_tip import ANY_MATERIALS, read_fast_tip, shipped_fast_tip
+from tactip_twin.sim.labels import FidelityName
 from tactip_twin.sim.parallel.worker_pool import worker_count
 from tactip_twin.sim2real.importing.import_set import read_report
 from tactip_twin.sim2real.transfer.fine_tune import FineTuning, fine_tune
@@ -167,9 +169,7 @@ class Experiment:
                 f"the median pose_z of {self.real} must be negative (into the object), got {depth:g} mm: import the set "
                 "again with --columns pose_z=-COLUMN"
             )
-        # Unknown names are reported before any work starts.
-        fidelity_named(settings.fidelity)
-        self.recipe()
+        self.recipe()  # an unknown name is reported before any work starts
         self._given_design = load_design(settings.design) if settings.design else None
         self._fitted: Design | None = None
         self._init_from = load_network(settings.init_from) if settings.init_from else None
@@ -231,6 +231,8 @@ class Experiment:
     def _job(self, design: Design, variant: Variant, split: Split) -> Job:
         s = self.settings
         symmetric = split == "train" and self.task == "surface"
+        randomization = MECHANICS_RANDOMIZATIONS[variant.randomize_mechanics or s.randomize_mechanics]
+        path, digest = self._learned_tip(design, randomized=not randomization.is_identity)
         configuration = Configuration(
             task=self.task,
             split=split,
@@ -238,13 +240,38 @@ class Experiment:
             seed=s.seed,
             renderer="raster",
             design=design,
-            fidelity=fidelity_named(s.fidelity),
+            fidelity=fidelity_named(self.simulated_fidelity),
+            fast_tip=digest,
             pose=self._poses(),
             shear=SHEAR_RANGES if variant.sheared else Ranges(),
             augment_symmetry=symmetric,
-            mechanics_randomization=MECHANICS_RANDOMIZATIONS[variant.randomize_mechanics or s.randomize_mechanics],
+            mechanics_randomization=randomization,
         )
-        return Job(configuration, self.out / variant.contacts / split)
+        return Job(configuration, self.out / variant.contacts / split, path)
+
+    @property
+    def simulated_fidelity(self) -> FidelityName:
+        """Fidelity of the contacts that are simulated, whether others are predicted or not."""
+        name = self.settings.fidelity
+        return "standard" if name in (AUTO, "fast") else name
+
+    def _learned_tip(self, design: Design, randomized: bool) -> tuple[Path | None, str]:
+        """Return file and checksum of the learned tip that predicts the contacts; none if all are simulated.
+
+        Raises TactipError if `fast` was chosen by name, and the tip does not know the task or the design.
+        """
+        name = self.settings.fidelity
+        if name not in (AUTO, "fast") or (name == AUTO and self.task != "surface"):
+            return None, ""
+        path = ANY_MATERIALS if self.task == "surface" else shipped_fast_tip("edge", design.name)
+        tip = read_fast_tip(path)
+        try:
+            tip.check_design(design, randomized)
+        except TactipError:
+            if name == AUTO:
+                return None, ""
+            raise
+        return path, tip.digest
 
     def _poses(self) -> Ranges:
         """Return the rig's ranges of poses. In the surface task all tilts get the widest range, and every pose touches."""
@@ -354,8 +381,8 @@ def ablate(experiment: Experiment) -> dict[str, Any]:
 
 def sim_to_real_gap_experiment(experiment: Experiment) -> dict[str, Any]:
     """Return the distances between real and simulated pins and images at the same pose and shear."""
-    s = experiment.settings
-    figures, arrays = sim_to_real_gap(experiment.split.test, experiment.design(), s.fidelity, s.gap_frames, s.seed)
+    s, fidelity = experiment.settings, experiment.simulated_fidelity
+    figures, arrays = sim_to_real_gap(experiment.split.test, experiment.design(), fidelity, s.gap_frames, s.seed)
     experiment.out.mkdir(parents=True, exist_ok=True)  # no design was written if one was given
     plot_gap(arrays, f"Distance of simulated from real pins, {experiment.real.name}", experiment.out / GAP)
     return figures

@@ -4,11 +4,12 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 from tactip_twin.learning.configuration import OpticsName, RecipeName
+from tactip_twin.sim.labels import FidelityName
 from tactip_twin.tactip_model.bounds import check, within
 from tactip_twin.tactip_model.errors import lookup
 
 AUTO = "auto"
-"""Name for optics chosen by the set."""
+"""Name for optics chosen by the set, and for a fidelity chosen by the task and the tip."""
 
 GAP = "gap.png"
 """Figure of the sim-to-real gap."""
@@ -19,8 +20,9 @@ Mechanics = Literal["none", "real"]
 OpticsChoice = Literal["auto", OpticsName]
 """Names of the ranges of optics (optics_ranges.OPTICS), or `auto`, a choice by the set."""
 
-FidelityName = Literal["draft", "standard", "reference"]
-"""Names of the fidelities (fidelity.FIDELITIES)."""
+FidelityChoice = Literal["auto", "fast", FidelityName]
+"""Names of the fidelities (fidelity.FIDELITIES); `fast`, contacts of standard that a learned tip predicts; or `auto`, fast
+where it knows the task and the tip."""
 
 PseudoKind = Literal["nominal-127", "nominal-331"]
 """Names of the presets that a pseudo-real sensor may be similar to."""
@@ -48,8 +50,9 @@ class TransferSettings:
     moved since the neutral image, else real."""
     augmented_fraction: float = within(0, 1, default=0.6)
     """Fraction of the training images that are rendered with randomized optics."""
-    fidelity: FidelityName = "standard"
-    """Fidelity of the contact simulation."""
+    fidelity: FidelityChoice = AUTO
+    """Fidelity of the contact simulation. fast: predict the contacts of standard by the shipped learned tip of any
+    materials, several times as fast; auto: fast for surfaces and tips that it knows, standard for others."""
     recipe: RecipeName = "laptop"
     """Network and training: laptop or paper (learning/configuration.py)."""
     min_steps: int | None = None
@@ -68,5 +71,5 @@ class TransferSettings:
         check(self)
         lookup("randomize_mechanics", self.randomize_mechanics, dict.fromkeys(get_args(Mechanics)))
         lookup("optics_ranges", self.optics_ranges, dict.fromkeys(get_args(OpticsChoice)))
-        lookup("fidelity", self.fidelity, dict.fromkeys(get_args(FidelityName)))
+        lookup("fidelity", self.fidelity, dict.fromkeys(get_args(FidelityChoice)))
         lookup("recipe", self.recipe, dict.fromkeys(get_args(RecipeName)))

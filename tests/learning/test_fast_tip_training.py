@@ -141,7 +141,7 @@ def test_contacts_that_are_not_trusted_are_simulated(taught, tmp_path, capsys):
         (["--snapshots-per-contact", "2"], "must be a file of the format 'tactip-twin sliding tip'"),
         (["--keep-mesh"], "keep_mesh needs a simulated tip"),
         (["--curvature-per-m", "0", "20"], "must be a file of the format 'tactip-twin sliding tip'"),
-        (["--randomize-mechanics", "real"], "mechanics_randomization needs a simulated tip"),
+        (["--randomize-mechanics", "real"], "mechanics_randomization needs a learned tip of any materials"),
         (["--design", "tactip-331"], "the learned tip belongs to materials."),
         (["--task", "edge"], "is for surface, got --task edge"),
     ],

@@ -119,7 +119,7 @@ def test_layout_file(tmp_path):
     path.write_text("{")
     with pytest.raises(TactipError, match="is not JSON"):
         read_layout(path)
-    with pytest.raises(TactipError, match="angles must be vector, or three letters as xyz or ZYX, got 'xxy'"):
+    with pytest.raises(TactipError, match="angles must be auto, vector, or three letters as xyz or ZYX, got 'xxy'"):
         ColumnMap(angles="xxy")
     with pytest.raises(TactipError, match="unknown task 'corner': choose one of surface, edge"):
         ColumnMap(task="corner")

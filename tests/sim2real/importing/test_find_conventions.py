@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from tactip_twin.benchmarks.learning.conventions import TAP_MM, mislabel_table
 from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES
 from tactip_twin.sim.pose import to_mm_deg
+from tactip_twin.sim2real.importing import find_on_edge
 from tactip_twin.sim2real.importing.column_map import ColumnMap
 from tactip_twin.sim2real.importing.convert_labels import convert_labels
 from tactip_twin.sim2real.importing.estimated_contacts import EstimatedContacts
@@ -97,6 +99,48 @@ def test_given_columns_are_kept_and_checked():
         find_conventions(cells, contacts, ColumnMap(columns=("pose_z=depth",)))
     with pytest.raises(TactipError, match="pose_Rx=depth contradicts the frames, whose pose follows"):
         find_conventions(cells, contacts, ColumnMap(columns=("pose_Rx=depth",)))
+
+
+def _edge_table(angles, rng):
+    """Return true poses, their estimates, and a table whose rotations are Euler angles or a vector, in usual columns."""
+    poses, shears, contacts = contacts_of("edge", rng)
+    rotations = Rotation.from_rotvec(poses[:, 3:], degrees=True)
+    commands = poses.copy()
+    commands[:, 3:] = rotations.as_rotvec(degrees=True) if angles == "vector" else rotations.as_euler(angles, degrees=True)
+    columns = {f"pose_{k + 1}": commands[:, k] for k in range(6)} | {f"move_{k + 1}": shears[:, k] for k in range(6)}
+    return poses, contacts, {name: [f"{x:.8g}" for x in values] for name, values in columns.items()}
+
+
+def test_ambiguous_angles_of_an_edge_are_found_where_they_are_given(monkeypatch):
+    """Every reading fits as well if no evidence suffices: the message names the option that resolves it."""
+    monkeypatch.setattr(find_on_edge, "MIN_EVIDENCE", 1e9)
+    monkeypatch.setattr(find_on_edge, "plainness", lambda *reading: (0, 0, 0.0))
+    _, contacts, cells = _edge_table("vector", np.random.default_rng(5))
+    with pytest.raises(TactipError, match=r"equally well for two readings .* with --angles .*: give --angles, and the rest"):
+        find_conventions(cells, contacts, ColumnMap(task="edge"))
+
+
+@pytest.mark.parametrize("angles", ["vector", "zyx", "ZYX"])
+def test_given_angles_are_kept_and_checked(angles):
+    poses, contacts, cells = _edge_table(angles, np.random.default_rng(6))
+    for column_map in (ColumnMap(task="edge"), ColumnMap(task="edge", angles=angles)):
+        found = find_conventions(cells, contacts, column_map)
+        assert column_map.angles in ("auto", found.column_map.angles)
+        labels, _ = convert_labels(found.column_map, cells)
+        wrong = Rotation.from_rotvec(labels[:, 3:], degrees=True).inv() * Rotation.from_rotvec(poses[:, 3:], degrees=True)
+        assert np.degrees(wrong.magnitude()).mean() < 2
+    other = {"vector": "XYZ", "zyx": "xyz", "ZYX": "zyx"}[angles]
+    with pytest.raises(TactipError, match=f"angles {other} contradict the frames, which say angles"):
+        find_conventions(cells, contacts, ColumnMap(task="edge", angles=other))
+
+
+def test_given_columns_of_euler_angles_are_listed_in_their_order():
+    """With angles zyx, pose_Rx is the first of the three: the rotation about z."""
+    _, contacts, cells = _edge_table("zyx", np.random.default_rng(6))
+    given = ColumnMap(task="edge", angles="zyx", columns=("pose_Rz=pose_6",))
+    assert {"pose_Rx=pose_4", "pose_Rz=pose_6"} <= set(find_conventions(cells, contacts, given).column_map.columns)
+    with pytest.raises(TactipError, match="contradict the frames"):
+        find_conventions(cells, contacts, ColumnMap(task="edge", angles="zyx", columns=("pose_Rz=-pose_6",)))
 
 
 def test_tap_is_read_from_meta_and_nonsense_is_not(tmp_path):

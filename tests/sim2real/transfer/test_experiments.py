@@ -19,6 +19,8 @@ from tactip_twin.learning.model import load_model
 from tactip_twin.learning.train import train
 from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.contact.simulator import ContactSimulator
+from tactip_twin.sim.dataset.format import read_meta, read_rows
+from tactip_twin.sim.fast_tip.fast_tip import ANY_MATERIALS, read_fast_tip
 from tactip_twin.sim.pose import from_mm_deg
 from tactip_twin.sim2real.transfer.experiments import ABLATIONS, Experiment, score, split_of
 from tactip_twin.sim2real.transfer.fine_tune import FineTuning, fine_tune
@@ -122,6 +124,17 @@ def test_zero_and_few_shot_from_the_command_line(lab, tiny, tmp_path, capsys):
     made = {p: p.stat().st_mtime_ns for p in (tmp_path / "out").rglob("*") if p.name in ("model.pt", "pins.npz")}
     assert tactip.main(["transfer", "few-shot", *command]) == 0
     assert made == {p: p.stat().st_mtime_ns for p in made}
+
+
+def test_training_sets_are_predicted_by_the_learned_tip(lab, tiny, tmp_path, capsys):
+    command = ["--real", str(lab), "--out", str(tmp_path / "out"), *FEW, "--fidelity", "auto"]
+    assert tactip.main(["transfer", "zero-shot", *command]) == 0
+    for split in ("train", "val"):
+        folder = tmp_path / "out" / "sim" / split
+        meta = read_meta(folder)
+        assert meta["configuration"]["fast_tip"] == read_fast_tip(ANY_MATERIALS).digest
+        assert meta["configuration"]["mechanics_randomization"]["friction"] > 1
+        assert "0" in {row["steps"] for row in read_rows(folder, meta)}
 
 
 def test_experiment_optics_follow_camera_measurement(lab, tmp_path):
@@ -262,7 +275,7 @@ def test_transfer_wrong_option_reports_error(lab, tmp_path, capsys, options, wor
         ("optics_ranges", "rainbow", "('auto', 'lens', 'lens-jitter', 'real', 'rim', "),
         ("randomize_mechanics", "stone", "('none', 'real')"),
         ("recipe", "cake", "('laptop', 'paper')"),
-        ("fidelity", "exact", "('draft', 'standard', 'reference')"),
+        ("fidelity", "exact", "('auto', 'fast', 'draft', 'standard', 'reference')"),
     ],
 )
 def test_transfer_unknown_choice_lists_choices(tmp_path, capsys, option, value, choices):

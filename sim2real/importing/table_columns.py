@@ -1,0 +1,157 @@
+"""Columns of a laboratory's table, and what they explain of estimates from the frames."""
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tactip_twin.tactip_model.errors import TactipError
+
+MIN_CORRELATION = 0.35
+"""Correlation with an estimate above which a column explains it; by chance, 120 frames give 0.09 rms."""
+
+_SAME_COLUMN = 0.99
+"""Correlation of two columns above which they say the same: a table that is sorted by a tilt numbers its rows by it too."""
+
+MIN_EVIDENCE = 6.0
+"""Logarithm of the likelihood ratio above which one reading of the frames is preferred to another [?]."""
+
+UNITS = {"pose": {1.0: "", 1000.0: "m"}, "angle": {1.0: "", 57.29578: "rad"}}
+"""Factors to mm and degrees, and the units that they are from."""
+
+Known = Mapping[str, tuple[float, str | None, float]]
+"""Columns that are given: (factor, column, offset) by our components."""
+
+_SUFFIXES = {"1": "x", "2": "y", "3": "z", "4": "Rx", "5": "Ry", "6": "Rz"}
+"""Components by the last digit of a column's name."""
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Numeric columns of the table that vary. (n frames, k columns)"""
+
+    names: tuple[str, ...]
+    """Names of the columns."""
+    values: np.ndarray
+    """(n, k)."""
+
+    def of(self, name: str) -> np.ndarray:
+        """Return a column (n,), its mean subtracted."""
+        values = self.values[:, self.names.index(name)]
+        return values - values.mean()
+
+    def likeliest(self, name: str, free: Sequence[str], components: Sequence[str]) -> tuple[str, list[str]]:
+        """Return the column in `free` that is most likely meant, among those that say the same as column `name`, and these:
+        by its name, or because it does not count rows."""
+        same = [one for one in free if abs(np.corrcoef(self.of(one), self.of(name))[0, 1]) > _SAME_COLUMN]
+
+        def rank(one: str) -> tuple[bool, bool, bool]:
+            whole = bool((self.values[:, self.names.index(one)] % 1 == 0).all())
+            return not any(_sounds_like(one, component) for component in components), whole, one != name
+
+        return min(same, key=rank), same
+
+
+def numeric_columns(table: Mapping[str, Sequence[str]], rows: np.ndarray) -> Columns:
+    """Return the numeric columns of some rows (n,) of a table that vary. Raises TactipError if there is none."""
+    names, values = [], []
+    for name, cells in table.items():
+        try:
+            column = np.array([float(cells[int(i)]) for i in rows])
+        except (ValueError, TypeError):
+            continue
+        if np.isfinite(column).all() and len(np.unique(column)) > 2:
+            names.append(name)
+            values.append(column)
+    if not names:
+        raise TactipError(f"the table has no column of numbers that vary: its columns are {', '.join(table)}")
+    return Columns(tuple(names), np.stack(values, -1))
+
+
+def explaining(
+    columns: Columns, free: Sequence[str], estimate: np.ndarray, components: tuple[str, str]
+) -> tuple[list[str], list[str]]:
+    """Return up to two columns that explain a complex estimate (n,), in directions that are about square to each other, and
+    the columns that say something else."""
+    chosen: list[str] = []
+    left, others = estimate, list(free)
+    for _ in range(2):
+        r = {name: correlation(columns.of(name), left) for name in others}
+        if chosen:
+            first = np.angle(correlation(columns.of(chosen[0]), estimate))
+            r = {name: value for name, value in r.items() if abs(np.cos(np.angle(value) - first)) < 0.5}
+        best = max(r, key=lambda name: abs(r[name]), default=None)
+        if best is None or abs(r[best]) < MIN_CORRELATION:
+            break
+        best, same = columns.likeliest(best, others, components)
+        chosen.append(best)
+        others = [name for name in others if name not in same]
+        x = columns.of(best)
+        left = left - x * (x * left).sum() / (x * x).sum()
+    return chosen, others
+
+
+def assignments(names: Sequence[str], components: tuple[str, str], known: Known) -> list[dict[str, tuple[str, float]]]:
+    """Return all ways to read columns as two components that agree with what is given: {component: (column, sign)}.
+
+    Raises:
+        TactipError: If none agrees.
+    """
+    prefix = "pose" if components[0].startswith("R") else "shear"
+    given = {
+        c: (known[f"{prefix}_{c}"][1], np.sign(known[f"{prefix}_{c}"][0])) for c in components if f"{prefix}_{c}" in known
+    }
+    out: list[dict[str, tuple[str, float]]] = []
+    for order in itertools.permutations(components, len(names)):
+        for signs in itertools.product((1.0, -1.0), repeat=len(names)):
+            reading = {c: (name, sign) for c, name, sign in zip(order, names, signs, strict=True)}
+            if all(reading.get(c, one) == one for c, one in given.items()):
+                out.append(reading)
+    if not out:
+        asked = ", ".join(f"{prefix}_{c}={'-' if sign < 0 else ''}{column}" for c, (column, sign) in given.items())
+        raise TactipError(f"{asked} contradicts the frames, whose {prefix} follows {' and '.join(names)}")
+    return out
+
+
+def plainness(turn: float, *readings: Mapping[str, tuple[str, float]]) -> tuple[int, int, float]:
+    """Return how plain a reading is: names that sound like their component, no minus signs, little rotation."""
+    parts = [(component, name, sign) for reading in readings for component, (name, sign) in reading.items()]
+    named = sum(_sounds_like(name, component) for component, name, _ in parts)
+    minus = sum(sign < 0 for *_, sign in parts)
+    return named, -minus, -abs((turn + np.pi) % (2 * np.pi) - np.pi)
+
+
+def _sounds_like(name: str, component: str) -> bool:
+    """Return whether a column's name ends like one of our components, or says depth, roll, pitch or yaw."""
+    low = name.lower()
+    if component == "z" and "depth" in low:
+        return True
+    if component.startswith("R"):
+        words = {"Rx": ("roll",), "Ry": ("pitch",), "Rz": ("yaw",)}[component]
+        return low.endswith((component.lower(), *words)) or _SUFFIXES.get(name[-1]) == component
+    return (low == component or low.endswith("_" + component)) or _SUFFIXES.get(name[-1]) == component
+
+
+def nearest_unit(slope: float, kind: str) -> tuple[float, str]:
+    """Return the factor to mm or degrees that brings a slope near 1, and words for the evidence."""
+    factors = UNITS[kind]
+    best = min(factors, key=lambda factor: abs(np.log(max(slope, 1e-12) / factor)))
+    return best, f", in {factors[best]}" if factors[best] else ""
+
+
+def column_spec(factor: float, name: str, offset: float) -> str:
+    """Return a column as the option --columns has it."""
+    number = "" if abs(factor) == 1 else f"{abs(factor):.7g}*"
+    return f"{'-' if factor < 0 else ''}{number}{name}" + (f"{offset:+.7g}" if offset else "")
+
+
+def centred(values: np.ndarray) -> np.ndarray:
+    """Return values without their mean."""
+    return values - values.mean()
+
+
+def correlation(column: np.ndarray, estimate: np.ndarray) -> complex:
+    """Return the correlation of a real column (n,) with a complex estimate (n,); both without mean."""
+    scale = np.sqrt((column**2).sum() * (abs(estimate) ** 2).sum())
+    return complex((column * estimate).sum() / scale) if scale else 0j
