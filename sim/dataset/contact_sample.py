@@ -86,8 +86,11 @@ def simulator_for(configuration: Configuration, design: Design) -> RetryingSimul
         design: The set's design, or one with other mechanics.
     """
     c = configuration
-    stimulus = c.task if c.object is None else SolidStimulus(curved_surface(0.0, 0.0, 0.0))
-    return RetryingSimulator(design, curved_stimulus() if c.is_curved else stimulus, c.fidelity, c.bounds)
+    if c.object is not None or c.rough_fraction:
+        stimulus = SolidStimulus(curved_surface(0.0, 0.0, 0.0))
+    else:
+        stimulus = curved_stimulus() if c.is_curved else c.task
+    return RetryingSimulator(design, stimulus, c.fidelity, c.bounds)
 
 
 def curved_stimulus() -> SolidStimulus:

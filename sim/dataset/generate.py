@@ -124,6 +124,8 @@ def _check_fast_tip(configuration: Configuration) -> None:
         return
     if c.keep_mesh:
         raise TactipError("keep_mesh needs a simulated tip: the learned tip knows no mesh")
+    if c.rough_fraction:
+        raise TactipError("rough_fraction needs a simulated tip: the learned tip has met no surface that is bent so sharply")
     if not c.mechanics_randomization.is_identity and (c.corrected or c.needs_sliding_tip):
         what = "correction" if c.corrected else "learned tip that slides"
         raise TactipError(f"mechanics_randomization needs a simulated tip: the {what} knows the mechanics of one tip only")

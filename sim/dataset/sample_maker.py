@@ -271,7 +271,7 @@ def object_places(configuration: Configuration, folder: Path) -> PressPlaces | N
 def _physics(configuration: Configuration) -> tuple[object, ...]:
     """Return what decides a simulator, besides the design."""
     c = configuration
-    return c.task, c.is_curved, c.object is None, c.fidelity, c.bounds
+    return c.task, c.is_curved, c.rough_fraction > 0, c.object is None, c.fidelity, c.bounds
 
 
 def _fast_contacts(configuration: Configuration, path: str) -> FastContacts | CorrectedContacts | RandomizedContacts:

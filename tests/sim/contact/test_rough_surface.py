@@ -63,6 +63,7 @@ def test_set_with_rough_surfaces_names_them_and_others_do_not(tmp_path):
             ["--rough-fraction", "0.5", "--task", "edge"],
             "rough_fraction applies to the task 'surface' only, got the task 'edge'",
         ),
+        (["--rough-fraction", "0.5", "--fidelity", "fast"], "rough_fraction needs a simulated tip"),
         (["--rough-fraction", "0.5", "--object", "sphere"], "an object cannot be combined with rough_fraction"),
     ],
 )
