@@ -378,6 +378,20 @@ class HardObjectsOptions:
 
 
 @dataclass(frozen=True)
+class TrackingOptions:
+    """Measure how well the servo tracks a plate that moves in all axes, by fidelity, depth and rate."""
+
+    only: tuple[str, ...] = ()
+    """Names of the settings to measure. Default: all. Results of others remain on the page."""
+    seconds: float = 60.0
+    """Duration of each run, s: two periods of the motion."""
+    runs: Path = Path("runs/tracking")
+    """Folder of the runs."""
+    out: Path = Path("docs")
+    """Folder for tracking.json and tracking.md."""
+
+
+@dataclass(frozen=True)
 class ReinforcementLearningOptions:
     """Train policies in the environments, compare them with the servo, and measure each fidelity. Rerun to resume."""
 
@@ -464,6 +478,7 @@ MEASUREMENTS = {
     ),
     "servo": Measurement("tactip_twin.benchmarks.servo.servo", ServoBenchOptions, "servo.md"),
     "hard-objects": Measurement("tactip_twin.benchmarks.servo.hard_objects", HardObjectsOptions, "hard_objects.md"),
+    "tracking": Measurement("tactip_twin.benchmarks.servo.tracking", TrackingOptions, "tracking.md"),
     "reinforcement-learning": Measurement(
         "tactip_twin.benchmarks.servo.reinforcement_learning", ReinforcementLearningOptions, "reinforcement_learning.md"
     ),

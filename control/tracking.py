@@ -135,7 +135,7 @@ def track(options: TrackOptions, progress: Callable[[int, int], None] = lambda d
         except (Unreachable, Diverged) as error:
             stopped = str(error)
             break
-    result = _score(np.array(errors).reshape(-1, 6), np.array(estimates).reshape(-1, 6), stopped, period)
+    result = _score(np.array(errors).reshape(-1, 6), np.array(estimates).reshape(-1, 6), stopped, options)
     result |= {"options": json.loads(json.dumps(dataclasses.asdict(options), default=str))}
     options.out.mkdir(parents=True, exist_ok=True)
     _plot(np.array(errors).reshape(-1, 6), period, options.out / FIGURE)
@@ -162,19 +162,23 @@ def _estimator(options: TrackOptions, design: Design, tip: TipOnMovingObject, T_
     return PoseAndShearEstimator(model, design, options.renderer)
 
 
-def _score(errors: np.ndarray, estimates: np.ndarray, stopped: str, period_s: float) -> dict[str, Any]:
+def _score(errors: np.ndarray, estimates: np.ndarray, stopped: str, options: TrackOptions) -> dict[str, Any]:
     """Return the scores of errors (n, 6), mm and degrees, of the pose and of its estimate."""
     if not len(errors):
         raise TactipError(f"nothing was tracked: {stopped}")
     distance, angle = np.linalg.norm(errors[:, :3], axis=1), np.linalg.norm(errors[:, 3:], axis=1)
+    steps = max(1, round(options.motion.period_s * options.rate_hz))
+    periods = range(0, len(errors), steps)
     return {
         "rms_mm": _rms(distance),
         "rms_deg": _rms(angle),
         "max_mm": float(distance.max()),
         "max_deg": float(angle.max()),
+        "rms_mm_by_period": [_rms(distance[k : k + steps]) for k in periods],
+        "rms_deg_by_period": [_rms(angle[k : k + steps]) for k in periods],
         "rms_by_axis": [_rms(column) for column in errors.T],
         "estimate_rms_by_axis": [_rms(column) for column in estimates.T],
-        "seconds": len(errors) * period_s,
+        "seconds": len(errors) / options.rate_hz,
         "stopped_because": stopped,
     }
 

@@ -64,6 +64,7 @@ def test_servo_with_true_poses_tracks_all_axes(tmp_path, capsys):
     assert "error relative to the object, root mean square: 0." in capsys.readouterr().out
     score = json.loads((tmp_path / "run" / "score.json").read_text())
     assert score["stopped_because"] == "completed" and score["seconds"] == pytest.approx(0.5)
+    assert score["rms_mm_by_period"] == [score["rms_mm"]] and score["rms_deg_by_period"] == [score["rms_deg"]]
     assert score["rms_mm"] < 0.3 and score["rms_deg"] < 0.2
     assert score["estimate_rms_by_axis"] == [0] * 6
     assert (tmp_path / "run" / "tracking.png").stat().st_size > 5000
