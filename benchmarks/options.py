@@ -19,6 +19,9 @@ ExperimentName = Literal["zero-shot", "ablate", "few-shot", "gap"]
 ServoGroup = Literal["objects", "oracle", "arm", "fidelity", "robust", "filter", "starts"]
 """Groups of servo runs (benchmarks/servo/servo.py)."""
 
+ReinforcementLearningPart = Literal["edge", "surface", "fidelities"]
+"""Parts of the page of reinforcement learning (benchmarks/servo/reinforcement_learning.py)."""
+
 PerformanceGroup = Literal["samples", "images", "learning", "servo", "shared-cores"]
 """Groups of rates (benchmarks/scale/performance.py)."""
 
@@ -395,14 +398,15 @@ class TrackingOptions:
 class ReinforcementLearningOptions:
     """Train policies in the environments, compare them with the servo, and measure each fidelity. Rerun to resume."""
 
-    tasks: tuple[Task, ...] = ("edge", "surface")
-    """Tasks to train and to test. Results of others remain on the page."""
+    parts: tuple[ReinforcementLearningPart, ...] = ()
+    """Parts to measure: tasks to train and test a policy for, and cost and error of each fidelity. Default: all. Results of
+    others remain on the page."""
     steps: int = 6000
     """Number of steps of the environment of each training."""
     episodes: int = 20
     """Number of test episodes of each row."""
-    fidelities: bool = True
-    """Measure the fidelities, too. Otherwise their results remain on the page."""
+    fidelity_steps: int = 40
+    """Number of steps that are repeated at each fidelity."""
     runs: Path = Path("runs/reinforcement-learning")
     """Folder of the trainings: RUNS/TASK."""
     out: Path = Path("docs")

@@ -1,7 +1,7 @@
 """Tracking of a plate that moves in all axes at once: errors by fidelity, depth and rate, and with true poses.
 
-`tactip bench tracking` writes docs/tracking.md and tracking.json. The page is written after each run, so what an interruption
-leaves out can be measured later with --only.
+`tactip bench tracking` writes docs/tracking.md and tracking.json. The page is written after each run, so what an
+interruption leaves out can be measured later with --only.
 """
 
 import shutil
@@ -9,7 +9,6 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from importlib.metadata import version
-from pathlib import Path
 from typing import Any
 
 from tactip_twin.benchmarks.hardware import machine, machine_text
