@@ -140,7 +140,7 @@ class LearningOptions:
 
 @dataclass(frozen=True)
 class UncertaintyOptions:
-    """Measure what the shipped networks tell by normal force, their standard deviations, and what they do not know."""
+    """Measure errors of the shipped networks by normal force, their standard deviations, and images unlike those in training."""
 
     data: Path = Path("data/learning")
     """Folder of the data sets of `tactip bench learning`."""
