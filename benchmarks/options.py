@@ -140,7 +140,7 @@ class LearningOptions:
 
 @dataclass(frozen=True)
 class UncertaintyOptions:
-    """Measure errors of the shipped networks by normal force, their standard deviations, and images unlike those in training."""
+    """Measure the shipped networks by normal force, their standard deviations, and images unlike those in training."""
 
     data: Path = Path("data/learning")
     """Folder of the data sets of `tactip bench learning`."""

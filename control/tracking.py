@@ -120,7 +120,7 @@ def track(options: TrackOptions, progress: Callable[[int, int], None] = lambda d
         for k in range(-_ALIGNMENT_STEPS, count):
             label = estimator.estimate(touch, tip.arm_model.pose).label.copy()
             if k < 0:
-                # The shear is zero where the tip has just touched down, so an estimate other than zero is the network's offset.
+                # The shear is zero where the tip has just touched down, so any other estimate is the network's offset.
                 shears.append(label[shear_rows])
                 label[shear_rows] = 0.0
             else:

@@ -78,9 +78,7 @@ def test_track_invalid_network_is_refused(tmp_path):
 
 
 def test_object_that_is_not_flat_is_refused(tmp_path):
-    with pytest.raises(
-        TactipError, match=r"the top of bust must be flat within 15 mm of its middle: its height varies by \d"
-    ):
+    with pytest.raises(TactipError, match=r"the top of bust must be flat within 15 mm of its middle: its height"):
         track(TrackOptions(tmp_path / "run", object="bust"))
 
 
