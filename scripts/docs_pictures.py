@@ -31,7 +31,7 @@ ROOT = Path(__file__).resolve().parents[1]
 DOCS, WORK = ROOT / "docs", ROOT / "build" / "docs-pictures"
 
 sys.path.insert(0, str(ROOT / "tests"))
-from helpers.headless_browser import Chromium  # noqa: E402  (the folder of tests is no package)
+from helpers.headless_browser import Chromium  # pyright: ignore[reportMissingImports]  # noqa: E402
 
 SIZE_PX = (1400, 900)
 """Size of a browser's window."""

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 import tactip_twin.control.environments  # noqa: F401  (registers the environments)
 from tactip_twin.benchmarks.hardware import machine, machine_text
-from tactip_twin.benchmarks.options import ReinforcementLearningOptions
+from tactip_twin.benchmarks.options import ReinforcementLearningOptions, ReinforcementLearningPart
 from tactip_twin.benchmarks.report import read_results, table, write_results
 from tactip_twin.benchmarks.servo.policy_training import TrainingSettings, train
 from tactip_twin.control.policy import Policy, write_policy
@@ -105,15 +105,18 @@ def run(options: ReinforcementLearningOptions, log: Callable[[str], None] = prin
     """Train, test and measure; write the page, and return the results. Raises TactipError."""
     settings = TrainingSettings(steps=options.steps)
     result = read_results(options.out / f"{NAME}.json")
-    parts = options.parts or (*ENVIRONMENTS, "fidelities")
-    for task in (task for task in ENVIRONMENTS if task in parts):
+
+    def chosen(part: ReinforcementLearningPart) -> bool:
+        return not options.parts or part in options.parts
+
+    for task in filter(chosen, ENVIRONMENTS):
         policy, curve = _train(task, settings, options.runs / task, log)
         if options.release is not None:
             options.release.mkdir(parents=True, exist_ok=True)
             write_policy(policy, options.release / f"{task}-follow.npz")
         rows = _tests(task, policy, options.episodes, log)
         result |= {task: {"curve": curve, "rows": rows, "settings": policy.provenance["settings"], "machine": machine()}}
-    if "fidelities" in parts:
+    if chosen("fidelities"):
         measured = {task: _fidelities(task, options.fidelity_steps, log) for task in ENVIRONMENTS}
         result |= {"fidelities": measured, "fidelity_steps": options.fidelity_steps, "fidelity_machine": machine()}
     write_results(NAME, result, tables(result), options.out)
