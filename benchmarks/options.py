@@ -22,6 +22,9 @@ ServoGroup = Literal["objects", "oracle", "arm", "fidelity", "robust", "filter",
 SearchBudget = Literal["laptop", "gpu", "paper"]
 """Names of the settings of a search (benchmarks/learning/search.py)."""
 
+ReinforcementLearningPart = Literal["edge", "surface", "fidelities"]
+"""Parts of the page of reinforcement learning (benchmarks/servo/reinforcement_learning.py)."""
+
 PerformanceGroup = Literal["samples", "images", "learning", "servo", "shared-cores"]
 """Groups of rates (benchmarks/scale/performance.py)."""
 
@@ -140,7 +143,7 @@ class LearningOptions:
 
 @dataclass(frozen=True)
 class UncertaintyOptions:
-    """Measure what the shipped networks tell by normal force, their standard deviations, and what they do not know."""
+    """Measure the shipped networks by normal force, their standard deviations, and images unlike those in training."""
 
     data: Path = Path("data/learning")
     """Folder of the data sets of `tactip bench learning`."""
@@ -389,17 +392,32 @@ class HardObjectsOptions:
 
 
 @dataclass(frozen=True)
+class TrackingOptions:
+    """Measure how well the servo tracks a plate that moves in all axes, by fidelity, depth and rate."""
+
+    only: tuple[str, ...] = ()
+    """Names of the settings to measure. Default: all. Results of others remain on the page."""
+    seconds: float = 60.0
+    """Duration of each run, s: two periods of the motion."""
+    runs: Path = Path("runs/tracking")
+    """Folder of the runs."""
+    out: Path = Path("docs")
+    """Folder for tracking.json and tracking.md."""
+
+
+@dataclass(frozen=True)
 class ReinforcementLearningOptions:
     """Train policies in the environments, compare them with the servo, and measure each fidelity. Rerun to resume."""
 
-    tasks: tuple[Task, ...] = ("edge", "surface")
-    """Tasks to train and to test. Results of others remain on the page."""
+    parts: tuple[ReinforcementLearningPart, ...] = ()
+    """Parts to measure: tasks to train and test a policy for, and cost and error of each fidelity. Default: all. Results of
+    others remain on the page."""
     steps: int = 6000
     """Number of steps of the environment of each training."""
     episodes: int = 20
     """Number of test episodes of each row."""
-    fidelities: bool = True
-    """Measure the fidelities, too. Otherwise their results remain on the page."""
+    fidelity_steps: int = 40
+    """Number of steps that are repeated at each fidelity."""
     runs: Path = Path("runs/reinforcement-learning")
     """Folder of the trainings: RUNS/TASK."""
     out: Path = Path("docs")
@@ -475,6 +493,7 @@ MEASUREMENTS = {
     ),
     "servo": Measurement("tactip_twin.benchmarks.servo.servo", ServoBenchOptions, "servo.md"),
     "hard-objects": Measurement("tactip_twin.benchmarks.servo.hard_objects", HardObjectsOptions, "hard_objects.md"),
+    "tracking": Measurement("tactip_twin.benchmarks.servo.tracking", TrackingOptions, "tracking.md"),
     "reinforcement-learning": Measurement(
         "tactip_twin.benchmarks.servo.reinforcement_learning", ReinforcementLearningOptions, "reinforcement_learning.md"
     ),

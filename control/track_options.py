@@ -29,8 +29,7 @@ class TrackOptions:
     design: str = "tactip-127"
     """Sensor: a preset's name, or a design file (.json)."""
     fidelity: FidelityName | Literal["fast"] = "standard"
-    """Fidelity of the contact simulation; fast: predict the contact by the learned tip, whose torsion relaxes, so the
-    rotation about the normal drifts."""
+    """Fidelity of the contact simulation; fast: predict the contact by the learned tip (errors: docs/tracking.md)."""
     arm: ArmName = "dynamic"
     """Arm model: none (the sensor moves exactly), kinematic (inverse kinematics), dynamic (with masses and motors)."""
     renderer: RendererName = "raster"

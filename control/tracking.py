@@ -30,7 +30,7 @@ from tactip_twin.sim.robot.moving_object import MovingFastTip, MovingMountedTip,
 from tactip_twin.sim.robot.objects import SceneObject, load_object
 from tactip_twin.sim.view.plot import COLORS, figure_of, save_figure
 from tactip_twin.tactip_model.design import Design
-from tactip_twin.tactip_model.errors import TactipError
+from tactip_twin.tactip_model.errors import Interrupted, TactipError
 from tactip_twin.tactip_model.files import write_file
 from tactip_twin.tactip_model.presets import load_design
 from tactip_twin.tactip_model.renderer import RendererName
@@ -45,6 +45,11 @@ _GAP_MM = 3.0
 
 _ALIGNMENT_STEPS = 15
 """Control steps in contact before the object moves, in which depth and angle are aligned."""
+
+
+_TOP_M, _MAX_UNEVEN_M, _ABOVE_M = 15e-3, 0.1e-3, 2.0
+"""Radius of the top that must be flat, m: the tip touches 13 mm around its apex at 4 mm depth; how much its height may vary;
+and a height above every object."""
 
 
 class PoseAndShearEstimator(NetworkEstimator):
@@ -92,16 +97,16 @@ def track(options: TrackOptions, progress: Callable[[int, int], None] = lambda d
         The score, as JSON values: root mean square and largest errors of the sensor's pose relative to the object.
 
     Raises:
-        TactipError: The options are invalid, or the folder is not empty.
+        TactipError: The options are invalid, the object is not flat, or the folder is not empty.
+        Interrupted: On Ctrl-C; the steps so far are scored.
     """
     if options.out.exists() and any(options.out.iterdir()):
         raise TactipError(f"the folder {options.out} is not empty: choose another folder, or remove this one")
     scene_object = load_object(options.object, position_mm=options.position_mm)
     design = load_design(options.design)
+    pivot = _flat_top(scene_object)
     tip = _tip(options, design, scene_object)
     T_start, reference = scene_object.T_base_object, from_mm_deg(reference_mm_deg(options.depth_mm))
-    pivot = scene_object.middle_m * [1, 1, 0] + [0, 0, float((scene_object.solid.vertices @ T_start[:3, :3].T)[:, 2].max())]
-    pivot[2] += T_start[2, 3]
     T_base_contact = np.eye(4)
     T_base_contact[:3, :3], T_base_contact[:3, 3] = np.diag([-1.0, -1, 1]), pivot
     estimator = _estimator(options, design, tip, inverse(T_start) @ T_base_contact)
@@ -111,36 +116,55 @@ def track(options: TrackOptions, progress: Callable[[int, int], None] = lambda d
     count, stopped, errors, estimates = round(options.seconds * options.rate_hz), "completed", [], []
     to_contact, shears, offset = inverse(inverse(T_start) @ T_base_contact), [], np.zeros(3)
     shear_rows = list(_SHEAR_COMPONENTS)
-    for k in range(-_ALIGNMENT_STEPS, count):
-        label = estimator.estimate(touch, tip.arm_model.pose).label.copy()
-        if k < 0:
-            # The shear is zero where the tip has just touched down, so an estimate other than zero is the network's offset.
-            shears.append(label[shear_rows])
-            label[shear_rows] = 0.0
-        else:
-            label[shear_rows] -= offset
-        true = label_of(to_contact @ inverse(tip.T_base_object) @ tip.arm_model.pose)
-        if k >= 0:
-            errors.append(to_mm_deg(pose_error(true, reference)))
-            estimates.append(to_mm_deg(label - true))
-            progress(k + 1, count)
-        if not np.linalg.norm(touch.force) > 0:
-            stopped = "contact lost"
-            break
-        offset = np.mean(shears, axis=0)
-        # The object moves on while the arm moves to where the object was.
-        tip.move_object(moved_object(T_start, pivot, options.motion, max(0, k + 1) * period))
-        try:
+    try:
+        for k in range(-_ALIGNMENT_STEPS, count):
+            label = estimator.estimate(touch, tip.arm_model.pose).label.copy()
+            if k < 0:
+                # The shear is zero where the tip has just touched down, so any other estimate is the network's offset.
+                shears.append(label[shear_rows])
+                label[shear_rows] = 0.0
+            else:
+                label[shear_rows] -= offset
+            true = label_of(to_contact @ inverse(tip.T_base_object) @ tip.arm_model.pose)
+            if k >= 0:
+                errors.append(to_mm_deg(pose_error(true, reference)))
+                estimates.append(to_mm_deg(label - true))
+                progress(k + 1, count)
+            if not np.linalg.norm(touch.force) > 0:
+                stopped = "contact lost"
+                break
+            offset = np.mean(shears, axis=0)
+            # The object moves on while the arm moves to where the object was.
+            tip.move_object(moved_object(T_start, pivot, options.motion, max(0, k + 1) * period))
             touch = tip.go(tip.arm_model.measured_pose() @ servo.move(label))
-        except (Unreachable, Diverged) as error:
-            stopped = str(error)
-            break
-    result = _score(np.array(errors).reshape(-1, 6), np.array(estimates).reshape(-1, 6), stopped, period)
+    except (Unreachable, Diverged) as error:
+        stopped = str(error)
+    except KeyboardInterrupt:
+        if not errors:
+            raise
+        stopped = "interrupted"
+    result = _score(np.array(errors).reshape(-1, 6), np.array(estimates).reshape(-1, 6), stopped, options)
     result |= {"options": json.loads(json.dumps(dataclasses.asdict(options), default=str))}
     options.out.mkdir(parents=True, exist_ok=True)
     _plot(np.array(errors).reshape(-1, 6), period, options.out / FIGURE)
     write_file(options.out / SCORE, (json.dumps(result, indent=1) + "\n").encode())
+    if stopped == "interrupted":
+        raise Interrupted(f"the score of the steps so far is in {options.out}")
     return result
+
+
+def _flat_top(scene_object: SceneObject) -> np.ndarray:
+    """Return the middle of an object's top (3,), m, base frame. Raises TactipError if it is not flat there."""
+    T, turn = inverse(scene_object.T_base_object), np.linspace(0, 2 * np.pi, 8, endpoint=False)
+    ring = _TOP_M * np.stack([np.cos(turn), np.sin(turn)], 1)
+    above = [np.append(scene_object.middle_m[:2] + place, _ABOVE_M) for place in ([0, 0], *ring)]
+    heights = _ABOVE_M - np.array([scene_object.solid.first_hit((T @ [*p, 1])[:3], T[:3, :3] @ [0, 0, -1.0]) for p in above])
+    if not np.ptp(heights) <= _MAX_UNEVEN_M:
+        raise TactipError(
+            f"the top of {scene_object.name} must be flat within {1e3 * _TOP_M:g} mm of its middle: "
+            f"its height varies by {1e3 * np.ptp(heights):.1f} mm there"
+        )
+    return np.append(scene_object.middle_m[:2], heights[0])
 
 
 def _tip(options: TrackOptions, design: Design, scene_object: SceneObject) -> TipOnMovingObject:
@@ -162,19 +186,23 @@ def _estimator(options: TrackOptions, design: Design, tip: TipOnMovingObject, T_
     return PoseAndShearEstimator(model, design, options.renderer)
 
 
-def _score(errors: np.ndarray, estimates: np.ndarray, stopped: str, period_s: float) -> dict[str, Any]:
+def _score(errors: np.ndarray, estimates: np.ndarray, stopped: str, options: TrackOptions) -> dict[str, Any]:
     """Return the scores of errors (n, 6), mm and degrees, of the pose and of its estimate."""
     if not len(errors):
         raise TactipError(f"nothing was tracked: {stopped}")
     distance, angle = np.linalg.norm(errors[:, :3], axis=1), np.linalg.norm(errors[:, 3:], axis=1)
+    steps = max(1, round(options.motion.period_s * options.rate_hz))
+    periods = range(0, len(errors), steps)
     return {
         "rms_mm": _rms(distance),
         "rms_deg": _rms(angle),
         "max_mm": float(distance.max()),
         "max_deg": float(angle.max()),
+        "rms_mm_by_period": [_rms(distance[k : k + steps]) for k in periods],
+        "rms_deg_by_period": [_rms(angle[k : k + steps]) for k in periods],
         "rms_by_axis": [_rms(column) for column in errors.T],
         "estimate_rms_by_axis": [_rms(column) for column in estimates.T],
-        "seconds": len(errors) * period_s,
+        "seconds": len(errors) / options.rate_hz,
         "stopped_because": stopped,
     }
 

@@ -94,8 +94,8 @@ def markdown_page() -> str:
         "Written by `make reference` from the commands' help texts; do not edit. `--help` shows the common options of a",
         "command, `--help-all` all of them. Results are written to stdout, progress to stderr. Exit status: 0 after",
         "success, 1 after a refusal or a failure (one sentence says why), 2 for unknown options, 130 after Ctrl-C and",
-        "143 after SIGTERM. The same command then resumes the work, except for a servo run, which keeps its recording",
-        "and needs another folder. Ctrl-C ends pages and cameras with status 0.",
+        "143 after SIGTERM. The same command then resumes the work, except for servo runs and tracking, which keep their",
+        "results and need another folder. Ctrl-C ends pages and cameras with status 0.",
         *command_lines([]),
     ]
     return "\n".join(lines) + "\n"

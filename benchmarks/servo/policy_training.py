@@ -104,7 +104,9 @@ def train(
     try:
         from stable_baselines3 import SAC  # pyright: ignore[reportMissingImports]
     except ModuleNotFoundError as error:
-        raise TactipError("training needs stable-baselines3: install it with `pip install stable-baselines3`") from error
+        raise TactipError(
+            "training needs stable-baselines3: install it with `pip install 'tactip-twin[rl-training]'`"
+        ) from error
     environment = _Vector(gymnasium.make(name, **options))
     layers = {"net_arch": [settings.width, settings.width]}
     model = SAC(

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 import tactip_twin.control.environments  # noqa: F401  (registers the environments)
 from tactip_twin.benchmarks.hardware import machine, machine_text
-from tactip_twin.benchmarks.options import ReinforcementLearningOptions
+from tactip_twin.benchmarks.options import ReinforcementLearningOptions, ReinforcementLearningPart
 from tactip_twin.benchmarks.report import read_results, table, write_results
 from tactip_twin.benchmarks.servo.policy_training import TrainingSettings, train
 from tactip_twin.control.policy import Policy, write_policy
@@ -42,9 +42,6 @@ _ALIGNED = 10
 
 _CURVE_EPISODES, _CURVE_SEED, _TEST_SEED = 4, 50_000, 100_000
 """Episodes of a point of the curve, its seed, and that of the tests; trainings have others."""
-
-_FIDELITY_STEPS = 40
-"""Steps of the episode that is repeated at each fidelity."""
 
 _FIDELITIES = ("fast", "draft", "standard", "reference")
 
@@ -108,17 +105,23 @@ def run(options: ReinforcementLearningOptions, log: Callable[[str], None] = prin
     """Train, test and measure; write the page, and return the results. Raises TactipError."""
     settings = TrainingSettings(steps=options.steps)
     result = read_results(options.out / f"{NAME}.json")
-    for task in options.tasks:
+
+    def chosen(part: ReinforcementLearningPart) -> bool:
+        return not options.parts or part in options.parts
+
+    for task in filter(chosen, ENVIRONMENTS):
         policy, curve = _train(task, settings, options.runs / task, log)
         if options.release is not None:
             options.release.mkdir(parents=True, exist_ok=True)
             write_policy(policy, options.release / f"{task}-follow.npz")
         rows = _tests(task, policy, options.episodes, log)
         result |= {task: {"curve": curve, "rows": rows, "settings": policy.provenance["settings"], "machine": machine()}}
-    if options.fidelities:
-        result |= {"fidelities": {task: _fidelities(task, log) for task in ENVIRONMENTS}, "fidelity_machine": machine()}
+    if chosen("fidelities"):
+        measured = {task: _fidelities(task, options.fidelity_steps, log) for task in ENVIRONMENTS}
+        result |= {"fidelities": measured, "fidelity_steps": options.fidelity_steps, "fidelity_machine": machine()}
     write_results(NAME, result, tables(result), options.out)
-    _plot(result, options.out / f"{NAME}.png")
+    if not result.keys().isdisjoint(ENVIRONMENTS):
+        _plot(result, options.out / f"{NAME}.png")
     return result
 
 
@@ -150,9 +153,9 @@ def _tests(task: Task, policy: Policy, episodes: int, log: Callable[[str], None]
     return rows
 
 
-def _fidelities(task: Task, log: Callable[[str], None]) -> list[dict[str, Any]]:
+def _fidelities(task: Task, steps: int, log: Callable[[str], None]) -> list[dict[str, Any]]:
     """Return the steps per second of each fidelity, and its errors against `reference` for the same actions."""
-    recorded: dict[str, tuple[np.ndarray, np.ndarray, float]] = {}
+    recorded: dict[str, tuple[np.ndarray, np.ndarray, float, int]] = {}
     actions: list[np.ndarray] = []
     for fidelity in ("reference", *_FIDELITIES[:-1]):
         environment = gymnasium.make(ENVIRONMENTS[task], fidelity=fidelity, objects=_TRAINED[task][:1])
@@ -160,26 +163,29 @@ def _fidelities(task: Task, log: Callable[[str], None]) -> list[dict[str, Any]]:
         servo = ServoPolicy(task, environment)
         observation, _ = environment.reset(seed=_TEST_SEED)
         pins, forces = [inner.touch.pin_tips], [inner.touch.force]
+        learned = getattr(inner.tip, "sliding", None)  # of fidelity fast
+        before = learned.simulated_motions if learned else 0
         start = time.process_time()  # of this process alone, which is single-threaded
-        for k in range(_FIDELITY_STEPS):
+        for k in range(steps):
             if fidelity == "reference":
                 actions.append(servo(observation))
             observation, *_ = environment.step(actions[k])
             pins.append(inner.touch.pin_tips)
             forces.append(inner.touch.force)
-        rate = _FIDELITY_STEPS / (time.process_time() - start)
-        recorded[fidelity] = np.array(pins), np.array(forces), rate
+        rate = steps / (time.process_time() - start)
+        recorded[fidelity] = np.array(pins), np.array(forces), rate, learned.simulated_motions - before if learned else steps
         environment.close()
         log(f"{task}, {fidelity}: {rate:.1f} steps/s")
-    best_pins, best_forces, _ = recorded["reference"]
+    best_pins, best_forces, *_ = recorded["reference"]
     return [
         {
             "fidelity": fidelity,
             "steps_per_s": rate,
+            "simulated_motions": simulated,
             "pins_mm": float(1e3 * np.linalg.norm(pins - best_pins, axis=-1).mean()),
             "force": float(np.linalg.norm(forces - best_forces, axis=1).mean() / np.linalg.norm(best_forces, axis=1).mean()),
         }
-        for fidelity, (pins, forces, rate) in ((name, recorded[name]) for name in _FIDELITIES)
+        for fidelity, (pins, forces, rate, simulated) in ((name, recorded[name]) for name in _FIDELITIES)
     ]
 
 
@@ -187,15 +193,17 @@ def tables(result: dict[str, Any]) -> dict[str, str]:
     """Return the tables of docs/reinforcement_learning.md from reinforcement_learning.json."""
     head = ["task", "object", "poses", "controller", "reached", "depth, mm", "lateral, mm", "angle, °", "yaw, °", "return"]
     rows = [[task, *_cells(task, row)] for task in ENVIRONMENTS if task in result for row in result[task]["rows"]]
-    fidelity_head = ["task", "fidelity", "steps/s", "pin tips, mm", "force"]
+    fidelity_head = ["task", "fidelity", "steps/s", "simulated motions", "pin tips, mm", "force"]
     fidelities = [
-        [task, r["fidelity"], f"{r['steps_per_s']:.1f}", f"{r['pins_mm']:.3f}", f"{r['force']:.1%}"]
+        [task, r["fidelity"], f"{r['steps_per_s']:.1f}", r["simulated_motions"], f"{r['pins_mm']:.3f}", f"{r['force']:.1%}"]
         for task, found in result.get("fidelities", {}).items()
         for r in found
     ]
     machines = sorted({machine_text(result[task]["machine"]) for task in ENVIRONMENTS if task in result})
     note = "".join(f"\n\nMachine: {one}." for one in machines)
-    cost = f"\n\nMachine: {machine_text(result['fidelity_machine'])}." if fidelities else ""
+    cost = ""
+    if fidelities:
+        cost = f"\n\n{result['fidelity_steps']} steps each. Machine: {machine_text(result['fidelity_machine'])}."
     return {"scores": table(head, rows) + note, "fidelities": table(fidelity_head, fidelities) + cost}
 
 

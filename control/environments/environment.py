@@ -1,5 +1,6 @@
 """What the environments have in common: actions, observations, images of the scene, and pickling."""
 
+import sys
 from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import replace
@@ -12,6 +13,7 @@ from gymnasium.spaces import Box, Dict
 from scipy.spatial.transform import Rotation
 
 from tactip_twin.control.environments.options import EnvironmentOptions, movement_named
+from tactip_twin.control.environments.page import EnvironmentPage
 from tactip_twin.sim.contact.simulator import Diverged
 from tactip_twin.sim.contact.tip_state import TipState
 from tactip_twin.sim.pose import from_mm_deg, matrix
@@ -19,7 +21,6 @@ from tactip_twin.sim.robot.irb120 import Unreachable
 from tactip_twin.sim.robot.mounted_tip import TipOnArm
 from tactip_twin.sim.view.geometry import ColoredMesh
 from tactip_twin.sim.view.offscreen import SceneRenderer
-from tactip_twin.sim.view.viser_utils import serve
 from tactip_twin.tactip_model.errors import TactipError, lookup
 from tactip_twin.tactip_model.presets import load_design
 from tactip_twin.tactip_model.renderer import renderer_named
@@ -98,7 +99,7 @@ class TouchEnvironment(gymnasium.Env[Observation, np.ndarray]):
         """Drop what is built lazily, and the episode."""
         self._rendered: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None
         self._view: SceneRenderer | None = None
-        self._server: Any = None
+        self._page: EnvironmentPage | None = None
         self._touch: TipState | None = None
 
     def __getstate__(self) -> dict[str, Any]:
@@ -176,7 +177,10 @@ class TouchEnvironment(gymnasium.Env[Observation, np.ndarray]):
         else:
             raise TactipError(f"no episode could be started in {_STARTS} tries: {problem}")
         self._commanded = self.tip.arm_model.measured_pose()
-        return self._observe(), self._all_info(False)
+        observation = self._observe()
+        if self.render_mode == "human":
+            self.render()
+        return observation, self._all_info(False)
 
     def step(self, action: np.ndarray) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Move the sensor; see gymnasium.Env.
@@ -258,20 +262,27 @@ class TouchEnvironment(gymnasium.Env[Observation, np.ndarray]):
         if self.render_mode is None:
             raise TactipError("render_mode must be one of rgb_array, human, got None: give it to gymnasium.make")
         static, moving, middle = self._meshes()
+        if self.render_mode == "human":
+            if self._page is None:
+                self._page = EnvironmentPage(_PORT, _EYE_M, _FIELD_DEG)
+                print(f"{self._page.address} shows the environment", file=sys.stderr, flush=True)
+            force = float(np.linalg.norm(self.touch.force))
+            self._page.show(static, moving, middle, self.image(), f"step {self._steps}\n\nforce on the tip: {force:.2f} N")
+            return None
         if self._view is None:
             self._view = SceneRenderer(_VIEW_PX[1], _VIEW_PX[0], static)
         frame = self._view.render(moving, middle + _EYE_M, middle, _FIELD_DEG).copy()
         small = cv2.resize(self.image(), (_IMAGE_PX, _IMAGE_PX), interpolation=cv2.INTER_AREA)
         frame[8 : 8 + _IMAGE_PX, -8 - _IMAGE_PX : -8] = small[..., None]
-        if self.render_mode == "rgb_array":
-            return frame
-        if self._server is None:
-            self._server = serve("127.0.0.1", _PORT)
-        self._server.scene.set_background_image(frame, format="jpeg")
-        return None
+        return frame
+
+    @property
+    def address(self) -> str | None:
+        """Address of the page of render_mode="human", which is served from the first reset on; None before."""
+        return None if self._page is None else self._page.address
 
     def close(self) -> None:
         """Release the scene, the renderers and the page."""
-        if self._server is not None:
-            self._server.stop()
+        if self._page is not None:
+            self._page.close()
         self._forget()

@@ -115,6 +115,8 @@ def load_object(
     own = not in_memory and name in object_names()
     path = MESHES / f"{name}.ply" if own else Path(name)
     if not in_memory and not own and not path.is_file():
+        if path.suffix:
+            raise TactipError(f"there is no mesh file {name}")
         raise TactipError(f"unknown object {name!r}: choose one of {', '.join(object_names())}, or give a mesh file")
     if own and unit is not None:
         raise TactipError(f"unit applies to mesh files only, and {name!r} is a built-in object: leave --unit out")

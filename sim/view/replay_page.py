@@ -270,7 +270,7 @@ class ReplayPage:
                 title=f"{curve.name}, {curve.unit}",
                 bands=bands,
                 scales={"x": uplot.Scale(time=False), "y": uplot.Scale(range=curve.span)},
-                axes=(uplot.Axis(space=40), uplot.Axis(space=18)),
+                axes=(uplot.Axis(space=40, size=30), uplot.Axis(space=13)),
                 legend=uplot.Legend(show=True, live=True),
                 height=_CURVE_PX,
             )

@@ -164,9 +164,10 @@ class CameraPage:
                 title=f"{name.removesuffix('_N')}, {unit}",
                 bands=(uplot.Band(series=(2, 3), fill="rgba(194, 65, 12, 0.18)"),),
                 scales={"x": uplot.Scale(time=False)},
-                axes=(uplot.Axis(space=40), uplot.Axis(space=18)),
+                axes=(uplot.Axis(space=40, size=30), uplot.Axis(space=13)),
                 legend=uplot.Legend(show=False),
                 height=_CURVE_PX,
+                padding=(8, 8, 0, 0),
             )
 
     def _show_curves(self) -> None:

@@ -28,6 +28,7 @@ PAGES = {
     "servo": "servo.servo",
     "conventions": "learning.conventions",
     "hard_objects": "servo.hard_objects",
+    "tracking": "servo.tracking",
     "reinforcement_learning": "servo.reinforcement_learning",
 }
 """Page, and the module that makes its tables from the page's JSON."""

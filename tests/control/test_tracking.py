@@ -15,7 +15,7 @@ from tactip_twin.sim.robot.arm_models import arm_model_named
 from tactip_twin.sim.robot.moving_object import MovingMountedTip, moved_object
 from tactip_twin.sim.robot.object_motion import ObjectMotion
 from tactip_twin.sim.robot.objects import load_object
-from tactip_twin.tactip_model.errors import TactipError
+from tactip_twin.tactip_model.errors import Interrupted, TactipError
 
 
 def test_object_moves_smoothly_up_to_its_amplitudes():
@@ -64,6 +64,7 @@ def test_servo_with_true_poses_tracks_all_axes(tmp_path, capsys):
     assert "error relative to the object, root mean square: 0." in capsys.readouterr().out
     score = json.loads((tmp_path / "run" / "score.json").read_text())
     assert score["stopped_because"] == "completed" and score["seconds"] == pytest.approx(0.5)
+    assert score["rms_mm_by_period"] == [score["rms_mm"]] and score["rms_deg_by_period"] == [score["rms_deg"]]
     assert score["rms_mm"] < 0.3 and score["rms_deg"] < 0.2
     assert score["estimate_rms_by_axis"] == [0] * 6
     assert (tmp_path / "run" / "tracking.png").stat().st_size > 5000
@@ -74,3 +75,20 @@ def test_servo_with_true_poses_tracks_all_axes(tmp_path, capsys):
 def test_track_invalid_network_is_refused(tmp_path):
     with pytest.raises(TactipError, match="the network must be of the task surface, got one of edge"):
         track(TrackOptions(tmp_path / "run", model="edge-tactip-127", fidelity="fast", arm="none"))
+
+
+def test_object_that_is_not_flat_is_refused(tmp_path):
+    with pytest.raises(TactipError, match=r"the top of bust must be flat within 15 mm of its middle: its height"):
+        track(TrackOptions(tmp_path / "run", object="bust"))
+
+
+def test_interrupted_run_is_scored(tmp_path):
+    def interrupt(done, count):
+        if done == 3:
+            raise KeyboardInterrupt
+
+    options = TrackOptions(tmp_path / "run", model="oracle", fidelity="fast", arm="none", seconds=1.0)
+    with pytest.raises(Interrupted, match="the score of the steps so far is in"):
+        track(options, interrupt)
+    score = json.loads((tmp_path / "run" / "score.json").read_text())
+    assert score["stopped_because"] == "interrupted" and score["seconds"] == pytest.approx(0.1)

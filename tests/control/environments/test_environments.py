@@ -7,6 +7,7 @@ import sys
 import numpy as np
 import pytest
 
+from helpers.headless_browser import PROGRAM, Chromium
 from tactip_twin.tactip_model.errors import TactipError
 
 gymnasium = pytest.importorskip("gymnasium")
@@ -185,6 +186,35 @@ def test_render_shows_the_tactile_image(made):
         made(EDGE).unwrapped.render()
 
 
+@pytest.mark.slow
+@pytest.mark.skipif(PROGRAM is None, reason="there is no Chromium here")
+def test_browser_shows_each_step(made, capsys):
+    """The page needs no OpenGL here; a reset shows the new episode's first state."""
+    environment = made({**ROLL, "image_size_px": 128}, render_mode="human")
+    environment.reset(seed=0)
+    address = environment.unwrapped.address
+    assert f"{address} shows the environment" in capsys.readouterr().err
+    browser = Chromium(address)
+
+    def shows(step):
+        state = f"step {step} force on the tip: {np.linalg.norm(environment.unwrapped.touch.force):.2f} N"
+        image = browser.evaluate("Math.max(0, ...[...document.images].map(image => image.naturalWidth))")
+        scene = browser.screenshot()[300:, 450:850].astype(int)
+        # The skin and the housing are darker than the table.
+        return state in " ".join(browser.text().split()) and image >= 128 and (scene.max(2) < 130).mean() > 0.02
+
+    try:
+        browser.until(lambda: shows(0))
+        for _ in range(3):
+            environment.step(np.ones(environment.action_space.shape, np.float32))
+        browser.until(lambda: shows(3))
+        environment.reset(seed=1)
+        browser.until(lambda: shows(0))
+    finally:
+        browser.close()
+        environment.close()
+
+
 def test_base_install_has_an_error_of_one_sentence(monkeypatch):
     monkeypatch.setitem(sys.modules, "gymnasium", None)
     monkeypatch.delitem(sys.modules, "tactip_twin.control.environments", raising=False)
@@ -212,9 +242,11 @@ def test_shipped_policy_follows_a_surface(made):
 
 @pytest.mark.slow
 def test_vector_environment_in_processes_gives_the_same_episodes(made):
-    from gymnasium.vector import AsyncVectorEnv
-
-    together = AsyncVectorEnv([lambda: gymnasium.make(**EDGE)] * 2, context="spawn")
+    """A process that is started anew finds the environments by the module in front of their name."""
+    name = f"tactip_twin.control.environments:{EDGE['id']}"
+    others = {key: value for key, value in EDGE.items() if key != "id"}
+    in_processes = {"vectorization_mode": "async", "vector_kwargs": {"context": "spawn"}}
+    together = gymnasium.make_vec(name, num_envs=2, **in_processes, **others)
     observations, _ = together.reset(seed=[3, 4])
     first, *_ = together.step(np.zeros((2, 5), np.float32))
     together.close()

@@ -107,7 +107,7 @@ def test_places_are_on_the_object_alone():
     ("options", "words"),
     [
         (["--at-mm", "1", "1"], "need an --object"),
-        (["--object", "nothing.stl"], "unknown object 'nothing.stl'"),
+        (["--object", "nothing.stl"], "there is no mesh file nothing.stl"),
         (["--object", "plate", "--at-mm", "900", "0"], "has no surface at 900, 0 mm"),
         (["--object", "plate", "--task", "edge"], "an object needs the task 'surface', got 'edge'"),
         (["--object", "plate", "--augment-symmetry"], "cannot be combined with augment_symmetry"),
