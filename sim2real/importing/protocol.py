@@ -5,11 +5,13 @@ import io
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from tactip_twin.sim.contact.limits import MAX_TILT_RAD, check_ranges, exceeds_max_tilt
 from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES, Ranges
 from tactip_twin.sim.labels import COMPONENTS, LABELS, SHEARS
 from tactip_twin.sim.pose import from_mm_deg
+from tactip_twin.sim2real.importing.column_map import Angles
 from tactip_twin.tactip_model.bounds import check, require, within
 from tactip_twin.tactip_model.errors import TactipError
 
@@ -35,6 +37,9 @@ class Protocol:
     """Ranges of the poses, low and high of each component. The defaults are those of the task in the paper (Table 1)."""
     shear: Ranges = SHEAR_RANGES
     """Ranges of the motion in contact that leads to the pose. The defaults are the paper's (Table 1)."""
+    angles: Angles = "vector"
+    """Convention of the angles in the table: a rotation vector, or Euler angles about fixed (xyz) or rotated axes (ZYX), as
+    the robot wants them. `tactip import` needs the same."""
 
     def __post_init__(self) -> None:
         check(self)
@@ -79,6 +84,15 @@ def protocol_table(protocol: Protocol) -> bytes:
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(["image_name", *STARTS, *LABELS, *SHEARS])
     for k, (pose, shear) in enumerate(zip(poses, shears, strict=True)):
-        numbers = np.concatenate([pose - shear, pose, shear]) + 0.0  # no minus zero
+        start, end = (_in_convention(label, protocol.angles) for label in (pose - shear, pose))
+        numbers = np.concatenate([start, end, end - start]) + 0.0  # no minus zero
         writer.writerow([f"frame_{k:04d}.png", *(f"{value:.3f}" for value in numbers)])
     return text.getvalue().encode()
+
+
+def _in_convention(pose: np.ndarray, angles: Angles) -> np.ndarray:
+    """Return a pose (6,), mm and degrees, with its rotation vector in another convention."""
+    if angles == "vector":
+        return pose
+    euler = Rotation.from_rotvec(pose[3:], degrees=True).as_euler(angles, degrees=True)
+    return np.concatenate([pose[:3], euler])
