@@ -85,3 +85,22 @@ def losses(split: Split, targets: torch.Tensor, beta: float) -> torch.Tensor:
     if beta:
         each = each * torch.exp(2 * beta * logs.detach())
     return torch.where(known, each, 0.0).sum(1)
+
+
+def scaled_loss(split: Split, targets: torch.Tensor) -> torch.Tensor:
+    """Return the mean loss of samples, (), with each component's deviations multiplied by the factor for which it is least.
+
+    That factor is the root mean square of errors over deviations. Without deviations, it is the mean of `losses`.
+
+    Args:
+        split: Outputs.
+        targets: (m, n) over the components' scales; NaN does not count.
+    """
+    if split.log_deviations is None:
+        return losses(split, targets, beta=0.0).mean()
+    known = torch.isfinite(targets)
+    errors = torch.where(known, split.means - torch.where(known, targets, 0.0), 0.0)
+    logs, count = torch.where(known, split.log_deviations, 0.0), known.sum(0).clamp(min=1)
+    square = (errors * torch.exp(-logs)).square().sum(0) / count
+    each = 0.5 + 0.5 * square.clamp(min=1e-12).log() + logs.sum(0) / count
+    return (each * known.to(each.dtype).mean(0)).sum()

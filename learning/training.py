@@ -26,7 +26,7 @@ from tactip_twin.learning.labels import Labels
 from tactip_twin.learning.model import Model, to_device, to_input
 from tactip_twin.learning.muon import Muon, inner_weights
 from tactip_twin.learning.optics_ranges import OPTICS
-from tactip_twin.learning.outputs import Layout, losses
+from tactip_twin.learning.outputs import Layout, losses, scaled_loss
 from tactip_twin.learning.posenet import PoseNet
 from tactip_twin.learning.quantities import QUANTITIES
 from tactip_twin.sim.dataset.format import EFFECTIVE_SHEARS, FORCES
@@ -225,18 +225,19 @@ class Training:
     def validation_loss(self, batch: int = 256) -> float:
         """Return the mean loss of the validation set, without weights and penalties, in single precision as in prediction.
 
+        Deviations count after the factor on each component that suits the validation set best, because `deviation_scale`
+        multiplies them later. Otherwise the best epoch of a small set would be an early one: deviations become too small
+        long before the means stop improving.
+
         Args:
             batch: Number of images per forward pass.
         """
         images, targets = self._val_images, self._val_targets
         self.net.eval()
-        total = torch.zeros((), device=self.device)
         with torch.inference_mode():
-            for start in range(0, len(images), batch):
-                part = slice(start, start + batch)
-                split = self.layout.split(self.net(to_input(images[part])))
-                total += losses(split, targets[part], beta=0.0).sum()
-        return float(total) / len(images)
+            parts = [slice(start, start + batch) for start in range(0, len(images), batch)]
+            outputs = torch.cat([self.net(to_input(images[part])) for part in parts])
+            return float(scaled_loss(self.layout.split(outputs), targets))
 
     def deviation_scale(self) -> DeviationScale | None:
         """Return the factors on the best network's deviations that fit the validation set; None if it has none."""

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from scipy.optimize import minimize
 from scipy.stats import norm
 
 from helpers.learning_sets import add_pins, write_fake_set, write_fake_splits
@@ -12,7 +13,7 @@ from helpers.trainings import NET, QUICK, quiet
 from tactip_twin.learning.configuration import PoseNetConfig
 from tactip_twin.learning.data import read_samples, read_splits
 from tactip_twin.learning.model import load_model
-from tactip_twin.learning.outputs import Layout, Split, losses
+from tactip_twin.learning.outputs import Layout, Split, losses, scaled_loss
 from tactip_twin.learning.quantities import CONTACT_FORCE_N, QUANTITIES, contact_probability, forces_of
 from tactip_twin.learning.training import Training
 from tactip_twin.sim.dataset.format import EFFECTIVE_SHEARS, FORCES
@@ -37,6 +38,22 @@ def test_losses_with_deviations_are_negative_log_likelihoods():
     expected = -norm.logpdf(targets.numpy(), split.means.numpy(), split.log_deviations.exp().numpy()).sum(1)
     found = losses(split, targets, beta=0.0)
     assert np.allclose(found.numpy(), expected - 3 * 0.5 * np.log(2 * np.pi))
+
+
+def test_scaled_loss_is_the_least_over_factors_of_the_deviations():
+    split, targets = random_split()
+    targets[::3, 1] = torch.nan
+    found = float(scaled_loss(split, targets))
+
+    def with_factors(logs):
+        return float(losses(Split(split.means, split.log_deviations + torch.from_numpy(logs)), targets, beta=0.0).mean())
+
+    assert found == pytest.approx(minimize(with_factors, np.zeros(3), tol=1e-12).fun, abs=1e-9)
+    too_small = Split(split.means, split.log_deviations - torch.tensor([0.0, 2.0, 5.0]))
+    assert float(scaled_loss(too_small, targets)) == pytest.approx(found)
+    assert float(scaled_loss(Split(split.means, None), targets)) == float(
+        losses(Split(split.means, None), targets, beta=0.0).mean()
+    )
 
 
 def test_losses_without_deviations_are_squared_errors():
