@@ -373,14 +373,16 @@ class ServoBenchOptions:
 
 @dataclass(frozen=True)
 class HardObjectsOptions:
-    """Follow objects with features that are smaller and more hollow than the tip. Rerun to resume."""
+    """Follow objects with features that are smaller and more hollow than the tip, and hard rims. Rerun to resume."""
 
     fidelity: FidelityName | Literal["fast"] = "standard"
     """Fidelity of the contact simulation."""
     only: tuple[str, ...] = ()
     """Names of the objects. Default: all. Results of others remain on the page."""
+    whole: bool = True
+    """Follow the route over each object. Otherwise those results remain on the page."""
     starts: int = 0
-    """Number of random starts per object, up to 50."""
+    """Number of random starts per object, up to 50, with the learned tip."""
     meshes: Path = Path("build/hard-objects")
     """Folder for the meshes of the objects, which are made there."""
     runs: Path = Path("runs/hard-objects")

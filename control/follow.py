@@ -6,6 +6,7 @@ the arm's measured pose and what its estimator returns. The force limit belongs 
 robots have.
 """
 
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -79,8 +80,8 @@ _EASE_MM_PER_N, _EASE_STEP_MM, _MAX_EASE_MM = 0.3, 0.1, 2.0
 _TRANSIT_M = 10e-3
 """Longest motion through the air between two checks of force and clearance, m."""
 
-_BACK_STEPS = 5
-"""Number of steps that the tip goes back before the arm tries again to lift it."""
+_BACK_STEPS, _MAX_TRAIL = 5, 50
+"""Number of steps that the tip goes back before the arm tries again to lift it, and their maximum."""
 
 _FREE = 0.1
 """Fraction of Settings.contact_threshold below which the tip counts as free, -."""
@@ -143,7 +144,7 @@ class ContourFollower:
             TactipError: The start is inside the object.
         """
         self._T_free, self._T_good, self._wrist_rad, self._highest = T_start, T_start, route.wrist_rad, -np.inf
-        self._trail: list[np.ndarray] = []
+        self._trail: deque[np.ndarray] = deque(maxlen=_MAX_TRAIL)
         self._direction, self._tries = route.approach, Tries(self._settings, route.approach is not None)
         try:
             self._mounted_tip.reset_to(T_start, route.wrist_rad)
@@ -267,8 +268,9 @@ class ContourFollower:
         return self._settings.clearance_mm + 1e3 * max(0.0, self._highest + float(T[:3, 3] @ self._direction))
 
     def _lift(self) -> None:
-        """Lift off. Where the arm cannot, at a limit of its joints, go back until it can. Raises Obstacle."""
-        trail = self._trail[::-1]
+        """Lift off. Where the arm cannot, at a limit of its joints, go back until it can; at last, turn to the route's
+        direction of approach on the way up. Raises Obstacle."""
+        trail = list(self._trail)[::-1]
         for k in range(0, len(trail), _BACK_STEPS):
             try:
                 self._go(_moved(self._mounted_tip.arm_model.measured_pose(), None, -self._settings.retract_mm))
@@ -276,10 +278,12 @@ class ContourFollower:
                 self._travel(_moved(here, self._direction, -self._height_mm(here)))
                 return
             except Obstacle as obstacle:
-                if obstacle.kind != "unreachable" or k + _BACK_STEPS >= len(trail):
+                if obstacle.kind != "unreachable":
                     raise
             for pose in trail[k : k + _BACK_STEPS]:
                 self._go(pose)
+        here = self._mounted_tip.arm_model.measured_pose()
+        self._travel(_facing(_moved(here, self._direction, -self._height_mm(here)), self._direction))
 
     def _travel(self, T: np.ndarray, watched: bool = False) -> None:
         """Move to a pose (4, 4) off the object. watched: whether contact on the way is an obstacle. Raises Obstacle."""
@@ -392,7 +396,7 @@ class ContourFollower:
         own = self._estimator.estimate(self._touch, arm.pose)
         measured = arm.measured_pose()
         if own.touching < _FREE * self._settings.contact_threshold:
-            self._T_free, self._wrist_rad, self._trail = measured, float(np.nan_to_num(arm.angles[5])), []
+            self._T_free, self._wrist_rad = measured, float(np.nan_to_num(arm.angles[5]))
         elif self._direction is not None:
             self._highest = max(self._highest, -float(measured[:3, 3] @ self._direction))
         self._trail.append(measured)

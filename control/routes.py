@@ -4,11 +4,23 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
 
 from tactip_twin.control.obstacles import Obstacle
+from tactip_twin.sim.pose import matrix
 
 _LOOKAHEAD_M = 3e-3
 """Distance to the point of the line that a route aims at, m: three steps."""
+
+_STRETCH_M, _FOUND_M, _AT_OBSTACLE_M = 60e-3, 15e-3, 5e-3
+"""Longest stretch of an edge from which its arc is estimated, the shortest after which an obstacle counts as past, and the
+end before an obstacle that is not used, m [?]."""
+
+_LEANING_RAD = np.radians(4.0)
+"""Angle of the sensor's axis to its mean over a stretch from which it counts as leaning into an obstacle, rad [?]."""
+
+_TO_CORNER_M = 4e-3
+"""Distance to the corner that is assumed where the edge is lost, and step behind it, m [?]."""
 
 MIN_TILT_COSINE = 0.25
 """Smallest cosine between the sensor's axis and the direction of projection, -: on steeper surfaces, a direction in the
@@ -165,7 +177,10 @@ class Geodesic(Route):
 
 
 class EdgePath(Route):
-    """A route along an estimated edge, until it returns to its start or is too long."""
+    """A route along an estimated edge, until it returns to its start or is too long.
+
+    Where the edge is lost, it is expected on the arc of its last stretch; then round a corner.
+    """
 
     def __init__(self, backward: bool = False, max_length_m: float = 1.0, step_m: float = 1e-3) -> None:
         """Start a route.
@@ -179,17 +194,24 @@ class EdgePath(Route):
         # A full loop turns the sensor once, and joint 6, which points down, in the opposite direction.
         self.wrist_rad = self._sense * np.pi
         self._start: np.ndarray | None = None
-        self._last: np.ndarray | None = None
-        self._heading, self._skipped, self._farthest = np.zeros(3), 0.0, 0.0
+        self._heading, self._farthest = np.zeros(3), 0.0
+        self._stretch: list[np.ndarray] = []
+        self._new: list[np.ndarray] = []
+        self._skipped, self._cornering = 0.0, False
 
     def direction(self, T_base_tcp: np.ndarray, T_base_contact: np.ndarray) -> np.ndarray | None:
         """Return the next direction; see Route."""
         place = T_base_tcp[:3, 3].copy()
         if self._start is None:
             self._start = place
-        if self._last is not None:
-            self.travelled_m += float(np.linalg.norm(place - self._last))
-        self._last = place
+        stretch = self._new if self._skipped else self._stretch
+        if stretch:
+            self.travelled_m += float(np.linalg.norm(place - stretch[-1][:3, 3]))
+        stretch.append(T_base_tcp.copy())
+        if self._skipped and _length(self._new) > _FOUND_M:  # the obstacle is behind
+            self._stretch, self._new, self._skipped, self._cornering = self._new, [], 0.0, False
+        while _length(self._stretch) > _STRETCH_M:
+            self._stretch.pop(0)
         away = float(np.linalg.norm(place - self._start))
         self._farthest = max(self._farthest, away)
         if self._farthest > 4 * self._close and away < self._close and self.travelled_m > 2 * self._farthest:
@@ -201,18 +223,60 @@ class EdgePath(Route):
         axis = T_base_tcp[:3, 2]
         heading = self._sense * T_base_contact[:3, 1]
         heading = heading - (heading @ axis) * axis
-        self._heading, self._skipped = heading / np.linalg.norm(heading), 0.0
+        self._heading = heading / np.linalg.norm(heading)
         return self._heading
 
     def skip(self, distance_m: float, T_base_tcp: np.ndarray) -> np.ndarray | None:
-        """Skip a piece, straight ahead from where the edge was last followed; see Route."""
-        if np.isinf(distance_m) or not self._heading.any():
-            self.ended = f"the edge was not found again within {1e3 * self._skipped:.0f} mm"
-            return None
-        self.travelled_m, self._skipped, self._last = self.travelled_m + distance_m, self._skipped + distance_m, None
-        T = T_base_tcp.copy()
-        T[:3, 3] += self._skipped * self._heading
-        return T
+        """Skip a piece, from where the edge was last followed for some time; see Route."""
+        if np.isinf(distance_m):
+            if self._cornering or not self._heading.any():
+                self.ended = f"the edge was not found again within {1e3 * self._skipped:.0f} mm"
+                return None
+            self.travelled_m, self._skipped, self._cornering = self.travelled_m - self._skipped, 0.0, True
+            distance_m = _TO_CORNER_M
+        self.travelled_m, self._skipped, self._new = self.travelled_m + distance_m, self._skipped + distance_m, []
+        T, heading, bend, to_obstacle = self._last_stretch(T_base_tcp)
+        axis, length = T[:3, 2], to_obstacle + self._skipped
+        inward = self._sense * np.cross(heading, axis)
+        if self._cornering:  # the object lies inward, so that is where an outer corner leads
+            angle, ahead, aside = np.pi / 2, to_obstacle + _TO_CORNER_M, self._skipped
+        else:
+            angle, ahead, aside = bend * length, length * np.sinc(bend * length / np.pi), 0.5 * bend * length**2
+        turn = Rotation.from_rotvec(-self._sense * angle * axis)
+        place = T[:3, 3] + ahead * heading + aside * inward
+        return matrix(place, turn * Rotation.from_matrix(T[:3, :3]))
+
+    def _last_stretch(self, T_base_tcp: np.ndarray) -> tuple[np.ndarray, np.ndarray, float, float]:
+        """Return a pose (4, 4) before the obstacle, the heading (3,) there, how the edge bends inward, rad/m, and the
+        distance from there to where the edge was last followed, m.
+
+        At the obstacle the sensor leans, and follows its shape instead of the edge's.
+        """
+        stretch = self._stretch
+        axes = np.array([T[:3, 2] for T in stretch])
+        usual = axes[: max(1, len(axes) // 2)].mean(0) if len(axes) else np.zeros(3)
+        leaning = np.flatnonzero(axes @ usual < np.cos(_LEANING_RAD) * np.linalg.norm(usual)) if len(axes) else []
+        end = int(leaning[0]) if len(leaning) else len(stretch)
+        before = stretch[:end]
+        while before and _length(stretch[len(before) - 1 : end]) < _AT_OBSTACLE_M:
+            before = before[:-1]
+        if _length(before) < _AT_OBSTACLE_M:
+            return T_base_tcp, self._heading, 0.0, 0.0
+        T, axis = before[-1], before[-1][:3, 2]
+        places = np.array([one[:3, 3] for one in before])
+        middle = len(places) // 2
+        chords = np.array([places[middle] - places[0], places[-1] - places[middle]])
+        chords -= np.outer(chords @ axis, axis)
+        turned = float(np.arctan2(np.cross(chords[0], chords[1]) @ axis, chords[0] @ chords[1]))
+        half = 0.5 * float(np.linalg.norm(chords, axis=1).sum())
+        heading = Rotation.from_rotvec(0.5 * turned * axis).apply(chords[1] / np.linalg.norm(chords[1]))
+        return T, heading, -self._sense * turned / half, _length(stretch[len(before) - 1 :])
+
+
+def _length(poses: list[np.ndarray]) -> float:
+    """Return the length, m, of a line through the places of poses (4, 4)."""
+    places = np.array([T[:3, 3] for T in poses]).reshape(-1, 3)
+    return float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
 
 
 def serpentine(

@@ -33,6 +33,9 @@ UP = np.array([0.0, 0, 1])
 _START_GAP_MM = 2.5
 """Distance from the object at which a run starts, mm."""
 
+_MAX_SEARCH_MM = 50.0
+"""Limit of Settings.search_mm."""
+
 _FORCE_EXPONENT = 1.75
 """The force of a press on a plane grows with about this power of the depth, - [?]."""
 
@@ -109,7 +112,8 @@ def prepare(
     mounted_tip = _mounted_tip(options, design, scene_object, arm_model, truth)
     depth_mm = _depth_mm(options, model.labels)
     T_start, route, targets = _plan(options, scene_object, truth)
-    T_start = clear_pose(mounted_tip, T_start)
+    T_wanted, T_start = T_start, clear_pose(mounted_tip, T_start)
+    back_mm = 1e3 * float(np.linalg.norm(T_start[:3, 3] - T_wanted[:3, 3]))
     network = model if isinstance(chosen, NetworkEstimator) else None
     controller = Servo(gains, depth_mm) if controller is None else controller
     return ServoSetup(
@@ -122,7 +126,7 @@ def prepare(
         network,
         controller,
         depth_mm,
-        _with_forces(options, depth_mm),
+        _settings(options, depth_mm, back_mm),
         T_start,
         route,
         targets,
@@ -217,11 +221,15 @@ def _depth_mm(options: ServoOptions, labels: Labels) -> float:
     return depth_mm
 
 
-def _with_forces(options: ServoOptions, depth_mm: float) -> Settings:
-    """Return the options' settings of the follower, with limits of the force that rise with the depth."""
+def _settings(options: ServoOptions, depth_mm: float, back_mm: float) -> Settings:
+    """Return the options' settings of the follower, with limits of the force that rise with the depth, and a search for
+    contact that is longer by what the start was moved back."""
     factor = max(1.0, depth_mm / DEPTHS_MM[options.task]) ** _FORCE_EXPONENT
     s = options.settings
-    return dataclasses.replace(s, max_force_n=factor * s.max_force_n, ease_force_n=factor * s.ease_force_n)
+    search_mm = max(s.search_mm, min(_MAX_SEARCH_MM, s.search_mm + back_mm))
+    return dataclasses.replace(
+        s, max_force_n=factor * s.max_force_n, ease_force_n=factor * s.ease_force_n, search_mm=search_mm
+    )
 
 
 def _ground_truth(options: ServoOptions, scene_object: SceneObject) -> SurfaceGroundTruth | EdgeGroundTruth:
@@ -230,7 +238,10 @@ def _ground_truth(options: ServoOptions, scene_object: SceneObject) -> SurfaceGr
         return SurfaceGroundTruth(scene_object.solid)
     if scene_object.edge is None:
         names = [path.name.removesuffix(".edge.csv") for path in sorted(MESHES.glob("*.edge.csv"))]
-        raise TactipError(f"the edge of {scene_object.name} is unknown: the edge task needs one of {', '.join(names)}")
+        raise TactipError(
+            f"the edge of {scene_object.name} is unknown: the edge task needs one of {', '.join(names)}, "
+            f"or a mesh file with its edge beside it, in {scene_object.name}.edge.csv"
+        )
     return EdgeGroundTruth(scene_object.edge)
 
 

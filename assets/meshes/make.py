@@ -13,7 +13,7 @@ import igl
 import numpy as np
 import trimesh
 
-from tactip_twin.assets.meshes.rims import RIMS, block
+from tactip_twin.assets.meshes.rims import RIMS, Rim, block
 from tactip_twin.assets.meshes.solids import BUST_SCALE, ball, bust, saddle
 
 HERE = Path(__file__).parent
@@ -103,16 +103,25 @@ def grown(mesh: trimesh.Trimesh, offset_mm: float, spacing_mm: float) -> trimesh
     return max(out.split(only_watertight=False), key=lambda part: len(part.faces))
 
 
-def write(name: str, mesh: trimesh.Trimesh, edge: np.ndarray | None = None) -> None:
+def write_rim(name: str, rim: Rim, folder: Path = HERE) -> None:
+    """Write the mesh of a rim, and its edge."""
+    turn = np.linspace(0, 2 * np.pi, _EDGE_POINTS + 1)
+    edge = np.column_stack([rim.edge(turn), rim.frames(turn)[1]])
+    write(name, trimesh.Trimesh(*rim.mesh(), process=False), edge, folder)
+
+
+def write(name: str, mesh: trimesh.Trimesh, edge: np.ndarray | None = None, folder: Path = HERE) -> None:
     """Write a mesh, mm, and its edge (n, 6), points in mm and unit normals, if it has one."""
     mesh = mesh.copy()
     mesh.apply_scale(1e-3)
     if not (mesh.is_watertight and mesh.volume > 0):
         raise ValueError(f"{name} is not closed, or inside out")
     mesh.visual = trimesh.visual.ColorVisuals()
-    mesh.export(HERE / f"{name}.ply", file_type="ply", vertex_normal=False)
     if edge is not None:
-        np.savetxt(HERE / f"{name}.edge.csv", edge, "%.5f", ",", header="x_mm,y_mm,z_mm,nx,ny,nz", comments="")
+        np.savetxt(folder / f"{name}.edge.csv", edge, "%.5f", ",", header="x_mm,y_mm,z_mm,nx,ny,nz", comments="")
+    partial = folder / f"{name}.partial.ply"
+    mesh.export(partial, file_type="ply", vertex_normal=False)
+    partial.replace(folder / f"{name}.ply")
     print(f"{name}: {len(mesh.faces)} faces, {np.round(1e3 * mesh.extents, 1)} mm")
 
 
@@ -128,8 +137,7 @@ def main() -> None:
     straight = np.column_stack([np.full(len(y), 60.0), y, np.zeros((len(y), 3)), np.ones(len(y))])
     write("edge", trimesh.convex.convex_hull(block(60.0, 30.0) * [1, 80 / 60, 1]), straight)
     for name, rim in RIMS.items():
-        turn = np.linspace(0, 2 * np.pi, _EDGE_POINTS + 1)
-        write(name, trimesh.Trimesh(*rim.mesh(), process=False), np.column_stack([rim.edge(turn), rim.frames(turn)[1]]))
+        write_rim(name, rim)
 
 
 if __name__ == "__main__":

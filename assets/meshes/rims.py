@@ -62,20 +62,28 @@ class Rim:
     def mesh(self, sectors: int = 480) -> tuple[np.ndarray, np.ndarray]:
         """Return vertices (n, 3), mm, and triangles (k, 3) of the container, divided into sectors."""
         turn = np.arange(sectors) * 2 * np.pi / sectors
-        edge, (_, _, off) = self.edge(turn), self.frames(turn)
+        edge, (_, _, off) = self.top(turn), self.frames(turn)
         low = -self.height_mm
-        rings = []
         # From the middle of the floor's underside, outside up, over the top, inside down, to the middle of the floor.
-        rings.append(_flat(edge, low))
-        for angle in np.linspace(0, np.pi / 2, _EDGE_FACETS + 1):
-            inward, down = self.edge_mm * (1 - np.cos(angle)), self.edge_mm * (1 - np.sin(angle))
-            rings.append(edge - inward * off - [0, 0, down])
+        rings = self._outside(turn)
         for angle in np.linspace(0, np.pi / 2, _INNER_FACETS + 1):
             inward, down = self.wall_mm - self.inner_mm * (1 - np.sin(angle)), self.inner_mm * (1 - np.cos(angle))
             rings.append(edge - inward * off - [0, 0, down])
         rings.append(_flat(edge - self.wall_mm * off, low + self.floor_mm))
-        rings = _filled(np.array(rings))
-        return _closed(rings, np.array([0, 0, low]), np.array([0, 0, low + self.floor_mm]))
+        return closed(filled(np.array(rings)), np.array([0, 0, low]), np.array([0, 0, low + self.floor_mm]))
+
+    def top(self, turn: np.ndarray) -> np.ndarray:
+        """Return points of the top's outer edge (n, 3), mm, at angles (n,), rad: those of the edge."""
+        return self.edge(turn)
+
+    def _outside(self, turn: np.ndarray) -> list[np.ndarray]:
+        """Return rings (n, 3), mm, at angles (n,), rad, from the underside over the rounded outer edge."""
+        edge, (_, _, off) = self.top(turn), self.frames(turn)
+        rings = [np.column_stack([edge[:, :2], np.full(len(edge), -self.height_mm)])]
+        for angle in np.linspace(0, np.pi / 2, _EDGE_FACETS + 1):
+            inward, down = self.edge_mm * (1 - np.cos(angle)), self.edge_mm * (1 - np.sin(angle))
+            rings.append(edge - inward * off - [0, 0, down])
+        return rings
 
 
 RIMS = {
@@ -100,7 +108,7 @@ def block(half_mm: float, height_mm: float, edge_mm: float = 0.5) -> np.ndarray:
     return np.concatenate([np.insert(profile, 1, y, axis=1) for y in (-half_mm, half_mm)])
 
 
-def _filled(rings: np.ndarray) -> np.ndarray:
+def filled(rings: np.ndarray) -> np.ndarray:
     """Insert rings between rings (r, n, 3) until no triangle is long, because nearest-triangle search uses boxes."""
     out = [rings[:1]]
     for one, other in pairwise(rings):
@@ -115,7 +123,7 @@ def _flat(ring: np.ndarray, height: float) -> np.ndarray:
     return np.column_stack([ring[:, :2], np.full(len(ring), height)])
 
 
-def _closed(rings: np.ndarray, first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def closed(rings: np.ndarray, first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return vertices and triangles of a grid of rings (r, n, 3), closed by fans around `first` and `last` (3,)."""
     count, around = rings.shape[:2]
     vertices = np.concatenate([rings.reshape(-1, 3), first[None], last[None]])

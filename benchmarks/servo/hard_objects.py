@@ -16,12 +16,13 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from tactip_twin.assets.meshes.hard_rims import HARD_RIMS
 from tactip_twin.assets.meshes.hard_solids import HARD_SOLIDS
 from tactip_twin.benchmarks.hardware import machine, machine_text
 from tactip_twin.benchmarks.options import HardObjectsOptions
 from tactip_twin.benchmarks.report import read_results, table, write_results
 from tactip_twin.benchmarks.servo.servo import ERROR, Case, is_done, make, random_start, run_folder
-from tactip_twin.control.options import RouteOptions, ServoOptions
+from tactip_twin.control.options import RouteOptions, ServoOptions, Settings
 from tactip_twin.control.score import events_text
 from tactip_twin.control.servo_run import SCORE
 from tactip_twin.control.surface_score import CURVATURE_BINS
@@ -29,6 +30,7 @@ from tactip_twin.sim.parallel.worker_pool import worker_count
 from tactip_twin.sim.robot.objects import load_object
 from tactip_twin.tactip_model.errors import lookup
 
+_RIMS_FOOT_MM = (400.0, 0.0, 100.0)
 _FACE_UP_DEG = (0.0, -90.0, 0.0)
 _ON_ITS_SIDE = Rotation.from_matrix(np.array([[0, 1, 0], [0, 0, 1], [1, 0, 0]], float))
 _ON_ITS_SIDE_DEG = tuple(np.degrees(_ON_ITS_SIDE.as_rotvec()).tolist())
@@ -56,13 +58,25 @@ OBJECTS = {
     "bust, 370 mm tall": HardObject("bust-sharp", 1.0, _FACE_UP_DEG, (400.0, 0.0, 70.0), _FACE_MM),
     "bust, 300 mm tall": HardObject("bust-sharp", 0.81, _FACE_UP_DEG, (400.0, 0.0, 70.0), _FACE_MM),
     "bust, 200 mm tall": HardObject("bust-sharp", 0.54, _FACE_UP_DEG, (400.0, 0.0, 100.0), _FACE_MM),
-    "head": HardObject("head", 1.0, _FACE_UP_DEG, (400.0, 0.0, 60.0), _HEADS_FACE_MM),
-    "relief": HardObject("relief"),
+    "head, 300 mm tall": HardObject("head", 1.11, _FACE_UP_DEG, (400.0, 0.0, 60.0), _HEADS_FACE_MM),
+    "head, 270 mm tall": HardObject("head", 1.0, _FACE_UP_DEG, (400.0, 0.0, 60.0), _HEADS_FACE_MM),
+    "head, 200 mm tall": HardObject("head", 0.74, _FACE_UP_DEG, (400.0, 0.0, 100.0), _HEADS_FACE_MM),
+    "relief": HardObject("relief", position_mm=(400.0, 0.0, 160.0)),
     "vase": HardObject("vase", 1.0, _ON_ITS_SIDE_DEG),
 }
-"""Objects by name: busts and the head lie face up, the vase on its side with the handle up."""
+"""Objects by name: busts and heads lie face up, the vase on its side with the handle up. Flat objects lie high, because low
+down the wrist is almost straight, and so singular."""
+
+RIMS = {"rim with a gap of 25 mm": "rim-gap", "rim with corners of 5 mm": "rim-corners"}
+"""Rims, which are followed all round: their names in HARD_RIMS, by the names of the objects."""
 
 MAX_STARTS = 50
+
+_START_STEPS = 100
+"""Steps of a run from a random start: with the learned tip, some to find the object and to get past obstacles."""
+
+_MIN_FOLLOWED = 10
+"""Steps on the route from which a random start counts as followed."""
 
 
 def mesh_file(folder: Path, solid: str) -> Path:
@@ -79,10 +93,30 @@ def mesh_file(folder: Path, solid: str) -> Path:
     return path
 
 
+def rim_file(folder: Path, name: str) -> Path:
+    """Return the file of the mesh of a rim, m, which is made if it is missing, with its edge."""
+    path = folder / f"{name}.ply"
+    if not path.exists():
+        from tactip_twin.assets.meshes.make import write_rim
+
+        folder.mkdir(parents=True, exist_ok=True)
+        write_rim(name, HARD_RIMS[name], folder)
+    return path
+
+
 def cases(options: HardObjectsOptions) -> list[Case]:
     """Return the runs over the chosen objects: one over each, then those from random starts."""
     out = []
-    for name in [lookup("object", name, dict.fromkeys(OBJECTS, name)) for name in options.only or OBJECTS]:
+    known = dict.fromkeys((*OBJECTS, *RIMS))
+    for name in options.only or known:
+        lookup("object", name, known)
+        if name in RIMS:
+            if not options.whole:
+                continue
+            path = str(rim_file(options.meshes, RIMS[name]))
+            run = ServoOptions(Path("-"), "edge", path, "m", position_mm=_RIMS_FOOT_MM, fidelity=options.fidelity)
+            out.append(Case("rims", name, run))
+            continue
         one = OBJECTS[name]
         path = str(mesh_file(options.meshes, one.solid))
         placed = load_object(path, None, one.scale, one.position_mm, one.rotation_deg)
@@ -93,9 +127,11 @@ def cases(options: HardObjectsOptions) -> list[Case]:
             Path("-"), "surface", path, None, one.scale, one.position_mm, one.rotation_deg, fidelity=options.fidelity
         )
         x, y = 1e3 * middle[:2]
-        out.append(Case("whole", name, replace(run, route=RouteOptions(middle_mm=(float(x), float(y))))))
+        if options.whole:
+            out.append(Case("whole", name, replace(run, route=RouteOptions(middle_mm=(float(x), float(y))))))
         for seed in range(min(options.starts, MAX_STARTS)):
-            out.append(Case("starts", f"{name}, {seed}", random_start(run, seed, middle)))
+            start = replace(random_start(run, seed, middle), fidelity="fast", settings=Settings(max_steps=_START_STEPS))
+            out.append(Case("starts", f"{name}, {seed}", start))
     return out
 
 
@@ -110,17 +146,25 @@ def run(options: HardObjectsOptions, log: Callable[[str], None] = print) -> dict
     before = read_results(options.out / "hard_objects.json") or {"rows": {}}
     rows = before["rows"]
     for case in chosen:
-        rows[case.name] = {"group": case.group, "fidelity": options.fidelity, **_row(options.runs, case)}
+        rows[case.name] = {"group": case.group, "fidelity": case.options.fidelity, **_row(options.runs, case)}
     record = {"rows": rows, "machine": machine(), "workers": workers, "version": version("tactip-twin")}
     write_results("hard_objects", record, tables(record), options.out)
     return record
 
 
-_KEPT = (
-    "reachable", "coverage", "coverage_of_reachable", "depth_mae_mm", "angle_mean_deg", "angle_p95_deg", "errors", "events",
-    "left_out", "force_max_n", "penetration_max_mm", "penetration_within_bound", "steps", "steps_followed", "path_mm",
-    "steps_per_s", "stopped_because",
-)  # fmt: skip
+_KEPT = {
+    "whole": (
+        "reachable", "coverage", "coverage_of_reachable", "depth_mae_mm", "angle_mean_deg", "angle_p95_deg", "errors",
+        "events", "left_out", "force_max_n", "penetration_max_mm", "penetration_within_bound", "steps", "steps_followed",
+        "path_mm", "steps_per_s", "stopped_because",
+    ),
+    "rims": (
+        "coverage", "depth_mae_mm", "lateral_mae_mm", "angle_mean_deg", "angle_p95_deg", "closed", "events", "left_out",
+        "force_max_n", "steps", "steps_followed", "path_mm", "stopped_because",
+    ),
+    "starts": ("depth_mae_mm", "angle_mean_deg", "events", "force_max_n", "steps", "steps_followed", "stopped_because"),
+}  # fmt: skip
+"""Figures of a score that are kept, by group of runs."""
 
 
 def _row(runs: Path, case: Case) -> dict[str, Any]:
@@ -128,15 +172,22 @@ def _row(runs: Path, case: Case) -> dict[str, Any]:
     if (folder / ERROR).exists():
         return {"error": (folder / ERROR).read_text().strip()}
     score = json.loads((folder / SCORE).read_text())
-    return {name: score[name] for name in _KEPT}
+    return {name: score[name] for name in _KEPT[case.group]}
 
 
 def tables(record: dict[str, Any]) -> dict[str, str]:
     """Return the tables of docs/hard_objects.md from hard_objects.json."""
     whole = {name: row for name, row in record["rows"].items() if row["group"] == "whole" and "error" not in row}
     starts = {name: row for name, row in record["rows"].items() if row["group"] == "starts"}
+    rims = {name: row for name, row in record["rows"].items() if row["group"] == "rims" and "error" not in row}
     made = f"Version {record['version']}; {record['workers']} at a time; {machine_text(record['machine'])}."
-    return {"runs": _runs(whole), "curvature": _by_curvature(whole), "starts": _starts(starts), "machine": made}
+    return {
+        "runs": _runs(whole),
+        "curvature": _by_curvature(whole),
+        "rims": _rims(rims),
+        "starts": _starts(starts),
+        "machine": made,
+    }
 
 
 def _runs(rows: dict[str, dict[str, Any]]) -> str:
@@ -157,6 +208,19 @@ def _runs(rows: dict[str, dict[str, Any]]) -> str:
     return table(head, cells) + "\n\n" + "\n".join(lines)
 
 
+def _rims(rows: dict[str, dict[str, Any]]) -> str:
+    """Return the table of the rims."""
+    head = ["rim", "fidelity", "covered", "depth, mm", "lateral, mm", "angle, °", "95 %, °", "max force, N", "left out, mm"]
+    cells = []
+    for name, row in rows.items():
+        left = sum(s["to_mm"] - s["from_mm"] for s in row["left_out"])
+        errors = [f"{row['depth_mae_mm']:.2f}", f"{row['lateral_mae_mm']:.2f}"]
+        errors += [f"{row['angle_mean_deg']:.1f}", f"{row['angle_p95_deg']:.1f}", f"{row['force_max_n']:.1f}", f"{left:.0f}"]
+        cells.append([name, row["fidelity"], f"{row['coverage']:.0%}", *errors])
+    notes = [f"- {name}: {row['stopped_because']}; events: {events_text(row['events'])}" for name, row in rows.items()]
+    return table(head, cells) + "\n\n" + "\n".join(notes)
+
+
 def _by_curvature(rows: dict[str, dict[str, Any]]) -> str:
     """Return the table of errors by local curvature."""
     cells = []
@@ -173,10 +237,16 @@ def _starts(rows: dict[str, dict[str, Any]]) -> str:
     for name in OBJECTS:
         mine = [row for key, row in rows.items() if key.startswith(f"{name}, ") and key.count(",") > name.count(",")]
         if mine:
-            good = [row for row in mine if "error" not in row and row["steps_followed"] >= 10]
-            others = Counter(row.get("error") or row["stopped_because"] for row in mine if row not in good)
+            good = [row for row in mine if "error" not in row and row["steps_followed"] >= _MIN_FOLLOWED]
+            others = Counter(_reason(row) for row in mine if row not in good)
             cells.append([name, f"{len(good)} of {len(mine)}", "; ".join(f"{n}: {reason}" for reason, n in others.items())])
     return table(["object", "followed", "reasons of the others"], cells)
+
+
+def _reason(row: dict[str, Any]) -> str:
+    """Return why a run from a random start did not follow."""
+    events = f" ({events_text(row['events'])})" if row.get("events") else ""
+    return row.get("error") or row["stopped_because"] + events
 
 
 def _errors(errors: dict[str, Any]) -> list[str]:

@@ -1,7 +1,7 @@
 """What the environments have in common: actions, observations, images of the scene, and pickling."""
 
 import sys
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -51,7 +51,7 @@ class Failure(Exception):
     """An episode cannot continue; the message says why."""
 
 
-class TouchEnvironment(gymnasium.Env[Observation, np.ndarray]):
+class TouchEnvironment(gymnasium.Env[Observation, np.ndarray], ABC):
     """An environment in which a soft tip touches something.
 
     What is slow to build is built when it is first needed, and is left out of a pickle; an unpickled environment must be

@@ -1,5 +1,6 @@
 """EdgeFollow and SurfaceFollow: keep depth, position and angle along an edge or over a surface."""
 
+from abc import abstractmethod
 from typing import Any
 
 import numpy as np
@@ -125,20 +126,21 @@ class _Follow(TouchEnvironment):
         self._begin_route()
         return state
 
+    @abstractmethod
     def _sample_path(self) -> np.ndarray:
         """Sample a path on the present object; return its first point (3,), m, object's frame. Raises Failure."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _begin_route(self) -> None:
         """Prepare the route from the present pose."""
 
+    @abstractmethod
     def _advance(self) -> float:
         """Return the progress along the route, m, of the last motion."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _goal(self) -> np.ndarray:
         """Return the goal (3,), m, base frame."""
-        raise NotImplementedError
 
     def _update(self) -> None:
         """Compute the true label at the present pose."""

@@ -9,7 +9,7 @@ from tactip_twin.sim.contact.free_ball import FreeBall, FreeBallScene
 from tactip_twin.sim.contact.mujoco_warnings import counted_warnings
 from tactip_twin.sim.contact.signed_distance import SignedDistanceMesh
 from tactip_twin.sim.contact.simulator import Diverged
-from tactip_twin.sim.contact.tip_state import TipState, read_tip_state
+from tactip_twin.sim.contact.tip_state import TipState
 from tactip_twin.sim.pose import inverse
 from tactip_twin.sim.robot.arm_models import ArmModel
 from tactip_twin.sim.robot.mounted_tip import TipOnArm
@@ -80,9 +80,7 @@ class FreeBallTip(TipOnArm):
 
     def tip_state(self) -> TipState:
         """Return the tip's present state. Raises Diverged."""
-        state = read_tip_state(self.scene, self._reader, self._steps_since_read, self._clearance())
-        if not (np.isfinite(state.skin).all() and np.abs(state.skin).max() < 4 * self._radius):
-            raise Diverged("the simulation diverged: the tip is deformed beyond four times its radius")
+        state = self._checked_state(self.scene, self._reader, self._steps_since_read)
         self._steps_since_read = 0
         return state
 

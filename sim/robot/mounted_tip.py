@@ -108,6 +108,14 @@ class TipOnArm(ABC):
     def _reset(self) -> None:
         """Make the tip undeformed at the arm model's pose."""
 
+    def _checked_state(self, scene: Scene, reader: PinReader, steps: int) -> TipState:
+        """Return the state of a simulated tip, `steps` time steps after the previous one. Raises Diverged."""
+        state = read_tip_state(scene, reader, steps, self._clearance())
+        if not (np.isfinite(state.skin).all() and np.abs(state.skin).max() < 4 * self._radius):
+            raise Diverged("the simulation diverged: the tip is deformed beyond four times its radius")
+        check_force(state.force)
+        return state
+
     def _clearance(self) -> float:
         """Return the distance, m, from the object to the nearest of the points on the housing."""
         T = inverse(self.T_base_object) @ self.arm_model.pose
@@ -213,10 +221,7 @@ class MountedTip(TipOnArm):
 
     def tip_state(self) -> TipState:
         """Return the tip's present state. Raises Diverged."""
-        state = read_tip_state(self.scene, self._reader, self._steps_since_read, self._clearance())
-        if not (np.isfinite(state.skin).all() and np.abs(state.skin).max() < 4 * self._radius):
-            raise Diverged("the simulation diverged: the tip is deformed beyond four times its radius")
-        check_force(state.force)
+        state = self._checked_state(self.scene, self._reader, self._steps_since_read)
         self._steps_since_read = 0
         return state
 

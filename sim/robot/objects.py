@@ -133,7 +133,7 @@ def load_object(
     low, high = (f(mesh.vertices @ turn.as_matrix().T, axis=0) for f in (np.min, np.max))
     foot = np.array(_FEET_M.get(name, _FOOT_M)) if position_mm is None else np.array(position_mm, float) / 1e3
     T = matrix(foot - [*(low + high)[:2] / 2, low[2]], turn)
-    edge = _read_edge(MESHES / f"{name}.edge.csv", scale) if own else None
+    edge = None if in_memory else _read_edge(path.with_suffix(".edge.csv"), scale)
     middle = (mesh.vertices.min(0) + mesh.vertices.max(0)) / 2
     if own and name in _MIDDLES_M:
         middle = scale * np.array(_MIDDLES_M[name])
@@ -267,7 +267,10 @@ _MAX_NORMAL_ERROR = 1e-3
 
 
 def _read_edge(path: Path, scale: float) -> Edge | None:
-    """Return the edge of one of the project's own objects; None if there is none. Raises TactipError if it is damaged."""
+    """Return the edge in a file beside a mesh file; None if there is none. Raises TactipError if it is damaged.
+
+    Rows of points in mm and unit normals of the top, anticlockwise from above; a closed edge ends with its first point.
+    """
     if not path.exists():
         return None
     try:

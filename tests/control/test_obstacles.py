@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from tactip_twin.control.obstacles import Obstacle, Tries
 from tactip_twin.control.options import Settings
 from tactip_twin.control.routes import EdgePath, Geodesic, PlanarPath
+from tactip_twin.sim.pose import from_mm_deg, matrix, sensor_in_contact
 
 UP = [0.0, 0.0, 1.0]
 
@@ -78,5 +80,29 @@ def test_geodesic_and_edge_skip_straight_ahead_and_end():
     edge.direction(T, T)
     assert edge.skip(0.004, T)[:3, 3] == pytest.approx([0, -0.004, 0])
     assert edge.skip(0.004, T)[:3, 3] == pytest.approx([0, -0.008, 0])
+    assert edge.skip(np.inf, T)[:3, 3] == pytest.approx([0.004, -0.004, 0])  # round a corner
+    assert edge.skip(0.004, T)[:3, 3] == pytest.approx([0.008, -0.004, 0])
     assert edge.skip(np.inf, T) is None
     assert edge.ended == "the edge was not found again within 8 mm"
+
+
+@pytest.mark.parametrize("backward", [False, True])
+def test_edge_skips_along_the_arc_before_the_sensor_leaned(backward):
+    """A circle of 60 mm radius, followed for 70 mm, the last 10 mm of them leaning into a gap."""
+    radius, sense, edge = 0.06, -1.0 if backward else 1.0, EdgePath(backward)
+
+    def pose(length, lean_deg=0.0):
+        angle = sense * length / radius
+        frame = matrix(radius * np.array([np.cos(angle), np.sin(angle), 0.0]), Rotation.from_euler("z", angle))
+        return frame, frame @ sensor_in_contact(from_mm_deg([0, 0, -3, lean_deg, 0, 0]))
+
+    for length in np.arange(0.0, 0.07, 1e-3):
+        frame, T = pose(length, 8.0 * (length > 0.06))
+        edge.direction(T, frame)
+    skipped = 0.0
+    for step in (0.004, 0.004, 0.016):
+        skipped += step
+        found = edge.skip(step, T)
+        expected = pose(0.069 + skipped)[1]
+        assert found[:3, :3] == pytest.approx(expected[:3, :3], abs=0.01)
+        assert found[:3, 3] == pytest.approx(expected[:3, 3], abs=1e-3)

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 import trimesh
 
+from tactip_twin.assets.meshes.hard_rims import HARD_RIMS
+from tactip_twin.assets.meshes.make import write_rim
 from tactip_twin.sim.robot.objects import MAX_TRIANGLES, load_object
 from tactip_twin.tactip_model.errors import TactipError
 
@@ -112,6 +114,19 @@ def test_mesh_in_memory_is_in_metres_and_unchanged(ball):
     assert scene_object.solid.distance(np.zeros(3)) == pytest.approx(-0.08, abs=5e-4)
     assert np.array_equal(mesh.vertices, before)
     assert load_object(ball, unit="mm").solid.distance(np.zeros(3)) == pytest.approx(-0.04, abs=5e-4)
+
+
+@pytest.mark.parametrize("name", HARD_RIMS)
+def test_rim_file_comes_with_its_edge(tmp_path, name):
+    """The edge lies on the top of the mesh, also scaled, except over the gap."""
+    write_rim(name, HARD_RIMS[name], tmp_path)
+    scene_object = load_object(tmp_path / f"{name}.ply", unit="m", scale=0.5)
+    edge = scene_object.edge
+    assert edge is not None
+    assert edge.closed
+    assert np.allclose(edge.normals, [0, 0, 1], atol=1e-4)
+    on = np.abs(scene_object.solid.distance(edge.points)) < 0.3e-3
+    assert on.mean() == pytest.approx(1 - (29 / (2 * np.pi * 60) if name == "rim-gap" else 0), abs=0.01)
 
 
 def test_object_of_flat_triangles_is_refused(tmp_path):
