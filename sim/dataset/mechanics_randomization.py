@@ -62,13 +62,14 @@ MechanicsName = Literal["none", "real", "wide"]
 MECHANICS_RANDOMIZATIONS: dict[str, MechanicsRandomization] = {
     "none": MechanicsRandomization(),
     "real": MechanicsRandomization(
-        friction=1.6, kinetic_fraction=1.4, skin_young=1.5, gel_young=1.5, skin_thickness=1.15, pin_length=1.1
+        friction=1.6, kinetic_fraction=1.57, skin_young=1.5, gel_young=1.5, skin_thickness=1.15, pin_length=1.1
     ),
     "wide": MechanicsRandomization(
         friction=1.8, kinetic_fraction=1.8, skin_young=3.0, skin_thickness=1.3, slip_weakening=2.5
     ),
 }
-"""By name. `real`: friction from 0.45 to 1.1 around the 0.7 of the calibrated 127-pin tip, which includes the 0.55 to 0.7 of
-a load cell [R]; the rest is estimated [?], and exceeds the deviations of a calibration (docs/calibration). `wide`: what a
-calibration may meet around the 127-pin tip, for a learned tip that knows materials. Deformations depend on the moduli by
-their ratio alone, so only one varies."""
+"""By name. `real`: friction from 0.45 to 1.1 around the 0.7 of the calibrated 127-pin tip, which includes the 0.55 to 0.7
+of a load cell [R]; kinetic fraction from 0.4 to 0.99 around the 0.63 of designs fitted to a neutral image, because
+calibrated tips have 0.55 [M]; the rest is estimated [?], and exceeds the deviations of a calibration (docs/calibration).
+`wide`: what a calibration may meet around the 127-pin tip, for a learned tip that knows materials. Deformations depend on
+the moduli by their ratio alone, so only one varies."""

@@ -41,6 +41,11 @@ _MAX_PRESS_MM = 3.0
 likely has an offset. An estimate [?]."""
 
 
+_KINETIC_FRACTION = 0.63
+"""Ratio of kinetic to static friction of a fitted design: the middle of the 0.4 to 0.99 that `real` mechanics make of it.
+Both calibrated tips have 0.55 [M] (docs/your-own-sensor.md); the nominal ones have 1."""
+
+
 def fit_design_to_neutral_image(folder: Path, size_px: int) -> tuple[Design, dict[str, Any]]:
     """Return the design that fits the neutral image of an imported set, and the figures of the fit.
 
@@ -61,7 +66,9 @@ def fit_design_to_neutral_image(folder: Path, size_px: int) -> tuple[Design, dic
         raise TactipError(f"{folder} has no {NEUTRAL_TACTILE} because an earlier version imported it: import the set again")
     blobs = len(find_blobs(image).centres)
     name = _nearest(blobs)
-    design, fit = fit_neutral(replace(NOMINAL[name], name=folder.resolve().name), image)
+    nominal = NOMINAL[name]
+    materials = replace(nominal.materials, kinetic_fraction=_KINETIC_FRACTION)
+    design, fit = fit_neutral(replace(nominal, name=folder.resolve().name, materials=materials), image)
     pressed_mm = _pressed_mm(folder)
     pressed = _contact(design, pressed_mm)
     if pressed:
