@@ -26,7 +26,7 @@ _HOLLOW_RADII_M = (4e-3, 40e-3)
 """Minimum and maximum radius of grooves and dents, m; the tip fits into hollows of more than 20 mm [?]."""
 
 _MAX_DENT_M = 6e-3
-"""Maximum depth of a groove or dent, m; below it, its flanks only get higher than the tip is thick [?]."""
+"""Maximum depth of a groove or dent, m: more than the tip is pressed [?]."""
 
 _MAX_FOLD_RAD = np.radians(35.0)
 """Maximum angle of each side of a fold to the base, rad [?]."""
@@ -38,16 +38,13 @@ _BLEND_M = (0.3e-3, 4e-3)
 """Minimum and maximum width over which a feature passes into the base, m [?]."""
 
 _MAX_SLOPE = np.tan(np.radians(45.0))
-"""Maximum slope at the place that is pressed, -: steeper, and the rim of the piece would face the tip."""
+"""Maximum slope at the place that is pressed, -: steeper, and the rim of the piece would face the tip [?]."""
 
 _SPACING_M = 0.75e-3
-"""Spacing of the heights, m: a ridge of 2 mm radius has five of them."""
+"""Spacing of the heights, m: a ridge of 2 mm radius has five of them [?]."""
 
 _SLOPE_STEP_M = 0.4e-3
-"""Distance over which the slope at the pressed place is measured, m."""
-
-_MAX_DRAWS = 100
-"""Number of surfaces drawn before the last is taken as it is: about one in ten is too steep at the pressed place."""
+"""Distance over which the slope at the pressed place is measured, m [?]."""
 
 Height = Callable[[np.ndarray], np.ndarray]
 """Heights (...) m at positions (..., 2) m."""
@@ -62,9 +59,7 @@ def sample_rough_surface(rng: np.random.Generator, low_per_m: float, high_per_m:
         high_per_m: Maximum principal curvature of the base, 1/m; positive is convex.
     """
     height = sample_heights(rng, low_per_m, high_per_m)
-    for _ in range(_MAX_DRAWS - 1):
-        if np.linalg.norm(_slopes(height)) <= _MAX_SLOPE:
-            break
+    while np.linalg.norm(_slopes(height)) > _MAX_SLOPE:  # about one surface in ten
         height = sample_heights(rng, low_per_m, high_per_m)
     vertices, triangles = slab(height, _SPACING_M)
     normal = np.array([*-_slopes(height), 1.0])

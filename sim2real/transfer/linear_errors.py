@@ -1,7 +1,7 @@
 """The linear part of a network's errors on a real set, and what it says about the rig, the tip and the next step.
 
 A rig's zero of depth and its tilt show as offsets, a tip of other mechanics or optics as a gain, and a skin that sticks
-longer or shorter than the simulated one as a leak of shear into the pose. What is left is noise of frames, labels and
+longer or shorter than the simulated one as a leak of shear into the pose. The remaining error is noise of frames, labels and
 network.
 """
 
@@ -14,13 +14,13 @@ from tactip_twin.learning.data import Samples
 from tactip_twin.sim.labels import SHEARS
 
 _MIN_SPREAD = {"mm": 0.1, "°": 0.5}
-"""Minimum standard deviation of a label or shear that is fitted, by unit: noise of a rig is less."""
+"""Minimum standard deviation of a label or shear that is fitted, by unit: noise of a rig is less [?]."""
 
 _MIN_FRAMES_PER_TERM = 5
-"""Minimum number of frames per term of the fit."""
+"""Minimum number of frames per term of the fit [?]."""
 
 _GAIN = 0.1
-"""Difference of a gain from 1 that is worth a remark, -."""
+"""Difference of a gain from 1 that is worth a remark, - [?]."""
 
 _LEAK = {"mm": 0.02, "°": 0.2}
 """Leak of a shear of 1 mm or 1 degree that is worth a remark, by unit of the component: with the paper's 5 mm, 0.1 mm and 1
@@ -104,8 +104,7 @@ def advice(linear: Mapping[str, Any]) -> list[str]:
             f"Constant offsets: {values}. The stimulus or the sensor is mounted so: measure it, or add it to --columns."
         )
     return out or [
-        "No offset, gain or leak of shear stands out: what is left is noise of frames, labels and network. More labelled "
-        "frames help little; a sharper image and a cleaner lens may."
+        "No offset, gain or leak of shear stands out: the remaining error is noise of frames, labels and network."
     ]
 
 
