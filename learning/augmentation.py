@@ -18,16 +18,16 @@ from numpy.typing import ArrayLike
 
 from tactip_twin.learning.data import Samples
 from tactip_twin.learning.optics_ranges import OPTICS, OpticsRanges
+from tactip_twin.learning.pin_projection import PinProjection
 from tactip_twin.sim.dataset.format import read_pins
 from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.design_file import design_from_dict
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.optics import Lens
 from tactip_twin.tactip_model.pins import neutral_pins
-from tactip_twin.tactip_model.raster_renderer import Raster
 
-_BATCH = 256
-"""Number of images per batch when pins are projected and compared."""
+_COMPARED = 256
+"""Number of images of the set that the radius correction is fitted to."""
 
 _CAMERA_COUNT = 64
 """Number of random cameras, where their position varies; the lens is fitted for each."""
@@ -61,14 +61,15 @@ class OpticsAugmentation:
         tips, directions = _read_pins(samples)
         self.undeformed = len(tips)
         """Index of the undeformed tip."""
-        design = design_from_dict(samples.dataset.meta["configuration"]["design"], f"{samples.folder}: design")
+        self._design = design = design_from_dict(
+            samples.dataset.meta["configuration"]["design"], f"{samples.folder}: design"
+        )
         neutral = neutral_pins(design)
         tips, directions = (
             np.concatenate([a, b[None].astype(a.dtype)]) for a, b in zip((tips, directions), neutral, strict=True)
         )
-        centres, radii = project_discs(tips, directions, design, samples.size)
-        self._size, self._device = samples.size, device
-        self._centres, self._radii = torch.from_numpy(centres).to(device), torch.from_numpy(radii).to(device)
+        self._size, self._device, self._projection = samples.size, device, PinProjection(design, device)
+        self._centres, self._radii = self._projection.discs(tips, directions, samples.size)
         r = ranges
         widths = fraction * np.array([r.zoom, r.rotation_deg * np.pi / 180, r.drift * self._size, r.pin_size])
         self._zoom, self._turn, self._drift, self._pin_size = widths.tolist()
@@ -79,7 +80,17 @@ class OpticsAugmentation:
                 design, fraction * r.camera_height_m, fraction * r.camera_offset_m, samples.size, device
             )
             self._tips = torch.from_numpy(tips.astype(np.float32)).to(device)
-        self._radius_correction = self._fit_radius_correction(samples.images[:_BATCH])
+        self._radius_correction = self._fit_radius_correction(samples.images[:_COMPARED])
+
+    def replace_drawn(self, tips: np.ndarray, directions: np.ndarray) -> None:
+        """Replace the contacts after the undeformed tip by others, with pin tips (m, p, 3), m, and directions (m, p, 3)."""
+        own = self.undeformed + 1
+        centres, radii = self._projection.discs(tips, directions, self._size)
+        self._centres = torch.cat([self._centres[:own], centres])
+        self._radii = torch.cat([self._radii[:own], radii])
+        if self._cameras is not None:
+            drawn = torch.from_numpy(tips.astype(np.float32)).to(self._device)
+            self._tips = torch.cat([self._tips[:own], drawn])
 
     def render(self, chosen: torch.Tensor) -> torch.Tensor:
         """Render images (m, size, size) uint8 of samples `chosen` (m,) int, under optics from torch's random generator."""
@@ -215,27 +226,6 @@ def _read_pins(samples: Samples) -> tuple[np.ndarray, np.ndarray]:
             f"the set in {samples.folder} has pins of {len(tips)} samples for {count} images: generate the set again"
         )
     return tips[samples.rows], directions[samples.rows]
-
-
-def project_discs(tips: np.ndarray, directions: np.ndarray, design: Design, size: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return centres (n, p, 2) and radii (n, p), px, float32, of the pins in tactile images `size` px wide.
-
-    Args:
-        tips: (n, p, 3), m.
-        directions: (n, p, 3).
-        design: Design of the sensor.
-        size: Width of the images, px.
-    """
-    raster = Raster(design)
-    left, top, right, bottom = design.image.crop or (0, 0, design.optics.frame_px, design.optics.frame_px)
-    scale = size / np.array([right - left, bottom - top])
-    centres, radii = np.empty((*tips.shape[:2], 2), np.float32), np.empty(tips.shape[:2], np.float32)
-    for k in range(0, len(tips), _BATCH):
-        part = slice(k, k + _BATCH)
-        middle, axes = raster.ellipses(tips[part].astype(float), directions[part].astype(float))
-        centres[part] = (middle - (left, top) + 0.5) * scale - 0.5
-        radii[part] = np.sqrt(np.abs(np.linalg.det(axes)) * scale.prod())
-    return centres, radii
 
 
 class _Cameras:

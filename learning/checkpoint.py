@@ -25,6 +25,7 @@ from tactip_twin.learning.model import (
 )
 from tactip_twin.learning.training import Training
 from tactip_twin.sim.dataset.format import labels_sha256
+from tactip_twin.sim.fast_tip.fast_tip import FastTip
 from tactip_twin.sim.parallel.resume import check_resumable
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.files import write_file
@@ -34,9 +35,15 @@ CHECKPOINT, METRICS, LOCK, TENSORBOARD = "checkpoint.pt", "metrics.jsonl", ".loc
 
 
 def provenance(
-    train: Samples, val: Samples, config: PoseNetConfig, settings: TrainSettings, init_from: Model | None = None
+    train: Samples,
+    val: Samples,
+    config: PoseNetConfig,
+    settings: TrainSettings,
+    init_from: Model | None = None,
+    tip: FastTip | None = None,
 ) -> dict[str, Any]:
-    """Return everything a training depends on, as JSON: data, network, settings, and checksum of the initial network."""
+    """Return everything a training depends on, as JSON: data, network, settings, and checksums of the initial network and of
+    the learned tip that draws contacts."""
 
     def data(samples: Samples) -> dict[str, Any]:
         """Return the JSON that identifies a set."""
@@ -58,6 +65,8 @@ def provenance(
     }
     if init_from is not None:
         record["initial_weights"] = net_sha256(init_from.net)
+    if tip is not None:
+        record["fast_tip"] = tip.digest
     return json.loads(json.dumps(record))
 
 
@@ -109,7 +118,7 @@ def load_checkpoint(folder: Path, record: dict[str, Any]) -> dict[str, Any] | Li
             raise TactipError(f"cannot read {checkpoint} ({error}): delete it to restart the training") from error
     elif description.exists():
         state, recorded = "finished", read_description(folder)["provenance"]
-    requested = {"initial_weights": None} | record
+    requested = {"initial_weights": None, "fast_tip": None} | record
     if recorded is not None:
         defaults = {"network": dataclasses.asdict(PoseNetConfig()), "settings": dataclasses.asdict(TrainSettings())}
         recorded = {part: with_new_defaults(recorded.get(part), defaults.get(part)) for part in requested}

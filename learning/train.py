@@ -19,9 +19,11 @@ from tactip_twin.learning.checkpoint import (
 )
 from tactip_twin.learning.configuration import DeviceName, PoseNetConfig, TrainSettings
 from tactip_twin.learning.data import Samples
+from tactip_twin.learning.drawn_contacts import shipped_tip_for
 from tactip_twin.learning.model import Model
 from tactip_twin.learning.posenet import parameter_count
 from tactip_twin.learning.training import Training, initial_state
+from tactip_twin.sim.fast_tip.fast_tip import FastTip
 from tactip_twin.sim.parallel.file_lock import locked
 from tactip_twin.tactip_model.errors import Interrupted, TactipError
 from tactip_twin.tactip_model.files import remove_leftovers
@@ -48,6 +50,7 @@ def train(
     should_prune: ShouldPrune | None = None,
     quiet: bool = False,
     init_from: Model | None = None,
+    tip: FastTip | None = None,
 ) -> list[dict[str, float]]:
     """Train a network in a folder, or resume an interrupted training; return the figures of each epoch.
 
@@ -65,6 +68,7 @@ def train(
         should_prune: Callback that decides after each epoch whether to end the training.
         quiet: Whether to hide the progress bar.
         init_from: Model with the initial weights and the same layers; random weights if None.
+        tip: Learned tip that draws contacts, if the settings ask for any; None for the shipped one of the set's sensor.
 
     Raises:
         TactipError: If the folder holds something else, memory runs out or the loss diverges.
@@ -72,7 +76,9 @@ def train(
         Interrupted: On Ctrl-C.
     """
     folder = Path(folder)
-    record = provenance(train_samples, val_samples, config, settings, init_from)
+    if settings.drawn_contacts and tip is None:
+        tip = shipped_tip_for(train_samples)
+    record = provenance(train_samples, val_samples, config, settings, init_from, tip if settings.drawn_contacts else None)
     if load_checkpoint(folder, record) is None:
         # Checked before the folder is created, so a network that cannot be trained leaves none behind.
         if init_from is not None:
@@ -86,7 +92,7 @@ def train(
             log(f"this training is already finished in {folder}")
             return read_metrics(folder)
         try:
-            training = Training(train_samples, val_samples, config, settings, device, init_from)
+            training = Training(train_samples, val_samples, config, settings, device, init_from, tip)
             if state:
                 training.restore(state)
                 log(f"resuming after epoch {training.epoch}")

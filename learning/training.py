@@ -22,6 +22,7 @@ from tactip_twin.learning.configuration import DeviceName, PoseNetConfig, Schedu
 from tactip_twin.learning.data import Samples, kind_of
 from tactip_twin.learning.deviation_scale import DeviationScale
 from tactip_twin.learning.device import device_named, is_half
+from tactip_twin.learning.drawn_contacts import ContactSource, DrawnContacts, shipped_tip_for
 from tactip_twin.learning.labels import Labels
 from tactip_twin.learning.model import Model, to_device, to_input
 from tactip_twin.learning.muon import Muon, inner_weights
@@ -30,6 +31,7 @@ from tactip_twin.learning.outputs import Layout, losses, scaled_loss
 from tactip_twin.learning.posenet import PoseNet
 from tactip_twin.learning.quantities import QUANTITIES
 from tactip_twin.sim.dataset.format import EFFECTIVE_SHEARS, FORCES
+from tactip_twin.sim.fast_tip.fast_tip import FastTip
 from tactip_twin.tactip_model.errors import TactipError
 
 
@@ -74,6 +76,7 @@ class Training:
         settings: TrainSettings,
         device: DeviceName = "cpu",
         init_from: Model | None = None,
+        tip: FastTip | None = None,
     ) -> None:
         """Build the network and move the data to the device.
 
@@ -84,9 +87,11 @@ class Training:
             settings: Settings of the training.
             device: Device to train on.
             init_from: Model with the initial weights; random weights if None.
+            tip: Learned tip that draws contacts; None for the shipped one of the set's sensor.
 
         Raises:
-            TactipError: If the network or the initial network does not match the images.
+            TactipError: If the network or the initial network does not match the images, or no learned tip can draw contacts
+                like those of the set.
         """
         self.config, self.settings, self.labels, self.size = config, settings, train.labels, train.size
         knows = init_from is not None and init_from.config.quantities
@@ -109,13 +114,14 @@ class Training:
         self._images, self._targets = self._to_device(train)
         self._count = len(train)
         undeformed = settings.undeformed_fraction if config.quantities else 0.0
+        self._source = ContactSource(train, tip or shipped_tip_for(train), self.device) if settings.drawn_contacts else None
         self._augmentation = (
             OpticsAugmentation(train, settings.augmentation_strength, OPTICS[settings.optics_ranges], self.device)
-            if settings.augmented_fraction or undeformed
+            if settings.augmented_fraction or undeformed or self._source
             else None
         )
         self._undeformed = undeformed
-        if self._augmentation and undeformed:
+        if self._augmentation:
             self._add_undeformed_tip(self._augmentation)
         self._val_images, self._val_targets = self._to_device(val)
         self.epoch = 0
@@ -130,9 +136,11 @@ class Training:
         return torch.from_numpy(samples.images).to(self.device), targets.to(self.device)
 
     def _add_undeformed_tip(self, augmentation: OpticsAugmentation) -> None:
-        """Append the undeformed tip to the images and targets: without force, at an unknown pose."""
+        """Append the undeformed tip to the images and targets: without force, at an unknown pose. Networks that estimate no
+        force never see it."""
         zero = [*FORCES, *EFFECTIVE_SHEARS]
         known = [0.0 if q.name in zero else np.nan for q in QUANTITIES]
+        known = known if self.config.quantities else []
         targets = torch.tensor([np.nan] * len(self.labels.components) + known, device=self.device)
         image = augmentation.render_plain(torch.tensor([augmentation.undeformed], device=self.device))
         self._images = torch.cat([self._images, image])
@@ -141,7 +149,7 @@ class Training:
     @property
     def steps_per_epoch(self) -> int:
         """Number of steps per epoch."""
-        return -(-self._count // self.config.batch_size)
+        return -(-(self._count + self.settings.drawn_contacts) // self.config.batch_size)
 
     @property
     def epochs(self) -> int:
@@ -172,7 +180,12 @@ class Training:
         """
         start = time.perf_counter()
         rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(self.settings.seed, spawn_key=(self.epoch,))))
-        order = torch.from_numpy(rng.permutation(self._count)).to(self.device)
+        choices = np.arange(self._count)
+        if self._source and self._augmentation:
+            self._draw(self._source, self._augmentation, rng)
+            # The undeformed tip lies between the contacts of the set and the drawn ones.
+            choices = np.concatenate([choices, self._count + 1 + np.arange(self.settings.drawn_contacts)])
+        order = torch.from_numpy(rng.permutation(choices)).to(self.device)
         devices = [torch.cuda.current_device()] if self.device == "cuda" else []
         with torch.random.fork_rng(devices=devices):
             torch.manual_seed(int(rng.integers(2**62)))
@@ -189,6 +202,14 @@ class Training:
         self.history.append(figures)
         self.epoch += 1
         return figures
+
+    def _draw(self, source: ContactSource, augmentation: OpticsAugmentation, rng: np.random.Generator) -> None:
+        """Replace the drawn contacts by others."""
+        drawn, own = source.draw(self.settings.drawn_contacts, rng), self._count + 1
+        targets = scaled_targets(drawn, self.labels, self.config).astype(np.float32)
+        self._images = torch.cat([self._images[:own], drawn.images])
+        self._targets = torch.cat([self._targets[:own], torch.from_numpy(targets).to(self.device)])
+        augmentation.replace_drawn(drawn.pin_tips, drawn.directions)
 
     def _batch(self, chosen: torch.Tensor) -> torch.Tensor:
         """Return images (m, size, size) uint8 of samples `chosen` (m,) int, a fraction of them augmented."""
@@ -284,7 +305,7 @@ def _shapes(state: dict[str, torch.Tensor]) -> dict[str, torch.Size]:
     return {name: tensor.shape for name, tensor in state.items()}
 
 
-def scaled_targets(samples: Samples, labels: Labels, config: PoseNetConfig) -> np.ndarray:
+def scaled_targets(samples: Samples | DrawnContacts, labels: Labels, config: PoseNetConfig) -> np.ndarray:
     """Return the targets (n, k) of a network over their scales; NaN where the set does not have them."""
     pose = samples.targets / labels.scale
     return np.concatenate([pose, samples.quantities / [q.scale for q in QUANTITIES]], 1) if config.quantities else pose

@@ -71,18 +71,18 @@ def label_of(T_contact_sensor: np.ndarray) -> np.ndarray:
 
 
 def before_shear(pose: ArrayLike, shear: ArrayLike) -> np.ndarray:
-    """Return the label (6,) from which a shear leads to a pose: the paper's "target minus perturbation".
+    """Return the labels (..., 6) from which shears lead to poses: the paper's "target minus perturbation".
 
     The shear is a motion of the sensor in the contact frame: its apex moves by the first three components, and it turns
     about its apex by the rotation vector of the last three.
 
     Args:
-        pose: (6,), m and rad.
-        shear: (6,), m and rad.
+        pose: (..., 6), m and rad.
+        shear: (..., 6), m and rad.
     """
     pose, shear = np.asarray(pose, float), np.asarray(shear, float)
-    turn = Rotation.from_rotvec(-shear[3:]) * Rotation.from_rotvec(pose[3:])
-    return np.concatenate([pose[:3] - shear[:3], turn.as_rotvec()])
+    turn = Rotation.from_rotvec(-shear[..., 3:]) * Rotation.from_rotvec(pose[..., 3:])
+    return np.concatenate([pose[..., :3] - shear[..., :3], turn.as_rotvec()], -1)
 
 
 def shear_between(start: ArrayLike, pose: ArrayLike) -> np.ndarray:

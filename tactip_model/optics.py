@@ -30,14 +30,14 @@ class Lens:
         self.width = optics.frame_px
         self.centre = (np.array(optics.centre) + optics.drift) * self.width
         self.position = np.array([*optics.camera_offset_m, -design.shape.radius_m - optics.camera_height_m])
-        self._scale = optics.zoom * self.width / REFERENCE_PX
+        self.scale = optics.zoom * self.width / REFERENCE_PX
         pin_tips, _ = neutral_pins(lattice)
         off_axis = np.linalg.norm(plan_positions(lattice.pins) - optics.camera_offset_m, axis=1)
         radii = _odd(off_axis / design.pins.pitch_m) @ optics.neutral_radius
         angle = self.angle_to(pin_tips)
         self.coefficients = np.linalg.lstsq(_odd(angle), radii, rcond=None)[0]
-        self._straight = angle.max()
-        self._slope = float((_odd(self._straight) / self._straight) @ (self.coefficients * [1, 3, 5]))
+        self.straight = angle.max()
+        self.slope = float((_odd(self.straight) / self.straight) @ (self.coefficients * [1, 3, 5]))
 
     def angle_to(self, points: np.ndarray) -> np.ndarray:
         """Return the angles (...), rad, between the axis and the rays to points (..., 3), m, sensor frame."""
@@ -51,8 +51,8 @@ class Lens:
 
     def radius(self, angle: np.ndarray) -> np.ndarray:
         """Return the distance from the image centre, px of the frame, of rays at an angle to the axis, rad."""
-        near = np.minimum(angle, self._straight)
-        return (self._polynomial(near) + self._slope * (angle - near)) * self._scale
+        near = np.minimum(angle, self.straight)
+        return (self._polynomial(near) + self.slope * (angle - near)) * self.scale
 
     def angle(self, radius: np.ndarray) -> np.ndarray:
         """Return the angle to the axis, rad, of rays at a distance from the image centre, px: the inverse of `radius`."""
@@ -80,7 +80,7 @@ class LedRing:
         """Place a design's LEDs and scale the light to its exposure."""
         optics = design.optics
         azimuth = 2 * np.pi * np.arange(optics.leds) / optics.leds
-        self._lamps = np.stack(
+        self.lamps = np.stack(
             [
                 optics.led_ring_radius_m * np.cos(azimuth),
                 optics.led_ring_radius_m * np.sin(azimuth),
@@ -89,17 +89,17 @@ class LedRing:
             1,
         )
         apex = np.array([0.0, 0.0, -design.pins.length_m])
-        self._scale = 255 * optics.exposure / (optics.pin_albedo * self._irradiance(apex, np.array([0.0, 0.0, -1.0])))
+        self.scale = 255 * optics.exposure / (optics.pin_albedo * self._irradiance(apex, np.array([0.0, 0.0, -1.0])))
 
     def _irradiance(self, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
         (x, y, z), (nx, ny, nz) = np.moveaxis(points, -1, 0)[..., None], np.moveaxis(normals, -1, 0)[..., None]
-        right, down, away = self._lamps[:, 0] - x, self._lamps[:, 1] - y, self._lamps[:, 2] - z
+        right, down, away = self.lamps[:, 0] - x, self.lamps[:, 1] - y, self.lamps[:, 2] - z
         distance2 = right * right + down * down + away * away
         return (np.maximum(right * nx + down * ny + away * nz, 0) / (distance2 * np.sqrt(distance2))).sum(-1)
 
     def grey(self, points: np.ndarray, normals: np.ndarray, albedo: float) -> np.ndarray:
         """Return grey levels (...), 0 to 255, of surface points (..., 3) m with unit normals (..., 3) towards the camera."""
-        return np.minimum(self._scale * albedo * self._irradiance(points, normals), 255.0)
+        return np.minimum(self.scale * albedo * self._irradiance(points, normals), 255.0)
 
 
 def pin_radii(design: Design) -> np.ndarray:

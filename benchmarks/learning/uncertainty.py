@@ -17,12 +17,12 @@ from tactip_twin.benchmarks.hardware import machine, machine_text
 from tactip_twin.benchmarks.learning.learning import DESIGN, jobs
 from tactip_twin.benchmarks.options import LearningOptions, UncertaintyOptions
 from tactip_twin.benchmarks.report import table, write_results
-from tactip_twin.learning.augmentation import project_discs
 from tactip_twin.learning.data import Samples, read_samples
 from tactip_twin.learning.evaluate import Evaluation, evaluate
 from tactip_twin.learning.image_check import ImageCheck, image_check
 from tactip_twin.learning.labels import Labels
 from tactip_twin.learning.model import Model, load_network
+from tactip_twin.learning.pin_projection import PinProjection
 from tactip_twin.learning.pose_from_pins import PinModel, most_likely
 from tactip_twin.learning.quantities import QUANTITIES
 from tactip_twin.learning.uncertainty import FORCE_BANDS_N, band_text, uncertainty
@@ -136,8 +136,10 @@ def pin_noise(samples: Samples, size_px: int) -> dict[str, float]:
     design = replace(design, image=replace(design.image, size_px=size_px))
     raster, neutral = Raster(design), neutral_pins(design)
     tips, directions = (part[samples.rows][:_ODD_IMAGES] for part in read_pins(samples.folder, samples.dataset.meta))
-    centres, _ = project_discs(tips, directions, design, size_px)
-    of_neutral, _ = project_discs(neutral[0][None], neutral[1][None], design, size_px)
+    projection = PinProjection(design)
+    centres, of_neutral = (
+        projection.discs(*pins, size_px)[0].numpy() for pins in ((tips, directions), [a[None] for a in neutral])
+    )
     mm_per_px = 1e3 * np.ptp(neutral[0][:, :2], axis=0).mean() / np.ptp(of_neutral[0], axis=0).mean()
     errors, found = [], 0
     for k in range(len(tips)):

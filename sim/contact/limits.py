@@ -4,8 +4,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
 
-from tactip_twin.sim.pose import before_shear, from_mm_deg, sensor_in_contact
+from tactip_twin.sim.pose import before_shear, from_mm_deg
 from tactip_twin.tactip_model.bounds import require
 
 if TYPE_CHECKING:
@@ -40,14 +41,15 @@ def check_motion(pose: np.ndarray, shear: np.ndarray, max_depth_m: float = MAX_D
     require(slide <= MAX_SHEAR_M, "the shear", f"{1e3 * slide:g} mm long", f"at most {1e3 * MAX_SHEAR_M:g} mm")
 
 
-def tilt(label: ArrayLike) -> float:
-    """Return the angle (rad) between the tip's axis and the normal at a pose (6,), m and rad."""
-    return np.arccos(np.clip(-sensor_in_contact(label)[2, 2], -1, 1))
+def tilt(label: ArrayLike) -> np.ndarray:
+    """Return the angles (...), rad, between the tip's axis and the normal at poses (..., 6), m and rad."""
+    turned = Rotation.from_rotvec(np.asarray(label, float)[..., 3:]).as_matrix()
+    return np.arccos(np.clip(turned[..., 2, 2], -1, 1))
 
 
-def exceeds_max_tilt(pose: ArrayLike, shear: ArrayLike) -> bool:
-    """Return whether a pose and a shear (6,), m and rad, exceed the maximum tilt, at the pose or before the shear."""
-    return max(tilt(pose), tilt(before_shear(pose, shear))) > MAX_TILT_RAD
+def exceeds_max_tilt(pose: ArrayLike, shear: ArrayLike) -> np.ndarray:
+    """Return whether poses and shears (..., 6), m and rad, exceed the maximum tilt, at the pose or before the shear."""
+    return np.maximum(tilt(pose), tilt(before_shear(pose, shear))) > MAX_TILT_RAD
 
 
 def check_ranges(pose: "Ranges", shear: "Ranges") -> None:

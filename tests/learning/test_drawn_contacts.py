@@ -1,0 +1,141 @@
+"""Contacts drawn in a training: the learned tip's, with the set's images and ranges, reproducible from the seed."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from helpers.learning_sets import add_pins, write_fake_set
+from helpers.trainings import NET, quiet
+from tactip_twin.learning.checkpoint import read_metrics
+from tactip_twin.learning.configuration import TrainSettings
+from tactip_twin.learning.data import read_samples
+from tactip_twin.learning.drawn_contacts import ContactSource, shipped_tip_for
+from tactip_twin.learning.model import load_model
+from tactip_twin.learning.pin_projection import PinProjection
+from tactip_twin.learning.quantities import QUANTITIES
+from tactip_twin.sim.contact.fidelity import fidelity_named
+from tactip_twin.sim.dataset.configuration import Configuration
+from tactip_twin.sim.dataset.format import read_pins
+from tactip_twin.sim.dataset.generate import Job, make
+from tactip_twin.sim.dataset.sampling import POSE_RANGES, Ranges
+from tactip_twin.sim.fast_tip.fast_contacts import FastContacts
+from tactip_twin.sim.fast_tip.fast_tip import read_fast_tip, shipped_fast_tip
+from tactip_twin.sim.pose import from_mm_deg
+from tactip_twin.tactip_model.errors import Interrupted, TactipError
+from tactip_twin.tactip_model.presets import load_design
+from tactip_twin.tactip_model.raster_renderer import Raster
+
+SHEAR = Ranges(x_mm=(-5, 5), y_mm=(-5, 5), yaw_deg=(-5, 5))
+"""Without tilts, so that the learned quantities name the whole motion."""
+
+
+@pytest.fixture(scope="module")
+def samples(tmp_path_factory):
+    """A set of edges that the learned tip predicts."""
+    path = shipped_fast_tip("edge", "tactip-127")
+    configuration = Configuration(
+        task="edge",
+        split="train",
+        samples=24,
+        seed=0,
+        renderer="raster",
+        design=load_design("tactip-127"),
+        fidelity=fidelity_named("standard"),
+        pose=POSE_RANGES["edge"],
+        shear=SHEAR,
+        fast_tip=read_fast_tip(path).digest,
+    )
+    folder = tmp_path_factory.mktemp("drawn") / "set"
+    make([Job(configuration, folder, path)], 1, log=lambda line: None)
+    return read_samples(folder)
+
+
+@pytest.fixture(scope="module")
+def source(samples):
+    return ContactSource(samples, shipped_tip_for(samples))
+
+
+def test_drawn_contacts_are_those_of_the_learned_tip(samples, source):
+    """Predicted again from their labels and shears, they have the same pins and forces."""
+    drawn = source.draw(20, np.random.default_rng(1))
+    names = [q.name for q in QUANTITIES]
+    zero = np.zeros(20)
+    x, z, roll, pitch, yaw = drawn.targets.T
+    shear_x, shear_y, shear_yaw = drawn.quantities[:, :3].T
+    poses = from_mm_deg(np.stack([x, zero, z, roll, pitch, yaw], 1))
+    shears = from_mm_deg(np.stack([shear_x, shear_y, zero, zero, zero, shear_yaw], 1))
+    contacts, trusted = FastContacts(shipped_tip_for(samples), load_design("tactip-127")).predict(poses, shears)
+    assert trusted.all()
+    np.testing.assert_allclose([c.pin_tips for c in contacts], drawn.pin_tips, atol=1e-9)
+    forces = drawn.quantities[:, names.index("force_x_N") : names.index("force_z_N") + 1]
+    np.testing.assert_allclose([c.force_n for c in contacts], forces, atol=1e-6)
+    low, high = POSE_RANGES["edge"].bounds()[[0, 2, 3, 4, 5]].T
+    assert ((drawn.targets >= low) & (drawn.targets <= high)).all()
+
+
+def test_draw_follows_its_generator(source):
+    first, again, other = (source.draw(5, np.random.default_rng(seed)) for seed in (3, 3, 4))
+    assert torch.equal(first.images, again.images)
+    assert np.array_equal(first.targets, again.targets)
+    assert not np.array_equal(first.targets, other.targets)
+
+
+def test_images_are_those_of_the_set(samples, source):
+    """From the same pins, byte for byte; and by torch, as on a GPU, but for single pixels at the threshold."""
+    tips, directions = read_pins(samples.folder, samples.dataset.meta)
+    assert np.array_equal(source.raster.render(tips, directions).numpy(), samples.images)
+    different = source.raster.render_in_torch(tips, directions).numpy() != samples.images
+    assert different.sum() <= 3
+
+
+def test_projection_agrees_with_renderer(samples):
+    tips, directions = (a.astype(float) for a in read_pins(samples.folder, samples.dataset.meta))
+    raster, projection = Raster(load_design("tactip-127")), PinProjection(load_design("tactip-127"))
+    for ours, theirs in zip(
+        projection.ellipses(torch.from_numpy(tips), torch.from_numpy(directions)),
+        raster.ellipses(tips, directions),
+        strict=True,
+    ):
+        np.testing.assert_allclose(ours.numpy(), theirs, atol=1e-9)
+
+
+def test_train_on_drawn_contacts_is_resumable(samples, tmp_path):
+    """Every epoch has contacts of its own, also after an interruption; the model names the tip that drew them."""
+
+    def stop(history):
+        if len(history) == 2:
+            raise KeyboardInterrupt
+        return False
+
+    settings = TrainSettings(epochs=3, learning_rate=1e-3, augmented_fraction=0.5, drawn_contacts=20)
+    net = replace(NET, quantities=True, deviations=True, downsample=4)
+    quiet(samples, samples, net, settings, tmp_path / "whole")
+    with pytest.raises(Interrupted):
+        quiet(samples, samples, net, settings, tmp_path / "cut", should_prune=stop)
+    quiet(samples, samples, net, settings, tmp_path / "cut")
+    quiet(samples, samples, net, replace(settings, drawn_contacts=0), tmp_path / "plain")
+    losses = [[h["loss"] for h in read_metrics(tmp_path / name)] for name in ("whole", "cut", "plain")]
+    assert losses[0] == losses[1]
+    assert losses[0] != losses[2]
+    assert load_model(tmp_path / "whole").provenance["fast_tip"] == shipped_tip_for(samples).digest
+    other = replace(shipped_tip_for(samples), max_spread_m=1e-4)
+    with pytest.raises(TactipError, match="fast_tip"):
+        quiet(samples, samples, net, settings, tmp_path / "whole", tip=other)
+
+
+def test_contacts_that_no_tip_can_draw_raise(samples, tmp_path):
+    imported = read_samples(write_fake_set(tmp_path / "imported", samples=2))
+    with pytest.raises(TactipError, match="has no pins: set drawn_contacts to 0"):
+        ContactSource(imported, shipped_tip_for(samples))
+    folder = write_fake_set(tmp_path / "curved", samples=2, size=128, curvature_per_m=(-10.0, 10.0))
+    add_pins(folder, np.zeros((2, 127, 3)), np.zeros((2, 127, 3)))
+    with pytest.raises(TactipError, match=r"but the set in .* has curved surfaces: set drawn_contacts to 0"):
+        ContactSource(read_samples(folder), shipped_tip_for(samples))
+    surface = read_fast_tip(shipped_fast_tip("surface", "tactip-127"))
+    with pytest.raises(TactipError, match="must be for 'edge', got one for 'surface'"):
+        ContactSource(samples, surface)
+    impossible = replace(shipped_tip_for(samples), max_spread_m=0.0)
+    with pytest.raises(TactipError, match="hardly any of those in the set's ranges"):
+        ContactSource(samples, impossible).draw(2, np.random.default_rng(0))
