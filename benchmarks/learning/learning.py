@@ -66,6 +66,21 @@ _LAST_TRAINING = {
 _FAST_EPOCHS: dict[Task, int] = {"surface": 8, "edge": 14}
 """Number of epochs on predicted contacts; surfaces need fewer [?]."""
 
+_DRAWN_TRAINING = {
+    "epochs": 30,
+    "min_steps": 0,
+    "learning_rate": 2e-3,
+    "muon_learning_rate": 0.02,
+    "drawn_contacts": 16384,
+}
+"""Training on contacts that are drawn anew at every epoch: rates of twice the batch [?]."""
+
+_DRAWN_SET = 500
+"""Number of contacts of the set that names the ranges of drawn ones."""
+
+WIDE_PX = 256
+"""Width of the images of the row `laptop-256px`, whose pins are known to half the noise of 128 px (docs/uncertainty.md)."""
+
 _CURVED_EPOCHS = 4
 """Number of epochs on curved surfaces [?]."""
 
@@ -120,7 +135,7 @@ class Row:
     what: str
     """Description in the tables."""
     kind: str
-    """Training set: plain, symmetric, large, fast, snapshots, taps or curved."""
+    """Training set: plain, symmetric, large, fast, snapshots, taps, curved or 256px."""
     recipe: Recipe
     """Network and training."""
     init_from: str = ""
@@ -153,6 +168,9 @@ def rows(task: Task, paper: bool) -> list[Row]:
     out.append(
         Row("laptop-contact", "`laptop-fast` fine-tuned with images of the undeformed tip", "fast", last, "laptop-fast")
     )
+    wide = Recipe(replace(laptop.network, downsample=4, batch_size=64), replace(laptop.settings, **_DRAWN_TRAINING))
+    what = f"recipe `laptop` on images of {WIDE_PX} px, on contacts that the learned tip draws anew at every epoch"
+    out.append(Row("laptop-256px", what, "256px", wide))
     if task == "surface":
         curved = replace(tuned, settings=replace(tuned.settings, epochs=_CURVED_EPOCHS, min_steps=0))
         out.append(Row("laptop-curved", f"`{start}` fine-tuned on curved surfaces", "curved", curved, start))
@@ -178,6 +196,10 @@ def jobs(options: LearningOptions, kinds: Collection[str]) -> list[Job]:
     if "fast" in kinds:
         wanted += [_Wanted("fast", "train", options.fast_images, light, SHEAR_RANGES, _FAST_SEED)]
         wanted += [_Wanted("fast", "val", options.test_contacts, light, SHEAR_RANGES, _FAST_VAL_SEED)]
+    if "256px" in kinds:
+        wanted += [_Wanted("256px", "train", _DRAWN_SET, light, SHEAR_RANGES, _FAST_SEED)]
+        wanted += [_Wanted("256px", "val", options.test_contacts, light, SHEAR_RANGES, _FAST_VAL_SEED)]
+        wanted += [_Wanted("256px", "test", options.test_contacts, usual, SHEAR_RANGES)]
     if {"plain", "symmetric", "large", "snapshots"} & set(kinds):
         wanted += [_Wanted("plain", "val", options.test_contacts, usual, SHEAR_RANGES)]
     if "snapshots" in kinds:
@@ -219,20 +241,23 @@ def _job(options: LearningOptions, wanted: _Wanted) -> Job:
     augmented = (kind, split) in (("symmetric", "train"), ("fast", "train"), ("curved", "train"))
     tip: Path | None = None
     digest = ""
-    if (kind, split) == ("fast", "train"):
+    if (kind, split) in (("fast", "train"), ("256px", "train")):
         tip = shipped_fast_tip(task, DESIGN)
         digest = read_fast_tip(tip).digest
     elif (kind, split) == ("curved", "train"):
         tip = shipped_sliding_tip(task, DESIGN)
         digest = read_sliding_tip(tip).digest
+    design = load_design(DESIGN)
+    if kind == "256px":
+        design = replace(design, image=replace(design.image, size_px=WIDE_PX))
     configuration = Configuration(
         task=task,
         split=split,
         samples=wanted.samples,
         seed=wanted.seed,
         # OpenGL takes longer for eight images than the contact itself. Test sets are rendered by it nevertheless.
-        renderer="raster" if augmented else "pyrender",
-        design=load_design(DESIGN),
+        renderer="raster" if augmented or (kind, split) in (("256px", "train"), ("256px", "val")) else "pyrender",
+        design=design,
         fidelity=fidelity_named(FIDELITY),
         pose=wanted.pose,
         shear=wanted.shear,
@@ -265,7 +290,7 @@ class Sets:
         Raises:
             TactipError: A set is missing or damaged.
         """
-        if kind in ("taps", "curved", "fast"):
+        if kind in ("taps", "curved", "fast", "256px"):
             return read_splits(self._folder(kind))
         if kind == "snapshots":
             return read_samples(self._folder(kind) / "train"), read_samples(self._folder("plain") / "val")
@@ -279,8 +304,10 @@ class Sets:
         }[kind]
         return self._large.take(chosen), read_samples(self._folder("plain") / "val")
 
-    def tests(self) -> dict[str, Samples]:
-        """Return test samples by kind of contact. Raises TactipError if a set is missing or damaged."""
+    def tests(self, kind: str) -> dict[str, Samples]:
+        """Return test samples by kind of contact, for a row of a kind. Raises TactipError if a set is missing or damaged."""
+        if kind == "256px":
+            return {"sheared": read_samples(self._folder(kind) / "test")}
         kinds = {"sheared": "plain", "light": "light", "taps": "taps"} | (
             {"curved": "curved"} if self._options.task == "surface" else {}
         )
@@ -306,7 +333,6 @@ def run(options: LearningOptions, log: Callable[[str], None] = print) -> dict[st
         chosen = {name: lookup("row", name, chosen) for name in options.only}
     make(jobs(options, {row.kind for row in chosen.values()}), worker_count(options.workers), log)
     sets = Sets(options)
-    tests = sets.tests()
     record = {"test_contacts": options.test_contacts, "rows": _other_rows(options)}
     for row in chosen.values():
         folder = options.runs / options.task / row.name
@@ -316,7 +342,7 @@ def run(options: LearningOptions, log: Callable[[str], None] = print) -> dict[st
         initial = load_network(earlier if row.init_from in order else row.init_from) if row.init_from else None
         history = train(training, validation, row.recipe.network, row.recipe.settings, folder, log=log, init_from=initial)
         model = load_model(folder)
-        figures = {name: evaluate(model, samples).figures for name, samples in tests.items()}
+        figures = {name: evaluate(model, samples).figures for name, samples in sets.tests(row.kind).items()}
         measured = {
             "name": row.name,
             "what": row.what,
@@ -398,7 +424,8 @@ def relative_error(row: Mapping[str, Any], task: str) -> float:
 def plot(whole: Mapping[str, Any], path: Path) -> None:
     """Plot error against latency of the networks, one panel per task, into a PNG file."""
     figure, axes = figure_of(1, len(whole), (6 * len(whole), 4.2))
-    colors = dict(zip(("plain", "taps", "symmetric", "large", "curved", "snapshots", "fast"), COLORS, strict=False))
+    kinds = ("plain", "taps", "symmetric", "large", "curved", "snapshots", "fast", "256px")
+    colors = dict(zip(kinds, (*COLORS, "0.5"), strict=True))
     box = {"fc": "white", "ec": "none", "pad": 0.5}
     for axis, (task, record) in zip(axes, whole.items(), strict=True):
         best = min(relative_error(row, task) for row in record["rows"])

@@ -26,7 +26,7 @@ from tactip_twin.learning.checkpoint import METRICS, read_metrics, with_new_defa
 from tactip_twin.learning.configuration import PoseNetConfig, SearchSpace, TrainSettings, TuneSettings
 from tactip_twin.learning.data import read_samples, read_splits
 from tactip_twin.learning.evaluate import evaluate
-from tactip_twin.learning.model import load_model
+from tactip_twin.learning.model import WEIGHTS, load_model
 from tactip_twin.learning.train import train
 from tactip_twin.learning.tune import read_results as read_results_of
 from tactip_twin.learning.tune import tune
@@ -150,14 +150,15 @@ def long_trainings(
             pairs = zip(networks, folders.values(), strict=True)
             for one in [pool.submit(_train_one, data, *pair, LONG_TRAINING) for pair in pairs]:
                 one.result()
-    test = None if options.page_only else read_samples(folder_of(options, "test") / "test")
+    where = folder_of(options, "test") / "test"
+    test = None if options.page_only and not where.exists() else read_samples(where)
     out = []
     for k, folder in folders.items():
         history = read_metrics(folder) if (folder / METRICS).exists() else []
         if history:
             best = min(h["val_loss"] for h in history)
             out.append({"rank": k + 1, "trial": good[k]["trial"], "epochs": len(history), "val_loss": best})
-        if history and test is not None:
+        if history and test is not None and (folder / WEIGHTS).exists():
             out[-1]["mae"] = evaluate(load_model(folder), test).figures["mae"]
     return out
 

@@ -140,6 +140,7 @@ def test_tune_command_killed_resumes_to_same_results(data, tmp_path):
     assert without_seconds(read_results(killed, COMMAND_SPACE)) == without_seconds(read_results(whole, COMMAND_SPACE))
 
 
+@pytest.mark.slow
 def test_tune_command_two_jobs_runs_all_trials(data, tmp_path):
     subprocess.run(search_command(data, tmp_path / "two", "--jobs", "2"), check=True, capture_output=True)
     assert sorted(r["trial"] for r in read_results(tmp_path / "two", COMMAND_SPACE)) == [0, 1, 2]

@@ -17,7 +17,7 @@ from tactip_twin.tactip_model.errors import TactipError
 TINY = Recipe(PoseNetConfig(conv_layers=1, filters=2, dense_units=4, batch_size=8), TrainSettings(epochs=1))
 
 
-KINDS = ("plain", "symmetric", "large", "fast", "snapshots", "taps", "curved")
+KINDS = ("plain", "symmetric", "large", "fast", "snapshots", "taps", "curved", "256px")
 
 
 @pytest.fixture
@@ -25,6 +25,7 @@ def options(tmp_path, monkeypatch):
     """Small options, with made-up sets and tiny networks."""
     monkeypatch.setattr(learned, "make", lambda jobs, workers, log: None)
     monkeypatch.setattr(learned, "rows", _tiny)
+    monkeypatch.setattr(learned, "_DRAWN_SET", 8)
     folders = {name: tmp_path / name for name in ("data", "runs", "out")}
     options = LearningOptions(
         **folders,
@@ -54,8 +55,12 @@ def test_sets_have_the_sizes_and_ranges_of_the_options():
     jobs = {
         (j.folder.parts[-3], j.folder.parts[-1]): j.configuration for j in learned.jobs(LearningOptions(task="edge"), KINDS)
     }
-    tests = {(kind, split) for kind in ("plain", "taps") for split in ("val", "test")} | {("light", "test"), ("fast", "val")}
-    assert set(jobs) == tests | {("taps", "train"), ("symmetric", "train"), ("fast", "train"), ("snapshots", "train")}
+    tests = {(kind, split) for kind in ("plain", "taps", "256px") for split in ("val", "test")}
+    tests |= {("light", "test"), ("fast", "val")}
+    assert set(jobs) == tests | {(kind, "train") for kind in ("taps", "symmetric", "fast", "snapshots", "256px")}
+    wide = jobs["256px", "train"]
+    assert (wide.design.image.size_px, jobs["256px", "test"].design.image.size_px) == (256, 256)
+    assert (wide.samples, wide.fast_tip, wide.pose) == (500, jobs["fast", "train"].fast_tip, jobs["fast", "train"].pose)
     assert jobs["symmetric", "train"].samples == 16000
     predicted = jobs["fast", "train"]
     assert predicted.fast_tip == read_fast_tip(shipped_fast_tip("edge", "tactip-127")).digest
@@ -116,8 +121,10 @@ def test_fine_tuned_networks_have_the_shape_of_their_initial_weights():
 
 
 def test_page_is_written_and_finished_trainings_are_kept(options):
+    kinds = ("laptop-plain", "laptop-taps", "laptop", "laptop-256px", "laptop-curved")
+    options = replace(options, only=kinds)
     first = learned.run(options, log=lambda line: None)
-    assert [r["name"] for r in first["rows"]] == [r.name for r in learned.rows("surface", False)]
+    assert [r["name"] for r in first["rows"]] == list(kinds)
     page = (options.out / "learning.md").read_text()
     assert "not sheared (`laptop-taps`) | flat, sheared |" in page and "curved, sheared (`laptop-curved`) | flat" in page
     assert f"{first['rows'][0]['mae']['sheared']['pose_z']:.3f}" in page

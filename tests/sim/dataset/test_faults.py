@@ -13,7 +13,7 @@ from tactip_twin.commands import main as tactip
 from tactip_twin.sim.parallel.file_lock import locked
 
 
-@pytest.mark.parametrize("workers", [1, 2])
+@pytest.mark.parametrize("workers", [pytest.param(1, marks=pytest.mark.slow), 2])
 def test_make_killed_run_is_resumed_to_the_same_bytes(whole, tmp_path, workers):
     folder = tmp_path / "killed"
     process = subprocess.Popen(make(folder, workers=workers), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)

@@ -128,7 +128,7 @@ def test_unfinished_shard_is_closed_on_resuming(copy, whole, capsys):
     assert contents(copy) == contents(whole)
 
 
-@pytest.mark.parametrize("before", [3, 4, 6])
+@pytest.mark.parametrize("before", [3, pytest.param(4, marks=pytest.mark.slow), 6])
 def test_set_grows_from_one_folder_or_fewer_shards(whole, tmp_path, before):
     assert tactip.main(options(tmp_path / "set", samples=before)) == 0
     assert (tmp_path / "set" / "targets.csv").exists() == (before <= SHARD)
@@ -136,7 +136,7 @@ def test_set_grows_from_one_folder_or_fewer_shards(whole, tmp_path, before):
     assert contents(tmp_path / "set") == contents(whole)
 
 
-@pytest.mark.parametrize("moved", [1, 2, 4])
+@pytest.mark.parametrize("moved", [1, *(pytest.param(k, marks=pytest.mark.slow) for k in (2, 4))])
 def test_growth_that_is_killed_while_it_moves_goes_on(whole, tmp_path, monkeypatch, capsys, moved):
     folder = tmp_path / "set"
     assert tactip.main(options(folder, samples=3)) == 0
