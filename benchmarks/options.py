@@ -190,8 +190,8 @@ class SearchOptions:
     jobs: int = 2
     """Number of simultaneous trainings."""
     page_only: bool = False
-    """Only write the page of what has been done so far; make no sets and train nothing. Networks are evaluated if the test set
-    is there."""
+    """Only write the page of what has been done so far; make no sets and train nothing. Networks are evaluated if the test
+    set is there."""
     contacts: int = 2000
     """Number of training contacts of the search, which the learned tip predicts."""
     long_contacts: int = 5000
