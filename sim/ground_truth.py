@@ -1,7 +1,8 @@
 """True labels of a sensor on an object, used to score a servo and to label sliding contacts (sim/dataset/sliding.py).
 
 On a curved object the local contact frame has its z along the surface normal at the point nearest to the apex, so depth is
-the distance of the undeformed apex below the surface.
+the distance of the undeformed apex below the surface. In a wall thinner than twice the depth, the nearest point may lie on
+the far side; then the frame is at the point of the near side whose normal runs through the apex.
 """
 
 from typing import TYPE_CHECKING, Protocol
@@ -36,18 +37,37 @@ class SurfaceGroundTruth:
 
     def frame(self, T_object_sensor: np.ndarray) -> np.ndarray:
         """Return T_object_contact (4, 4) of a sensor (4, 4): z is the normal, rotated about it so that yaw is zero."""
-        apex = T_object_sensor[:3, 3]
-        at = self._solid.nearest(apex[None])
-        normal = self._solid.smooth_normal(apex[None])[0]
+        place, normal, _ = self._foot(T_object_sensor)
         axis = T_object_sensor[:3, 2]
-        return matrix(at.place[0], shortest_turn(axis, -normal) * Rotation.from_matrix(T_object_sensor[:3, :3] @ FACING))
+        return matrix(place, shortest_turn(axis, -normal) * Rotation.from_matrix(T_object_sensor[:3, :3] @ FACING))
 
     def label(self, T_object_sensor: np.ndarray) -> np.ndarray:
         """Return the label (6,), m and rad, of a sensor (4, 4). x, y and yaw are zero: a surface does not define them."""
         label = label_of(inverse(self.frame(T_object_sensor)) @ T_object_sensor)
-        label[2] = float(self._solid.distance(T_object_sensor[:3, 3]))
+        label[2] = self._foot(T_object_sensor)[2]
         label[:2] = label[5] = 0.0
         return label
+
+    def _foot(self, T_object_sensor: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+        """Return the point (3,) of the surface below the apex, its normal (3,), and the apex's height above it, m."""
+        apex, axis = T_object_sensor[:3, 3], T_object_sensor[:3, 2]
+        at, normal = self._solid.nearest(apex[None]), self._solid.smooth_normal(apex[None])[0]
+        if normal @ axis <= 0 or at.distance[0] >= 0:
+            return at.place[0], normal, float(at.distance[0])
+        # The nearest point is on the far side of a wall. Seen from outside, on the normal that runs through the apex, the
+        # near side is nearest; that normal is a fixed point.
+        normal = -axis
+        for _ in range(_FOOT_ROUNDS):
+            outside = (apex + _OUTSIDE_M * normal)[None]
+            at, normal = self._solid.nearest(outside), self._solid.smooth_normal(outside)[0]
+        return at.place[0], normal, float((apex - at.place[0]) @ normal)
+
+
+_OUTSIDE_M = 10e-3
+"""Distance from the apex at which a point is outside of a wall that the tip presses, m: more than any depth [?]."""
+
+_FOOT_ROUNDS = 10
+"""Number of rounds of the fixed point; each leaves a third of the error or less on ridges of more than 5 mm radius."""
 
 
 class EdgeGroundTruth:
