@@ -130,6 +130,8 @@ class ContourFollower:
         """Stretches of the route that were not followed."""
         self.events: list[Event] = []
         """Events so far."""
+        self.peak_force_n = 0.0
+        """Maximum force on the tip so far, also within a step, N."""
         self.stopped_because = ""
         """Reason why the run ended; empty until then."""
 
@@ -328,7 +330,8 @@ class ContourFollower:
 
     def _danger(self) -> tuple[str, str] | None:
         """Return kind and description of a failure that could cause damage, whatever the estimate, or None."""
-        force, limit = float(np.linalg.norm(self._touch.force)), self._settings.max_force_n
+        touch, limit = self._touch, self._settings.max_force_n
+        force = touch.peak_force_n if touch.moved_back else float(np.linalg.norm(touch.force))
         if force > limit:
             return "force", f"{force:.1f} N on the tip (at most {limit:g} N)"
         if self._touch.clearance_m < 0:
@@ -371,6 +374,7 @@ class ContourFollower:
         start = self._clock()
         try:
             self._touch = self._mounted_tip.go(T, self._settings.max_force_n)
+            self.peak_force_n = max(self.peak_force_n, self._touch.peak_force_n)
         except Unreachable as error:
             raise Obstacle("unreachable", str(error)) from error
         except Diverged as error:

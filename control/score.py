@@ -39,7 +39,8 @@ def score(
         targets: (m, 3), target points, base frame, m.
 
     Mean errors are over the steps of the phase `follow`: depth and, along an edge, x, of the true label against the
-    reference; angle between the sensor's axis and the true normal. The maximum force is that of all steps.
+    reference; angle between the sensor's axis and the true normal. The maximum force is that of all steps, at rest;
+    the peak includes what was between them.
     """
     following = arrays["phase"] == PHASES.index("follow")
     true, predicted = to_mm_deg(arrays["true"][following]), to_mm_deg(arrays["predicted"][following])
@@ -67,6 +68,7 @@ def score(
         "closed": record["closed"],
         "force_mean_n": mean_or_none(force[following]),
         "force_max_n": float(force.max()) if len(force) else None,
+        "force_peak_n": record.get("peak_force_n"),
         "penetration_max_mm": float(1e3 * penetration.max()) if len(penetration) else None,
         "penetration_within_bound": mean_or_none(penetration <= QualityLimits().while_sliding().penetration_m),
         "steps_simulated": int((arrays["sim_steps"] > 0).sum()),
@@ -103,7 +105,9 @@ def summary(figures: Mapping[str, Any]) -> list[str]:
         if errors["steps"]:
             lines.append(f"  {name} ({errors['steps'] / figures['steps_followed']:.0%} of the steps): {mean(errors)}")
     if figures["force_max_n"] is not None:
-        lines.append(f"force: at most {figures['force_max_n']:.1f} N")
+        peak = figures.get("force_peak_n")
+        within = "" if peak is None else f", {peak:.1f} N within a step"
+        lines.append(f"force: at most {figures['force_max_n']:.1f} N{within}")
     if figures["penetration_within_bound"] is not None:
         lines.append(f"penetration within its bound: {figures['penetration_within_bound']:.1%} of the simulated steps")
     lines.append(f"events: {events_text(figures['events'])}")

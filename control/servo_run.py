@@ -85,6 +85,7 @@ def run_servo(
     outcome = {
         "closed": setup.route.closed,
         "stopped_because": follower.stopped_because,
+        "peak_force_n": follower.peak_force_n,
         "left_out": [dataclasses.asdict(stretch) for stretch in follower.left_out],
         "warnings": setup.mounted_tip.warnings,
     }

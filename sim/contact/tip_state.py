@@ -28,6 +28,10 @@ class TipState:
     """Number of time steps since the previous state."""
     clearance_m: float = np.inf
     """Distance from the sensor's rigid housing to the object, m; negative inside."""
+    peak_force_n: float = 0.0
+    """Maximum force on the tip during the motion that led here, N; 0 without a motion."""
+    moved_back: bool = False
+    """Whether the arm moved back on that motion, because the force was too high."""
 
 
 def read_tip_state(scene: Scene, reader: PinReader, steps: int = 0, clearance_m: float = np.inf) -> TipState:

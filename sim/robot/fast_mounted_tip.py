@@ -4,6 +4,8 @@ The arm model takes the force of the tip's last state throughout a motion, at th
 prediction only tells the force at the end.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -19,6 +21,9 @@ from tactip_twin.sim.pose import inverse
 from tactip_twin.sim.robot.arm_models import ArmModel
 from tactip_twin.sim.robot.mounted_tip import TipOnArm, check_force
 from tactip_twin.tactip_model.design import Design
+
+_BACK_OFF = (0.75, 0.5, 0.25, 0.0)
+"""Fractions of a motion to which the arm moves back, one after the other, while the force is too high."""
 
 
 class FastMountedTip(TipOnArm):
@@ -62,17 +67,31 @@ class FastMountedTip(TipOnArm):
         return inverse(self.T_base_object) @ self.arm_model.pose
 
     def go(self, T_base_tcp: np.ndarray, max_force_n: float = np.inf) -> TipState:
-        """Move to a pose and settle there: see TipOnArm. The arm does not stop on its way, because forces on it are
-        unknown."""
-        motion, force = self._motion, self.arm_model.pose[:3, :3] @ self.sliding.contact.force_n
+        """Move to a pose and settle there: see TipOnArm. Forces on the way are unknown, so the arm moves back from the end
+        of its path where the force there is too high."""
+        motion, limit = self._motion, max(max_force_n, self._force_n())
         fractions = self._set_target(T_base_tcp, motion.shear_step_m, 1.0)
-        for fraction in (*fractions, *[1.0] * motion.pause_steps):
-            self.arm_model.advance(fraction, motion.step_s, force, np.zeros(3))
         with counted_warnings() as messages:
-            self.sliding.move(self._sensor())
+            self._move(fractions)
+            peak_n = self._force_n()
+            for back in _BACK_OFF:
+                if self._force_n() <= limit:
+                    break
+                self._move(fractions[: 1 + int(back * (len(fractions) - 1))][-1:])
         check_force(self.sliding.contact.force_n)
         self.warnings += len(messages)
-        return self.tip_state()
+        return replace(self.tip_state(), peak_force_n=peak_n, moved_back=peak_n > limit)
+
+    def _force_n(self) -> float:
+        """Return the magnitude of the contact force, N."""
+        return float(np.linalg.norm(self.sliding.contact.force_n))
+
+    def _move(self, fractions: np.ndarray) -> None:
+        """Move the arm through fractions (n,) of its path, settle at the last one, and predict the tip there."""
+        motion, force = self._motion, self.arm_model.pose[:3, :3] @ self.sliding.contact.force_n
+        for fraction in (*fractions, *[fractions[-1]] * motion.pause_steps):
+            self.arm_model.advance(fraction, motion.step_s, force, np.zeros(3))
+        self.sliding.move(self._sensor())
 
     def tip_state(self) -> TipState:
         """Return the tip's present state."""

@@ -5,6 +5,7 @@ cost several times as much per step. The arm model (sim/robot/arm_models.py) giv
 """
 
 from abc import ABC, abstractmethod
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -200,24 +201,30 @@ class MountedTip(TipOnArm):
         self._steps_since_read = 0
 
     def go(self, T_base_tcp: np.ndarray, max_force_n: float = np.inf) -> TipState:
-        """Move to a pose and settle there: see TipOnArm."""
+        """Move to a pose and settle there: see TipOnArm. Where it stops, the arm moves back along its path until the force
+        is below the limit, as industrial arms do after a collision."""
         motion, limit = self._motion, max(max_force_n, self._force_n())
         near = self.scene.data.ncon or self.gap(T_base_tcp) < _CLEAR_M
         fractions = self._set_target(T_base_tcp, motion.shear_step_m if near else motion.press_step_m, self._pace)
+        path, reached, peak_n, moved_back = [0.0, *fractions], 0, 0.0, False
         with counted_warnings() as messages:
             self.scene.stiffen(resting=False)
-            fraction = 0.0
-            for fraction in fractions:
-                self._step(fraction)
-                if self._force_n() > limit:
-                    break
+            while reached + 1 < len(path) and peak_n <= limit:
+                reached += 1
+                self._step(path[reached])
+                peak_n = max(peak_n, self._force_n())
+            stopped = peak_n > limit
             self.scene.stiffen(resting=True)
             for k in range(self._settle_steps + _MAX_EXTRA_STEPS):
-                if k >= self._settle_steps and self.scene.penetration() <= _MAX_PENETRATION_M:
+                too_high = stopped and self._force_n() > limit
+                if k >= self._settle_steps and not too_high and self.scene.penetration() <= _MAX_PENETRATION_M:
                     break
-                self._step(fraction)
+                if too_high:
+                    reached, moved_back = max(reached - 1, 0), True
+                self._step(path[reached])
+                peak_n = max(peak_n, self._force_n())
         self.warnings += len(messages)
-        return self.tip_state()
+        return replace(self.tip_state(), peak_force_n=peak_n, moved_back=moved_back)
 
     def tip_state(self) -> TipState:
         """Return the tip's present state. Raises Diverged."""

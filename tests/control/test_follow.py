@@ -20,9 +20,11 @@ from tactip_twin.learning.labels import Labels
 from tactip_twin.learning.pose_filter import PoseFilter
 from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.contact.simulator import Diverged
+from tactip_twin.sim.fast_tip.sliding_tip import read_sliding_tip, shipped_sliding_tip
 from tactip_twin.sim.ground_truth import EdgeGroundTruth, SurfaceGroundTruth
 from tactip_twin.sim.pose import from_mm_deg, inverse, sensor_in_contact, to_mm_deg
 from tactip_twin.sim.robot.arm_models import arm_model_named
+from tactip_twin.sim.robot.fast_mounted_tip import FastMountedTip
 from tactip_twin.sim.robot.irb120 import Unreachable
 from tactip_twin.sim.robot.mounted_tip import MountedTip
 from tactip_twin.sim.robot.objects import Edge, load_object
@@ -239,6 +241,28 @@ def test_follower_beyond_the_border_of_the_object_leaves_the_rest_out():
     assert follower.left_out[-1].from_mm < 12
 
 
+@pytest.mark.parametrize("fidelity", ["draft", "fast"])
+def test_arm_moves_back_where_the_force_is_too_high(fidelity):
+    """A press of 5 mm on a plane, of some 5 N, is stopped at 2 N; one of 1 mm is not."""
+    world = World(profiled_block([(-60, 0), (60, 0)]), arm="dynamic")
+    tip = world.mounted_tip
+    if fidelity == "fast":
+        sliding = read_sliding_tip(shipped_sliding_tip("surface", "tactip-127"))
+        solid, T = world.scene_object.solid, world.scene_object.T_base_object
+        standard = fidelity_named("standard")
+        tip = FastMountedTip(sliding, load_design("tactip-127"), solid, standard, world.arm_model, T, world.truth)
+    tip.reset_to(world.start([0, 0, 0]))
+    for depth_mm, limit_n in ((1, 2.0), (5, 2.0), (1, 0.1)):
+        state = tip.go(world.start([0, 0, 0], -depth_mm), limit_n)
+        force = np.linalg.norm(state.force)
+        assert state.peak_force_n >= force - 1e-9
+        assert state.moved_back == (depth_mm == 5)
+        if state.moved_back:
+            assert 0.5 < force <= 1.05 * limit_n < state.peak_force_n
+    # A motion that only lowers the force is no reason to stop, whatever the limit.
+    assert 0.1 < force < 0.7
+
+
 def beside(world, x_m, length_m):
     """Return a straight path from a place x_m off the middle of an object."""
     start = world.scene_object.T_base_object[:3, 3] + [x_m, 0, 0]
@@ -256,8 +280,9 @@ def test_follower_lifts_over_a_wall_and_continues_behind_it():
     places = np.array([s.T_base_tcp[0, 3] - world.scene_object.T_base_object[0, 3] for s in following])
     assert places.min() < -0.03
     assert places.max() > 0.035
-    # The arm stops at the limit; at the pace of this fidelity the force overshoots.
-    assert max(np.linalg.norm(s.touch.force) for s in world.steps) < 6.0
+    # The arm stops at the limit and moves back; at the pace of this fidelity the force overshoots within a step.
+    assert max(np.linalg.norm(s.touch.force) for s in world.steps) < 3.3
+    assert follower.peak_force_n < 6.0
     assert 10 < sum(stretch.to_mm - stretch.from_mm for stretch in follower.left_out) < 60
     assert len(following) > 20
 
@@ -357,7 +382,8 @@ def test_follower_search_without_detection_stops_at_the_force_limit():
     assert follower.events[0].kind == "force"
     assert follower.events[0].what.startswith("no contact detected in the image, but ")
     forces = [np.linalg.norm(s.touch.force) for s in world.steps]
-    assert 2.0 < max(forces) < 3.0
+    assert 1.0 < max(forces) < 2.1
+    assert 2.0 < follower.peak_force_n < 3.0
     assert follower.left_out[-1].to_mm == pytest.approx(12)
 
 
