@@ -8,6 +8,7 @@ import numpy as np
 from tactip_twin.control.reach import fits, touchable
 from tactip_twin.control.score import COVERED_M, angles_to_normal_deg, contact_places, coverage, mean_or_none
 from tactip_twin.sim.contact.signed_distance import SignedDistanceMesh
+from tactip_twin.sim.ground_truth import SurfaceGroundTruth
 from tactip_twin.sim.robot.objects import SceneObject
 from tactip_twin.sim.robot.recording import PHASES
 
@@ -46,8 +47,8 @@ def surface_score(
     places, true = contact_places(arrays, following), arrays["true"][following]
     T = np.linalg.inv(scene_object.T_base_object)
     reached = touchable(solid, targets @ T[:3, :3].T + T[:3, 3], radius_m, depth_mm / 1e3)
-    apexes = arrays["T_base_tcp"][following][:, :3, 3] @ T[:3, :3].T + T[:3, 3]
-    nearest = solid.nearest(apexes).place if len(apexes) else np.zeros((0, 3))
+    truth = SurfaceGroundTruth(solid)
+    nearest = np.array([truth.frame(T @ pose)[:3, 3] for pose in arrays["T_base_tcp"][following]]).reshape(-1, 3)
     depth_errors, angles = np.abs(1e3 * true[:, 2] + depth_mm), angles_to_normal_deg(true)
     groups = {"where the tip fits": fits(solid, nearest, radius_m, depth_mm / 1e3)}
     curvature = extreme_curvature(solid, nearest)

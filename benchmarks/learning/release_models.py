@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from tactip_twin.benchmarks.hardware import machine, machine_text
-from tactip_twin.benchmarks.learning.learning import DESIGN, PAPER, TARGETS, jobs, rows
+from tactip_twin.benchmarks.learning.learning import DESIGN, PAPER, TARGETS, WIDE_PX, jobs, rows
 from tactip_twin.benchmarks.options import LearningOptions, ReleaseModelsOptions
 from tactip_twin.learning.data import read_samples
 from tactip_twin.learning.evaluate import evaluate, tables
@@ -56,16 +56,18 @@ def release_model(options: ReleaseModelsOptions, log: Callable[[str], None] = pr
     """
     source = options.runs / options.task / options.row
     if options.evaluate_only:
-        source = options.out / f"{options.task}-{'curved-' if options.row.startswith('laptop-curved') else ''}{DESIGN}"
+        kind = {"laptop-curved": "curved-", "laptop-256px": "256px-"}.get(options.row.removesuffix("-contact"), "")
+        source = options.out / f"{options.task}-{kind}{DESIGN}"
     size = (source / WEIGHTS).stat().st_size if (source / WEIGHTS).exists() else 0
     model = load_model(source)
     if size >= MAX_BYTES:
         raise TactipError(f"the weights in {source} have {size} bytes: a shipped network must have fewer than {MAX_BYTES}")
     if not model.provenance["outcome"]["finished"]:
         raise TactipError(f"the training in {source} is unfinished: rerun it to the end before shipping the network")
-    where = options.data / ("curved" if _is_curved(model) else "plain") / options.task / "test"
+    where = options.data / (_kind(model).removesuffix("-") or "plain") / options.task / "test"
     if options.evaluate_only:
-        sets = jobs(LearningOptions(task=options.task, data=options.data, test_contacts=options.test_contacts), ())
+        chosen = LearningOptions(task=options.task, data=options.data, test_contacts=options.test_contacts)
+        sets = jobs(chosen, (_kind(model).removesuffix("-"),))
         make([job for job in sets if job.folder == where], worker_count(options.workers), log)
     test = read_samples(where)
     evaluation = evaluate(model, test)
@@ -93,7 +95,12 @@ def _is_curved(model: Model) -> bool:
 
 def _name(model: Model) -> str:
     """Return the name of a released model."""
-    return f"{model.labels.task}-{'curved-' if _is_curved(model) else ''}{DESIGN}"
+    return f"{model.labels.task}-{_kind(model)}{DESIGN}"
+
+
+def _kind(model: Model) -> str:
+    """Return what the name of a released model has between task and design."""
+    return "curved-" if _is_curved(model) else f"{WIDE_PX}px-" if model.size == WIDE_PX else ""
 
 
 def _initial_weights(model: Model, options: ReleaseModelsOptions) -> list[str]:
@@ -106,6 +113,16 @@ def _initial_weights(model: Model, options: ReleaseModelsOptions) -> list[str]:
     same = net_sha256(load_network(source).net) == model.provenance["initial_weights"]
     its = "" if same else " of an earlier version"
     return [f"- Initial weights: `{start}`{its} (checksum {model.provenance['initial_weights'][:16]})."]
+
+
+def _drawn(provenance: Mapping[str, Any]) -> list[str]:
+    """Return a line on contacts that were drawn in the training; none if none were."""
+    count = provenance["settings"].get("drawn_contacts", 0)
+    if not count:
+        return []
+    return [
+        f"- Beside these, at every epoch {count} contacts that the learned tip {provenance['fast_tip'][:16]} draws anew."
+    ]
 
 
 def _earlier_row(options: ReleaseModelsOptions) -> list[str]:
@@ -161,6 +178,7 @@ def card(model: Model, record: Mapping[str, Any], options: ReleaseModelsOptions)
     fidelity = "fast" if made.get("fast_tip") else made["fidelity"]["name"]
     count = _COUNT_OPTIONS.get(options.row, "contacts").replace("_", "-")
     number = samples if count == "fast-images" else contacts
+    sized = "" if settings.get("drawn_contacts") else f" --{count} {number}"
     network = ", ".join(f"{key} {value}" for key, value in p["network"].items())
     training = ", ".join(f"{key} {value}" for key, value in settings.items())
     lines += _by_force(record, dict(zip(labels.names, labels.units, strict=True)))
@@ -171,6 +189,7 @@ def card(model: Model, record: Mapping[str, Any], options: ReleaseModelsOptions)
         "",
         f"- Training data: {data['samples']} images of {contacts} contacts{failed}; fidelity `{fidelity}`, "
         f"renderer `{made['renderer']}`, seed {made['seed']}. `model.json` has the full configuration and the checksums.",
+        *_drawn(p),
         *_initial_weights(model, options),
         f"- Network: {network}.",
         f"- Training: {training}. Best epoch: {outcome['best_epoch']} of {outcome['epochs']}. torch {p['torch']}.",
@@ -178,7 +197,7 @@ def card(model: Model, record: Mapping[str, Any], options: ReleaseModelsOptions)
         "Commands that make it again:",
         "",
         "```",
-        f"tactip bench learning --task {task} --{count} {number} --only {' '.join([*_earlier_row(options), options.row])}",
+        f"tactip bench learning --task {task}{sized} --only {' '.join([*_earlier_row(options), options.row])}",
         f"tactip bench release-models --task {task} --row {options.row}",
         "```",
     ]

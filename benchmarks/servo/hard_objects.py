@@ -7,7 +7,7 @@ folder of RUNS.
 
 import json
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -155,12 +155,13 @@ def run(options: HardObjectsOptions, log: Callable[[str], None] = print) -> dict
 _KEPT = {
     "whole": (
         "reachable", "coverage", "coverage_of_reachable", "depth_mae_mm", "angle_mean_deg", "angle_p95_deg", "errors",
-        "events", "left_out", "force_max_n", "penetration_max_mm", "penetration_within_bound", "steps", "steps_followed",
+        "events", "left_out", "force_max_n", "force_peak_n", "penetration_max_mm", "penetration_within_bound", "steps",
+        "steps_followed",
         "path_mm", "steps_per_s", "stopped_because",
     ),
     "rims": (
         "coverage", "depth_mae_mm", "lateral_mae_mm", "angle_mean_deg", "angle_p95_deg", "closed", "events", "left_out",
-        "force_max_n", "steps", "steps_followed", "path_mm", "stopped_because",
+        "force_max_n", "force_peak_n", "steps", "steps_followed", "path_mm", "stopped_because",
     ),
     "starts": ("depth_mae_mm", "angle_mean_deg", "events", "force_max_n", "steps", "steps_followed", "stopped_because"),
 }  # fmt: skip
@@ -193,13 +194,21 @@ def tables(record: dict[str, Any]) -> dict[str, str]:
 def _runs(rows: dict[str, dict[str, Any]]) -> str:
     """Return the table of the runs over whole objects, with what was left out below it."""
     head = ["object", "fidelity", "touchable", "covered of it", "tip fits: steps", "depth, mm", "angle, °", "95 %, °"]
-    head += ["all steps: depth, mm", "angle, °", "95 %, °", "max force, N", "penetration in bound", "left out, mm"]
+    head += [
+        "all steps: depth, mm",
+        "angle, °",
+        "95 %, °",
+        "force, N",
+        "on the way, N",
+        "penetration in bound",
+        "left out, mm",
+    ]
     cells, lines = [], []
     for name, row in rows.items():
         fitting = row["errors"]["where the tip fits"]
         left = sum(s["to_mm"] - s["from_mm"] for s in row["left_out"])
         shares = [row["reachable"], row["coverage_of_reachable"], fitting["steps"] / max(1, row["steps_followed"])]
-        limits = [f"{row['force_max_n']:.1f}", f"{row['penetration_within_bound'] or 1:.1%}", f"{left:.0f}"]
+        limits = [f"{row['force_max_n']:.1f}", _peak(row), f"{row['penetration_within_bound'] or 1:.1%}", f"{left:.0f}"]
         cells.append([name, row["fidelity"], *map("{:.0%}".format, shares), *_errors(fitting), *_errors(row), *limits])
         kinds = Counter(s["kind"] for s in row["left_out"])
         lines.append(
@@ -210,15 +219,21 @@ def _runs(rows: dict[str, dict[str, Any]]) -> str:
 
 def _rims(rows: dict[str, dict[str, Any]]) -> str:
     """Return the table of the rims."""
-    head = ["rim", "fidelity", "covered", "depth, mm", "lateral, mm", "angle, °", "95 %, °", "max force, N", "left out, mm"]
+    head = ["rim", "fidelity", "covered", "depth, mm", "lateral, mm", "angle, °", "95 %, °", "force, N", "on the way, N"]
+    head += ["left out, mm"]
     cells = []
     for name, row in rows.items():
         left = sum(s["to_mm"] - s["from_mm"] for s in row["left_out"])
         errors = [f"{row['depth_mae_mm']:.2f}", f"{row['lateral_mae_mm']:.2f}"]
-        errors += [f"{row['angle_mean_deg']:.1f}", f"{row['angle_p95_deg']:.1f}", f"{row['force_max_n']:.1f}", f"{left:.0f}"]
-        cells.append([name, row["fidelity"], f"{row['coverage']:.0%}", *errors])
+        errors += [f"{row['angle_mean_deg']:.1f}", f"{row['angle_p95_deg']:.1f}", f"{row['force_max_n']:.1f}", _peak(row)]
+        cells.append([name, row["fidelity"], f"{row['coverage']:.0%}", *errors, f"{left:.0f}"])
     notes = [f"- {name}: {row['stopped_because']}; events: {events_text(row['events'])}" for name, row in rows.items()]
     return table(head, cells) + "\n\n" + "\n".join(notes)
+
+
+def _peak(row: Mapping[str, Any]) -> str:
+    """Return the largest force within a step; empty where it is not known."""
+    return "" if row.get("force_peak_n") is None else f"{row['force_peak_n']:.1f}"
 
 
 def _by_curvature(rows: dict[str, dict[str, Any]]) -> str:
