@@ -183,14 +183,16 @@ def rows(task: Task, paper: bool) -> list[Row]:
 
 
 def jobs(options: LearningOptions, kinds: Collection[str]) -> list[Job]:
-    """Return the sets that are needed, whether they exist or not: the test sets of all rows, and the training and
-    validation sets of rows of some kinds (Row.kind)."""
+    """Return the sets that are needed, whether they exist or not: the test sets of rows, and the training and validation
+    sets of rows of some kinds (Row.kind). Rows on wide images have a test set of their own."""
     task, still = options.task, Ranges()
     each = len(SYMMETRIES[task])
     usual, light = POSE_RANGES[task], replace(POSE_RANGES[task], depth_mm=_LIGHT_DEPTH_MM)
-    wanted = [_Wanted("plain", "test", options.test_contacts, usual, SHEAR_RANGES)]
-    wanted += [_Wanted("light", "test", options.other_test_contacts, light, SHEAR_RANGES, _LIGHT_SEED)]
-    wanted += [_Wanted("taps", "test", options.other_test_contacts, usual, still)]
+    wanted: list[_Wanted] = []
+    if set(kinds) != {"256px"}:
+        wanted += [_Wanted("plain", "test", options.test_contacts, usual, SHEAR_RANGES)]
+        wanted += [_Wanted("light", "test", options.other_test_contacts, light, SHEAR_RANGES, _LIGHT_SEED)]
+        wanted += [_Wanted("taps", "test", options.other_test_contacts, usual, still)]
     if {"plain", "symmetric", "large"} & set(kinds):
         # The other rows use a part of the set of `laptop-large` if it exists.
         large = "large" in kinds or _holds(options.data / "symmetric" / task / "train", options.large_contacts * each)
@@ -210,7 +212,7 @@ def jobs(options: LearningOptions, kinds: Collection[str]) -> list[Job]:
     if "taps" in kinds:
         wanted += [_Wanted("taps", "train", options.contacts, usual, still)]
         wanted += [_Wanted("taps", "val", options.other_test_contacts, usual, still)]
-    if task == "surface":
+    if task == "surface" and set(kinds) != {"256px"}:
         touching, few = replace(usual, depth_mm=_CURVED_DEPTH_MM), options.curved_test_contacts * CURVED_SNAPSHOTS
         wanted += [_Wanted("curved", "test", few, touching, CURVED_SHEARS)]
         if "curved" in kinds:

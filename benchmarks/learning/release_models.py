@@ -178,7 +178,9 @@ def card(model: Model, record: Mapping[str, Any], options: ReleaseModelsOptions)
     fidelity = "fast" if made.get("fast_tip") else made["fidelity"]["name"]
     count = _COUNT_OPTIONS.get(options.row, "contacts").replace("_", "-")
     number = samples if count == "fast-images" else contacts
-    sized = "" if settings.get("drawn_contacts") else f" --{count} {number}"
+    sized = f" --{count} {number}"
+    if settings.get("drawn_contacts"):
+        sized = f" --test-contacts {p['val']['configuration']['samples']}"
     network = ", ".join(f"{key} {value}" for key, value in p["network"].items())
     training = ", ".join(f"{key} {value}" for key, value in settings.items())
     lines += _by_force(record, dict(zip(labels.names, labels.units, strict=True)))

@@ -82,6 +82,8 @@ def test_only_the_sets_of_the_chosen_rows_are_made():
     sets = [(j.folder.parts[-3], j.folder.parts[-1]) for j in learned.jobs(LearningOptions(), ("taps",))]
     tests = [("plain", "test"), ("light", "test"), ("taps", "test"), ("curved", "test")]
     assert sorted(sets) == sorted([*tests, ("taps", "train"), ("taps", "val")])
+    sets = [(j.folder.parts[-3], j.folder.parts[-1]) for j in learned.jobs(LearningOptions(), ("256px",))]
+    assert sets == [("256px", split) for split in ("train", "val", "test")]
 
 
 def test_existing_larger_set_is_used_in_part(options):

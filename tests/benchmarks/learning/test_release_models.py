@@ -28,11 +28,12 @@ from tactip_twin.tactip_model.raster_renderer import Raster
 from tactip_twin.tactip_model.tactile_image import tactile_image
 
 CONTACTS = 12
+NAMES = ["edge-256px-tactip-127", "edge-tactip-127", "surface-curved-tactip-127", "surface-tactip-127"]
 TINY = Recipe(PoseNetConfig(conv_layers=1, filters=2, dense_units=4, batch_size=8), TrainSettings(epochs=1))
 
 
 def test_shipped_models_are_listed():
-    assert shipped_models() == ["edge-tactip-127", "surface-curved-tactip-127", "surface-tactip-127"]
+    assert shipped_models() == NAMES
 
 
 @pytest.mark.parametrize("name", shipped_models())
@@ -109,5 +110,4 @@ def test_release_copies_and_evaluates_a_finished_training(tmp_path, kind, name, 
 def test_unknown_model_name_is_refused(tmp_path, capsys):
     assert tactip.main(["evaluate", "--model", "surface-tactip-9", "--data", str(tmp_path)]) == 1
     error = capsys.readouterr().err
-    names = "edge-tactip-127, surface-curved-tactip-127, surface-tactip-127"
-    assert f"neither a folder nor a shipped model: choose a folder or one of {names}" in error
+    assert f"neither a folder nor a shipped model: choose a folder or one of {', '.join(NAMES)}" in error
