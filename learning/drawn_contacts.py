@@ -109,7 +109,7 @@ _MAX_ROUNDS = 100
 def shipped_tip_for(samples: Samples) -> FastTip:
     """Return the shipped learned tip of a set's sensor and task. Raises TactipError if there is none."""
     design = read_configuration(samples.dataset.meta, samples.folder).design
-    return read_fast_tip(shipped_fast_tip(samples.labels.task, design.name))
+    return read_fast_tip(shipped_fast_tip("edge" if samples.labels.task == "edge" else "surface", design.name))
 
 
 def _check(configuration: Configuration, where: str) -> None:

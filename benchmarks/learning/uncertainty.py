@@ -137,9 +137,8 @@ def pin_noise(samples: Samples, size_px: int) -> dict[str, float]:
     raster, neutral = Raster(design), neutral_pins(design)
     tips, directions = (part[samples.rows][:_ODD_IMAGES] for part in read_pins(samples.folder, samples.dataset.meta))
     projection = PinProjection(design)
-    centres, of_neutral = (
-        projection.discs(*pins, size_px)[0].numpy() for pins in ((tips, directions), [a[None] for a in neutral])
-    )
+    centres = projection.discs(tips, directions, size_px)[0].numpy()
+    of_neutral = projection.discs(neutral[0][None], neutral[1][None], size_px)[0].numpy()
     mm_per_px = 1e3 * np.ptp(neutral[0][:, :2], axis=0).mean() / np.ptp(of_neutral[0], axis=0).mean()
     errors, found = [], 0
     for k in range(len(tips)):

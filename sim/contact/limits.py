@@ -36,7 +36,7 @@ def check_motion(pose: np.ndarray, shear: np.ndarray, max_depth_m: float = MAX_D
     numbers = np.concatenate([pose, shear])
     require(np.isfinite(numbers).all(), "pose and shear", numbers.tolist(), "finite in all components")
     for label, which in ((pose, "pose"), (before_shear(pose, shear), "pose before the shear")):
-        _check_reach(-label[2], max_depth_m, tilt(label), which)
+        _check_reach(-label[2], max_depth_m, float(tilt(label)), which)
     slide = float(np.linalg.norm(shear[:3]))
     require(slide <= MAX_SHEAR_M, "the shear", f"{1e3 * slide:g} mm long", f"at most {1e3 * MAX_SHEAR_M:g} mm")
 
