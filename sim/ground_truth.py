@@ -37,16 +37,21 @@ class SurfaceGroundTruth:
 
     def frame(self, T_object_sensor: np.ndarray) -> np.ndarray:
         """Return T_object_contact (4, 4) of a sensor (4, 4): z is the normal, rotated about it so that yaw is zero."""
-        place, normal, _ = self._foot(T_object_sensor)
-        axis = T_object_sensor[:3, 2]
-        return matrix(place, shortest_turn(axis, -normal) * Rotation.from_matrix(T_object_sensor[:3, :3] @ FACING))
+        return self._frame_and_height(T_object_sensor)[0]
 
     def label(self, T_object_sensor: np.ndarray) -> np.ndarray:
         """Return the label (6,), m and rad, of a sensor (4, 4). x, y and yaw are zero: a surface does not define them."""
-        label = label_of(inverse(self.frame(T_object_sensor)) @ T_object_sensor)
-        label[2] = self._foot(T_object_sensor)[2]
+        T_object_contact, height_m = self._frame_and_height(T_object_sensor)
+        label = label_of(inverse(T_object_contact) @ T_object_sensor)
+        label[2] = height_m
         label[:2] = label[5] = 0.0
         return label
+
+    def _frame_and_height(self, T_object_sensor: np.ndarray) -> tuple[np.ndarray, float]:
+        """Return T_object_contact (4, 4) of a sensor (4, 4), and the height of its apex above the surface, m."""
+        place, normal, height_m = self._foot(T_object_sensor)
+        turn = shortest_turn(T_object_sensor[:3, 2], -normal)
+        return matrix(place, turn * Rotation.from_matrix(T_object_sensor[:3, :3] @ FACING)), height_m
 
     def _foot(self, T_object_sensor: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         """Return the point (3,) of the surface below the apex, its normal (3,), and the apex's height above it, m."""

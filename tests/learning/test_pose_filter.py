@@ -35,7 +35,7 @@ class Plane:
     """The plane z = 0 as a distance field."""
 
     def nearest(self, points):
-        return SimpleNamespace(place=points * [1, 1, 0])
+        return SimpleNamespace(place=points * [1, 1, 0], distance=points[:, 2])
 
     def smooth_normal(self, points):
         return np.array([[0.0, 0, 1]])
