@@ -75,12 +75,14 @@ class ContactSource:
         Motions that are too steep, or whose prediction cannot be trusted, are drawn again.
 
         Raises:
-            TactipError: If fewer than a tenth of the motions can be predicted.
+            TactipError: If contacts are missing after _MAX_ROUNDS rounds of draws.
         """
         kept, missing = [], count
         for _ in range(_MAX_ROUNDS):
             poses, shears = self._sample(self._pose, missing, rng), self._sample(self._shear, missing, rng)
             gentle = ~exceeds_max_tilt(poses, shears)
+            if not gentle.any():
+                continue
             poses, shears = poses[gentle], shears[gentle]
             predicted = self._tip.predict(self._decoder, poses, shears, self._materials)
             good = predicted.trusted
