@@ -41,6 +41,10 @@ _MAX_EXTRA_STEPS, _MAX_PENETRATION_M = 12, QualityLimits().while_sliding().penet
 """Maximum number of further time steps at rest, and penetration, m, above which they are made. The dynamic arm needs some
 100 ms to come to rest after a fast turn, and presses the skin into steep flanks meanwhile [M]."""
 
+_SLOW_FORCE, _SLOW_PACE = 0.5, 4
+"""Force, as a fraction of its limit, above which the arm moves at a fraction of its pace, and the inverse of that one. The
+last rise of the force is added to it, because in a narrow hollow it doubles from one time step to the next [M]."""
+
 _HOUSING_GROUPS = 12
 """Number of groups of the points on the housing [M]."""
 
@@ -146,6 +150,11 @@ def check_force(force_n: np.ndarray) -> None:
         raise Diverged(f"the simulation diverged: a force of {size:.0f} N on the tip (at most {MAX_FORCE_N:g} N)")
 
 
+def _finer(path: np.ndarray) -> np.ndarray:
+    """Return the fractions (_SLOW_PACE (n - 1) + 1,) of a path (n,) with steps as long as _SLOW_PACE allows."""
+    return np.interp(np.arange(_SLOW_PACE * (len(path) - 1) + 1) / _SLOW_PACE, np.arange(len(path)), path)
+
+
 def clear_pose(mounted_tip: TipOnArm, T_base_tcp: np.ndarray) -> np.ndarray:
     """Return a pose (4, 4), moved back along the sensor's axis until the undeformed tip is clear of the object.
 
@@ -206,23 +215,30 @@ class MountedTip(TipOnArm):
         motion, limit = self._motion, max(max_force_n, self._force_n())
         near = self.scene.data.ncon or self.gap(T_base_tcp) < _CLEAR_M
         fractions = self._set_target(T_base_tcp, motion.shear_step_m if near else motion.press_step_m, self._pace)
-        path, reached, peak_n, moved_back = [0.0, *fractions], 0, 0.0, False
+        path, reached, slow, moved_back = np.append(0.0, fractions), 0, False, False
+        force_n, rise_n, peak_n = self._force_n(), 0.0, 0.0
         with counted_warnings() as messages:
             self.scene.stiffen(resting=False)
             while reached + 1 < len(path) and peak_n <= limit:
+                if force_n + rise_n > _SLOW_FORCE * limit and not slow:
+                    path, slow = np.append(path[:reached], _finer(path[reached:])), True
                 reached += 1
-                self._step(path[reached])
-                peak_n = max(peak_n, self._force_n())
+                before_n, force_n = force_n, self._step(path[reached])
+                rise_n, peak_n = max(0.0, force_n - before_n), max(peak_n, force_n)
             stopped = peak_n > limit
+            # At the stiffness of a tip at rest, a contact that is this deep would throw the tip off.
+            while stopped and force_n > limit and reached > 0:
+                reached, moved_back = reached - 1, True
+                force_n = self._step(path[reached])
             self.scene.stiffen(resting=True)
             for k in range(self._settle_steps + _MAX_EXTRA_STEPS):
-                too_high = stopped and self._force_n() > limit
+                too_high = stopped and force_n > limit
                 if k >= self._settle_steps and not too_high and self.scene.penetration() <= _MAX_PENETRATION_M:
                     break
                 if too_high:
                     reached, moved_back = max(reached - 1, 0), True
-                self._step(path[reached])
-                peak_n = max(peak_n, self._force_n())
+                force_n = self._step(path[reached])
+                peak_n = max(peak_n, force_n)
         self.warnings += len(messages)
         return replace(self.tip_state(), peak_force_n=peak_n, moved_back=moved_back)
 
@@ -236,8 +252,8 @@ class MountedTip(TipOnArm):
         """Return the magnitude of the contact force, N."""
         return float(np.linalg.norm(self.scene.contact_wrench()[0]))
 
-    def _step(self, fraction: float) -> None:
-        """Make one time step, to a fraction of the arm model's path."""
+    def _step(self, fraction: float) -> float:
+        """Make one time step, to a fraction of the arm model's path, and return the contact force, N. Raises Diverged."""
         h, before = self.scene.fidelity.motion.step_s, self.arm_model.pose
         force, torque = (before[:3, :3] @ x for x in self.scene.contact_wrench())
         after = self.arm_model.advance(fraction, h, force, torque)
@@ -246,6 +262,9 @@ class MountedTip(TipOnArm):
         self._steps_since_read += 1
         if not np.isfinite(self.scene.max_vertex_speed()):
             raise Diverged("the simulation diverged: the state is not finite")
+        force, _ = self.scene.contact_wrench()
+        check_force(force)
+        return float(np.linalg.norm(force))
 
     def _place(self, before: np.ndarray, after: np.ndarray | None = None, h: float = 1.0) -> None:
         """Place the object relative to the sensor's pose `before`, with the velocity that leads to `after` in h, s."""

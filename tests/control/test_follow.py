@@ -242,10 +242,18 @@ def test_follower_beyond_the_border_of_the_object_leaves_the_rest_out():
 
 
 @pytest.mark.parametrize("fidelity", ["draft", "fast"])
-def test_arm_moves_back_where_the_force_is_too_high(fidelity):
+def test_arm_moves_back_where_the_force_is_too_high(fidelity, monkeypatch):
     """A press of 5 mm on a plane, of some 5 N, is stopped at 2 N; one of 1 mm is not."""
-    world = World(profiled_block([(-60, 0), (60, 0)]), arm="dynamic")
-    tip = world.mounted_tip
+    world, at_rest_n = World(profiled_block([(-60, 0), (60, 0)]), arm="dynamic"), []
+    tip, scene = world.mounted_tip, world.mounted_tip.scene
+    stiffen = scene.stiffen
+
+    def stiffened(resting):
+        if resting:
+            at_rest_n.append(np.linalg.norm(scene.contact_force()))
+        stiffen(resting)
+
+    monkeypatch.setattr(scene, "stiffen", stiffened)
     if fidelity == "fast":
         sliding = read_sliding_tip(shipped_sliding_tip("surface", "tactip-127"))
         solid, T = world.scene_object.solid, world.scene_object.T_base_object
@@ -259,6 +267,10 @@ def test_arm_moves_back_where_the_force_is_too_high(fidelity):
         assert state.moved_back == (depth_mm == 5)
         if state.moved_back:
             assert 0.5 < force <= 1.05 * limit_n < state.peak_force_n
+            if fidelity != "fast":  # which only knows the force at the end of a motion
+                assert state.peak_force_n < 1.3 * limit_n
+                # At the stiffness of a tip at rest, so deep a contact could throw the tip off.
+                assert at_rest_n[-1] <= limit_n
     # A motion that only lowers the force is no reason to stop, whatever the limit.
     assert 0.1 < force < 0.7
 
