@@ -113,6 +113,10 @@ def summary(figures: Mapping[str, Any]) -> list[str]:
     lines.append(f"events: {events_text(figures['events'])}")
     lines += [f"left out: {left:.0f} mm of the route"] if left else []
     lines += [f"  {s['from_mm']:.0f} to {s['to_mm']:.0f} mm: {s['kind']}" for s in figures["left_out"]]
+    beyond = sum(s["to_mm"] - s["from_mm"] for s in figures["left_out"] if s["kind"] == "unreachable")
+    if beyond:
+        where = "where the object stands: move it or turn it (--position-mm, --rotation-deg)"
+        lines.append(f"  the arm cannot reach {beyond:.0f} mm of the route {where}")
     return [*lines, f"{figures['steps']} steps, {figures['steps_per_s'] or 0:.1f} per second; {figures['stopped_because']}"]
 
 

@@ -14,7 +14,7 @@ from tactip_twin.benchmarks.servo.contact_patch import contact_patch_normal
 from tactip_twin.commands import main as tactip
 from tactip_twin.control.estimator import Estimate
 from tactip_twin.control.options import RouteOptions, ServoOptions
-from tactip_twin.control.score import coverage
+from tactip_twin.control.score import coverage, summary
 from tactip_twin.control.servo import DEPTHS_MM, Controller
 from tactip_twin.control.servo_run import run_servo
 from tactip_twin.sim.pose import from_mm_deg, matrix, to_mm_deg
@@ -73,6 +73,17 @@ def test_servo_run_writes_a_complete_score(ran):
     assert not score["closed"]
     assert [p["pass"] for p in score["passes"]] == [0]
     assert set(score["ms_a_step"]) == {"simulation", "image", "network", "control"}
+
+
+def test_summary_says_what_to_do_where_the_arm_cannot_reach(ran):
+    _, score, _, _ = ran
+    assert not any("cannot reach" in line for line in summary(score))
+    left_out = [
+        {"from_mm": 1.0, "to_mm": 3.0, "kind": kind, "places_mm": []} for kind in ("unreachable", "force", "unreachable")
+    ]
+    lines = summary(score | {"left_out": left_out})
+    assert "left out: 6 mm of the route" in lines
+    assert any("the arm cannot reach 4 mm of the route" in line and "--position-mm" in line for line in lines)
 
 
 def test_contact_patch_normal_on_a_plate_equals_the_normal_at_the_apex(ran):
