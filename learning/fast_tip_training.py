@@ -13,6 +13,7 @@ import torch
 from tqdm import tqdm
 
 from tactip_twin.learning.fast_tip_settings import FastTipSettings
+from tactip_twin.learning.fast_tip_start import perceptron_of, started_from
 from tactip_twin.learning.tip_networks import Perceptron, train_network, train_networks, turned_pairs
 from tactip_twin.sim.dataset.configuration import Configuration
 from tactip_twin.sim.dataset.contact_sample import sample_contact
@@ -188,21 +189,27 @@ _MEASURE_MIRROR = torch.tensor(MEASURE_MIRROR, dtype=torch.float32)
 class _Plan:
     """Everything that the networks of a learned tip share: modes, scales and batches."""
 
-    def __init__(self, contacts: TipContacts, settings: FastTipSettings) -> None:
-        """Find the modes and the scales of some contacts."""
+    def __init__(self, contacts: TipContacts, settings: FastTipSettings, start: FastTip | None) -> None:
+        """Find the modes and the scales of some contacts, or take those of a learned tip to start from."""
         task = contacts.task
         values, yaw = features(task, contacts.poses, contacts.shears)
         if contacts.knows_materials:
             values = np.concatenate([values, contacts.materials], 1)
         orders = np.arange(contacts.harmonics.shape[-1])
         canonical = contacts.harmonics * np.exp(1j * np.multiply.outer(yaw, orders))[:, None, None]
-        self.modes = Modes.fit(canonical, settings.modes)
-        self.center, self.scale = _scales(task, values)
-        self.measure_center, self.measure_scale = _measure_scales(contacts.measures, task)
+        self.start = start
+        if start is None:
+            self.modes = Modes.fit(canonical, settings.modes)
+            self.center, self.scale = _scales(task, values)
+            self.measure_center, self.measure_scale = _measure_scales(contacts.measures, task)
+        else:
+            self.modes, self.center, self.scale = start.modes, start.center, start.scale
+            self.measure_center, self.measure_scale = start.measure_center, start.measure_scale
         coefficients = self.modes.coefficients(canonical)
         both = np.concatenate([coefficients.real, coefficients.imag], 1)
         # Small modes are not learned relative to their own size, which would be noise.
-        self.coefficient_scale = np.maximum(both.std(0), 0.01 * both.std(0).max()).astype(np.float32)
+        scale = np.maximum(both.std(0), 0.01 * both.std(0).max()).astype(np.float32)
+        self.coefficient_scale = scale if start is None else start.coefficient_scale
         inputs, measures = (
             (values - self.center) / self.scale,
             (contacts.measures - self.measure_center) / self.measure_scale,
@@ -231,6 +238,7 @@ def train_fast_tip(
     out: Path,
     log: Callable[[str], None] = print,
     quiet: bool = False,
+    init_from: FastTip | None = None,
 ) -> FastTip:
     """Train a learned tip, or resume its training after the last finished network.
 
@@ -241,9 +249,11 @@ def train_fast_tip(
         out: Folder of the training; FAST_TIP in it is the learned tip.
         log: Callback for messages to the user.
         quiet: Whether to hide the progress bar.
+        init_from: Learned tip of the same task and shape with the initial weights, whose modes and layers replace those of
+            the settings; random weights if None.
 
     Raises:
-        TactipError: A set cannot be used, or the folder holds something else.
+        TactipError: A set cannot be used, `init_from` does not fit, or the folder holds something else.
         Interrupted: Ctrl-C.
     """
     contacts, held_out = read_contacts(folders).first(settings.contacts), read_contacts([validation])
@@ -254,6 +264,11 @@ def train_fast_tip(
         "settings": dataclasses.asdict(settings),
         "torch": torch.__version__,
     }
+    start = None
+    if init_from is not None:
+        known = contacts.materials if contacts.knows_materials else None
+        start = started_from(init_from, contacts.task, contacts.configuration.design, known)
+        record["initial_weights"] = init_from.digest
     path = out / _SETTINGS
     recorded = read_json(path) if path.exists() else None
     check_resumable(out, "learned tip", recorded, record, (_LOCK,))
@@ -264,7 +279,7 @@ def train_fast_tip(
         if (out / FAST_TIP).exists():
             log(f"the tip in {out} is taught already")
             return read_fast_tip(out / FAST_TIP)
-        plan = _Plan(contacts, settings)
+        plan = _Plan(contacts, settings, start)
         networks = train_networks(partial(_train, plan, settings), settings.members + 1, settings.steps, out, quiet)
         tip = FastTip(
             task=contacts.task,
@@ -375,8 +390,14 @@ def _train(plan: _Plan, settings: FastTipSettings, member: int, bar: "tqdm[NoRet
     of_measures = member == settings.members
     sizes = plan.batches.width, settings.width, settings.layers, plan.outputs(of_measures)
 
+    def network() -> Perceptron:
+        if plan.start is None:
+            return Perceptron(*sizes)
+        ensemble = plan.start.networks
+        return perceptron_of(plan.start.measure_network if of_measures else ensemble[member % len(ensemble)])
+
     def loss(network: Perceptron, generator: torch.Generator, step: int) -> torch.Tensor:
         inputs, *targets = plan.batches.sample(settings.batch, generator)
         return plan.loss(of_measures, network(inputs), (targets[0], targets[1]))
 
-    return train_network(lambda: Perceptron(*sizes), loss, settings, settings.seed * 1000 + member, bar)
+    return train_network(network, loss, settings, settings.seed * 1000 + member, bar)

@@ -52,6 +52,18 @@ def test_tip_is_closer_to_the_simulation_than_the_undeformed_tip(taught, sets):
     assert 0.8 < errors["trusted"] <= 1
 
 
+def test_teaching_goes_on_from_a_learned_tip(taught, sets, tmp_path):
+    """A single step at a tiny rate changes nothing; the settings' modes and layers do not count."""
+    settings = FastTipSettings(modes=7, width=16, steps=1, batch=8, learning_rate=1e-6, trusted_fraction=1.0)
+    train, val = [sets / "train"], sets / "val"
+    before = read_fast_tip(taught)
+    after = train_fast_tip(train, val, settings, tmp_path / "out", quiet=True, init_from=before)
+    assert after.provenance["errors"] == pytest.approx(before.provenance["errors"], rel=1e-2)
+    assert after.provenance["initial_weights"] == before.digest
+    with pytest.raises(TactipError, match="other settings"):
+        train_fast_tip(train, val, settings, tmp_path / "out", quiet=True)
+
+
 def test_numpy_network_is_that_of_torch():
     network = Perceptron(9, 16, 3, 12)
     x = torch.randn(50, 9, generator=torch.Generator().manual_seed(0))
