@@ -44,9 +44,7 @@ def started_from(tip: FastTip, task: Task, design: Design, materials: np.ndarray
     else:
         center, scale = tip.center[:count], tip.scale[:count]
         kept = (material_inputs(design.materials) - tip.center[count:]) / tip.scale[count:]
-        networks = [
-            _with_first(n, n.weights[0][:, :count], n.weights[1] + n.weights[0][:, count:] @ kept) for n in networks
-        ]
+        networks = [_with_first(n, n.weights[0][:, :count], n.weights[1] + n.weights[0][:, count:] @ kept) for n in networks]
         stiffness = REFERENCE_YOUNG_PA / design.materials.gel_young_pa
     measure_center = tip.measure_center.copy()
     measure_center[0] -= np.log(stiffness)
@@ -66,10 +64,11 @@ def perceptron_of(network: Network) -> Perceptron:
     """Return a network, which has no skip, for training."""
     matrices = network.weights[::2]
     out = Perceptron(matrices[0].shape[1], len(matrices[0]), len(matrices) - 2, len(matrices[-1]))
+    # Parameters by name: weight, then bias, of each layer.
+    parameters = [p for layer in (out.first, *out.residual, out.last) for p in layer.parameters()]
     with torch.no_grad():
-        for layer, matrix, bias in zip((out.first, *out.residual, out.last), matrices, network.weights[1::2], strict=True):
-            layer.weight.copy_(torch.tensor(matrix))
-            layer.bias.copy_(torch.tensor(bias))
+        for parameter, values in zip(parameters, network.weights, strict=True):
+            parameter.copy_(torch.tensor(values))
     return out
 
 

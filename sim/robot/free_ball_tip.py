@@ -12,15 +12,14 @@ from tactip_twin.sim.contact.simulator import Diverged
 from tactip_twin.sim.contact.tip_state import TipState
 from tactip_twin.sim.pose import inverse
 from tactip_twin.sim.robot.arm_models import ArmModel
-from tactip_twin.sim.robot.mounted_tip import TipOnArm
+from tactip_twin.sim.robot.mounted_tip import SimulatedTip
 from tactip_twin.tactip_model.design import Design
-from tactip_twin.tactip_model.pins import PinReader
 
 _SUBDIVISIONS = 3
 """Subdivisions of the ball's mesh, which only the gap to the housing needs."""
 
 
-class FreeBallTip(TipOnArm):
+class FreeBallTip(SimulatedTip[FreeBallScene]):
     """A tip on an arm model, and a ball on a table at the height zero of the base frame."""
 
     def __init__(
@@ -40,12 +39,8 @@ class FreeBallTip(TipOnArm):
         """
         mesh = trimesh.creation.icosphere(_SUBDIVISIONS, ball.radius_m)
         solid = SignedDistanceMesh(np.asarray(mesh.vertices), np.asarray(mesh.faces))
-        super().__init__(design, solid, fidelity, arm_model, np.eye(4))
+        super().__init__(design, solid, FreeBallScene(design, ball, fidelity, table_friction), arm_model, np.eye(4))
         self.solid, self.ball = solid, ball
-        self.scene = FreeBallScene(design, ball, fidelity, table_friction)
-        self.mesh = self.scene.mesh
-        self._reader = PinReader(design, self.scene.mesh)
-        self._steps_since_read = 0
 
     def put_ball(self, place: ArrayLike) -> None:
         """Set where the ball lies at the next `reset_to`: (2,), m, base frame."""
@@ -77,12 +72,6 @@ class FreeBallTip(TipOnArm):
                 self._step(fraction)
         self.warnings += len(messages)
         return self.tip_state()
-
-    def tip_state(self) -> TipState:
-        """Return the tip's present state. Raises Diverged."""
-        state = self._checked_state(self.scene, self._reader, self._steps_since_read)
-        self._steps_since_read = 0
-        return state
 
     def _step(self, fraction: float) -> None:
         """Make one time step, to a fraction of the arm model's path."""

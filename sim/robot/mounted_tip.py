@@ -6,6 +6,7 @@ cost several times as much per step. The arm model (sim/robot/arm_models.py) giv
 
 from abc import ABC, abstractmethod
 from dataclasses import replace
+from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -113,14 +114,6 @@ class TipOnArm(ABC):
     def _reset(self) -> None:
         """Make the tip undeformed at the arm model's pose."""
 
-    def _checked_state(self, scene: Scene, reader: PinReader, steps: int) -> TipState:
-        """Return the state of a simulated tip, `steps` time steps after the previous one. Raises Diverged."""
-        state = read_tip_state(scene, reader, steps, self._clearance())
-        if not (np.isfinite(state.skin).all() and np.abs(state.skin).max() < 4 * self._radius):
-            raise Diverged("the simulation diverged: the tip is deformed beyond four times its radius")
-        check_force(state.force)
-        return state
-
     def _clearance(self) -> float:
         """Return the distance, m, from the object to the nearest of the points on the housing."""
         T = inverse(self.T_base_object) @ self.arm_model.pose
@@ -169,7 +162,32 @@ def clear_pose(mounted_tip: TipOnArm, T_base_tcp: np.ndarray) -> np.ndarray:
     return T_base_tcp
 
 
-class MountedTip(TipOnArm):
+SomeScene = TypeVar("SomeScene", bound=Scene)
+
+
+class SimulatedTip(TipOnArm, Generic[SomeScene]):
+    """A simulated tip on an arm model."""
+
+    def __init__(
+        self, design: Design, solid: SignedDistanceMesh, scene: SomeScene, arm_model: ArmModel, T_base_object: ArrayLike
+    ) -> None:
+        """Take the parts: see MountedTip."""
+        super().__init__(design, solid, scene.fidelity, arm_model, T_base_object)
+        self.scene, self.mesh = scene, scene.mesh
+        self._reader = PinReader(design, scene.mesh)
+        self._steps_since_read = 0
+
+    def tip_state(self) -> TipState:
+        """Return the tip's present state. Raises Diverged."""
+        state = read_tip_state(self.scene, self._reader, self._steps_since_read, self._clearance())
+        if not (np.isfinite(state.skin).all() and np.abs(state.skin).max() < 4 * self._radius):
+            raise Diverged("the simulation diverged: the tip is deformed beyond four times its radius")
+        check_force(state.force)
+        self._steps_since_read = 0
+        return state
+
+
+class MountedTip(SimulatedTip[Scene]):
     """A simulated tip on an arm model, and an object."""
 
     def __init__(
@@ -196,13 +214,9 @@ class MountedTip(TipOnArm):
         Raises:
             TactipError: If the scene cannot be built.
         """
-        super().__init__(design, solid, fidelity, arm_model, T_base_object)
-        self.scene = Scene(design, SolidStimulus(solid), fidelity)
-        self.mesh = self.scene.mesh
-        self._reader = PinReader(design, self.scene.mesh)
+        super().__init__(design, solid, Scene(design, SolidStimulus(solid), fidelity), arm_model, T_base_object)
         self._settle_steps = fidelity.motion.pause_steps if settle_steps is None else settle_steps
         self._pace = pace
-        self._steps_since_read = 0
 
     def _reset(self) -> None:
         self.scene.reset()
@@ -241,12 +255,6 @@ class MountedTip(TipOnArm):
                 peak_n = max(peak_n, force_n)
         self.warnings += len(messages)
         return replace(self.tip_state(), peak_force_n=peak_n, moved_back=moved_back)
-
-    def tip_state(self) -> TipState:
-        """Return the tip's present state. Raises Diverged."""
-        state = self._checked_state(self.scene, self._reader, self._steps_since_read)
-        self._steps_since_read = 0
-        return state
 
     def _force_n(self) -> float:
         """Return the magnitude of the contact force, N."""
