@@ -46,7 +46,6 @@ _GAP_MM = 3.0
 _ALIGNMENT_STEPS = 15
 """Control steps in contact before the object moves, in which depth and angle are aligned."""
 
-
 _TOP_M, _MAX_UNEVEN_M, _ABOVE_M = 15e-3, 0.1e-3, 2.0
 """Radius of the top that must be flat, m: the tip touches 13 mm around its apex at 4 mm depth; how much its height may vary;
 and a height above every object."""
@@ -171,7 +170,9 @@ def _tip(options: TrackOptions, design: Design, scene_object: SceneObject) -> Ti
     """Return the tip of the options' fidelity on its arm model."""
     solid, T, arm = scene_object.solid, scene_object.T_base_object, arm_model_named(options.arm)
     if options.fidelity != "fast":
-        return MovingMountedTip(design, solid, fidelity_named(options.fidelity), arm, T)
+        fidelity = fidelity_named(options.fidelity)
+        fidelity = dataclasses.replace(fidelity, solver=dataclasses.replace(fidelity.solver, impratio=options.impratio))
+        return MovingMountedTip(design, solid, fidelity, arm, T)
     tip = read_sliding_tip(shipped_sliding_tip("surface", options.design))
     return MovingFastTip(tip, design, solid, fidelity_named("standard"), arm, T, SurfaceGroundTruth(solid))
 

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from tactip_twin.assets.meshes.hard_rims import HARD_RIMS
 from tactip_twin.assets.meshes.hard_solids import HARD_SOLIDS
@@ -32,8 +31,6 @@ from tactip_twin.tactip_model.errors import lookup
 
 _RIMS_FOOT_MM = (400.0, 0.0, 100.0)
 _FACE_UP_DEG = (0.0, -90.0, 0.0)
-_ON_ITS_SIDE = Rotation.from_matrix(np.array([[0, 1, 0], [0, 0, 1], [1, 0, 0]], float))
-_ON_ITS_SIDE_DEG = tuple(np.degrees(_ON_ITS_SIDE.as_rotvec()).tolist())
 
 
 @dataclass(frozen=True)
@@ -58,14 +55,15 @@ OBJECTS = {
     "bust, 370 mm tall": HardObject("bust-sharp", 1.0, _FACE_UP_DEG, (400.0, 0.0, 70.0), _FACE_MM),
     "bust, 300 mm tall": HardObject("bust-sharp", 0.81, _FACE_UP_DEG, (400.0, 0.0, 70.0), _FACE_MM),
     "bust, 200 mm tall": HardObject("bust-sharp", 0.54, _FACE_UP_DEG, (400.0, 0.0, 100.0), _FACE_MM),
-    "head, 300 mm tall": HardObject("head", 1.11, _FACE_UP_DEG, (400.0, 0.0, 60.0), _HEADS_FACE_MM),
-    "head, 270 mm tall": HardObject("head", 1.0, _FACE_UP_DEG, (400.0, 0.0, 60.0), _HEADS_FACE_MM),
-    "head, 200 mm tall": HardObject("head", 0.74, _FACE_UP_DEG, (400.0, 0.0, 100.0), _HEADS_FACE_MM),
+    "head, 300 mm tall": HardObject("head", 1.11, _FACE_UP_DEG, (350.0, 0.0, 10.0), _HEADS_FACE_MM),
+    "head, 270 mm tall": HardObject("head", 1.0, _FACE_UP_DEG, (350.0, 0.0, 20.0), _HEADS_FACE_MM),
+    "head, 200 mm tall": HardObject("head", 0.74, _FACE_UP_DEG, (350.0, 0.0, 60.0), _HEADS_FACE_MM),
     "relief": HardObject("relief", position_mm=(400.0, 0.0, 160.0)),
-    "vase": HardObject("vase", 1.0, _ON_ITS_SIDE_DEG),
+    "vase": HardObject("vase", 1.0, _FACE_UP_DEG),
 }
-"""Objects by name: busts and heads lie face up, the vase on its side with the handle up. Flat objects lie high, because low
-down the wrist is almost straight, and so singular."""
+"""Objects by name: busts and heads lie face up, the vase on its side with the handle up, all of them along the x axis of the
+base, because the wrist can point far to the sides, but not back. Heads lie near the arm, whose wrist then reaches their far
+sides. Flat objects lie high, because low down the wrist is almost straight, and so singular."""
 
 RIMS = {"rim with a gap of 25 mm": "rim-gap", "rim with corners of 5 mm": "rim-corners"}
 """Rims, which are followed all round: their names in HARD_RIMS, by the names of the objects."""

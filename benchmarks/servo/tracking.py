@@ -24,6 +24,8 @@ SETTINGS: dict[str, dict[str, Any]] = {
     "default": {},
     "true pose": {"model": "oracle"},
     "fast": {"fidelity": "fast"},
+    "impedance ratio 3": {"impratio": 3.0},
+    "impedance ratio 300": {"impratio": 300.0},
     "3 mm deep": {"depth_mm": 3.0},
     "2 mm deep": {"depth_mm": 2.0},
     "15 steps per second": {"rate_hz": 15.0},
