@@ -13,10 +13,12 @@ it. Without them, a filter lags behind every bend. An estimate from an image is 
 gives it.
 
 A camera's noise makes a network err more than it knows. So the variance of its estimates is multiplied by the running ratio
-of the squared innovations to what was expected of them, if that is above 1.
+of the squared innovations to what was expected of them, if that is above 1. But noise changes its sign. Innovations that keep
+theirs show that the prediction is wrong, as where the tip touches a steep flank with its side and the arm's motion presses it
+in less than on a surface below; the filter then restarts from the estimate.
 
 This extends the filter of Lloyd & Lepora, "Pose-and-shear-based tactile servoing" (IJRR 43(7), 2024) [R], by the bends,
-this ratio, and a gate: an estimate far from what is predicted does not count.
+this ratio, a gate (an estimate far from what is predicted does not count), and the test of the innovations' mean.
 """
 
 from dataclasses import dataclass
@@ -59,6 +61,9 @@ _LEARNED = 0.1
 _MAX_EXCESS = 30.0
 """Maximum factor on the variance of estimates [?]."""
 
+_RECENT = 0.25
+"""Weight of a step in the running mean of the innovations: it remembers four steps [?]."""
+
 _BEND = slice(6, 9)
 """Rows of the bends in the state."""
 
@@ -82,6 +87,7 @@ class PoseFilter:
         """Forget the state, because contact was lost and the next estimate belongs to another place."""
         self._started, self._T, self._T_base_tcp = False, np.eye(4), np.eye(4)
         self._bends, self._P, self._rejected, self._excess = np.zeros(3), np.zeros((9, 9)), 0, 1.0
+        self._bias, self._bias_variance = np.zeros(len(self._rows)), 0.0
 
     def step(self, T_base_tcp: np.ndarray, label: np.ndarray, deviations: np.ndarray) -> FilteredPose:
         """Take the next estimate, and return the state after it.
@@ -103,6 +109,9 @@ class PoseFilter:
         # The ratio of what is seen to what is expected, for the estimates' variance that is assumed at present.
         seen = self._excess * min(squared, self._limit) / len(k)
         self._excess = float(np.clip(self._excess + _LEARNED * (seen - self._excess), 1.0, _MAX_EXCESS))
+        if self._is_biased(innovation, S):
+            self._excess = 1.0
+            return self._start(T_base_tcp, label, self._error_covariance(label, deviations))
         if squared > self._limit:
             self._rejected += 1
             if self._rejected > self._settings.max_rejected:
@@ -119,6 +128,16 @@ class PoseFilter:
         self._place_frame(self._shift())
         return self._state(accepted=True)
 
+    def _is_biased(self, innovation: np.ndarray, S: np.ndarray) -> bool:
+        """Return whether the running mean of the innovations (k,), in units of their covariance (k, k), is larger than that
+        of noise."""
+        scaled = np.linalg.solve(np.linalg.cholesky(S), innovation)
+        # Two outliers in a row are no bias yet.
+        scaled *= min(1.0, np.sqrt(self._limit / 2) / max(float(np.linalg.norm(scaled)), 1e-12))
+        self._bias += _RECENT * (scaled - self._bias)
+        self._bias_variance = _RECENT**2 + (1 - _RECENT) ** 2 * self._bias_variance
+        return float(self._bias @ self._bias) > self._limit * self._bias_variance
+
     def _state(self, accepted: bool) -> FilteredPose:
         return FilteredPose(label_of(self._T), self._P[:6, :6].copy(), self._bends.copy(), accepted)
 
@@ -126,6 +145,7 @@ class PoseFilter:
         """Start from an estimate with the covariance R (6, 6)."""
         self._T, self._T_base_tcp, self._rejected, self._started = sensor_in_contact(label), np.array(T_base_tcp), 0, True
         self._bends, self._P = np.zeros(3), np.zeros((9, 9))
+        self._bias, self._bias_variance = np.zeros(len(self._rows)), 0.0
         self._P[:6, :6] = R
         self._P[_BEND, _BEND] = self._bend_rad_per_m**2 * np.eye(3)
         return self._state(accepted=True)

@@ -195,3 +195,17 @@ def test_pose_filter_learns_that_estimates_err_more_than_they_say(monkeypatch):
     trusting_error, trusting_deviation = spread()
     assert error < 0.85 * trusting_error
     assert trusting_deviation < 0.6 * trusting_error
+
+
+def test_pose_filter_believes_estimates_that_contradict_the_motion_again_and_again():
+    """The tip touches a steep flank with its side: the arm moves 0.3 mm along the sensor's axis at every other step, and the
+    flank gives way. A filter that takes this for noise is wrong by more than a millimetre after ten steps."""
+    told, true = from_mm_deg([0, 0, 0.1, 2.5, 2.5, 0]), from_mm_deg([0, 0, -0.3, 2, 9, 0])
+    rng, pose_filter, T = np.random.default_rng(2), PoseFilter("surface", FilterSettings()), sensor_in_contact(true)
+    errors_mm = []
+    for k in range(40):
+        T = T @ matrix([0, 0, 0.3e-3 * (k % 2)], Rotation.identity())
+        found = pose_filter.step(T, true + told * rng.normal(0, 1, 6), told)
+        errors_mm.append(abs(to_mm_deg(found.label - true)[2]))
+    assert np.mean(errors_mm[10:]) < 0.35
+    assert max(errors_mm[10:]) < 1.0
