@@ -25,7 +25,7 @@ from tactip_twin.sim.contact.tip_state import TipState
 from tactip_twin.sim.labels import COMPONENTS
 from tactip_twin.sim.pose import from_mm_deg, interpolate, inverse, matrix, sensor_in_contact, shortest_turn, to_mm_deg
 from tactip_twin.sim.robot.irb120 import Unreachable
-from tactip_twin.sim.robot.mounted_tip import TipOnArm
+from tactip_twin.sim.robot.mounted_tip import TipOnArm, clear_pose
 from tactip_twin.tactip_model.errors import TactipError
 
 
@@ -191,8 +191,10 @@ class ContourFollower:
             self._T_good, self._followed_to_m = measured, route.travelled_m
             self._tries.followed(route.travelled_m)
             along = measured[:3, :3].T @ (self._step_fraction(estimate) * self._settings.step_mm / 1e3 * direction)
-        motion = self._controller.move(self._eased(estimate), along)
-        return self._go(measured @ self._limited(motion), self._clock() - start)
+        motion = self._limited(self._controller.move(self._eased(estimate), along))
+        if self._excess_n(estimate) > 0:  # between flanks the tip looks shallow, and would be pressed in without end
+            motion[2, 3] = min(motion[2, 3], 0.0)
+        return self._go(measured @ motion, self._clock() - start)
 
     def _limited(self, motion: np.ndarray) -> np.ndarray:
         """Return a motion (4, 4) of the sensor, shortened to what is safe in contact."""
@@ -203,12 +205,16 @@ class ContourFollower:
 
     def _eased(self, estimate: Estimate) -> np.ndarray:
         """Return the label (6,), m and rad, for the controller: as if the tip were deeper where the force is high."""
-        excess_n = (estimate.force_n or 0.0) - self._settings.ease_force_n
+        excess_n = self._excess_n(estimate)
         self._ease_mm += _EASE_MM_PER_N * excess_n if excess_n > 0 else -_EASE_STEP_MM
         self._ease_mm = float(np.clip(self._ease_mm, 0.0, _MAX_EASE_MM))
         label = self._in_range(estimate.label)
         label[2] -= 1e-3 * self._ease_mm
         return label
+
+    def _excess_n(self, estimate: Estimate) -> float:
+        """Return by how much the estimated force is above the force above which the tip presses less, N."""
+        return (estimate.force_n or 0.0) - self._settings.ease_force_n
 
     def _in_range(self, label: np.ndarray) -> np.ndarray:
         """Return a label (6,), m and rad, with the estimated components within the range of the training."""
@@ -387,7 +393,7 @@ class ContourFollower:
         if sum(event.kind == "diverged" for event in self.events) >= _MAX_DIVERGED:
             raise FollowingFailed(f"the simulation diverged more than {_MAX_DIVERGED} times")
         try:
-            self._mounted_tip.reset_to(self._T_free, self._wrist_rad)
+            self._mounted_tip.reset_to(clear_pose(self._mounted_tip, self._T_free), self._wrist_rad)
         except TactipError as error:
             raise FollowingFailed(f"the simulation diverged and cannot restart where the tip was free: {error}") from error
         self._touch = self._mounted_tip.tip_state()

@@ -46,8 +46,8 @@ class Settings:
     """Contact force at which the arm stops and retracts, N [?]. For presses deeper than by default it rises with the
     depth."""
     ease_force_n: float = within(0.1, 100, default=2.0)
-    """Estimated contact force above which the tip presses less deep, N [M]. It rises as max_force_n. Along the face of the
-    bust the force is 1.4 N at most; in hollows that are narrower than the tip it is higher, because the flanks touch."""
+    """Estimated contact force above which the tip presses less and never moves deeper, N [M]. It rises as max_force_n. Along
+    the face of the bust the force is 1.4 N at most; in hollows narrower than the tip it is higher, because flanks touch."""
     retract_mm: float = within(0.1, 20, default=2.0)
     """Distance of a retraction along the sensor's axis, mm."""
     max_recoveries: int = within(0, 1000, default=2)

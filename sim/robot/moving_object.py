@@ -68,10 +68,6 @@ class MovingMountedTip(MountedTip):
         """Set where the object (4, 4) goes: see TipOnMovingObject."""
         self._motion_of_object = self.T_base_object, np.array(T_base_object, float)
 
-    def _step(self, fraction: float) -> float:
-        self._fraction = fraction
-        return super()._step(fraction)
-
     def _place(self, before: np.ndarray, after: np.ndarray | None = None, h: float = 1.0) -> None:
         if after is None or self._motion_of_object is None:
             super()._place(before, after, h)
