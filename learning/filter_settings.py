@@ -19,6 +19,9 @@ class FilterSettings:
     """Standard deviation that every step adds to each position, mm [?]."""
     rest_deg: float = within(0, 45, default=0.1)
     """Standard deviation that every step adds to each angle, degrees [?]."""
+    motion_fraction: float = within(0, 1, default=0.3)
+    """Standard deviation of the change of a position by a motion of the sensor, as a fraction of that motion, -: the tip may
+    touch a steep flank with its side, whose depth changes less than the sensor's height [?]."""
     correlated_estimates: float = within(1, 1000, default=2.0)
     """Number of successive estimates that count as one, because their errors are alike [?]."""
     gate_probability: float = within(0.5, 0.999999, default=0.999)

@@ -13,9 +13,9 @@ it. Without them, a filter lags behind every bend. An estimate from an image is 
 gives it.
 
 A camera's noise makes a network err more than it knows. So the variance of its estimates is multiplied by the running ratio
-of the squared innovations to what was expected of them, if that is above 1. But noise changes its sign. Innovations that keep
-theirs show that the prediction is wrong, as where the tip touches a steep flank with its side and the arm's motion presses it
-in less than on a surface below; the filter then restarts from the estimate.
+of the squared innovations to what was expected of them, if that is above 1. But noise changes its sign. Innovations that
+keep theirs show that the prediction is wrong, as where the tip touches a steep flank with its side; the filter then restarts
+from the estimate.
 
 This extends the filter of Lloyd & Lepora, "Pose-and-shear-based tactile servoing" (IJRR 43(7), 2024) [R], by the bends,
 this ratio, a gate (an estimate far from what is predicted does not count), and the test of the innovations' mean.
@@ -168,6 +168,7 @@ class PoseFilter:
 
     def _move(self, D: np.ndarray) -> None:
         """Predict the state after a motion (4, 4) of the sensor in its own frame."""
+        moved = self._T[:3, :3] @ D[:3, 3]
         self._T = self._T @ D
         shift = self._shift()
         travelled = float(np.linalg.norm(shift))
@@ -179,7 +180,9 @@ class PoseFilter:
         G = matrix(np.zeros(3), Rotation.from_rotvec(-B @ self._bends)) @ matrix(-shift, Rotation.identity())
         F[:6, :6] = _adjoint(G)
         self._T, self._bends = G @ self._T, kept * self._bends
-        added = np.concatenate([self._rest**2, np.full(3, self._bend_rad_per_m**2 * (1 - kept**2))])
+        defined = np.array([0 in self._rows, 1 in self._rows, True])
+        uncertain = np.append(self._settings.motion_fraction * moved * defined, np.zeros(3))
+        added = np.concatenate([self._rest**2 + uncertain**2, np.full(3, self._bend_rad_per_m**2 * (1 - kept**2))])
         self._P = F @ self._P @ F.T + np.diag(added)
         self._place_frame(self._shift())
 

@@ -14,7 +14,7 @@ from tactip_twin.sim.ground_truth import SurfaceGroundTruth
 from tactip_twin.sim.labels import COMPONENTS, LEARNED
 from tactip_twin.sim.pose import from_mm_deg, label_of, matrix, sensor_in_contact, to_mm_deg
 
-IDEAL = FilterSettings(bend_deg_per_mm=0.0, rest_mm=0.0, rest_deg=0.0, correlated_estimates=1.0)
+IDEAL = FilterSettings(bend_deg_per_mm=0.0, rest_mm=0.0, rest_deg=0.0, motion_fraction=0.0, correlated_estimates=1.0)
 """A filter that assumes straight objects and independent estimates."""
 
 STARTS = {"surface": [0, 0, -2.5, 6, -4, 0], "edge": [1.5, 0, -3, 5, -7, 20]}
