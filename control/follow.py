@@ -77,9 +77,6 @@ _MAX_MOTION_M, _MAX_TURN_RAD = 2e-3, np.radians(4.0)
 _EASE_MM_PER_N, _EASE_STEP_MM, _MAX_EASE_MM = 0.6, 0.1, 2.0
 """Gain, decrease per step, and maximum of the depth by which the tip presses less where the force is high [?]."""
 
-_MAX_YIELDS, _YIELD_M = 3, 0.5e-3
-"""Number of steps in a row that the force may stop before it is an obstacle, and the retraction in each of them, m [?]."""
-
 _TRANSIT_M = 10e-3
 """Longest motion through the air between two checks of force and clearance, m."""
 
@@ -128,7 +125,7 @@ class ContourFollower:
         self._labels, self._settings = labels, settings
         self._record, self._clock, self._on_event, self._filter = record, clock, note, pose_filter
         self._phase, self._part, self._steps = "search", 0, 0
-        self._followed_to_m, self._centred, self._ease_mm, self._yields = 0.0, 0, 0.0, 0
+        self._followed_to_m, self._centred, self._ease_mm = 0.0, 0, 0.0
         self.left_out: list[LeftOut] = []
         """Stretches of the route that were not followed."""
         self.events: list[Event] = []
@@ -180,13 +177,8 @@ class ContourFollower:
         """Take a control step, and return the estimate after it; None at the end of the route. Raises Obstacle."""
         aligning = self._centred < self._settings.alignment_steps
         failure = self._failure(estimate, aligning)
-        yields = failure is not None and failure[0] == "force" and self._yields < _MAX_YIELDS
-        if failure and not yields:
-            raise Obstacle(*failure)
-        self._yields = self._yields + 1 if yields else 0
         if failure:
-            self._note(*failure)
-            self._ease_mm = _MAX_EASE_MM
+            raise Obstacle(*failure)
         measured, start, along = self._mounted_tip.arm_model.measured_pose(), self._clock(), np.zeros(3)
         if aligning:
             self._phase, self._centred = "centre", self._centred + 1
@@ -200,9 +192,8 @@ class ContourFollower:
             self._tries.followed(route.travelled_m)
             along = measured[:3, :3].T @ (self._step_fraction(estimate) * self._settings.step_mm / 1e3 * direction)
         motion = self._limited(self._controller.move(self._eased(estimate), along))
-        if yields or self._excess_n(estimate) > 0:
-            # Between flanks the tip looks shallow, and would be pressed in without end.
-            motion[2, 3] = min(motion[2, 3], -_YIELD_M if yields else 0.0)
+        if self._excess_n(estimate) > 0:  # between flanks the tip looks shallow, and would be pressed in without end
+            motion[2, 3] = min(motion[2, 3], 0.0)
         return self._go(measured @ motion, self._clock() - start)
 
     def _limited(self, motion: np.ndarray) -> np.ndarray:
@@ -237,7 +228,7 @@ class ContourFollower:
         route."""
         while self._steps < self._settings.max_steps:
             self._note(obstacle.kind, str(obstacle))
-            self._phase, self._centred, self._ease_mm, self._yields = "search", 0, 0.0, 0
+            self._phase, self._centred, self._ease_mm = "search", 0, 0.0
             self._controller.reset()
             if self._filter is not None:
                 self._filter.reset()
