@@ -30,9 +30,9 @@ class TrackOptions:
     """Sensor: a preset's name, or a design file (.json)."""
     fidelity: FidelityName | Literal["fast"] = "standard"
     """Fidelity of the contact simulation; fast: predict the contact by the learned tip (errors: docs/tracking.md)."""
-    impratio: float = within(0.1, 1000, default=30.0)
-    """Ratio of frictional to normal impedance of the simulation, -; 3 in the presets. Skin that sticks to a moving object
-    creeps, the less the higher it is (docs/tracking.md)."""
+    impratio: float = within(0.1, 1000, default=3.0)
+    """Ratio of frictional to normal impedance of the simulation, -. Skin that sticks to a moving object creeps, the less the
+    higher it is, and the longer a step takes (docs/tracking.md)."""
     arm: ArmName = "dynamic"
     """Arm model: none (the sensor moves exactly), kinematic (inverse kinematics), dynamic (with masses and motors)."""
     renderer: RendererName = "raster"
