@@ -244,17 +244,15 @@ class MountedTip(SimulatedTip[Scene]):
                 reached += 1
                 before_n, force_n = force_n, self._step(path[reached])
                 rise_n, peak_n = max(0.0, force_n - before_n), max(peak_n, force_n)
-            stopped = peak_n > limit
             # At the stiffness of a tip at rest, a contact that is this deep would throw the tip off.
-            while stopped and force_n > limit and reached > 0:
+            while force_n > limit and reached > 0:
                 reached, moved_back = reached - 1, True
                 force_n = self._step(path[reached])
             self.scene.stiffen(resting=True)
             for k in range(self._settle_steps + _MAX_EXTRA_STEPS):
-                too_high = stopped and force_n > limit
-                if k >= self._settle_steps and not too_high and self.scene.penetration() <= _MAX_PENETRATION_M:
+                if k >= self._settle_steps and force_n <= limit and self.scene.penetration() <= _MAX_PENETRATION_M:
                     break
-                if too_high:
+                if force_n > limit:
                     reached, moved_back = max(reached - 1, 0), True
                 force_n = self._step(path[reached])
                 peak_n = max(peak_n, force_n)
