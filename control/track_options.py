@@ -32,7 +32,7 @@ class TrackOptions:
     """Fidelity of the contact simulation; fast: predict the contact by the learned tip (errors: docs/tracking.md)."""
     impratio: float = within(0.1, 1000, default=3.0)
     """Ratio of frictional to normal impedance of the simulation, -. Skin that sticks to a moving object creeps, the less the
-    higher it is, and the longer a step takes (docs/tracking.md)."""
+    higher it is, and the longer a step takes (docs/tracking.md). Without effect on --fidelity fast."""
     arm: ArmName = "dynamic"
     """Arm model: none (the sensor moves exactly), kinematic (inverse kinematics), dynamic (with masses and motors)."""
     renderer: RendererName = "raster"

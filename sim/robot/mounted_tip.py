@@ -43,11 +43,11 @@ _MAX_EXTRA_STEPS, _MAX_PENETRATION_M = 12, QualityLimits().while_sliding().penet
 100 ms to come to rest after a fast turn, and presses the skin into steep flanks meanwhile [M]."""
 
 _SLOW_FORCE, _SLOW_PACE = 0.5, 4
-"""Force, as a fraction of its limit, above which the arm moves at a fraction of its pace, and the inverse of that one. The
-last rise of the force is added to it, because in a narrow hollow it doubles from one time step to the next [M]."""
+"""Force, as a fraction of its limit, above which the arm moves at a fraction of its pace, and the inverse of that one [?].
+The last rise of the force is added to it, because in a narrow hollow it doubles from one time step to the next [M]."""
 
 _SNAP_M, _PARTS = 1e-3, (1, 4, 16)
-"""Travel of a vertex of the skin in a time step above which the next step is divided, m, and numbers of parts of a step.
+"""Travel of a vertex of the skin in a time step above which the next step is divided, m, and numbers of parts of a step [?].
 Between flanks the skin snaps over, by up to 3 mm in a step; undivided, such steps end in thousands of newtons [M]."""
 
 _HOUSING_GROUPS = 12
