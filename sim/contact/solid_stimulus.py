@@ -40,6 +40,10 @@ _CREASE = 0.35
 _GRID = 4
 """Intervals per side of a facet in the search for its deepest point."""
 
+_MAX_HELD = 0.5
+"""Maximum weight of the corners that are clamped to the housing at a point that a probe touches, -. Next to them a facet cannot
+give way, and a contact there takes thousands of newtons [M]: there the housing is what touches."""
+
 _MIN_PROBE_GAIN_M = 0.02e-3
 """Minimum difference between the distances to a facet and to its corners that gives the facet a probe, m."""
 
@@ -97,6 +101,7 @@ class SurfaceContactProxies:
         corners = mesh.vertices[mesh.triangles]
         self._reach = 0.6 * np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(1)
         self._inside = _inside(_GRID)
+        self._held = mesh.bonded[mesh.triangles] @ self._inside.T > _MAX_HELD
         self._near = CONTACT_RADIUS_M + contact.margin_m
         self._max_distance = float(self._reach.max()) + self._near
         self.reset()
@@ -191,7 +196,7 @@ class SurfaceContactProxies:
         predicted, normals = self._predicted(skin, at, triangles[facets]), at.normal[triangles[facets]]
         spread = np.linalg.norm(normals - np.roll(normals, 1, axis=1), axis=2).max(1)
         odd = (np.abs(predicted[:, -1] - middle) > _MAX_PREDICTION_ERROR_M) | (spread > _CREASE)
-        predicted, low = predicted[:, :-1], lowest[facets]
+        predicted, low = np.where(self._held[facets], np.inf, predicted[:, :-1]), lowest[facets]
         deepest, least = predicted.argmin(1), predicted.min(1)
         smooth = np.flatnonzero(
             ~odd & (least < low - _MIN_PROBE_GAIN_M / 2) & (least < self._near + _MAX_PREDICTION_ERROR_M)
@@ -207,6 +212,7 @@ class SurfaceContactProxies:
         close = self._stimulus.solid.nearest(np.concatenate(points))
         # The deepest point of each facet that is searched.
         every = close.distance[len(smooth) :].reshape(len(odd), len(self._inside))
+        every = np.where(self._held[facets[odd]], np.inf, every)
         rows = len(smooth) + len(self._inside) * np.arange(len(odd)) + every.argmin(1)
         rows = np.concatenate([np.arange(len(smooth)), rows])
         depth, low = close.distance[rows], low[np.concatenate([smooth, odd])]
