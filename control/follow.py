@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from tactip_twin.control.estimator import Estimate, Estimator
 from tactip_twin.control.obstacles import LeftOut, Obstacle, Tries
 from tactip_twin.control.options import Settings
+from tactip_twin.control.press import YIELD_MM, Press
 from tactip_twin.control.routes import Route
 from tactip_twin.control.servo import Controller, pose_error
 from tactip_twin.learning.labels import Labels
@@ -68,14 +69,18 @@ class Step:
 _SLOW_DEG = {"surface": 2.0, "edge": 0.0}
 """Default of Settings.slowdown_angle_deg by task."""
 
+_UPRIGHT_RAD, _UPRIGHT_M = np.radians(15.0), 6e-3
+"""Angle by which the sensor is turned closer to the route's direction of approach at an obstacle, rad, and the travel along
+the route over which it does not tilt farther, m [?]."""
+
+_ALIGNED_DEG = 3.0
+"""Estimated angle to the normal from which the tip counts as aligned, degrees [?]."""
+
 _MIN_STEP_FRACTION = 0.2
 """Smallest fraction of the tangential step, - [?]."""
 
 _MAX_MOTION_M, _MAX_TURN_RAD = 2e-3, np.radians(4.0)
 """Longest motion and largest turn of a control step, m and rad: a turn about the apex moves the tip's flanks [?]."""
-
-_EASE_MM_PER_N, _EASE_STEP_MM, _MAX_EASE_MM = 0.6, 0.1, 2.0
-"""Gain, decrease per step, and maximum of the depth by which the tip presses less where the force is high [?]."""
 
 _TRANSIT_M = 10e-3
 """Longest motion through the air between two checks of force and clearance, m."""
@@ -101,6 +106,7 @@ class ContourFollower:
         mounted_tip: TipOnArm,
         estimator: Estimator,
         controller: Controller,
+        depth_mm: float,
         labels: Labels,
         settings: Settings,
         record: Callable[[Step], None],
@@ -114,6 +120,7 @@ class ContourFollower:
             mounted_tip: Tip, arm and object.
             estimator: Estimator of the label.
             controller: Controller of the sensor's pose.
+            depth_mm: Depth that it keeps, mm.
             labels: Components of the label, with the ranges in which estimates are trusted.
             settings: Limits and steps.
             record: Called with each step.
@@ -125,7 +132,8 @@ class ContourFollower:
         self._labels, self._settings = labels, settings
         self._record, self._clock, self._on_event, self._filter = record, clock, note, pose_filter
         self._phase, self._part, self._steps = "search", 0, 0
-        self._followed_to_m, self._centred, self._ease_mm = 0.0, 0, 0.0
+        self._followed_to_m, self._centred, self._press = 0.0, 0, Press(depth_mm / 1e3, settings.ease_force_n)
+        self._max_tilt_rad, self._upright_to_m = np.pi, 0.0
         self.left_out: list[LeftOut] = []
         """Stretches of the route that were not followed."""
         self.events: list[Event] = []
@@ -145,7 +153,8 @@ class ContourFollower:
         Raises:
             TactipError: The start is inside the object.
         """
-        self._T_free, self._T_good, self._wrist_rad, self._highest = T_start, T_start, route.wrist_rad, -np.inf
+        self._T_free = self._T_good = self._T_near = T_start
+        self._wrist_rad, self._highest = route.wrist_rad, -np.inf
         self._trail: deque[np.ndarray] = deque(maxlen=_MAX_TRAIL)
         self._direction, self._tries = route.approach, Tries(self._settings, route.approach is not None)
         try:
@@ -175,15 +184,18 @@ class ContourFollower:
 
     def _step(self, route: Route, estimate: Estimate) -> Estimate | None:
         """Take a control step, and return the estimate after it; None at the end of the route. Raises Obstacle."""
-        aligning = self._centred < self._settings.alignment_steps
-        failure = self._failure(estimate, aligning)
+        aligning = self._is_aligning(estimate)
+        failure, force_n = self._failure(estimate, aligning), estimate.force_n or 0.0
         if failure:
-            raise Obstacle(*failure)
+            if failure[0] != "force" or not self._press.stopped(route.travelled_m):
+                raise Obstacle(*failure)
+            self._note(*failure)
+            return self._go(_moved(self._mounted_tip.arm_model.measured_pose(), None, -YIELD_MM))
         measured, start, along = self._mounted_tip.arm_model.measured_pose(), self._clock(), np.zeros(3)
         if aligning:
             self._phase, self._centred = "centre", self._centred + 1
         else:
-            self._phase = "follow"
+            self._phase, self._centred = "follow", 2 * self._settings.alignment_steps
             direction = route.direction(measured, measured @ inverse(sensor_in_contact(estimate.label)))
             self._part = route.part
             if direction is None:
@@ -191,10 +203,16 @@ class ContourFollower:
             self._T_good, self._followed_to_m = measured, route.travelled_m
             self._tries.followed(route.travelled_m)
             along = measured[:3, :3].T @ (self._step_fraction(estimate) * self._settings.step_mm / 1e3 * direction)
-        motion = self._limited(self._controller.move(self._eased(estimate), along))
-        if self._excess_n(estimate) > 0:  # between flanks the tip looks shallow, and would be pressed in without end
-            motion[2, 3] = min(motion[2, 3], 0.0)
-        return self._go(measured @ motion, self._clock() - start)
+        label = self._press.label(self._in_range(estimate.label), force_n)
+        motion = self._press.motion(self._limited(self._controller.move(label, along)), force_n)
+        if route.travelled_m > self._upright_to_m:
+            self._max_tilt_rad = np.pi
+        return self._go(_tilted_at_most(measured @ motion, self._direction, self._max_tilt_rad), self._clock() - start)
+
+    def _is_aligning(self, estimate: Estimate) -> bool:
+        """Return whether the tip still turns in place after contact: longer where it is far from the normal."""
+        steps, upright = self._settings.alignment_steps, self._max_tilt_rad < np.pi
+        return self._centred < steps or (self._centred < 2 * steps and _angle_deg(estimate) > _ALIGNED_DEG and not upright)
 
     def _limited(self, motion: np.ndarray) -> np.ndarray:
         """Return a motion (4, 4) of the sensor, shortened to what is safe in contact."""
@@ -202,19 +220,6 @@ class ContourFollower:
         max_m = max(_MAX_MOTION_M, 1.5e-3 * self._settings.step_mm)
         fraction = 1 / max(1.0, np.linalg.norm(motion[:3, 3]) / max_m, np.linalg.norm(turn) / _MAX_TURN_RAD)
         return matrix(fraction * motion[:3, 3], Rotation.from_rotvec(fraction * turn))
-
-    def _eased(self, estimate: Estimate) -> np.ndarray:
-        """Return the label (6,), m and rad, for the controller: as if the tip were deeper where the force is high."""
-        excess_n = self._excess_n(estimate)
-        self._ease_mm += _EASE_MM_PER_N * excess_n if excess_n > 0 else -_EASE_STEP_MM
-        self._ease_mm = float(np.clip(self._ease_mm, 0.0, _MAX_EASE_MM))
-        label = self._in_range(estimate.label)
-        label[2] -= 1e-3 * self._ease_mm
-        return label
-
-    def _excess_n(self, estimate: Estimate) -> float:
-        """Return by how much the estimated force is above the force above which the tip presses less, N."""
-        return (estimate.force_n or 0.0) - self._settings.ease_force_n
 
     def _in_range(self, label: np.ndarray) -> np.ndarray:
         """Return a label (6,), m and rad, with the estimated components within the range of the training."""
@@ -228,12 +233,17 @@ class ContourFollower:
         route."""
         while self._steps < self._settings.max_steps:
             self._note(obstacle.kind, str(obstacle))
-            self._phase, self._centred, self._ease_mm = "search", 0, 0.0
+            self._phase, self._centred = "search", 0
             self._controller.reset()
+            self._press.reset()
             if self._filter is not None:
                 self._filter.reset()
-            what = self._tries.next(obstacle.kind)
+            max_tilt_rad = min(self._max_tilt_rad, _tilt_rad(self._T_near, self._direction)) - _UPRIGHT_RAD
+            what = self._tries.next(obstacle.kind, tilted=max_tilt_rad > 0)
             try:
+                if what.upright:
+                    self._max_tilt_rad, self._upright_to_m = max_tilt_rad, route.travelled_m + _UPRIGHT_M
+                    return self._approach(_tilted_at_most(self._T_near, self._direction, max_tilt_rad))
                 if what.skip_mm is None:
                     return self._recover_from(obstacle.kind)
                 T = route.skip(what.skip_mm / 1e3, self._T_good)
@@ -309,8 +319,9 @@ class ContourFollower:
         slow = (
             _SLOW_DEG[self._labels.task] if self._settings.slowdown_angle_deg is None else self._settings.slowdown_angle_deg
         )
-        tilt = np.degrees(np.linalg.norm(pose_error(estimate.label, np.zeros(6))[3:5]))
-        return max(_MIN_STEP_FRACTION, 1 - tilt / slow) if slow else 1.0
+        if self._max_tilt_rad < np.pi:
+            return 1.0
+        return max(_MIN_STEP_FRACTION, 1 - _angle_deg(estimate) / slow) if slow else 1.0
 
     def _failure(self, estimate: Estimate, aligning: bool) -> tuple[str, str] | None:
         """Return kind and description of a failure, or None. aligning: whether estimates may be out of range, because the
@@ -321,18 +332,23 @@ class ContourFollower:
         if estimate.touching < s.contact_threshold:
             difference = f"differs from that of an undeformed tip by {estimate.touching:.2f}"
             return "contact lost", f"the image {difference} (in contact: at least {s.contact_threshold:g})"
-        low, high = np.array(self._labels.low), np.array(self._labels.high)
-        predicted = to_mm_deg(estimate.label)[[COMPONENTS.index(c) for c in self._labels.components]]
-        out = np.maximum(low - predicted, predicted - high) / ((high - low) / 2)
+        predicted, out = self._predicted(estimate.label)
         worst = int(out.argmax())
         if not np.isfinite(predicted).all() or (out[worst] > s.range_margin and not aligning):
             unit = self._labels.units[worst]
             return (
                 "estimate out of range",
                 f"{self._labels.names[worst]} predicted as {predicted[worst]:.1f} {unit} "
-                f"(training range: {low[worst]:g} to {high[worst]:g})",
+                f"(training range: {self._labels.low[worst]:g} to {self._labels.high[worst]:g})",
             )
         return None
+
+    def _predicted(self, label: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the components of a label (6,), m and rad, that the network predicts, mm and degrees, and how far they are
+        beyond their trained ranges, as fractions of the ranges' half widths; both (k,)."""
+        low, high = np.array(self._labels.low), np.array(self._labels.high)
+        predicted = to_mm_deg(label)[[COMPONENTS.index(c) for c in self._labels.components]]
+        return predicted, np.maximum(low - predicted, predicted - high) / ((high - low) / 2)
 
     def _danger(self) -> tuple[str, str] | None:
         """Return kind and description of a failure that could cause damage, whatever the estimate, or None."""
@@ -405,7 +421,10 @@ class ContourFollower:
         arm = self._mounted_tip.arm_model
         own = self._estimator.estimate(self._touch, arm.pose)
         measured = arm.measured_pose()
-        if own.touching < _FREE * self._settings.contact_threshold:
+        free = own.touching < _FREE * self._settings.contact_threshold
+        if not free or self._touch.clearance_m < 0:
+            self._T_near = measured
+        if free:
             self._T_free, self._wrist_rad = measured, float(np.nan_to_num(arm.angles[5]))
         elif self._direction is not None:
             self._highest = max(self._highest, -float(measured[:3, 3] @ self._direction))
@@ -440,7 +459,14 @@ class ContourFollower:
         if estimate.touching < self._settings.contact_threshold:
             self._filter.reset()
             return estimate
-        fused = self._filter.step(T_base_tcp_measured, estimate.label, estimate.deviations)
+        fused, margin = (
+            self._filter.step(T_base_tcp_measured, estimate.label, estimate.deviations),
+            self._settings.range_margin,
+        )
+        if self._predicted(fused.label)[1].max() > margin > self._predicted(estimate.label)[1].max():
+            # The motion contradicts the image, as where another part of the tip touches than before.
+            self._filter.reset()
+            fused = self._filter.step(T_base_tcp_measured, estimate.label, estimate.deviations)
         return replace(estimate, label=fused.label, deviations=fused.deviations)
 
     def _note(self, kind: str, what: str) -> None:
@@ -452,11 +478,30 @@ class FollowingFailed(Exception):
     """A route cannot be followed further; the message says why."""
 
 
+def _angle_deg(estimate: Estimate) -> float:
+    """Return the estimated angle, degrees, between the sensor's axis and the normal."""
+    return float(np.degrees(np.linalg.norm(pose_error(estimate.label, np.zeros(6))[3:5])))
+
+
 def _facing(T: np.ndarray, direction: np.ndarray | None) -> np.ndarray:
     """Return a pose (4, 4) turned about its apex by the smallest angle, so that its axis points in a direction (3,)."""
     if direction is None:
         return T
     return matrix(T[:3, 3], shortest_turn(T[:3, 2], direction) * Rotation.from_matrix(T[:3, :3]))
+
+
+def _tilt_rad(T: np.ndarray, direction: np.ndarray | None) -> float:
+    """Return the angle, rad, between the axis of a pose (4, 4) and a direction (3,); 0 if that is None."""
+    return 0.0 if direction is None else float(np.arccos(np.clip(T[:3, 2] @ direction, -1.0, 1.0)))
+
+
+def _tilted_at_most(T: np.ndarray, direction: np.ndarray | None, max_rad: float) -> np.ndarray:
+    """Return a pose (4, 4) turned about its apex towards a direction (3,) if its tilt from it exceeds a maximum, rad."""
+    tilt = _tilt_rad(T, direction)
+    if direction is None or tilt <= max_rad:
+        return T
+    turn = shortest_turn(T[:3, 2], direction).as_rotvec() * (1 - max_rad / tilt)
+    return matrix(T[:3, 3], Rotation.from_rotvec(turn) * Rotation.from_matrix(T[:3, :3]))
 
 
 def _moved(T: np.ndarray, direction: np.ndarray | None, by_mm: float) -> np.ndarray:

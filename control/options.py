@@ -38,16 +38,18 @@ class Settings:
     search_step_mm: float = within(0.05, 2, default=0.5)
     """Step of the search for contact, mm."""
     alignment_steps: int = within(1, 100, default=12)
-    """Number of steps in place after contact, in which the controller aligns the sensor."""
+    """Number of steps in place after contact, in which the controller aligns the sensor; up to twice as many where it is far
+    from the normal."""
     range_margin: float = within(0, 10, default=0.5)
     """Distance beyond the trained label range at which an estimate is rejected, as a fraction of the range's half
     width."""
     max_force_n: float = within(0.1, 100, default=4.5)
-    """Contact force at which the arm stops and retracts, N [?]. For presses deeper than by default it rises with the
+    """Contact force at which the arm stops and moves back, N [?]. For presses deeper than by default it rises with the
     depth."""
     ease_force_n: float = within(0.1, 100, default=2.0)
-    """Estimated contact force above which the tip presses less and never moves deeper, N [M]. It rises as max_force_n. Along
-    the face of the bust the force is 1.4 N at most; in hollows narrower than the tip it is higher, because flanks touch."""
+    """Estimated contact force above which the tip moves back, N [M]; below it, it presses no deeper than the rest allows. It
+    rises as max_force_n. Along the face of the bust the force is 1.4 N at most; in hollows narrower than the tip it is more,
+    because flanks touch."""
     retract_mm: float = within(0.1, 20, default=2.0)
     """Distance of a retraction along the sensor's axis, mm."""
     max_recoveries: int = within(0, 1000, default=2)

@@ -22,7 +22,7 @@ _LEANING_RAD = np.radians(4.0)
 _TO_CORNER_M = 4e-3
 """Distance to the corner that is assumed where the edge is lost, and step behind it, m [?]."""
 
-MIN_TILT_COSINE = 0.25
+MIN_TILT_COSINE = 0.12
 """Smallest cosine between the sensor's axis and the direction of projection, -: on steeper surfaces, a direction in the
 plane has no useful counterpart on the surface."""
 
