@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 
 from helpers.profiles import profiled_block
-from helpers.servo_world import BRISK, Scripted, Shallow, World, beside, lost, over, rim_world, wild
+from helpers.servo_world import BRISK, Held, Scripted, Shallow, World, beside, lost, over, rim_world, wild
 from tactip_twin.assets.meshes.hard_rims import CorneredRim, GappedRim
 from tactip_twin.control.estimator import Oracle
 from tactip_twin.control.follow import ContourFollower
 from tactip_twin.control.obstacles import Obstacle
 from tactip_twin.control.routes import EdgePath
+from tactip_twin.learning.filter_settings import FilterSettings
+from tactip_twin.learning.pose_filter import PoseFilter
 from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.contact.simulator import Diverged
 from tactip_twin.sim.fast_tip.sliding_tip import read_sliding_tip, shipped_sliding_tip
@@ -132,6 +134,18 @@ def test_follower_turns_with_a_corner_of_a_rim():
     end = inverse(world.scene_object.T_base_object) @ world.steps[-1].T_base_tcp
     assert end[1, 3] == pytest.approx(0.05, abs=1e-3)
     assert end[0, 3] < 0.04
+
+
+def test_follower_believes_the_image_where_the_filter_leaves_the_trained_range():
+    """The filter adds the motion back to a depth that stays, so the tip would count as off the object."""
+    world = World("plate")
+    held = Held(world.truth, world.scene_object.T_base_object)
+    follower = world.follow(world.start([0, 0, 0]), over(world), held, PoseFilter("surface", FilterSettings()))
+    depths_mm = 1e3 * np.array([s.estimate.label[2] for s in world.steps])
+    moved_mm = 1e3 * (world.steps[held.held[-1]].T_base_tcp - world.steps[held.held[0]].T_base_tcp)[2, 3]
+    assert moved_mm > 4
+    assert depths_mm[held.held].max() < 0
+    assert "estimate out of range" not in {e.kind for e in follower.events}
 
 
 def test_follower_high_force_is_an_event():

@@ -140,3 +140,17 @@ class Shallow(Oracle):
         estimate = super().estimate(touch, T_base_tcp)
         label = np.clip(to_mm_deg(estimate.label), [0, 0, -5, -15, -15, 0], [0, 0, -0.6, 15, 15, 0])
         return replace(estimate, label=from_mm_deg(label), force_n=float(np.linalg.norm(touch.force)))
+
+
+class Held(Oracle):
+    """What an image tells of a tip that another part of the object holds: the depth stays as the tip moves back; and the
+    force."""
+
+    held, step = range(16, 26), -1
+
+    def estimate(self, touch, T_base_tcp):
+        self.step += 1
+        estimate = replace(super().estimate(touch, T_base_tcp), deviations=from_mm_deg([0, 0, 0.6, 1, 1, 0]), force_n=0.5)
+        if self.step not in self.held:
+            return estimate
+        return replace(estimate, label=from_mm_deg([0, 0, -1.0, 0, 0, 0]), touching=1.0, force_n=3.0)
