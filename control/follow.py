@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from tactip_twin.control.estimator import Estimate, Estimator
 from tactip_twin.control.obstacles import LeftOut, Obstacle, Tries
 from tactip_twin.control.options import Settings
-from tactip_twin.control.press import YIELD_MM, Press
+from tactip_twin.control.press import Press
 from tactip_twin.control.routes import Route
 from tactip_twin.control.servo import Controller, pose_error
 from tactip_twin.learning.labels import Labels
@@ -69,8 +69,11 @@ class Step:
 _SLOW_DEG = {"surface": 2.0, "edge": 0.0}
 """Default of Settings.slowdown_angle_deg by task."""
 
-_UPRIGHT_RAD, _UPRIGHT_M = np.radians(15.0), 6e-3
-"""Angle by which the sensor is turned closer to the route's direction of approach at an obstacle, rad, and the travel along
+_EVASION_MM = 1.0
+"""Motion back along the sensor's axis after a stop of the arm at its limit of force or a collision, mm [?]."""
+
+_UPRIGHT_RAD, _UPRIGHT_M = np.radians(5.0), 6e-3
+"""Angle by which the sensor turns closer to the route's direction of approach after a collision, rad, and the travel along
 the route over which it does not tilt farther, m [?]."""
 
 _ALIGNED_DEG = 3.0
@@ -153,7 +156,7 @@ class ContourFollower:
         Raises:
             TactipError: The start is inside the object.
         """
-        self._T_free = self._T_good = self._T_near = T_start
+        self._T_free = self._T_good = T_start
         self._wrist_rad, self._highest = route.wrist_rad, -np.inf
         self._trail: deque[np.ndarray] = deque(maxlen=_MAX_TRAIL)
         self._direction, self._tries = route.approach, Tries(self._settings, route.approach is not None)
@@ -187,10 +190,10 @@ class ContourFollower:
         aligning = self._is_aligning(estimate)
         failure, force_n = self._failure(estimate, aligning), estimate.force_n or 0.0
         if failure:
-            if failure[0] != "force" or not self._press.stopped(route.travelled_m):
+            if failure[0] not in ("force", "collision") or not self._tries.evades(route.travelled_m):
                 raise Obstacle(*failure)
             self._note(*failure)
-            return self._go(_moved(self._mounted_tip.arm_model.measured_pose(), None, -YIELD_MM))
+            return self._evade(failure[0], route)
         measured, start, along = self._mounted_tip.arm_model.measured_pose(), self._clock(), np.zeros(3)
         if aligning:
             self._phase, self._centred = "centre", self._centred + 1
@@ -208,6 +211,15 @@ class ContourFollower:
         if route.travelled_m > self._upright_to_m:
             self._max_tilt_rad = np.pi
         return self._go(_tilted_at_most(measured @ motion, self._direction, self._max_tilt_rad), self._clock() - start)
+
+    def _evade(self, kind: str, route: Route) -> Estimate:
+        """Move back a little after a stop of the arm or a collision; after a collision, also turn closer to the route's
+        direction of approach, and stay so for a while."""
+        back = _moved(self._mounted_tip.arm_model.measured_pose(), None, -_EVASION_MM)
+        if kind == "collision":
+            tilt_rad = min(self._max_tilt_rad, _tilt_rad(back, self._direction))
+            self._max_tilt_rad, self._upright_to_m = max(0.0, tilt_rad - _UPRIGHT_RAD), route.travelled_m + _UPRIGHT_M
+        return self._go(_tilted_at_most(back, self._direction, self._max_tilt_rad))
 
     def _is_aligning(self, estimate: Estimate) -> bool:
         """Return whether the tip still turns in place after contact: longer where it is far from the normal."""
@@ -235,15 +247,11 @@ class ContourFollower:
             self._note(obstacle.kind, str(obstacle))
             self._phase, self._centred = "search", 0
             self._controller.reset()
-            self._press.reset()
             if self._filter is not None:
                 self._filter.reset()
-            max_tilt_rad = min(self._max_tilt_rad, _tilt_rad(self._T_near, self._direction)) - _UPRIGHT_RAD
-            what = self._tries.next(obstacle.kind, tilted=max_tilt_rad > 0)
+            self._max_tilt_rad = np.pi
+            what = self._tries.next(obstacle.kind)
             try:
-                if what.upright:
-                    self._max_tilt_rad, self._upright_to_m = max_tilt_rad, route.travelled_m + _UPRIGHT_M
-                    return self._approach(_tilted_at_most(self._T_near, self._direction, max_tilt_rad))
                 if what.skip_mm is None:
                     return self._recover_from(obstacle.kind)
                 T = route.skip(what.skip_mm / 1e3, self._T_good)
@@ -421,10 +429,7 @@ class ContourFollower:
         arm = self._mounted_tip.arm_model
         own = self._estimator.estimate(self._touch, arm.pose)
         measured = arm.measured_pose()
-        free = own.touching < _FREE * self._settings.contact_threshold
-        if not free or self._touch.clearance_m < 0:
-            self._T_near = measured
-        if free:
+        if own.touching < _FREE * self._settings.contact_threshold:
             self._T_free, self._wrist_rad = measured, float(np.nan_to_num(arm.angles[5]))
         elif self._direction is not None:
             self._highest = max(self._highest, -float(measured[:3, 3] @ self._direction))

@@ -18,8 +18,8 @@ _PROGRESS_MM = 2.0
 _ON_THE_SPOT = ("contact lost", "estimate out of range", "diverged")
 """Kinds of obstacles that another contact on the spot may remove."""
 
-_MAX_UPRIGHT = 3
-"""Number of times that the sensor is turned closer to the route's direction of approach after collisions at a place [?]."""
+_MAX_EVASIONS = 5
+"""Number of stops of the arm and of collisions that are evaded without lifting off, until there is progress [?]."""
 
 
 class Obstacle(Exception):
@@ -53,8 +53,6 @@ class Try:
     """Travel along the route before the next approach, mm: infinite for the rest of its part; None: stay on the spot."""
     turned: bool = False
     """Whether to approach with the sensor along the route's own direction of approach instead of as it was."""
-    upright: bool = False
-    """Whether to approach on the spot with the sensor closer to that direction, and to keep it so for a while."""
 
 
 class Tries:
@@ -63,18 +61,23 @@ class Tries:
     def __init__(self, settings: Settings, can_turn: bool) -> None:
         """Take the limits, and whether the route has a direction of approach."""
         self._settings, self._can_turn = settings, can_turn
-        self._on_the_spot, self._upright, self._skips, self._good, self._steps, self._at_mm = 0, 0, 0, 0, 0, 0.0
+        self._on_the_spot, self._skips, self._good, self._steps, self._at_mm = 0, 0, 0, 0, 0.0
+        self._evasions, self._evaded_at_mm = 0, 0.0
 
-    def next(self, kind: str, tilted: bool = False) -> Try:
-        """Return what to try next after an obstacle of a kind. tilted: whether the sensor can be turned closer to the
-        route's direction of approach."""
+    def evades(self, travelled_m: float) -> bool:
+        """Count a stop or a collision at a distance along the route, and return whether to evade it without lifting off."""
+        travelled_mm = 1e3 * travelled_m
+        if travelled_mm >= self._evaded_at_mm + _PROGRESS_MM:
+            self._evasions, self._evaded_at_mm = 0, travelled_mm
+        self._evasions += 1
+        return self._evasions <= _MAX_EVASIONS
+
+    def next(self, kind: str) -> Try:
+        """Return what to try next after an obstacle of a kind."""
         s, self._good, self._steps = self._settings, 0, 0
         if kind in _ON_THE_SPOT and self._on_the_spot < s.max_recoveries:
             self._on_the_spot += 1
             return Try(None)
-        if kind == "collision" and self._can_turn and tilted and self._upright < _MAX_UPRIGHT:
-            self._upright += 1
-            return Try(None, upright=True)
         place, turned = divmod(self._skips, 2) if self._can_turn else (self._skips, 0)
         self._skips += 1
         if turned:
@@ -91,10 +94,11 @@ class Tries:
         if travelled_mm >= self._at_mm + _PROGRESS_MM:
             self._at_mm, self._steps = travelled_mm, 0
             if self._good >= _RECOVERED_STEPS:
-                self._on_the_spot = self._upright = self._skips = 0
+                self._on_the_spot = self._skips = 0
         if self._steps > _PROGRESS_STEPS:
             raise Obstacle("no progress", f"{_PROGRESS_STEPS} steps moved the tip by less than {_PROGRESS_MM:g} mm")
 
     def skipped_to(self, travelled_m: float) -> None:
         """Note a new place on the route, at a distance along it, m."""
-        self._at_mm = 1e3 * travelled_m
+        self._at_mm = self._evaded_at_mm = 1e3 * travelled_m
+        self._evasions = 0

@@ -13,13 +13,6 @@ _STIFFNESS_N_PER_M = 1.5e3
 _MAX_BACK_M = 0.7e-3
 """Longest motion back in a step, m [?]."""
 
-YIELD_MM = 1.0
-"""Motion back along the sensor's axis after a stop of the arm at its limit of force, mm [?]."""
-
-_MAX_STOPS, _PROGRESS_M = 3, 2e-3
-"""Stops of the arm at its limit of force that are no obstacle yet, and the travel along the route after which their count
-starts again, m [?]."""
-
 
 class Press:
     """Limits the press of one run."""
@@ -27,11 +20,6 @@ class Press:
     def __init__(self, depth_m: float, ease_force_n: float) -> None:
         """Take the depth to keep, m, and the force, N, above which the tip never moves deeper (Settings.ease_force_n)."""
         self._depth_m, self._limit_n = depth_m, ease_force_n
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget the stops, because contact was lost or given up."""
-        self._stops, self._stopped_at_m = 0, 0.0
 
     def room_m(self, force_n: float) -> float:
         """Return by how much deeper the tip may press at a force on it, N; m, negative where it must move back."""
@@ -48,10 +36,3 @@ class Press:
         out = motion.copy()
         out[2, 3] = min(out[2, 3], self.room_m(force_n))
         return out
-
-    def stopped(self, travelled_m: float) -> bool:
-        """Count a stop of the arm at its limit of force, at a distance along the route, m. Return whether to go on."""
-        if travelled_m > self._stopped_at_m + _PROGRESS_M:
-            self._stops, self._stopped_at_m = 0, travelled_m
-        self._stops += 1
-        return self._stops <= _MAX_STOPS

@@ -90,11 +90,16 @@ def gains_named(name: GainsName, task: Task) -> Gains:
     return lookup("task", task, lookup("gains", name, GAINS))
 
 
+_FREE_AXES: dict[Task, list[int]] = {"surface": [0, 1], "edge": [1]}
+"""Axes of the contact frame along which the task defines no position."""
+
+
 class Servo:
     """The paper's controller: proportional and integral, with a limited integral."""
 
-    def __init__(self, gains: Gains, depth_mm: float) -> None:
-        """Set the gains and the depth to keep, mm."""
+    def __init__(self, gains: Gains, depth_mm: float, task: Task = "surface") -> None:
+        """Set the gains, the depth to keep, mm, and the task."""
+        self._free = _FREE_AXES[task]
         self._kp, self._ki = np.array(gains.kp), np.array(gains.ki)
         self._limit = from_mm_deg([gains.integral_limit_mm] * 3 + [gains.integral_limit_deg] * 3)
         self._reference = from_mm_deg(reference_mm_deg(depth_mm))
@@ -112,5 +117,9 @@ class Servo:
         """Return the motion (4, 4) for a label; see Controller."""
         error = self.error(label)
         self._sum = np.clip(self._sum + error, -self._limit, self._limit)
+        # Where the task defines no position, nothing would ever reduce the sum. It gets there as the sensor turns: summed in
+        # the sensor's frame, errors across an edge end up along it, and can hold the tip for good [M].
+        free = sensor_in_contact(label)[self._free, :3]
+        self._sum[:3] -= free.T @ (free @ self._sum[:3])
         motion = self._kp * error + self._ki * self._sum
         return matrix(motion[:3] + np.asarray(along), Rotation.from_rotvec(motion[3:]))

@@ -115,7 +115,7 @@ def prepare(
     T_wanted, T_start = T_start, clear_pose(mounted_tip, T_start)
     back_mm = 1e3 * float(np.linalg.norm(T_start[:3, 3] - T_wanted[:3, 3]))
     network = model if isinstance(chosen, NetworkEstimator) else None
-    controller = Servo(gains, depth_mm) if controller is None else controller
+    controller = Servo(gains, depth_mm, options.task) if controller is None else controller
     return ServoSetup(
         design,
         scene_object,

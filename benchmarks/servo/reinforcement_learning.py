@@ -54,7 +54,7 @@ class ServoPolicy:
     def __init__(self, task: Task, environment: gymnasium.Env) -> None:
         """Take the task, and an environment in observation mode oracle or pose."""
         inner: Any = environment.unwrapped
-        self._servo = Servo(gains_named("paper", task), DEPTHS_MM[task])
+        self._servo = Servo(gains_named("paper", task), DEPTHS_MM[task], task)
         self._rows = [LABELS.index(f"pose_{c}") for c in LEARNED[task]]
         self._reference = reference_mm_deg(DEPTHS_MM[task])
         self._limits = np.array([inner.options.max_move_mm] * 3 + [inner.options.max_turn_deg] * 3)

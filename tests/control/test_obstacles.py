@@ -23,14 +23,13 @@ def test_tries_after_a_collision_are_not_on_the_spot():
     assert Tries(Settings(), can_turn=False).next("collision").skip_mm == Settings().skip_mm
 
 
-def test_tries_turn_a_tilted_sensor_upright_first_and_a_bounded_number_of_times():
-    tries = Tries(Settings(max_skips=1), can_turn=True)
-    chosen = [tries.next("collision", tilted=True) for _ in range(6)]
-    assert [one.upright for one in chosen] == [True, True, True, False, False, False]
-    assert [one.skip_mm for one in chosen[3:]] == [Settings().skip_mm, 0.0, np.inf]
-    assert not Tries(Settings(), can_turn=True).next("collision", tilted=False).upright
-    assert not Tries(Settings(), can_turn=False).next("collision", tilted=True).upright
-    assert not Tries(Settings(), can_turn=True).next("unreachable", tilted=True).upright
+def test_tries_evade_a_few_stops_and_collisions_at_a_place():
+    tries = Tries(Settings(), can_turn=True)
+    assert [tries.evades(0.01) for _ in range(6)] == [True] * 5 + [False]
+    assert not tries.evades(0.0115)
+    assert tries.evades(0.0125)
+    tries.skipped_to(0.0125)
+    assert [tries.evades(0.0125) for _ in range(6)] == [True] * 5 + [False]
 
 
 def test_tries_start_again_after_progress_only():

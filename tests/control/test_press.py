@@ -52,11 +52,3 @@ def test_press_returns_to_the_depth_without_windup():
     assert depth[15:20] == pytest.approx(np.full(5, 2.0), abs=0.15)
     assert depth[60:].max() < 2.6
     assert depth[-5:] == pytest.approx(np.full(5, 2.0), abs=0.15)
-
-
-def test_press_a_few_stops_of_the_arm_are_no_obstacle():
-    press = Press(2e-3, 2.0)
-    assert [press.stopped(0.01) for _ in range(4)] == [True, True, True, False]
-    assert press.stopped(0.0125)  # farther along the route
-    press.reset()
-    assert press.stopped(0.01)

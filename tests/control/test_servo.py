@@ -22,7 +22,7 @@ def test_servo_from_any_pose_converges_to_the_reference(gains, task):
     rng = np.random.default_rng(0)
     for _ in range(10):
         T = sensor_in_contact(from_mm_deg(rng.uniform([-5, -5, -5, -15, -15, -45], [5, 5, -1, 15, 15, 45])))
-        servo = Servo(gains_named(gains, task), DEPTHS_MM[task])
+        servo = Servo(gains_named(gains, task), DEPTHS_MM[task], task)
         for _ in range(60):
             label = np.zeros(6)
             label[components] = label_of(T)[components]
@@ -45,6 +45,18 @@ def test_servo_move_is_proportional_and_integral_with_a_clipped_sum():
         assert servo.move(label)[2, 3] == pytest.approx(expected * 1e-3)
     servo.reset()
     assert servo.move(label, along=(1e-3, 0, 0))[:3, 3] == pytest.approx([1e-3, 0, -0.8e-3])
+
+
+@pytest.mark.parametrize(
+    ("task", "label", "components"), [("edge", [2.4, 0, -3, 0, 0, -30], [1]), ("surface", [0, 0, -4, 15, 9, 0], [0, 1])]
+)
+def test_servo_integral_does_not_push_along_what_the_task_leaves_free(task, label, components):
+    """Errors of a turned sensor have parts along its own axes, which remain when it has turned back."""
+    servo = Servo(Gains(), 3.0, task)
+    for _ in range(20):
+        servo.move(from_mm_deg(label))
+    moved = servo.move(from_mm_deg(reference_mm_deg(3.0)), along=(1e-3, 1e-3, 0))
+    assert moved[components, 3] == pytest.approx([1e-3] * len(components), abs=1e-9)
 
 
 def test_servo_on_a_ball_has_no_steady_error():

@@ -62,7 +62,7 @@ class World:
         follower = ContourFollower(
             self.mounted_tip,
             estimator or self.oracle,
-            Servo(Gains(), 3.0),
+            Servo(Gains(), 3.0, self.labels.task),
             3.0,
             self.labels,
             Settings(**settings),
