@@ -90,16 +90,16 @@ def gains_named(name: GainsName, task: Task) -> Gains:
     return lookup("task", task, lookup("gains", name, GAINS))
 
 
-_FREE_AXES: dict[Task, list[int]] = {"surface": [0, 1], "edge": [1]}
+FREE_AXES: dict[Task, tuple[int, ...]] = {"surface": (0, 1), "edge": (1,)}
 """Axes of the contact frame along which the task defines no position."""
 
 
 class Servo:
     """The paper's controller: proportional and integral, with a limited integral."""
 
-    def __init__(self, gains: Gains, depth_mm: float, task: Task = "surface") -> None:
-        """Set the gains, the depth to keep, mm, and the task."""
-        self._free = _FREE_AXES[task]
+    def __init__(self, gains: Gains, depth_mm: float, free_axes: tuple[int, ...] = ()) -> None:
+        """Set the gains, the depth to keep, mm, and the axes of the contact frame along which no position is kept."""
+        self._free = list(free_axes)
         self._kp, self._ki = np.array(gains.kp), np.array(gains.ki)
         self._limit = from_mm_deg([gains.integral_limit_mm] * 3 + [gains.integral_limit_deg] * 3)
         self._reference = from_mm_deg(reference_mm_deg(depth_mm))

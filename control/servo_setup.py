@@ -11,7 +11,7 @@ from tactip_twin.control.estimator import Estimator, ImageEstimator, LabelFuncti
 from tactip_twin.control.options import ServoOptions, Settings
 from tactip_twin.control.routes import EdgePath, Geodesic, PlanarPath, Route, serpentine
 from tactip_twin.control.score import surface_targets
-from tactip_twin.control.servo import DEPTHS_MM, Controller, Servo, gains_named
+from tactip_twin.control.servo import DEPTHS_MM, FREE_AXES, Controller, Servo, gains_named
 from tactip_twin.learning.labels import Labels
 from tactip_twin.learning.model import Model, load_network
 from tactip_twin.sim.contact.fidelity import Motion, fidelity_named
@@ -115,7 +115,7 @@ def prepare(
     T_wanted, T_start = T_start, clear_pose(mounted_tip, T_start)
     back_mm = 1e3 * float(np.linalg.norm(T_start[:3, 3] - T_wanted[:3, 3]))
     network = model if isinstance(chosen, NetworkEstimator) else None
-    controller = Servo(gains, depth_mm, options.task) if controller is None else controller
+    controller = Servo(gains, depth_mm, FREE_AXES[options.task]) if controller is None else controller
     return ServoSetup(
         design,
         scene_object,

@@ -16,7 +16,7 @@ from tactip_twin.benchmarks.options import ReinforcementLearningOptions, Reinfor
 from tactip_twin.benchmarks.report import read_results, table, write_results
 from tactip_twin.benchmarks.servo.policy_training import TrainingSettings, train
 from tactip_twin.control.policy import Policy, write_policy
-from tactip_twin.control.servo import DEPTHS_MM, Servo, gains_named, reference_mm_deg
+from tactip_twin.control.servo import DEPTHS_MM, FREE_AXES, Servo, gains_named, reference_mm_deg
 from tactip_twin.sim.labels import LABELS, LEARNED, Task
 from tactip_twin.sim.pose import from_mm_deg, to_mm_deg
 from tactip_twin.sim.view.plot import COLORS, figure_of, log_axis, save_figure
@@ -54,7 +54,7 @@ class ServoPolicy:
     def __init__(self, task: Task, environment: gymnasium.Env) -> None:
         """Take the task, and an environment in observation mode oracle or pose."""
         inner: Any = environment.unwrapped
-        self._servo = Servo(gains_named("paper", task), DEPTHS_MM[task], task)
+        self._servo = Servo(gains_named("paper", task), DEPTHS_MM[task], FREE_AXES[task])
         self._rows = [LABELS.index(f"pose_{c}") for c in LEARNED[task]]
         self._reference = reference_mm_deg(DEPTHS_MM[task])
         self._limits = np.array([inner.options.max_move_mm] * 3 + [inner.options.max_turn_deg] * 3)

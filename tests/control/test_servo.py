@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tactip_twin.control.routes import EdgePath, Geodesic, PlanarPath, serpentine
-from tactip_twin.control.servo import DEPTHS_MM, GAINS, Gains, Servo, gains_named, reference_mm_deg
+from tactip_twin.control.servo import DEPTHS_MM, FREE_AXES, GAINS, Gains, Servo, gains_named, reference_mm_deg
 from tactip_twin.sim.ground_truth import EdgeGroundTruth, SurfaceGroundTruth
 from tactip_twin.sim.pose import from_mm_deg, inverse, label_of, matrix, sensor_in_contact
 from tactip_twin.sim.robot.objects import load_object
@@ -22,7 +22,7 @@ def test_servo_from_any_pose_converges_to_the_reference(gains, task):
     rng = np.random.default_rng(0)
     for _ in range(10):
         T = sensor_in_contact(from_mm_deg(rng.uniform([-5, -5, -5, -15, -15, -45], [5, 5, -1, 15, 15, 45])))
-        servo = Servo(gains_named(gains, task), DEPTHS_MM[task], task)
+        servo = Servo(gains_named(gains, task), DEPTHS_MM[task], FREE_AXES[task])
         for _ in range(60):
             label = np.zeros(6)
             label[components] = label_of(T)[components]
@@ -52,7 +52,7 @@ def test_servo_move_is_proportional_and_integral_with_a_clipped_sum():
 )
 def test_servo_integral_does_not_push_along_what_the_task_leaves_free(task, label, components):
     """Errors of a turned sensor have parts along its own axes, which remain when it has turned back."""
-    servo = Servo(Gains(), 3.0, task)
+    servo = Servo(Gains(), 3.0, FREE_AXES[task])
     for _ in range(20):
         servo.move(from_mm_deg(label))
     moved = servo.move(from_mm_deg(reference_mm_deg(3.0)), along=(1e-3, 1e-3, 0))

@@ -10,7 +10,7 @@ from tactip_twin.control.estimator import Estimate, Estimator, Oracle
 from tactip_twin.control.follow import ContourFollower
 from tactip_twin.control.options import Settings
 from tactip_twin.control.routes import PlanarPath
-from tactip_twin.control.servo import Gains, Servo
+from tactip_twin.control.servo import FREE_AXES, Gains, Servo
 from tactip_twin.learning.labels import Labels
 from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.ground_truth import EdgeGroundTruth, SurfaceGroundTruth
@@ -62,7 +62,7 @@ class World:
         follower = ContourFollower(
             self.mounted_tip,
             estimator or self.oracle,
-            Servo(Gains(), 3.0, self.labels.task),
+            Servo(Gains(), 3.0, FREE_AXES[self.labels.task]),
             3.0,
             self.labels,
             Settings(**settings),
