@@ -18,13 +18,14 @@ from tactip_twin.control.obstacles import LeftOut, Obstacle, Tries
 from tactip_twin.control.options import Settings
 from tactip_twin.control.press import Press
 from tactip_twin.control.routes import Route
+from tactip_twin.control.sensor_poses import moved, tilt_rad, tilted_at_most
 from tactip_twin.control.servo import Controller, pose_error
 from tactip_twin.learning.labels import Labels
 from tactip_twin.learning.pose_filter import PoseFilter
 from tactip_twin.sim.contact.simulator import Diverged
 from tactip_twin.sim.contact.tip_state import TipState
 from tactip_twin.sim.labels import COMPONENTS
-from tactip_twin.sim.pose import from_mm_deg, interpolate, inverse, matrix, sensor_in_contact, shortest_turn, to_mm_deg
+from tactip_twin.sim.pose import from_mm_deg, interpolate, inverse, matrix, sensor_in_contact, to_mm_deg
 from tactip_twin.sim.robot.irb120 import Unreachable
 from tactip_twin.sim.robot.mounted_tip import TipOnArm, clear_pose
 from tactip_twin.tactip_model.errors import TactipError
@@ -188,7 +189,7 @@ class ContourFollower:
     def _step(self, route: Route, estimate: Estimate) -> Estimate | None:
         """Take a control step, and return the estimate after it; None at the end of the route. Raises Obstacle."""
         aligning = self._is_aligning(estimate)
-        failure, force_n = self._failure(estimate, aligning), estimate.force_n or 0.0
+        failure = self._failure(estimate, aligning)
         if failure:
             if failure[0] not in ("force", "collision") or not self._tries.evades(route.travelled_m):
                 raise Obstacle(*failure)
@@ -206,20 +207,20 @@ class ContourFollower:
             self._T_good, self._followed_to_m = measured, route.travelled_m
             self._tries.followed(route.travelled_m)
             along = measured[:3, :3].T @ (self._step_fraction(estimate) * self._settings.step_mm / 1e3 * direction)
-        label = self._press.label(self._in_range(estimate.label), force_n)
-        motion = self._press.motion(self._limited(self._controller.move(label, along)), force_n)
+        label = self._press.label(self._in_range(estimate.label), estimate.force_n)
+        motion = self._press.motion(self._limited(self._controller.move(label, along)), estimate.force_n)
         if route.travelled_m > self._upright_to_m:
             self._max_tilt_rad = np.pi
-        return self._go(_tilted_at_most(measured @ motion, self._direction, self._max_tilt_rad), self._clock() - start)
+        return self._go(tilted_at_most(measured @ motion, self._direction, self._max_tilt_rad), self._clock() - start)
 
     def _evade(self, kind: str, route: Route) -> Estimate:
         """Move back a little after a stop of the arm or a collision; after a collision, also turn closer to the route's
         direction of approach, and stay so for a while."""
-        back = _moved(self._mounted_tip.arm_model.measured_pose(), None, -_EVASION_MM)
-        if kind == "collision":
-            tilt_rad = min(self._max_tilt_rad, _tilt_rad(back, self._direction))
-            self._max_tilt_rad, self._upright_to_m = max(0.0, tilt_rad - _UPRIGHT_RAD), route.travelled_m + _UPRIGHT_M
-        return self._go(_tilted_at_most(back, self._direction, self._max_tilt_rad))
+        back = moved(self._mounted_tip.arm_model.measured_pose(), None, -_EVASION_MM)
+        if kind == "collision" and self._direction is not None:
+            tilt = min(self._max_tilt_rad, tilt_rad(back, self._direction))
+            self._max_tilt_rad, self._upright_to_m = max(0.0, tilt - _UPRIGHT_RAD), route.travelled_m + _UPRIGHT_M
+        return self._go(tilted_at_most(back, self._direction, self._max_tilt_rad))
 
     def _is_aligning(self, estimate: Estimate) -> bool:
         """Return whether the tip still turns in place after contact: longer where it is far from the normal."""
@@ -259,7 +260,7 @@ class ContourFollower:
                 if T is None:
                     return None
                 self._tries.skipped_to(route.travelled_m)
-                return self._approach(_facing(T, route.approach) if what.turned else T)
+                return self._approach(tilted_at_most(T, route.approach, 0.0) if what.turned else T)
             except Obstacle as another:
                 obstacle = another
         return None
@@ -284,7 +285,7 @@ class ContourFollower:
         s = self._settings
         self._lift()
         height_mm = self._height_mm(T)
-        self._travel(_moved(T, self._direction, -height_mm), watched=True)
+        self._travel(moved(T, self._direction, -height_mm), watched=True)
         return self._search(height_mm + s.clearance_mm, 3 * s.search_step_mm, self._direction)
 
     def _height_mm(self, T: np.ndarray) -> float:
@@ -299,9 +300,9 @@ class ContourFollower:
         trail = list(self._trail)[::-1]
         for k in range(0, len(trail), _BACK_STEPS):
             try:
-                self._go(_moved(self._mounted_tip.arm_model.measured_pose(), None, -self._settings.retract_mm))
+                self._go(moved(self._mounted_tip.arm_model.measured_pose(), None, -self._settings.retract_mm))
                 here = self._mounted_tip.arm_model.measured_pose()
-                self._travel(_moved(here, self._direction, -self._height_mm(here)))
+                self._travel(moved(here, self._direction, -self._height_mm(here)))
                 return
             except Obstacle as obstacle:
                 if obstacle.kind != "unreachable":
@@ -309,7 +310,7 @@ class ContourFollower:
             for pose in trail[k : k + _BACK_STEPS]:
                 self._go(pose)
         here = self._mounted_tip.arm_model.measured_pose()
-        self._travel(_facing(_moved(here, self._direction, -self._height_mm(here)), self._direction))
+        self._travel(tilted_at_most(moved(here, self._direction, -self._height_mm(here)), self._direction, 0.0))
 
     def _travel(self, T: np.ndarray, watched: bool = False) -> None:
         """Move to a pose (4, 4) off the object. watched: whether contact on the way is an obstacle. Raises Obstacle."""
@@ -327,7 +328,7 @@ class ContourFollower:
         slow = (
             _SLOW_DEG[self._labels.task] if self._settings.slowdown_angle_deg is None else self._settings.slowdown_angle_deg
         )
-        if self._max_tilt_rad < np.pi:
+        if self._max_tilt_rad < np.pi:  # it leans because of an obstacle
             return 1.0
         return max(_MIN_STEP_FRACTION, 1 - _angle_deg(estimate) / slow) if slow else 1.0
 
@@ -371,7 +372,7 @@ class ContourFollower:
     def _recover_from(self, kind: str) -> Estimate:
         """Search for contact; unless contact was lost, retract first. Return the new estimate. Raises Obstacle."""
         if kind != "contact lost":
-            self._go(_moved(self._mounted_tip.arm_model.measured_pose(), None, -self._settings.retract_mm))
+            self._go(moved(self._mounted_tip.arm_model.measured_pose(), None, -self._settings.retract_mm))
         return self._search(self._settings.search_mm / 2)
 
     def _search(self, max_mm: float, step_mm: float | None = None, direction: np.ndarray | None = None) -> Estimate:
@@ -395,7 +396,7 @@ class ContourFollower:
                 raise Obstacle(danger[0], f"no contact detected in the image, but {danger[1]}")
             if travelled_mm >= max_mm:
                 raise Obstacle("no contact", f"no contact detected within {max_mm:g} mm")
-            estimate = self._go(_moved(self._mounted_tip.arm_model.measured_pose(), direction, step_mm))
+            estimate = self._go(moved(self._mounted_tip.arm_model.measured_pose(), direction, step_mm))
             travelled_mm += step_mm
         return estimate
 
@@ -464,11 +465,9 @@ class ContourFollower:
         if estimate.touching < self._settings.contact_threshold:
             self._filter.reset()
             return estimate
-        fused, margin = (
-            self._filter.step(T_base_tcp_measured, estimate.label, estimate.deviations),
-            self._settings.range_margin,
-        )
-        if self._predicted(fused.label)[1].max() > margin > self._predicted(estimate.label)[1].max():
+        fused = self._filter.step(T_base_tcp_measured, estimate.label, estimate.deviations)
+        beyond, own_beyond = (self._predicted(label)[1].max() for label in (fused.label, estimate.label))
+        if beyond > self._settings.range_margin > own_beyond:
             # The motion contradicts the image, as where another part of the tip touches than before.
             self._filter.reset()
             fused = self._filter.step(T_base_tcp_measured, estimate.label, estimate.deviations)
@@ -486,31 +485,3 @@ class FollowingFailed(Exception):
 def _angle_deg(estimate: Estimate) -> float:
     """Return the estimated angle, degrees, between the sensor's axis and the normal."""
     return float(np.degrees(np.linalg.norm(pose_error(estimate.label, np.zeros(6))[3:5])))
-
-
-def _facing(T: np.ndarray, direction: np.ndarray | None) -> np.ndarray:
-    """Return a pose (4, 4) turned about its apex by the smallest angle, so that its axis points in a direction (3,)."""
-    if direction is None:
-        return T
-    return matrix(T[:3, 3], shortest_turn(T[:3, 2], direction) * Rotation.from_matrix(T[:3, :3]))
-
-
-def _tilt_rad(T: np.ndarray, direction: np.ndarray | None) -> float:
-    """Return the angle, rad, between the axis of a pose (4, 4) and a direction (3,); 0 if that is None."""
-    return 0.0 if direction is None else float(np.arccos(np.clip(T[:3, 2] @ direction, -1.0, 1.0)))
-
-
-def _tilted_at_most(T: np.ndarray, direction: np.ndarray | None, max_rad: float) -> np.ndarray:
-    """Return a pose (4, 4) turned about its apex towards a direction (3,) if its tilt from it exceeds a maximum, rad."""
-    tilt = _tilt_rad(T, direction)
-    if direction is None or tilt <= max_rad:
-        return T
-    turn = shortest_turn(T[:3, 2], direction).as_rotvec() * (1 - max_rad / tilt)
-    return matrix(T[:3, 3], Rotation.from_rotvec(turn) * Rotation.from_matrix(T[:3, :3]))
-
-
-def _moved(T: np.ndarray, direction: np.ndarray | None, by_mm: float) -> np.ndarray:
-    """Return a pose (4, 4), moved in a direction (3,) of the base frame, or along the sensor's axis if None."""
-    out = T.copy()
-    out[:3, 3] += from_mm_deg([by_mm, 0, 0, 0, 0, 0])[0] * (T[:3, 2] if direction is None else direction)
-    return out

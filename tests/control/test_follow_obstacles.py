@@ -151,7 +151,9 @@ def test_follower_believes_the_image_where_the_filter_leaves_the_trained_range()
 def test_follower_high_force_is_an_event():
     world = World("plate")
     follower = world.follow(world.start([0, 0, 0]), over(world), max_force_n=0.8, max_recoveries=1, **BRISK)
-    assert {e.kind for e in follower.events} == {"force"}
+    # The tip moves back by a millimetre, and may be off the object then.
+    assert follower.events[0].kind == "force"
+    assert {e.kind for e in follower.events} <= {"force", "contact lost"}
     assert follower.stopped_because == "route completed"
     assert follower.left_out[-1].to_mm == pytest.approx(12)
 

@@ -22,9 +22,11 @@ def test_press_motion_is_limited_by_what_the_force_leaves(force_n, allowed_mm):
     assert np.array_equal(limited, rest)
 
 
-def test_press_smaller_motion_stays():
-    for z_mm in (0.3, -1.5):
-        assert np.array_equal(Press(2e-3, 2.0).motion(motion(z_mm), 1.4), motion(z_mm))
+@pytest.mark.parametrize(("z_mm", "force_n"), [(0.3, 1.4), (-1.5, 1.4), (5.0, None)])
+def test_press_smaller_motion_or_one_without_an_estimate_of_the_force_stays(z_mm, force_n):
+    assert np.array_equal(Press(2e-3, 2.0).motion(motion(z_mm), force_n), motion(z_mm))
+    label = from_mm_deg([0, 0, -2.0 + z_mm, 3, 4, 0])
+    assert np.array_equal(Press(2e-3, 2.0).label(label, force_n), label)
 
 
 def press_on_spring(steps, n_per_mm, seen_mm, press):
