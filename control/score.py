@@ -63,7 +63,7 @@ def score(
         "events": dict(Counter(event["kind"] for event in record["events"])),
         # The places are in the recording.
         "left_out": [{k: v for k, v in s.items() if k != "places_m"} for s in record.get("left_out", [])],
-        "coverage": coverage(places, targets, EDGE_COVERED_M if edge else COVERED_M),
+        "coverage": coverage(touched_places(arrays), targets, EDGE_COVERED_M if edge else COVERED_M),
         "path_mm": float(1e3 * np.linalg.norm(np.diff(places, axis=0), axis=1).sum()) if len(places) else 0.0,
         "closed": record["closed"],
         "force_mean_n": mean_or_none(force[following]),
@@ -124,6 +124,12 @@ def contact_places(arrays: Mapping[str, np.ndarray], chosen: np.ndarray) -> np.n
     """Return the places of contact (n, 3), m, base frame, at the chosen steps: the apex is below them by the depth."""
     poses = arrays["T_base_tcp"][chosen]
     return poses[:, :3, 3] + arrays["true"][chosen][:, 2:3] * poses[:, :3, 2]
+
+
+def touched_places(arrays: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Return the places of contact (n, 3), m, base frame, at the steps of the phase `follow` at which the apex is in the
+    object: where the tip lies across a hollow, its flanks touch, and not what is below it."""
+    return contact_places(arrays, (arrays["phase"] == PHASES.index("follow")) & (arrays["true"][:, 2] < 0))
 
 
 def coverage(places: np.ndarray, targets: np.ndarray, reach_m: float) -> float:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from tactip_twin.control.reach import fits, touchable
-from tactip_twin.control.score import COVERED_M, angles_to_normal_deg, contact_places, coverage, mean_or_none
+from tactip_twin.control.score import COVERED_M, angles_to_normal_deg, coverage, mean_or_none, touched_places
 from tactip_twin.sim.contact.signed_distance import SignedDistanceMesh
 from tactip_twin.sim.ground_truth import SurfaceGroundTruth
 from tactip_twin.sim.robot.objects import SceneObject
@@ -44,7 +44,7 @@ def surface_score(
         radius_m: Radius of the dome, m.
     """
     following, solid = arrays["phase"] == PHASES.index("follow"), scene_object.solid
-    places, true = contact_places(arrays, following), arrays["true"][following]
+    true = arrays["true"][following]
     T = np.linalg.inv(scene_object.T_base_object)
     reached = touchable(solid, targets @ T[:3, :3].T + T[:3, 3], radius_m, depth_mm / 1e3)
     truth = SurfaceGroundTruth(solid)
@@ -55,7 +55,7 @@ def surface_score(
     groups |= {name: (curvature >= low) & (curvature < high) for name, (low, high) in CURVATURE_BINS.items()}
     return {
         "reachable": mean_or_none(reached),
-        "coverage_of_reachable": coverage(places, targets[reached], COVERED_M),
+        "coverage_of_reachable": coverage(touched_places(arrays), targets[reached], COVERED_M),
         "errors": {name: _errors(depth_errors[chosen], angles[chosen]) for name, chosen in groups.items()},
     }
 

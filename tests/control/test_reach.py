@@ -6,8 +6,10 @@ import trimesh
 
 from helpers.profiles import profiled_block
 from tactip_twin.control.reach import fits, touchable
+from tactip_twin.control.score import coverage, touched_places
 from tactip_twin.control.surface_score import extreme_curvature
 from tactip_twin.sim.contact.signed_distance import SignedDistanceMesh
+from tactip_twin.sim.robot.recording import PHASES
 
 RADIUS_M, DEPTH_M = 20e-3, 2e-3
 
@@ -55,3 +57,16 @@ def test_curvature_of_a_ball_and_of_a_bore():
     assert extreme_curvature(solid(ball), top) == pytest.approx(1 / 30e-3, rel=0.03)
     pipe = trimesh.creation.annulus(30e-3, 40e-3, 0.1, sections=256)
     assert extreme_curvature(solid(pipe), np.array([[30e-3, 0.0, 0.0]])) == pytest.approx(-1 / 30e-3, rel=0.05)
+
+
+def test_coverage_counts_only_steps_at_which_the_apex_touches():
+    """Across a hollow, the flanks touch: what lies below the apex is not covered."""
+    down = np.diag([1.0, -1, -1, 1])
+    poses = np.stack([down, down, down])
+    poses[:, 0, 3] = [0.0, 0.02, 0.04]
+    true = np.zeros((3, 6))
+    true[:, 2] = [-2e-3, 5e-3, -2e-3]
+    phase = np.array([PHASES.index(name) for name in ("follow", "follow", "centre")])
+    places = touched_places({"phase": phase, "true": true, "T_base_tcp": poses})
+    assert places == pytest.approx(np.array([[0, 0, 2e-3]]))
+    assert coverage(places, np.array([[0, 0, 0], [0.02, 0, 0]]), 7e-3) == 0.5
