@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from tactip_twin.control.estimator import Estimate, Estimator
 from tactip_twin.control.obstacles import LeftOut, Obstacle, Tries
 from tactip_twin.control.options import Settings
-from tactip_twin.control.press import Press
+from tactip_twin.control.press import press_room_m
 from tactip_twin.control.routes import Route
 from tactip_twin.control.sensor_poses import moved, tilt_rad, tilted_at_most
 from tactip_twin.control.servo import Controller, pose_error
@@ -110,7 +110,6 @@ class ContourFollower:
         mounted_tip: TipOnArm,
         estimator: Estimator,
         controller: Controller,
-        depth_mm: float,
         labels: Labels,
         settings: Settings,
         record: Callable[[Step], None],
@@ -124,7 +123,6 @@ class ContourFollower:
             mounted_tip: Tip, arm and object.
             estimator: Estimator of the label.
             controller: Controller of the sensor's pose.
-            depth_mm: Depth that it keeps, mm.
             labels: Components of the label, with the ranges in which estimates are trusted.
             settings: Limits and steps.
             record: Called with each step.
@@ -136,7 +134,7 @@ class ContourFollower:
         self._labels, self._settings = labels, settings
         self._record, self._clock, self._on_event, self._filter = record, clock, note, pose_filter
         self._phase, self._part, self._steps = "search", 0, 0
-        self._followed_to_m, self._centred, self._press = 0.0, 0, Press(depth_mm / 1e3, settings.ease_force_n)
+        self._followed_to_m, self._centred = 0.0, 0
         self._max_tilt_rad, self._upright_to_m = np.pi, 0.0
         self.left_out: list[LeftOut] = []
         """Stretches of the route that were not followed."""
@@ -207,8 +205,9 @@ class ContourFollower:
             self._T_good, self._followed_to_m = measured, route.travelled_m
             self._tries.followed(route.travelled_m)
             along = measured[:3, :3].T @ (self._step_fraction(estimate) * self._settings.step_mm / 1e3 * direction)
-        label = self._press.label(self._in_range(estimate.label), estimate.force_n)
-        motion = self._press.motion(self._limited(self._controller.move(label, along)), estimate.force_n)
+        room_m = press_room_m(estimate.force_n, self._settings.ease_force_n)
+        motion = self._limited(self._controller.move(self._in_range(estimate.label), along, room_m))
+        motion[2, 3] = min(motion[2, 3], room_m)
         if route.travelled_m > self._upright_to_m:
             self._max_tilt_rad = np.pi
         return self._go(tilted_at_most(measured @ motion, self._direction, self._max_tilt_rad), self._clock() - start)

@@ -56,12 +56,14 @@ trained depths."""
 class Controller(Protocol):
     """Anything that turns estimated labels into motions. Subclasses without state need only `move`."""
 
-    def move(self, label: np.ndarray, along: ArrayLike = (0.0, 0.0, 0.0)) -> np.ndarray:
+    def move(self, label: np.ndarray, along: ArrayLike = (0.0, 0.0, 0.0), max_press_m: float = np.inf) -> np.ndarray:
         """Return the next motion (4, 4) of the sensor, in its own frame.
 
         Args:
             label: (6,), the estimated label, m and rad.
             along: (3,), the tangential step to add, m, in the sensor's frame.
+            max_press_m: Largest motion along the sensor's axis that the force on the tip allows (press.py), m; the follower
+                shortens a longer one.
         """
         ...
 
@@ -113,13 +115,20 @@ class Servo:
         """Return the error (6,), m and rad, of a label (6,): the reference relative to the sensor, in the sensor's frame."""
         return pose_error(label, self._reference)
 
-    def move(self, label: np.ndarray, along: ArrayLike = (0.0, 0.0, 0.0)) -> np.ndarray:
-        """Return the motion (4, 4) for a label; see Controller."""
+    def move(self, label: np.ndarray, along: ArrayLike = (0.0, 0.0, 0.0), max_press_m: float = np.inf) -> np.ndarray:
+        """Return the motion (4, 4) for a label; see Controller. The sum is held where the force limits the motion, so the
+        tip does not plunge when the force falls."""
         error = self.error(label)
+        error[2] = min(error[2], max_press_m)
         self._sum = np.clip(self._sum + error, -self._limit, self._limit)
         # Where the task defines no position, nothing would ever reduce the sum. It gets there as the sensor turns: summed in
         # the sensor's frame, errors across an edge end up along it, and can hold the tip for good [M].
         free = sensor_in_contact(label)[self._free, :3]
         self._sum[:3] -= free.T @ (free @ self._sum[:3])
         motion = self._kp * error + self._ki * self._sum
+        if motion[2] > max_press_m:
+            excess, limit = motion[2] - max_press_m, self._limit[2]
+            motion[2] = max_press_m
+            if self._ki[2] > 0:
+                self._sum[2] = np.clip(self._sum[2] - excess / self._ki[2], -limit, limit)
         return matrix(motion[:3] + np.asarray(along), Rotation.from_rotvec(motion[3:]))

@@ -68,7 +68,6 @@ def run_servo(
         setup.mounted_tip,
         setup.estimator,
         setup.controller,
-        setup.depth_mm,
         setup.labels,
         setup.settings,
         record,

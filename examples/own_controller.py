@@ -15,7 +15,7 @@ from tactip_twin.sim.pose import from_mm_deg, matrix
 class Proportional(tt.Controller):
     """Moves by half of the error at each step."""
 
-    def move(self, label: np.ndarray, along: ArrayLike = (0.0, 0.0, 0.0)) -> np.ndarray:
+    def move(self, label: np.ndarray, along: ArrayLike = (0.0, 0.0, 0.0), max_press_m: float = np.inf) -> np.ndarray:
         error = 0.5 * pose_error(label, from_mm_deg(reference_mm_deg(depth_mm=2)))
         return matrix(error[:3] + np.asarray(along), Rotation.from_rotvec(error[3:]))
 

@@ -271,7 +271,7 @@ def test_run_servo_own_parts_take_the_place_of_network_and_controller(tmp_path):
     class Still(Controller):
         moves = resets = 0
 
-        def move(self, label, along=(0.0, 0.0, 0.0)):
+        def move(self, label, along=(0.0, 0.0, 0.0), max_press_m=np.inf):
             self.moves += 1
             return matrix(along, Rotation.identity())
 

@@ -63,7 +63,6 @@ class World:
             self.mounted_tip,
             estimator or self.oracle,
             Servo(Gains(), 3.0, FREE_AXES[self.labels.task]),
-            3.0,
             self.labels,
             Settings(**settings),
             self.steps.append,
