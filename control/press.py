@@ -1,8 +1,8 @@
 """How far the tip may press: the image keeps the depth, and the force limits it.
 
 In a hollow narrower than the tip, its flanks touch first. The image then shows a shallow contact, and a servo that trusts it
-alone presses on until the arm stops. The estimated force tells better. So the error of the depth in the controller is at most
-what the force leaves, and so is its motion: override control, in which the smaller of two errors is selected.
+alone presses on until the arm stops. The estimated force tells better. So the error of the depth in the controller is at
+most what the force leaves, and so is its motion: override control, in which the smaller of two errors is selected.
 """
 
 import numpy as np
