@@ -105,8 +105,9 @@ def _plot_errors(axes: "list[Axes]", arrays: Mapping[str, np.ndarray], errors_mm
     for axis, (values, name) in zip(axes, rows, strict=True):
         for part in np.unique(parts):
             axis.plot(lengths[parts == part], values[parts == part], color=COLORS[0], lw=1.2)
-        mean = f"mean {values.mean():.2f}" if len(values) else "no steps"
-        axis.set(ylabel=name, ylim=(0, None), title=f"error of the {name.split(',')[0]}, {mean}")
+        what, unit = name.split(", ")
+        mean = f"mean {values.mean():.2f}{unit if unit == '°' else f' {unit}'}" if len(values) else "no steps"
+        axis.set(ylabel=name, ylim=(0, None), title=f"error of the {what}, {mean}")
         axis.title.set_fontsize(9)
     axes[-1].set_xlabel("length of the path, mm")
 
