@@ -299,7 +299,7 @@ class ContourFollower:
         trail = list(self._trail)[::-1]
         for k in range(0, len(trail), _BACK_STEPS):
             try:
-                self._go(moved(self._mounted_tip.arm_model.measured_pose(), None, -self._settings.retract_mm))
+                self._pull(moved(self._mounted_tip.arm_model.measured_pose(), None, -self._settings.retract_mm))
                 here = self._mounted_tip.arm_model.measured_pose()
                 self._travel(moved(here, self._direction, -self._height_mm(here)))
                 return
@@ -316,10 +316,20 @@ class ContourFollower:
         start = self._mounted_tip.arm_model.measured_pose()
         count = max(1, int(np.ceil(np.linalg.norm(T[:3, 3] - start[:3, 3]) / _TRANSIT_M)))
         for k in range(1, count + 1):
+            if not watched:
+                self._pull(interpolate(start, T, k / count))
+                continue
             self._go(interpolate(start, T, k / count))
-            danger = self._danger() if watched else None
+            danger = self._danger()
             if danger:
                 raise Obstacle(*danger)
+
+    def _pull(self, T: np.ndarray) -> None:
+        """Move to a pose (4, 4) off the object. Where the arm stops at its limit of force, because an undercut holds the
+        skin, pull it free: otherwise the tip would stay there for the rest of the run. Raises Obstacle."""
+        self._go(T)
+        if self._touch.moved_back:
+            self._go(T, max_force_n=np.inf)
 
     def _step_fraction(self, estimate: Estimate) -> float:
         """Return the fraction of the tangential step to take: smaller where the sensor tilts, because it lags behind the
@@ -371,7 +381,7 @@ class ContourFollower:
     def _recover_from(self, kind: str) -> Estimate:
         """Search for contact; unless contact was lost, retract first. Return the new estimate. Raises Obstacle."""
         if kind != "contact lost":
-            self._go(moved(self._mounted_tip.arm_model.measured_pose(), None, -self._settings.retract_mm))
+            self._pull(moved(self._mounted_tip.arm_model.measured_pose(), None, -self._settings.retract_mm))
         return self._search(self._settings.search_mm / 2)
 
     def _search(self, max_mm: float, step_mm: float | None = None, direction: np.ndarray | None = None) -> Estimate:
@@ -399,11 +409,12 @@ class ContourFollower:
             travelled_mm += step_mm
         return estimate
 
-    def _go(self, T: np.ndarray, control_s: float = 0.0) -> Estimate:
-        """Move to a pose (4, 4) and estimate there. Raises Obstacle if that is impossible."""
+    def _go(self, T: np.ndarray, control_s: float = 0.0, max_force_n: float | None = None) -> Estimate:
+        """Move to a pose (4, 4) and estimate there. max_force_n: Force at which the arm stops; that of the settings if None.
+        Raises Obstacle if that is impossible."""
         start = self._clock()
         try:
-            self._touch = self._mounted_tip.go(T, self._settings.max_force_n)
+            self._touch = self._mounted_tip.go(T, self._settings.max_force_n if max_force_n is None else max_force_n)
             self.peak_force_n = max(self.peak_force_n, self._touch.peak_force_n)
         except Unreachable as error:
             raise Obstacle("unreachable", str(error)) from error

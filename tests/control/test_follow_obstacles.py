@@ -238,6 +238,28 @@ def test_follower_that_cannot_lift_in_the_air_goes_back_until_it_can(monkeypatch
     assert sum(stretch.to_mm - stretch.from_mm for stretch in follower.left_out) < 10
 
 
+def test_follower_pulls_a_held_tip_free(monkeypatch):
+    """The arm stops at its limit of force wherever it would lift the tip, as in a hollow with an undercut."""
+    world = World("plate")
+    go, limits_n = world.mounted_tip.go, []
+
+    def held(T, max_force_n=np.inf):
+        lifts = T[2, 3] - world.arm_model.pose[2, 3] > 1.5e-3
+        if lifts:
+            limits_n.append(max_force_n)
+        if lifts and np.isfinite(max_force_n):
+            return replace(world.mounted_tip.tip_state(), peak_force_n=9.0, moved_back=True)
+        return go(T, max_force_n)
+
+    monkeypatch.setattr(world.mounted_tip, "go", held)
+    failures = Scripted(world, {20: wild})
+    follower = world.follow(world.start([0, 0, 0]), over(world, 0.02), failures, alignment_steps=5, max_recoveries=0)
+    assert follower.stopped_because == "route completed"
+    assert limits_n[:2] == [4.5, np.inf]
+    assert [e.kind for e in follower.events] == ["estimate out of range"]
+    assert sum(stretch.to_mm - stretch.from_mm for stretch in follower.left_out) < 5
+
+
 def test_follower_after_divergence_restarts(monkeypatch):
     world = World("plate")
     calls, tip_state = [], world.mounted_tip.tip_state
