@@ -77,6 +77,10 @@ _UPRIGHT_RAD, _UPRIGHT_M = np.radians(5.0), 6e-3
 """Angle by which the sensor turns closer to the route's direction of approach after a collision, rad, and the travel along
 the route over which it does not tilt farther, m [?]."""
 
+_MAX_APPROACH_RAD = np.radians(60.0)
+"""Largest tilt from the route's direction of approach with which the sensor touches down, rad: leaning farther, it passes
+the object or touches it with its housing first [?]."""
+
 _ALIGNED_DEG = 3.0
 """Estimated angle to the normal from which the tip counts as aligned, degrees [?]."""
 
@@ -259,7 +263,7 @@ class ContourFollower:
                 if T is None:
                     return None
                 self._tries.skipped_to(route.travelled_m)
-                return self._approach(tilted_at_most(T, route.approach, 0.0) if what.turned else T)
+                return self._approach(tilted_at_most(T, route.approach, 0.0 if what.turned else _MAX_APPROACH_RAD))
             except Obstacle as another:
                 obstacle = another
         return None
