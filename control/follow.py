@@ -320,13 +320,14 @@ class ContourFollower:
         start = self._mounted_tip.arm_model.measured_pose()
         count = max(1, int(np.ceil(np.linalg.norm(T[:3, 3] - start[:3, 3]) / _TRANSIT_M)))
         for k in range(1, count + 1):
+            pose = interpolate(start, T, k / count)
             if not watched:
-                self._pull(interpolate(start, T, k / count))
-                continue
-            self._go(interpolate(start, T, k / count))
-            danger = self._danger()
-            if danger:
-                raise Obstacle(*danger)
+                self._pull(pose)
+            else:
+                self._go(pose)
+                danger = self._danger()
+                if danger:
+                    raise Obstacle(*danger)
 
     def _pull(self, T: np.ndarray) -> None:
         """Move to a pose (4, 4) off the object. Where the arm stops at its limit of force, because an undercut holds the

@@ -52,6 +52,9 @@ DEPTHS_MM: dict[Task, float] = {"surface": 2.0, "edge": 3.0}
 from the normal at its middle; a shallower press has a smaller patch (docs/servo.md). Along an edge it is the middle of the
 trained depths."""
 
+FREE_AXES: dict[Task, tuple[int, ...]] = {"surface": (0, 1), "edge": (1,)}
+"""Axes of the contact frame along which the task defines no position."""
+
 
 class Controller(Protocol):
     """Anything that turns estimated labels into motions. Subclasses without state need only `move`."""
@@ -90,10 +93,6 @@ def pose_error(label: np.ndarray, reference: np.ndarray) -> np.ndarray:
 def gains_named(name: GainsName, task: Task) -> Gains:
     """Return the gains of a name and a task. Raises TactipError that lists the names."""
     return lookup("task", task, lookup("gains", name, GAINS))
-
-
-FREE_AXES: dict[Task, tuple[int, ...]] = {"surface": (0, 1), "edge": (1,)}
-"""Axes of the contact frame along which the task defines no position."""
 
 
 class Servo:

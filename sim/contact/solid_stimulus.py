@@ -41,8 +41,8 @@ _GRID = 4
 """Intervals per side of a facet in the search for its deepest point."""
 
 _MAX_HELD = 0.5
-"""Maximum weight of the corners that are clamped to the housing at a point that a probe touches, -. Next to them a facet
-cannot give way, and a contact there takes thousands of newtons [M]: there the housing is what touches."""
+"""Maximum weight of the corners that are clamped to the housing at a point that a probe touches, - [?]. Next to them a
+facet cannot give way, and a contact there takes thousands of newtons [M]: there the housing is what touches."""
 
 _MIN_PROBE_GAIN_M = 0.02e-3
 """Minimum difference between the distances to a facet and to its corners that gives the facet a probe, m."""
