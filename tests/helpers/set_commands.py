@@ -2,6 +2,7 @@
 
 import csv
 import re
+import shutil
 import subprocess
 import sys
 import time
@@ -39,7 +40,23 @@ def wait_for(condition, seconds=60):
     end = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < end, "the condition was not met in time"
-        time.sleep(0.02)
+        time.sleep(0.005)
+
+
+def kill_unfinished(command, folder, reached, attempts=5):
+    """Start a command that makes a set in folder, and kill it once reached() is true, before the set is finished.
+
+    On a busy machine a small set may be finished before the kill: then the folder is removed and the command starts again.
+    """
+    for _ in range(attempts):
+        process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        wait_for(reached)
+        process.kill()
+        process.wait()
+        if not (folder / "meta.json").exists():
+            return
+        shutil.rmtree(folder)
+    raise AssertionError(f"{attempts} commands finished the set in {folder} before they were killed")
 
 
 def samples_found(output):

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from helpers.set_commands import TACTIP, contents, make, records, run, samples_found, wait_for
+from helpers.set_commands import TACTIP, contents, kill_unfinished, make, records, run, samples_found, wait_for
 from tactip_twin.commands import main as tactip
 from tactip_twin.sim.parallel.file_lock import locked
 
@@ -16,11 +16,7 @@ from tactip_twin.sim.parallel.file_lock import locked
 @pytest.mark.parametrize("workers", [pytest.param(1, marks=pytest.mark.slow), 2])
 def test_make_killed_run_is_resumed_to_the_same_bytes(whole, tmp_path, workers):
     folder = tmp_path / "killed"
-    process = subprocess.Popen(make(folder, workers=workers), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    wait_for(lambda: len(records(folder)) >= 2)
-    process.kill()
-    process.wait()
-    assert not (folder / "meta.json").exists()
+    kill_unfinished(make(folder, workers=workers), folder, lambda: len(records(folder)) >= 2)
     verified = run([*TACTIP, "verify", str(folder)])
     assert verified.returncode == 1
     assert "unfinished" in verified.stderr
@@ -88,11 +84,8 @@ def test_make_damaged_set_does_not_grow(copy, capsys, damaged, words):
 
 def test_make_lost_image_is_made_again(whole, tmp_path):
     folder = tmp_path / "holed"
-    process = subprocess.Popen(make(folder), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     # The order of the workers is random: with three records, image 0 may still be missing.
-    wait_for((folder / ".partial" / "000000.npz").exists)
-    process.kill()
-    process.wait()
+    kill_unfinished(make(folder), folder, (folder / ".partial" / "000000.npz").exists)
     (folder / "images" / "image_00000.png").unlink()
     assert run(make(folder)).returncode == 0
     assert contents(folder) == contents(whole)

@@ -1,13 +1,12 @@
 """Contents of a set: the same bytes from any number of workers, labels in range, images of its pins; and refused options."""
 
 import json
-import subprocess
 
 import cv2
 import numpy as np
 import pytest
 
-from helpers.set_commands import TACTIP, configuration, contents, make, records, run, table, wait_for
+from helpers.set_commands import TACTIP, configuration, contents, kill_unfinished, make, records, run, table
 from tactip_twin.commands import main as tactip
 from tactip_twin.sim.dataset import generate as generation
 from tactip_twin.sim.dataset.format import read_dataset
@@ -84,12 +83,7 @@ def test_make_symmetric_samples_are_mirrored_and_resumed(tmp_path):
     plain = tmp_path / "plain"
     assert run(make(plain, samples=3)).returncode == 0
     assert np.array_equal(read_dataset(plain).image(2), dataset.image(4))
-    process = subprocess.Popen(
-        make(killed, "--augment-symmetry", samples=5, workers=1), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-    )
-    wait_for(lambda: len(records(killed)) >= 1)
-    process.kill()
-    process.wait()
+    kill_unfinished(make(killed, "--augment-symmetry", samples=5, workers=1), killed, lambda: len(records(killed)) >= 1)
     for samples in (4, 6):
         refused = run(make(killed, "--augment-symmetry", samples=samples))
         assert refused.returncode == 1 and len(refused.stderr.strip().splitlines()) == 1
