@@ -119,6 +119,8 @@ class LearningOptions:
     """Number of training contacts of the row `laptop-curved`, on curved surfaces, with 15 images and 8 symmetries each."""
     curved_test_contacts: int = 40
     """Number of curved contacts for validation, and as many for testing, with 15 images each."""
+    rough_contacts: int = 1600
+    """Number of training contacts of the row `laptop-rough`, on rough surfaces, with 10 images and 8 symmetries each."""
     fast_images: int = 48000
     """Number of training images of the rows `laptop-fast` and `laptop-contact`, whose contacts the learned tip predicts."""
     snapshot_contacts: int = 350
@@ -306,6 +308,8 @@ class SlidingTipOptions:
 class AnyMaterialsOptions:
     """Teach the tip that knows any materials; measure its errors, and calibrate sensors with it. Rerun to resume."""
 
+    task: Task = "surface"
+    """Task."""
     contacts: int = 6000
     """Number of training contacts."""
     test_contacts: int = 500
@@ -314,18 +318,20 @@ class AnyMaterialsOptions:
     """Number of training steps of each network."""
     width: int = 256
     """Units per layer of the networks."""
+    init_from: Path | None = None
+    """Learned tip with the initial weights, whose layers replace --width. Default: random weights."""
     real: tuple[Path, ...] = ()
     """Folders of real sets of a 127-pin or 331-pin tip, with the number in their name, to calibrate a nominal design to."""
     seed: int = 0
     """Seed of the selection of frames."""
     data: Path = Path("data/any-materials")
-    """Folder of the data sets: DATA/SPLIT."""
+    """Folder of the data sets: DATA/TASK/SPLIT."""
     runs: Path = Path("runs/any-materials")
     """Folder of the training and of the calibrations."""
     out: Path = Path("docs")
     """Folder for any_materials.json and any_materials.md."""
     release: Path | None = None
-    """Folder that the tip is copied to, as surface-any-materials.npz. Default: no copy."""
+    """Folder that the tip is copied to, as TASK-any-materials.npz. Default: no copy."""
     workers: str = "auto"
     """Number of worker processes that simulate contacts; auto: one per core."""
 

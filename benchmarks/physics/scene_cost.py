@@ -67,9 +67,17 @@ def _without_facet_contact(task: str) -> ContactSimulator:
     return simulator
 
 
-def _with_plain_steps(task: str) -> ContactSimulator:
-    """Return a simulator that steps by mujoco.mj_step, with contacts that begin where they touch."""
+def _without_volume(task: str) -> ContactSimulator:
+    """Return a simulator without the row that keeps the gel's volume."""
     simulator = _simulator(task)
+    simulator.scene.model.eq_active0[:] = 0
+    simulator.scene._volume = None  # pyright: ignore[reportPrivateUsage]
+    return simulator
+
+
+def _with_plain_steps(task: str) -> ContactSimulator:
+    """Return a simulator that steps by mujoco.mj_step, with contacts that begin where they touch, and without volume row."""
+    simulator = _without_volume(task)
     scene = simulator.scene
     scene.model.geom_margin[:] = 0
     scene.step = lambda: mujoco.mj_step(scene.model, scene.data)
@@ -83,7 +91,8 @@ PARTS: dict[str, MakeSimulator] = {
     "friction": lambda task: _simulator(task, friction=0.0),
     "contact of the skin's facets": _without_facet_contact,
     "De Saxcé correction": lambda task: UncorrectedSimulator(design_named(DESIGN), task, STANDARD.fidelity),
-    "`Scene.step` (`mujoco.mj_step` instead)": _with_plain_steps,
+    "the gel's volume": _without_volume,
+    "`Scene.step` and the gel's volume (`mujoco.mj_step` instead)": _with_plain_steps,
 }
 """Makers of a simulator without a part, by the part. The gel cannot be left out."""
 

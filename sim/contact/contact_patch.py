@@ -45,6 +45,7 @@ class PatchReader:
         """Find the skin's vertices among the geoms of a compiled model with a soft tip (soft_body.add_soft_tip)."""
         self._mesh = mesh
         self._vertex = np.full(model.ngeom, -1)
+        self._skin = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_FLEX, "tip/skin")
         for i in np.flatnonzero(~mesh.bonded[: mesh.surface_count]):
             self._vertex[model.geom(f"tip/{i}").id] = i
 
@@ -88,7 +89,9 @@ class PatchReader:
         vertex = np.where(geoms >= 0, self._vertex[geoms], -1).max(1)
         at_vertex = vertex >= 0
         np.add.at(weight, vertex[at_vertex], normal[at_vertex])
-        facets = self._mesh.triangles[contacts.elem[active].max(1)[~at_vertex]]
+        # A stimulus may be a flex too.
+        facet = np.where(contacts.flex[active] == self._skin, contacts.elem[active], -1).max(1)
+        facets = self._mesh.triangles[facet[~at_vertex]]
         if len(facets):
             fractions = _barycentric(contacts.pos[active][~at_vertex], vertices[facets])
             np.add.at(weight, facets, fractions * normal[~at_vertex, None])

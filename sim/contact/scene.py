@@ -115,19 +115,6 @@ class Scene:
         if self._slip:
             self._slip.reset()
 
-    def state(self) -> tuple[np.ndarray, ...]:
-        """Return a copy of the state, for set_state."""
-        which = mujoco.mjtState.mjSTATE_INTEGRATION
-        out = np.empty(mujoco.mj_stateSize(self.model, which))
-        mujoco.mj_getState(self.model, self.data, out, which)
-        return (out, *(self._slip.state() if self._slip else ()))
-
-    def set_state(self, state: tuple[np.ndarray, ...]) -> None:
-        """Return to a state. Contacts and forces remain those of the last step."""
-        mujoco.mj_setState(self.model, self.data, state[0], mujoco.mjtState.mjSTATE_INTEGRATION)
-        if self._slip:
-            self._slip.set_state(*state[1:])
-
     def deform(self, vertices: np.ndarray) -> None:
         """Move the tip's free vertices to those of a deformed mesh (n, 3), m, in the sensor frame, at rest."""
         self.data.qpos[self._tip_qpos] = (vertices - self.mesh.vertices)[self._free].ravel()

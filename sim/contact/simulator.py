@@ -1,7 +1,7 @@
 """Simulation of one contact: approach, shear, settle, record; retried with finer steps until it passes its checks."""
 
 import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -39,6 +39,13 @@ EASY_FRICTION = 0.6
 
 STICKY_FRICTION = 1.0
 """Friction above which sliding skin may snag by chance, even on a flat surface, -."""
+
+ROUND_STICKY_FRICTION = 0.9
+"""The same on a round stimulus, where a tip that slides off a flank sticks and slips in turn: at a friction of 1 on a ball,
+it stops 0.2 mm apart at different step sizes [M]."""
+
+_STEADY_M = 0.01e-3
+"""Distance (rms) between pins at two step sizes below which it is rounding of the solver rather than of the steps, m [M]."""
 
 MIN_STEP_FRACTION = 0.25
 """Minimum fraction of that step size, at high friction, -."""
@@ -329,7 +336,8 @@ class RetryingSimulator:
     """Simulator of contacts that repeats a contact with finer steps until its record passes the checks.
 
     Where skin may snag on the stimulus by chance (Stimulus.can_snag, or friction above STICKY_FRICTION), a single record
-    does not show it. There, two records that pass must agree, the second with half the step of the first.
+    does not show it. There, two records that pass must agree, the second with half the step of the first, and halving the
+    step must move the pins no more than the halving before did: otherwise they do not converge.
 
     Where an edge moves the skin far, finer steps do not help a mesh that is coarser than that of `standard`: the contact is
     repeated at `standard`.
@@ -356,7 +364,9 @@ class RetryingSimulator:
         self._design, self._limits = design, limits
         self.watch: Watch | None = None
         """ContactSimulator.watch for the steps of every try."""
-        self._must_agree = self.stimulus.can_snag or design.materials.friction > STICKY_FRICTION
+        is_round = np.isfinite(self.stimulus.min_radius_m) and not self.stimulus.has_edge
+        sticky = ROUND_STICKY_FRICTION if is_round else STICKY_FRICTION
+        self._must_agree = self.stimulus.can_snag or design.materials.friction > sticky
         self._may_be_too_coarse = self.stimulus.has_edge and is_coarse(fidelity)
         self._max_level = TRIES + self._must_agree - 1
         self.tries = TRIES + self._must_agree + self._may_be_too_coarse
@@ -377,6 +387,7 @@ class RetryingSimulator:
         """
         violations: list[list[str]] = []
         good: Contact | None = None
+        earlier: list[Contact] = []
         level, at_standard = 0, False
         while True:
             before, self._last = self._last, self._simulator(level, at_standard)
@@ -387,7 +398,8 @@ class RetryingSimulator:
             if too_coarse:
                 failed, good = too_coarse, None
             elif self._must_agree:
-                failed, good = (failed, None) if failed else (self._disagreement(contact, good), contact)
+                failed, good = (failed, None) if failed else (self._disagreement(contact, good, earlier), contact)
+                earlier.append(contact)
             # Of two records that agree, the coarser is good as well, and its simulator needs half the steps for a slide.
             self._slider = before if self._must_agree and not failed else self._last
             if failed:
@@ -396,7 +408,7 @@ class RetryingSimulator:
                 return RetriedContact(contact, violations)
             last = len(violations) == self.tries - 1
             if self._may_be_too_coarse and not at_standard and (too_coarse or last):
-                at_standard = True  # with as many halvings
+                at_standard, earlier = True, []  # with as many halvings
             else:
                 level = min(level + 1, self._max_level)
 
@@ -415,15 +427,24 @@ class RetryingSimulator:
         scene = self._last.scene
         return scene.vertices()[: scene.mesh.surface_count], scene.mesh
 
-    def _disagreement(self, contact: Contact, coarser: Contact | None) -> list[str]:
-        """Compare a good contact with the one before (None if that was not good), and return the failed checks."""
+    def _disagreement(self, contact: Contact, coarser: Contact | None, earlier: Sequence[Contact]) -> list[str]:
+        """Compare a good contact with the one before (None if that was not good), and return the failed checks.
+
+        Args:
+            contact: The contact.
+            coarser: The contact before it, at twice the step; None if it was not good.
+            earlier: All contacts before it, good or not, each at twice the step of the next.
+        """
         if coarser is None:
             return [UNCONFIRMED]
-        apart = float(np.sqrt(np.mean(((contact.pin_tips - coarser.pin_tips) ** 2).sum(1))))
-        allowed = self._limits.disagreement_m
-        if apart <= allowed:
-            return []
-        return [f"halving the step moves the pins by {1e3 * apart:.3f} mm rms (allowed: {1e3 * allowed} mm)"]
+        apart, allowed = _apart_m(contact, coarser), self._limits.disagreement_m
+        moves = f"halving the step moves the pins by {1e3 * apart:.3f} mm rms"
+        if apart > allowed:
+            return [f"{moves} (allowed: {1e3 * allowed} mm)"]
+        before = _apart_m(*earlier[-2:]) if len(earlier) > 1 else np.inf
+        if apart > max(before, _STEADY_M):
+            return [f"{moves}, and the halving before did by {before * 1e3:.3f} mm (allowed: no growth)"]
+        return []
 
     def _mesh_violations(self) -> list[str]:
         """Return the failed check of the last record's mesh, if that is coarse."""
@@ -459,3 +480,8 @@ def motion_fractions(steps: float, motion: Motion) -> np.ndarray:
     """
     n = max(motion.min_steps, int(np.ceil(steps)))
     return betainc(motion.ease_in + 1, motion.ease_out + 1, np.arange(n + 1) / n)
+
+
+def _apart_m(a: Contact, b: Contact) -> float:
+    """Return the distance (rms) between the pins of two contacts, m; not a number if one of them diverged."""
+    return float(np.sqrt(np.mean(((a.pin_tips - b.pin_tips) ** 2).sum(1))))

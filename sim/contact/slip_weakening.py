@@ -33,14 +33,6 @@ class SlipWeakening:
         """Set all sliding distances to zero."""
         self._distance[:], self._sliding[:] = 0.0, False
 
-    def state(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return a copy of the sliding distances, and of which parts slid in the last step."""
-        return self._distance.copy(), self._sliding.copy()
-
-    def set_state(self, distance: np.ndarray, sliding: np.ndarray) -> None:
-        """Return to a state."""
-        self._distance[:], self._sliding[:] = distance, sliding
-
     def weaken(self, data: mujoco.MjData, travel: np.ndarray) -> None:
         """Lower the friction of the contacts of a step before it is solved.
 

@@ -28,7 +28,13 @@ from tactip_twin.tactip_model.pins import neutral_pins, pin_lever_m
 
 FORMAT, VERSION = "tactip-twin learned tip", 1
 
-ANY_MATERIALS = FAST_TIPS / "surface-any-materials.npz"
+
+def any_materials(task: Task) -> Path:
+    """Return the file of the shipped tip of a task that knows any materials."""
+    return FAST_TIPS / f"{task}-any-materials.npz"
+
+
+ANY_MATERIALS = any_materials("surface")
 """File of the shipped tip that knows flat surfaces and any materials."""
 
 REFERENCE_YOUNG_PA = 1e4

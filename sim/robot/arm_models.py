@@ -71,14 +71,6 @@ class ArmModel(ABC):
             Unreachable: If the arm cannot take the pose; the model is left unchanged.
         """
 
-    def state(self) -> tuple[np.ndarray, ...]:
-        """Return a copy of the state on the way to the target, for set_state."""
-        return (self.pose,)
-
-    def set_state(self, state: tuple[np.ndarray, ...]) -> None:
-        """Return to a state on the way to the same target."""
-        self.pose = state[0]
-
     @abstractmethod
     def advance(self, fraction: float, step_s: float, force: np.ndarray, torque: np.ndarray) -> np.ndarray:
         """Move to a fraction of the path to the target in one time step.
@@ -141,14 +133,6 @@ class KinematicArm(ArmModel):
         self._from, self._to = self._commanded, to
         return max(steps, int(np.ceil(min_steps)))
 
-    def state(self) -> tuple[np.ndarray, ...]:
-        """Return a copy of the state: see ArmModel."""
-        return self.pose, self._angles, self._commanded
-
-    def set_state(self, state: tuple[np.ndarray, ...]) -> None:
-        """Return to a state: see ArmModel."""
-        self.pose, self._angles, self._commanded = state[:3]
-
     def advance(self, fraction: float, step_s: float, force: np.ndarray, torque: np.ndarray) -> np.ndarray:
         """Move towards the target: see ArmModel."""
         self._angles = self._commanded = self._from + fraction * (self._to - self._from)
@@ -181,16 +165,6 @@ class DynamicArm(KinematicArm):
         super()._set_angles(angles)
         mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[:] = self.data.ctrl[:] = angles
-        mujoco.mj_forward(self.model, self.data)
-
-    def state(self) -> tuple[np.ndarray, ...]:
-        """Return a copy of the state: see ArmModel."""
-        return (*super().state(), self.data.qpos.copy(), self.data.qvel.copy())
-
-    def set_state(self, state: tuple[np.ndarray, ...]) -> None:
-        """Return to a state: see ArmModel."""
-        super().set_state(state)
-        self.data.qpos[:], self.data.qvel[:] = state[3:]
         mujoco.mj_forward(self.model, self.data)
 
     def advance(self, fraction: float, step_s: float, force: np.ndarray, torque: np.ndarray) -> np.ndarray:

@@ -46,10 +46,6 @@ _SLOW_FORCE, _SLOW_PACE = 0.5, 4
 """Force, as a fraction of its limit, above which the arm moves at a fraction of its pace, and the inverse of that one [?].
 The last rise of the force is added to it, because in a narrow hollow it doubles from one time step to the next [M]."""
 
-_SNAP_M, _PARTS = 1e-3, (1, 4, 16)
-"""Travel of a vertex of the skin in a time step above which the next step is divided, m, and numbers of parts of a step [?].
-Between flanks the skin snaps over, by up to 3 mm in a step; undivided, such steps end in thousands of newtons [M]."""
-
 _HOUSING_GROUPS = 12
 """Number of groups of the points on the housing [M]."""
 
@@ -221,7 +217,7 @@ class MountedTip(SimulatedTip[Scene]):
         super().__init__(design, solid, Scene(design, SolidStimulus(solid), fidelity), arm_model, T_base_object)
         self._settle_steps = fidelity.motion.pause_steps if settle_steps is None else settle_steps
         self._pace = pace
-        self._fraction, self._wrench = 0.0, (np.zeros(3), np.zeros(3))
+        self._wrench = (np.zeros(3), np.zeros(3))
 
     def _reset(self) -> None:
         self.scene.reset()
@@ -235,7 +231,7 @@ class MountedTip(SimulatedTip[Scene]):
         near = self.scene.data.ncon or self.gap(T_base_tcp) < _CLEAR_M
         fractions = self._set_target(T_base_tcp, motion.shear_step_m if near else motion.press_step_m, self._pace)
         path, reached, slow, moved_back = np.append(0.0, fractions), 0, False, False
-        self._fraction, force_n, rise_n, peak_n = 0.0, self._force_n(), 0.0, 0.0
+        force_n, rise_n, peak_n = self._force_n(), 0.0, 0.0
         with counted_warnings() as messages:
             self.scene.stiffen(resting=False)
             while reached + 1 < len(path) and peak_n <= limit:
@@ -264,40 +260,17 @@ class MountedTip(SimulatedTip[Scene]):
         return float(np.linalg.norm(self._wrench[0]))
 
     def _step(self, fraction: float) -> float:
-        """Make one time step, to a fraction of the arm model's path, and return the contact force, N. Raises Diverged.
-
-        Contacts are found at the start of a step. Where the skin snaps, or a step diverges, it is made in parts.
-        """
-        snaps = self.scene.max_vertex_speed() * self._motion.step_s > _SNAP_M
-        before = self.scene.state(), self.arm_model.state(), self._fraction, self._wrench, self.T_base_object
-        choices = _PARTS[snaps:]
-        for k, parts in enumerate(choices, 1):
-            try:
-                self._advance(fraction, parts)
-                break
-            except Diverged:
-                if k == len(choices):
-                    raise
-                scene, arm, self._fraction, self._wrench, self.T_base_object = before
-                self.scene.set_state(scene)
-                self.arm_model.set_state(arm)
+        """Make one time step, to a fraction of the arm model's path, and return the contact force, N. Raises Diverged."""
+        h, before = self._motion.step_s, self.arm_model.pose
+        force, torque = (before[:3, :3] @ x for x in self._wrench)
+        self._place(before, self.arm_model.advance(fraction, h, force, torque), h)
+        self.scene.step()
+        if not np.isfinite(self.scene.max_vertex_speed()):
+            raise Diverged("the simulation diverged: the state is not finite")
+        self._wrench = self.scene.contact_wrench()
+        check_force(self._wrench[0])
         self._steps_since_read += 1
         return self._force_n()
-
-    def _advance(self, fraction: float, parts: int) -> None:
-        """Advance by a time step in parts, to a fraction of the arm model's path. Raises Diverged."""
-        h, start = self._motion.step_s / parts, self._fraction
-        self.scene.model.opt.timestep = h
-        for k in range(parts):
-            self._fraction, before = start + (k + 1) / parts * (fraction - start), self.arm_model.pose
-            force, torque = (before[:3, :3] @ x for x in self._wrench)
-            after = self.arm_model.advance(self._fraction, h, force, torque)
-            self._place(before, after, h)
-            self.scene.step()
-            if not np.isfinite(self.scene.max_vertex_speed()):
-                raise Diverged("the simulation diverged: the state is not finite")
-            self._wrench = self.scene.contact_wrench()
-            check_force(self._wrench[0])
 
     def _place(self, before: np.ndarray, after: np.ndarray | None = None, h: float = 1.0) -> None:
         """Place the object relative to the sensor's pose `before`, with the velocity that leads to `after` in h, s."""

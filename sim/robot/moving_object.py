@@ -64,9 +64,16 @@ class MovingMountedTip(MountedTip):
     _motion_of_object: tuple[np.ndarray, np.ndarray] | None = None
     """Poses (4, 4) of the object at the ends of the next motion of the tip; None: it stands still."""
 
+    _fraction: float = 0.0
+    """Fraction of the next motion at the end of the present time step."""
+
     def move_object(self, T_base_object: np.ndarray) -> None:
         """Set where the object (4, 4) goes: see TipOnMovingObject."""
         self._motion_of_object = self.T_base_object, np.array(T_base_object, float)
+
+    def _step(self, fraction: float) -> float:
+        self._fraction = fraction
+        return super()._step(fraction)
 
     def _place(self, before: np.ndarray, after: np.ndarray | None = None, h: float = 1.0) -> None:
         if after is None or self._motion_of_object is None:

@@ -280,7 +280,25 @@ def test_good_records_around_bad_one_do_not_confirm(design, monkeypatch, good):
     assert simulator._slider is simulator._simulators[2] and simulator.last is simulator._simulators[3]
 
 
-@pytest.mark.parametrize(("name", "friction", "tries"), [("surface", 1.0, 3), ("surface", 1.1, 4), ("corner", 0.3, 4)])
+def test_records_that_move_apart_do_not_confirm(design, monkeypatch, good):
+    """A soft tip on a corner: records that differ by 0.034 and then 0.049 mm are 0.7 mm from that with half the step."""
+    shifts_mm = (0.0, 0.034, 0.083, 0.787)
+    contacts = [replace(good, pin_tips=good.pin_tips + [1e-3 * x, 0, 0]) for x in shifts_mm]
+    contacts[0] = replace(contacts[0], penetration_m=1e-3)
+    simulator = RetryingSimulator(design, "corner", fidelity_named("draft"), QualityLimits())
+    script = iter(contacts)
+    monkeypatch.setattr(ContactSimulator, "simulate", lambda *_: next(script))
+    _, violations = simulator.simulate(good.pose, good.shear)
+    assert len(violations) == simulator.tries == 4
+    assert violations[2] == [
+        "halving the step moves the pins by 0.049 mm rms, and the halving before did by 0.034 mm (allowed: no growth)"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("name", "friction", "tries"),
+    [("surface", 1.0, 3), ("surface", 1.1, 4), ("sphere", 0.9, 3), ("sphere", 1.0, 4), ("corner", 0.3, 4)],
+)
 def test_high_friction_and_sharp_stimuli_need_one_more_try(design, name, friction, tries):
     rough = replace(design, materials=replace(design.materials, friction=friction))
     assert RetryingSimulator(rough, name, fidelity_named("draft"), QualityLimits()).tries == tries
