@@ -6,6 +6,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from tactip_twin.sim.contact.facets import barycentric, skin_flex, touched_facets
 from tactip_twin.sim.contact.slip_weakening import sliding
 from tactip_twin.tactip_model.mesh import Mesh
 
@@ -45,7 +46,7 @@ class PatchReader:
         """Find the skin's vertices among the geoms of a compiled model with a soft tip (soft_body.add_soft_tip)."""
         self._mesh = mesh
         self._vertex = np.full(model.ngeom, -1)
-        self._skin = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_FLEX, "tip/skin")
+        self._skin = skin_flex(model)
         for i in np.flatnonzero(~mesh.bonded[: mesh.surface_count]):
             self._vertex[model.geom(f"tip/{i}").id] = i
 
@@ -89,20 +90,8 @@ class PatchReader:
         vertex = np.where(geoms >= 0, self._vertex[geoms], -1).max(1)
         at_vertex = vertex >= 0
         np.add.at(weight, vertex[at_vertex], normal[at_vertex])
-        # A stimulus may be a flex too.
-        facet = np.where(contacts.flex[active] == self._skin, contacts.elem[active], -1).max(1)
-        facets = self._mesh.triangles[facet[~at_vertex]]
+        facets = self._mesh.triangles[touched_facets(contacts, self._skin)[active][~at_vertex]]
         if len(facets):
-            fractions = _barycentric(contacts.pos[active][~at_vertex], vertices[facets])
+            fractions = barycentric(contacts.pos[active][~at_vertex], vertices[facets])
             np.add.at(weight, facets, fractions * normal[~at_vertex, None])
         return weight
-
-
-def _barycentric(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Return barycentric coordinates (k, 3), at least 0, of the projections of points (k, 3) onto triangles (k, 3, 3)."""
-    u, v, p = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0], points - corners[:, 0]
-    uu, uv, vv, pu, pv = ((x * y).sum(1) for x, y in ((u, u), (u, v), (v, v), (p, u), (p, v)))
-    determinant = np.maximum(uu * vv - uv**2, 1e-30)
-    b, c = (vv * pu - uv * pv) / determinant, (uu * pv - uv * pu) / determinant
-    fractions = np.maximum(np.stack([1 - b - c, b, c], 1), 0.0)
-    return fractions / fractions.sum(1, keepdims=True)

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from tactip_twin.sim.contact.contact_patch import ContactPatch, PatchReader, slip_fraction
+from tactip_twin.sim.contact.facets import held_weights, skin_flex, touched_facets
 from tactip_twin.sim.contact.fidelity import Fidelity
 from tactip_twin.sim.contact.gel_volume import GelVolume
 from tactip_twin.sim.contact.slip_weakening import SlipWeakening
@@ -19,13 +20,23 @@ from tactip_twin.sim.contact.stimuli import Stimulus, add_stimulus, stimulus_nam
 from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.mesh import CONTACT_RADIUS_M, build_mesh
-from tactip_twin.tactip_model.soft_body import MAX_STIFFENING, RESTING_STEP_S, add_soft_tip, missing_bulk_modulus
+from tactip_twin.tactip_model.soft_body import (
+    MAX_STIFFENING,
+    RESTING_STEP_S,
+    add_soft_tip,
+    missing_bulk_modulus,
+    relative_stiffness,
+)
 
 _STIMULUS_QPOS = 7
 _STIMULUS_QVEL = 6
 
 _NO_SOLVE = 1e30
 """Tolerance that every initial guess satisfies, so the solver does nothing, -."""
+
+_HELD, _HELD_N_M = 0.8, 2000.0
+"""Weight of clamped corners at a touched point of a facet above which they hold it, -, and stiffness of a contact at the
+clamp itself, N/m: about that of the tip where a facet is pressed [?]."""
 
 _LOST_M = 1.0
 """Distance of a vertex from which the state has diverged, m."""
@@ -62,6 +73,9 @@ class Scene:
         self._tip_qvel = slice(_STIMULUS_QVEL, _STIMULUS_QVEL + count)
         self._neighbours = _neighbours(self.mesh.triangles)
         self._areas = np.linalg.norm(_area_normals(self.mesh.vertices, self.mesh.triangles), axis=1)
+        self._skin = skin_flex(self.model)
+        self._held = np.zeros(0, int)
+        """Numbers of the contacts of the last step that lie beside the clamped rim."""
         self._patch_reader = PatchReader(self.model, self.mesh)
         self._stimulus_body = self.model.body("stimulus").id
         needs_volume = missing_bulk_modulus(design.materials, fidelity.mesh) > 0
@@ -110,6 +124,7 @@ class Scene:
     def reset(self) -> None:
         """Reset to the undeformed tip without history, so a contact does not depend on earlier ones."""
         mujoco.mj_resetData(self.model, self.data)
+        self._held = np.zeros(0, int)
         if self._proxies:
             self._proxies.reset()
         if self._slip:
@@ -144,6 +159,8 @@ class Scene:
         - MuJoCo's friction cone is convex, which lifts skin that slides at v by friction * v * (step + damping / stiffness).
           The surface is lowered by the same amount (De Saxcé's correction, with the speed of the last step), so sliding skin
           stays at the height it has at rest.
+        - Beside the clamped rim the skin cannot give way, and a rigid contact there takes thousands of newtons: contacts are
+          springs there, as soft as the tip is elsewhere.
         - Friction falls where the skin has slid, if the materials have it (sim/contact/slip_weakening.py).
         - The motion without contacts, which MuJoCo solves first, is only one of two initial guesses if there are contacts.
           It is left unsolved, which saves a third of the time; the result is the same to the solver's tolerance.
@@ -158,6 +175,7 @@ class Scene:
         if self._volume:
             self._volume.set_length(data)
         touching = data.nefc > data.ne
+        self._held = np.zeros(0, int)
         if touching:
             data.efc_margin[data.ne :] = 0.0
             if self._has_friction():
@@ -167,6 +185,7 @@ class Scene:
         if touching:
             model.opt.tolerance = tolerance
             data.qacc_warmstart[:] = before
+            self._soften_held_contacts()
             mujoco.mj_fwdConstraint(model, data)
             if self._slip:
                 self._slip.store_sliding(data)
@@ -192,6 +211,25 @@ class Scene:
         if self._slip:
             self._slip.weaken(data, speed * step)
         data.efc_margin[row] = -self._lift(speed)[active]
+
+    def _soften_held_contacts(self) -> None:
+        """Soften the contacts on facets beside the clamped rim: see `step`."""
+        data, contacts = self.data, self.data.contact
+        facets = touched_facets(contacts, self._skin)
+        on_facet = np.flatnonzero((facets >= 0) & (contacts.efc_address >= 0))
+        held = held_weights(self.mesh, self.vertices(), facets[on_facet], contacts.pos[on_facet])
+        which = held > _HELD
+        self._held = on_facet[which]
+        if not which.any():
+            return
+        row = contacts.efc_address[self._held]
+        # The row is a spring of the stiffness of the reference acceleration over the regularization (MuJoCo's manual,
+        # "Computation"), in series with what gives way.
+        softness = (held[which] - _HELD) / (1 - _HELD) / (_HELD_N_M * relative_stiffness(self.design.materials))
+        factor = 1 - softness * contacts.solref[self._held, 0] / data.efc_R[row]
+        rows = row[:, None] + np.arange(contacts.dim[self._held][0])
+        data.efc_R[rows] *= factor[:, None]
+        data.efc_D[rows] /= factor[:, None]
 
     def _lift(self, speed: np.ndarray) -> np.ndarray:
         """Return the height (contacts,) m by which MuJoCo lifts contacts that slide at a speed (contacts,) m/s."""
@@ -276,8 +314,10 @@ class Scene:
         return self.data.contact.efc_address >= 0
 
     def penetration(self) -> float:
-        """Return the maximum depth (m) of a contact point inside the stimulus at the last step; 0 without contact."""
-        return max(0.0, -float(self.data.contact.dist.min())) if self.data.ncon else 0.0
+        """Return the maximum depth (m) of a contact point inside the stimulus at the last step; 0 without contact. Contacts
+        beside the clamped rim, where the housing would touch, do not count."""
+        distances = np.delete(self.data.contact.dist, self._held)
+        return max(0.0, -float(distances.min(initial=0.0)))
 
     def hit_iteration_limit(self) -> bool:
         """Return whether the solver reached its iteration limit at the last step."""
