@@ -119,8 +119,6 @@ class LearningOptions:
     """Number of training contacts of the row `laptop-curved`, on curved surfaces, with 15 images and 8 symmetries each."""
     curved_test_contacts: int = 40
     """Number of curved contacts for validation, and as many for testing, with 15 images each."""
-    rough_contacts: int = 1600
-    """Number of training contacts of the row `laptop-rough`, on rough surfaces, with 10 images and 8 symmetries each."""
     fast_images: int = 48000
     """Number of training images of the rows `laptop-fast` and `laptop-contact`, whose contacts the learned tip predicts."""
     snapshot_contacts: int = 350

@@ -110,18 +110,6 @@ and one trained on these alone errs by 0.2 mm of depth on a sphere [M]."""
 SNAPSHOTS = 20
 """Number of images per contact of the row `laptop-snapshots`."""
 
-ROUGH_SNAPSHOTS = 10
-"""Number of images per contact on rough surfaces, which are simulated."""
-
-ROUGH_FRACTION = 0.7
-"""Fraction of rough surfaces; the others are curved [?]."""
-
-_ROUGH_SHEARS = replace(SHEAR_RANGES, x_mm=(-4.0, 4.0), y_mm=(-4.0, 4.0))
-"""Shears on rough surfaces, whose features are a few millimetres wide [?]."""
-
-_ROUGH_EPOCHS = 6
-"""Number of epochs on rough surfaces [?]."""
-
 _CURVED_DEPTH_MM = (-5.0, -0.5)
 """Depths of contacts on curved surfaces: shallower ones may miss a surface that bends away."""
 
@@ -149,7 +137,7 @@ class Row:
     what: str
     """Description in the tables."""
     kind: str
-    """Training set: plain, symmetric, large, fast, snapshots, taps, curved, rough or 256px."""
+    """Training set: plain, symmetric, large, fast, snapshots, taps, curved or 256px."""
     recipe: Recipe
     """Network and training."""
     init_from: str = ""
@@ -191,10 +179,6 @@ def rows(task: Task, paper: bool) -> list[Row]:
         out.append(Row("laptop-curved", f"`{start}` fine-tuned on curved surfaces", "curved", curved, start))
         what = "`laptop-curved` fine-tuned with images of the undeformed tip"
         out.append(Row("laptop-curved-contact", what, "curved", last, "laptop-curved"))
-        changes = {**_FINE_TUNING, "epochs": _ROUGH_EPOCHS, "min_steps": 0, "optics_ranges": "lens-jitter"}
-        rough = replace(laptop, settings=replace(laptop.settings, **changes))
-        what = "`laptop-curved-contact` fine-tuned on ridges, hollows, folds and steps"
-        out.append(Row("laptop-rough", what, "rough", rough, "laptop-curved-contact"))
     return out
 
 
@@ -235,10 +219,6 @@ def jobs(options: LearningOptions, kinds: Collection[str]) -> list[Job]:
             images = options.curved_contacts * CURVED_SNAPSHOTS * each
             wanted += [_Wanted("curved", "train", images, touching, CURVED_SHEARS, _FAST_SEED)]
             wanted += [_Wanted("curved", "val", few, touching, CURVED_SHEARS)]
-        if "rough" in kinds:
-            wanted += [_Wanted("rough", split, few, touching, _ROUGH_SHEARS) for split in ("val", "test")]
-            images = options.rough_contacts * ROUGH_SNAPSHOTS * each
-            wanted += [_Wanted("rough", "train", images, touching, _ROUGH_SHEARS, _FAST_SEED)]
     return [_job(options, one) for one in wanted]
 
 
@@ -263,7 +243,7 @@ class _Wanted:
 def _job(options: LearningOptions, wanted: _Wanted) -> Job:
     """Return the set of a task, with the learned tip that predicts its contacts if one does."""
     task, kind, split = options.task, wanted.kind, wanted.split
-    augmented = (kind, split) in (("symmetric", "train"), ("fast", "train"), ("curved", "train"), ("rough", "train"))
+    augmented = (kind, split) in (("symmetric", "train"), ("fast", "train"), ("curved", "train"))
     tip: Path | None = None
     digest = ""
     if (kind, split) in (("fast", "train"), ("256px", "train")):
@@ -281,18 +261,15 @@ def _job(options: LearningOptions, wanted: _Wanted) -> Job:
         samples=wanted.samples,
         seed=wanted.seed,
         # OpenGL takes longer for eight images than the contact itself. Test sets are rendered by it nevertheless.
-        renderer="raster"
-        if augmented or (kind, split) in (("256px", "train"), ("256px", "val"), ("rough", "val"))
-        else "pyrender",
+        renderer="raster" if augmented or (kind, split) in (("256px", "train"), ("256px", "val")) else "pyrender",
         design=design,
         fidelity=fidelity_named(FIDELITY),
         pose=wanted.pose,
         shear=wanted.shear,
         augment_symmetry=augmented,
-        curvature_per_m=CURVATURES_PER_M if kind in ("curved", "rough") else (0.0, 0.0),
-        varying_curvature_fraction=VARYING_FRACTION if kind in ("curved", "rough") else 0.0,
-        rough_fraction=ROUGH_FRACTION if kind == "rough" else 0.0,
-        snapshots_per_contact={"snapshots": SNAPSHOTS, "curved": CURVED_SNAPSHOTS, "rough": ROUGH_SNAPSHOTS}.get(kind, 1),
+        curvature_per_m=CURVATURES_PER_M if kind == "curved" else (0.0, 0.0),
+        varying_curvature_fraction=VARYING_FRACTION if kind == "curved" else 0.0,
+        snapshots_per_contact={"snapshots": SNAPSHOTS, "curved": CURVED_SNAPSHOTS}.get(kind, 1),
         # The sets of the networks also teach and test the learned tip.
         keep_mesh=kind in ("symmetric", "plain"),
         fast_tip=digest,
@@ -318,7 +295,7 @@ class Sets:
         Raises:
             TactipError: A set is missing or damaged.
         """
-        if kind in ("taps", "curved", "rough", "fast", "256px"):
+        if kind in ("taps", "curved", "fast", "256px"):
             return read_splits(self._folder(kind))
         if kind == "snapshots":
             return read_samples(self._folder(kind) / "train"), read_samples(self._folder("plain") / "val")
