@@ -16,8 +16,7 @@ class Raster:
         self._lens = Lens(design)
         self._leds = LedRing(design)
         self._radii = pin_radii(design)
-        self._backdrop = backdrop(design, self._lens, self._leds).ravel()
-        self._blank = self._backdrop.astype(np.float32)
+        self._blank = backdrop(design, self._lens, self._leds).ravel().astype(np.float32)
 
     def render(self, pin_tips: ArrayLike, directions: ArrayLike) -> np.ndarray:
         """Return the grey frames (..., h, w) uint8 of pins.
@@ -40,27 +39,34 @@ class Raster:
         reach = int(np.ceil(np.sqrt((axes**2).sum(2)).max())) + 1
         span, width = np.arange(-reach, reach + 1), self._lens.width
         nearest = np.rint(centre).astype(int)
-        x, y = nearest[:, :1] + span, nearest[:, 1:] + span
-        # A pixel's position in the unit disc, and its distance from the disc's edge in pixels along the gradient. Entry by
-        # entry is faster here, with small matrices and many pixels.
-        (p, q), (r, s) = axes.transpose(1, 2, 0)[..., None, None]
+        # A pixel's position in the unit disc. Single precision and entry by entry, because the matrices are small.
+        p, q, r, s = axes.reshape(-1, 4).T
         size = p * s - q * r
-        a, b, c, d = s / size, -q / size, -r / size, p / size
-        right, down = (x - centre[:, :1])[:, None, :], (y - centre[:, 1:])[:, :, None]
+        to_disc = (np.stack([s, -q, -r, p]) / size).astype(np.float32)
+        a, b, c, d = to_disc[:, :, None, None]
+        right, down = ((nearest - centre).T[:, :, None] + span).astype(np.float32)
+        right, down = right[:, None, :], down[:, :, None]
         u, v = a * right + b * down, c * right + d * down
-        length = np.sqrt(u * u + v * v)
-        gradient = np.sqrt((a * u + c * v) ** 2 + (b * u + d * v) ** 2)
-        cover = np.clip(0.5 - (length - 1) * length / np.maximum(gradient, 1e-12), 0, 1)
-        cover[length < 1e-9] = 1.0
-        inside = (cover > 0) & ((x >= 0) & (x < width))[:, None, :] & ((y >= 0) & (y < width))[:, :, None]
-        pin, row, column = np.nonzero(inside)
-        index, cover = y[pin, row] * width + x[pin, column], cover[inside]
-        paint, shade = np.zeros(width * width), np.zeros(width * width)
-        np.maximum.at(paint, index, cover)
-        np.maximum.at(shade, index, grey[pin])
-        # Most of the frame is backdrop. Where two pins overlap, a pixel is listed twice, with the same grey.
-        frame, paint = self._blank.copy(), paint[index]
-        frame[index] = (1 - paint) * self._backdrop[index] + paint * shade[index]
+        square = u * u + v * v
+        # No pixel farther than one from the edge along the shorter half-axis, for which this is a lower bound, has paint.
+        shorter = np.abs(size) / np.sqrt((axes**2).sum((1, 2)))
+        near = square < ((1 + 1 / shorter) ** 2).astype(np.float32)[:, None, None]
+        x, y = nearest[:, :1] + span, nearest[:, 1:] + span
+        if min(x.min(), y.min()) < 0 or max(x.max(), y.max()) >= width:
+            near &= ((x >= 0) & (x < width))[:, None, :] & ((y >= 0) & (y < width))[:, :, None]
+        entry = np.flatnonzero(near)
+        pin, place = np.divmod(entry, len(span) ** 2)
+        index = (nearest[:, 1] * width + nearest[:, 0])[pin] + (span[:, None] * width + span).ravel()[place]
+        cover = _cover(u.ravel()[entry], v.ravel()[entry], to_disc[:, pin])
+        paint, shade, frame = np.zeros(width * width, np.float32), grey.astype(np.float32)[pin], self._blank.copy()
+        paint[index] = cover
+        if (paint[index] != cover).any():
+            # Where two pins overlap, a pixel is listed twice: both entries get the same paint and grey.
+            shades = np.zeros_like(paint)
+            np.maximum.at(paint, index, cover)
+            np.maximum.at(shades, index, np.where(cover > 0, shade, 0))
+            cover, shade = paint[index], shades[index]
+        frame[index] += cover * (shade - frame[index])
         return blur_and_quantize(frame.reshape(width, width), self._design.optics)
 
     def ellipses(self, pin_tips: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -80,6 +86,22 @@ class Raster:
         edge = self._lens.project(pin_tips + np.stack([u, -u, v, -v]))
         axes = np.stack([(edge[0] - edge[1]) / 2, (edge[2] - edge[3]) / 2], -1)
         return edge.mean(0).reshape(*shape, 2), axes.reshape(*shape, 2, 2)
+
+
+def _cover(u: np.ndarray, v: np.ndarray, to_disc: np.ndarray) -> np.ndarray:
+    """Return how much of pixels a disc covers (n,), 0 to 1, from their distance to its edge in pixels along the gradient.
+
+    Args:
+        u: (n,) and
+        v: (n,), positions of the pixels in the unit disc.
+        to_disc: (4, n), rows of the matrix from pixels to the disc.
+    """
+    a, b, c, d = to_disc
+    length = np.sqrt(u * u + v * v)
+    gradient = np.sqrt((a * u + c * v) ** 2 + (b * u + d * v) ** 2)
+    cover = np.clip(0.5 - (length - 1) * length / np.maximum(gradient, np.float32(1e-12)), 0, 1)
+    cover[length < 1e-6] = 1.0
+    return cover
 
 
 def blur_and_quantize(frame: np.ndarray, optics: Optics) -> np.ndarray:

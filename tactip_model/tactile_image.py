@@ -58,4 +58,4 @@ def tactile_image(frame: ArrayLike, settings: TactileImage) -> np.ndarray:
     shrink = settings.size_px <= min(image.shape)
     size = (settings.size_px, settings.size_px)
     small = cv2.resize(image, size, interpolation=cv2.INTER_AREA if shrink else cv2.INTER_LINEAR)
-    return small if settings.grey else np.where(small > 127, 255, 0).astype(np.uint8)
+    return small if settings.grey else cv2.threshold(small, 127, 255, cv2.THRESH_BINARY)[1]
