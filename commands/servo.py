@@ -9,7 +9,7 @@ from tactip_twin.commands._progress import DelayedStatus
 from tactip_twin.control.options import ServoOptions
 
 if TYPE_CHECKING:
-    from tactip_twin.control.follow import Step
+    from tactip_twin.control.sensed_tip import Step
 
 
 @dataclass(frozen=True)

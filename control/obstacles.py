@@ -31,6 +31,10 @@ class Obstacle(Exception):
         self.kind = kind
 
 
+class FollowingFailed(Exception):
+    """A route cannot be followed further; the message says why."""
+
+
 @dataclass(frozen=True)
 class LeftOut:
     """A stretch of the route that the tip did not follow."""

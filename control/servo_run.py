@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from tactip_twin.control.estimator import Estimator, LabelFunction
-from tactip_twin.control.follow import ContourFollower, Event, Step
+from tactip_twin.control.follow import ContourFollower, Event
 from tactip_twin.control.options import ServoOptions
 from tactip_twin.control.score import score
+from tactip_twin.control.sensed_tip import Step
 from tactip_twin.control.servo import Controller, reference_mm_deg
 from tactip_twin.control.servo_setup import ServoSetup, prepare
 from tactip_twin.control.surface_score import surface_score

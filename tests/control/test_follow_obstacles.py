@@ -9,9 +9,9 @@ from helpers.profiles import profiled_block
 from helpers.servo_world import BRISK, Held, Scripted, Shallow, World, beside, lost, over, rim_world, wild
 from tactip_twin.assets.meshes.hard_rims import CorneredRim, GappedRim
 from tactip_twin.control.estimator import Oracle
-from tactip_twin.control.follow import ContourFollower
 from tactip_twin.control.obstacles import Obstacle
 from tactip_twin.control.routes import EdgePath
+from tactip_twin.control.sensed_tip import SensedTip
 from tactip_twin.learning.filter_settings import FilterSettings
 from tactip_twin.learning.pose_filter import PoseFilter
 from tactip_twin.sim.contact.fidelity import fidelity_named
@@ -219,17 +219,17 @@ def test_follower_that_cannot_lift_in_the_air_goes_back_until_it_can(monkeypatch
     def wild_there(estimate):
         return wild(estimate) if world.arm_model.pose[0, 3] - zero > 4.5e-3 and not lifts else estimate
 
-    lifts, lift = [], ContourFollower._lift
+    lifts, lift = [], SensedTip.lift
 
     def interrupted(self):
         lifts.append(world.arm_model.pose)
         if len(lifts) == 1:  # free, but no higher
-            self._go(world.arm_model.pose + 4.5e-3 * np.outer([0, 0, 1, 0], [0, 0, 0, 1]))
+            self.go(world.arm_model.pose + 4.5e-3 * np.outer([0, 0, 1, 0], [0, 0, 0, 1]))
             raise Obstacle("unreachable", "the arm cannot reach this pose")
         lift(self)
 
     monkeypatch.setattr(world.mounted_tip, "go", stiff)
-    monkeypatch.setattr(ContourFollower, "_lift", interrupted)
+    monkeypatch.setattr(SensedTip, "lift", interrupted)
     replaced = dict.fromkeys(range(10, 4000), wild_there)
     settings = {**BRISK, "clearance_mm": 8.0, "retract_mm": 4.5, "alignment_steps": 3, "max_recoveries": 0}
     follower = world.follow(world.start([0, 0, 0]), over(world, 0.03), Scripted(world, replaced), **settings)

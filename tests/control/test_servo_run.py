@@ -144,9 +144,9 @@ def test_servo_with_the_shipped_network_follows_an_edge(tmp_path):
 
 
 def test_servo_ctrl_c_keeps_the_recorded_steps(tmp_path, monkeypatch, capsys):
-    from tactip_twin.control.follow import ContourFollower
+    from tactip_twin.control.sensed_tip import SensedTip
 
-    calls, go = [], ContourFollower._go
+    calls, go = [], SensedTip.go
 
     def interrupted(self, *rest):
         calls.append(1)
@@ -154,7 +154,7 @@ def test_servo_ctrl_c_keeps_the_recorded_steps(tmp_path, monkeypatch, capsys):
             raise KeyboardInterrupt
         return go(self, *rest)
 
-    monkeypatch.setattr(ContourFollower, "_go", interrupted)
+    monkeypatch.setattr(SensedTip, "go", interrupted)
     out = tmp_path / "run"
     assert tactip.main([*QUICK, *SHORT, "--out", str(out)]) == 130
     assert "the steps so far are in" in capsys.readouterr().err
