@@ -222,11 +222,13 @@ class Scene:
         self._held = on_facet[which]
         if not which.any():
             return
-        row = contacts.efc_address[self._held]
-        # The row is a spring of the stiffness of the reference acceleration over the regularization (MuJoCo's manual,
-        # "Computation"), in series with what gives way.
+        row, h = contacts.efc_address[self._held], self.model.opt.timestep
+        stiffness, damping, impedance, _ = data.efc_KBIP[row].T
+        # The row's spring, integrated implicitly, is a reference acceleration of this much per depth; the regularization
+        # divides it (MuJoCo's manual, "Computation").
+        per_depth = impedance * stiffness / (1 + h * (damping + h * stiffness))
         softness = (held[which] - _HELD) / (1 - _HELD) / (_HELD_N_M * relative_stiffness(self.design.materials))
-        factor = 1 - softness * contacts.solref[self._held, 0] / data.efc_R[row]
+        factor = 1 + softness * per_depth / data.efc_R[row]
         rows = row[:, None] + np.arange(contacts.dim[self._held][0])
         data.efc_R[rows] *= factor[:, None]
         data.efc_D[rows] /= factor[:, None]
