@@ -246,7 +246,7 @@ class ContourFollower:
         s = self._settings
         self._tip.lift()
         height_mm = self._tip.height_mm(T)
-        self._tip.travel(moved(T, self._direction, -height_mm), watched=True)
+        self._tip.travel(moved(T, self._direction, -height_mm))
         return self._tip.search(height_mm + s.clearance_mm, 3 * s.search_step_mm, self._direction)
 
     def _step_fraction(self, estimate: Estimate) -> float:
@@ -282,7 +282,7 @@ class ContourFollower:
     def _recover_from(self, kind: str) -> Estimate:
         """Search for contact; unless contact was lost, retract first. Return the new estimate. Raises Obstacle."""
         if kind != "contact lost":
-            self._tip.pull(moved(self._tip.pose, None, -self._settings.retract_mm))
+            self._tip.go(moved(self._tip.pose, None, -self._settings.retract_mm))
         return self._tip.search(self._settings.search_mm / 2)
 
     def _note(self, kind: str, what: str) -> None:

@@ -5,7 +5,7 @@ as robots have.
 """
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -118,43 +118,50 @@ class SensedTip:
         return self._settings.clearance_mm + 1e3 * max(0.0, self._highest + float(T[:3, 3] @ self._approach))
 
     def lift(self) -> None:
-        """Lift off. Where the arm cannot, at a limit of its joints, go back until it can; at last, turn to the route's
-        direction of approach on the way up. Raises Obstacle."""
+        """Lift off. Where the arm cannot, at a limit of its joints, or stops at its limit of force, because an undercut
+        holds the skin, go back the way the tip came until it can. At last, turn to the route's direction of approach on the
+        way up and pull the tip free: otherwise it would stay there for the rest of the run. Raises Obstacle."""
         trail = list(self._trail)[::-1]
         for k in range(0, len(trail), _BACK_STEPS):
             try:
-                self.pull(moved(self.pose, None, -self._settings.retract_mm))
-                here = self.pose
-                self.travel(moved(here, self._approach, -self.height_mm(here)))
-                return
+                if self._rise():
+                    return
             except Obstacle as obstacle:
                 if obstacle.kind != "unreachable":
                     raise
             for pose in trail[k : k + _BACK_STEPS]:
                 self.go(pose)
         here = self.pose
-        self.travel(tilted_at_most(moved(here, self._approach, -self.height_mm(here)), self._approach, 0.0))
+        for pose in self._way_to(tilted_at_most(moved(here, self._approach, -self.height_mm(here)), self._approach, 0.0)):
+            self.go(pose)
+            if self.touch.moved_back:
+                self.go(pose, max_force_n=np.inf)
 
-    def travel(self, T: np.ndarray, watched: bool = False) -> None:
-        """Move to a pose (4, 4) off the object. watched: whether contact on the way is an obstacle. Raises Obstacle."""
+    def _rise(self) -> bool:
+        """Retract and move to a height that is clear; return False as soon as the arm stops at its limit of force. Raises
+        Obstacle."""
+        retracted = moved(self.pose, None, -self._settings.retract_mm)
+        for T in (retracted, moved(retracted, self._approach, -self.height_mm(retracted))):
+            for pose in self._way_to(T):
+                self.go(pose)
+                if self.touch.moved_back:
+                    return False
+        return True
+
+    def _way_to(self, T: np.ndarray) -> Iterator[np.ndarray]:
+        """Yield the poses (4, 4) of a motion through the air to a pose T (4, 4)."""
         start = self.pose
         count = max(1, int(np.ceil(np.linalg.norm(T[:3, 3] - start[:3, 3]) / _TRANSIT_M)))
         for k in range(1, count + 1):
-            pose = interpolate(start, T, k / count)
-            if not watched:
-                self.pull(pose)
-            else:
-                self.go(pose)
-                danger = self.danger()
-                if danger:
-                    raise Obstacle(*danger)
+            yield interpolate(start, T, k / count)
 
-    def pull(self, T: np.ndarray) -> None:
-        """Move to a pose (4, 4) off the object. Where the arm stops at its limit of force, because an undercut holds the
-        skin, pull it free: otherwise the tip would stay there for the rest of the run. Raises Obstacle."""
-        self.go(T)
-        if self.touch.moved_back:
-            self.go(T, max_force_n=np.inf)
+    def travel(self, T: np.ndarray) -> None:
+        """Move to a pose (4, 4) through the air. Raises Obstacle, also where the tip touches something on the way."""
+        for pose in self._way_to(T):
+            self.go(pose)
+            danger = self.danger()
+            if danger:
+                raise Obstacle(*danger)
 
     def danger(self) -> tuple[str, str] | None:
         """Return kind and description of a failure that could cause damage, whatever the estimate, or None."""
