@@ -88,7 +88,7 @@ def run(options: AnyMaterialsOptions, log: Callable[[str], None] = print) -> dic
         found = [row for row in found if row["real"] != real.name]
         found.append(_calibration(real, options, log))
     result["calibrations"] = found
-    if options.real:
+    if options.real or "machine" not in result:
         result["machine"] = machine()
     write_results("any_materials", result, tables(result), options.out)
     return result
