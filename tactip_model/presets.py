@@ -16,8 +16,17 @@ NOMINAL = {
     "nominal-127": Design("nominal-127", pins=Pins(rotation_deg=29.5), optics=Optics(centre=(126.7 / 256, 130.3 / 256))),
     "nominal-331": Design(
         "nominal-331",
-        # The pitch gives the same extent as the other's; the diameters follow the blobs of its neutral image [M].
-        pins=Pins("circular", rings=10, pitch_m=1.8e-3, diameter_m=0.76e-3, rim_diameter_m=1.34e-3, rotation_deg=-2.05),
+        # The pitch gives the same extent as the other's; the length is that of the calibrated tip, whose denser pins are
+        # shorter; the diameters follow the blobs of its neutral image [M].
+        pins=Pins(
+            "circular",
+            rings=10,
+            pitch_m=1.8e-3,
+            length_m=1.2e-3,
+            diameter_m=0.76e-3,
+            rim_diameter_m=1.34e-3,
+            rotation_deg=-2.05,
+        ),
         optics=Optics(neutral_radius=(7.946, 0.0200, -3.18e-5), centre=(178.4 / 360, 175.5 / 360)),
     ),
 }

@@ -10,7 +10,7 @@ import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -30,13 +30,14 @@ from tactip_twin.sim.labels import FidelityName
 from tactip_twin.sim.parallel.worker_pool import worker_count
 from tactip_twin.sim2real.importing.import_set import read_report
 from tactip_twin.sim2real.transfer.fine_tune import FineTuning, fine_tune
-from tactip_twin.sim2real.transfer.linear_errors import linear_errors
+from tactip_twin.sim2real.transfer.linear_correction import MIN_FRAMES, write_corrected
 from tactip_twin.sim2real.transfer.neutral_calibration import (
     camera_of,
     fit_design_to_neutral_image,
     nearest_nominal_design,
     with_camera_drift,
 )
+from tactip_twin.sim2real.transfer.score import Estimator, score
 from tactip_twin.sim2real.transfer.settings import AUTO, GAP, TransferSettings
 from tactip_twin.sim2real.transfer.sim_gap import plot_gap, sim_to_real_gap
 from tactip_twin.tactip_model.design import Design
@@ -56,9 +57,6 @@ _MAX_VAL_FRACTION = 0.2
 
 _TRAIN_FRAMES, _MAX_TRAIN_FRACTION, _MIN_TRAIN_FRAMES = 1500, 0.6, 20
 """Default number of real training frames, its maximum as a fraction of the set, and its minimum."""
-
-_MIN_SPREAD = 0.02
-"""Minimum standard deviation of a label that varies, as a fraction of its maximum."""
 
 
 @dataclass(frozen=True)
@@ -119,14 +117,6 @@ ABLATIONS = {
     "without image noise": Variant("noiseless", noise=False),
 }
 """Variants by the part that is left out, one at a time."""
-
-
-class Predictor(Protocol):
-    """Anything that predicts components from tactile images, such as a Model."""
-
-    def predict(self, images: np.ndarray) -> np.ndarray:
-        """Return components (n, k), mm and degrees, from images (n, size, size)."""
-        ...
 
 
 class Experiment:
@@ -310,7 +300,13 @@ class Experiment:
         fine_tune(base, trained, self.split.known.take(slice(0, count)), settings, folder, self._device, self._log)
         return load_model(folder)
 
-    def score(self, model: Predictor) -> dict[str, Any]:
+    def corrected(self, count: int) -> Model:
+        """Return the network trained on simulation with its output corrected linearly by `count` real frames."""
+        folder = self.out / f"network-sim-corrected-by-{count}"
+        write_corrected(self.network(), self.split.known.take(slice(0, count)), folder, self._log)
+        return load_model(folder)
+
+    def score(self, model: Estimator) -> dict[str, Any]:
         """Return the figures of a network on the real test frames."""
         return score(model, self.split.test)
 
@@ -326,34 +322,6 @@ class Experiment:
         return record
 
 
-def score(model: Predictor, samples: Samples) -> dict[str, Any]:
-    """Return the errors of a network on samples of a real set: mae, rmse, bias, and mae without the depth's offset.
-
-    A rig's depth has an offset of some tenths of a millimetre: for the depth only, the median error is also taken out
-    (`mae_zeroed`). A set gives no errors of components that do not vary in it; `varies` tells which do. `linear` is the
-    linear part of the errors (linear_errors.py).
-    """
-    predictions = model.predict(samples.images)
-    errors = predictions - samples.targets
-    names = samples.labels.names
-    zeroed = errors - np.where([name == "pose_z" for name in names], np.median(errors, 0), 0.0)
-
-    varies = samples.targets.std(0) > _MIN_SPREAD * samples.labels.scale
-
-    def by_name(values: np.ndarray) -> dict[str, float]:
-        return {name: float(value) for name, value in zip(names, values, strict=True)}
-
-    return {
-        "samples": len(samples),
-        "mae": by_name(np.abs(errors).mean(0)),
-        "mae_zeroed": by_name(np.abs(zeroed).mean(0)),
-        "rmse": by_name(np.sqrt((errors**2).mean(0))),
-        "bias": by_name(errors.mean(0)),
-        "varies": {name: bool(v) for name, v in zip(names, varies, strict=True)},
-        "linear": linear_errors(predictions, samples),
-    }
-
-
 def zero_shot(experiment: Experiment) -> dict[str, Any]:
     """Return the errors on real frames of a network trained in simulation only, and of one trained on real frames."""
     return {
@@ -363,13 +331,17 @@ def zero_shot(experiment: Experiment) -> dict[str, Any]:
 
 
 def few_shot(experiment: Experiment) -> dict[str, Any]:
-    """Return the errors after fine-tuning with some real frames, after training on these only, and on all."""
+    """Return the errors of the network corrected by some real frames, of the network fine-tuned with them, and of one
+    trained on these only; and of one trained on all."""
     known = len(experiment.split.known)
     counts = [n for n in experiment.settings.shots if n <= known]
     out = {"0": {"fine_tuned": experiment.score(experiment.network())}}
     for n in counts:
-        alone = {"alone": experiment.score(experiment.real_network(n))} if n >= 20 else {}
-        out[str(n)] = {"fine_tuned": experiment.score(experiment.tuned(n)), **alone}
+        networks = {"corrected": experiment.corrected} if n >= MIN_FRAMES else {}
+        networks["fine_tuned"] = experiment.tuned
+        if n >= _MIN_TRAIN_FRAMES:
+            networks["alone"] = experiment.real_network
+        out[str(n)] = {name: experiment.score(network(n)) for name, network in networks.items()}
     out.setdefault(str(known), {})["alone"] = experiment.score(experiment.real_network(known))
     return out
 

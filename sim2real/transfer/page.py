@@ -6,6 +6,7 @@ from typing import Any
 
 from tactip_twin.learning.labels import LEARNED
 from tactip_twin.sim2real.transfer.linear_errors import advice, table_of
+from tactip_twin.sim2real.transfer.score import INTERVALS
 from tactip_twin.sim2real.transfer.settings import GAP
 from tactip_twin.tactip_model.files import write_file
 
@@ -16,9 +17,12 @@ _DESCRIPTION = (
     "median error of the set, its offset, and in brackets with it. Components that do not vary in the set are left out."
 )
 
+_COVERAGE = "Percentage of labels inside of the networks' intervals of 68 and 95 %, offset of the depth included:"
+
 _NAMES = {
     "simulation": "trained in simulation",
     "real": "trained on all real training frames",
+    "corrected": "trained in simulation and corrected linearly by {} real frames",
     "fine_tuned": "trained in simulation and fine-tuned on {} real frames",
     "alone": "trained on {} real frames only",
 }
@@ -51,6 +55,7 @@ def sections(record: Mapping[str, Any], task: str, figure: str = GAP) -> list[st
         lines += ["|" + "---|" * (1 + len(names))]
         lines += [f"| {what} | {' | '.join(_cell(figures, n) for n in names)} |" for what, figures in rows]
         out.append("\n".join(lines))
+        out += _coverage(rows, names)
     linear = record.get("zero-shot", {}).get("simulation", {}).get("linear")
     if linear:
         out += ["Linear part of the errors of the network trained in simulation:", table_of(linear)]
@@ -59,6 +64,16 @@ def sections(record: Mapping[str, Any], task: str, figure: str = GAP) -> list[st
     if linear:
         out.append("What this says:\n\n" + "\n".join(f"- {remark}" for remark in advice(linear)))
     return out
+
+
+def _coverage(rows: list[tuple[str, dict[str, Any]]], names: list[str]) -> list[str]:
+    """Return a sentence and a table of how often labels lie inside of the networks' intervals; nothing without intervals."""
+    kinds = [(key, name) for name in names for key in (f"coverage_{100 * level:.0f}" for level in INTERVALS)]
+    lines = ["| network | " + " | ".join(f"{name}, {key[-2:]} %" for key, name in kinds) + " |"]
+    lines += ["|" + "---|" * (1 + len(kinds))]
+    known = [(what, figures) for what, figures in rows if kinds[0][0] in figures]
+    lines += [f"| {what} | {' | '.join(f'{100 * r[key][name]:.0f}' for key, name in kinds)} |" for what, r in known]
+    return [_COVERAGE, "\n".join(lines)] if known else []
 
 
 def _gap(figures: Mapping[str, Any], figure: str) -> list[str]:

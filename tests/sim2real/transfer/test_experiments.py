@@ -15,17 +15,18 @@ from tactip_twin.benchmarks.options import TransferOptions
 from tactip_twin.commands import main as tactip
 from tactip_twin.learning.configuration import RECIPES, PoseNetConfig, Recipe, TrainSettings
 from tactip_twin.learning.data import read_samples
-from tactip_twin.learning.model import load_model
+from tactip_twin.learning.model import Estimates, load_model
 from tactip_twin.learning.train import train
 from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.contact.simulator import ContactSimulator
 from tactip_twin.sim.dataset.format import read_meta, read_rows
 from tactip_twin.sim.fast_tip.fast_tip import ANY_MATERIALS, read_fast_tip
 from tactip_twin.sim.pose import from_mm_deg
-from tactip_twin.sim2real.transfer.experiments import ABLATIONS, Experiment, score, split_of
+from tactip_twin.sim2real.transfer.experiments import ABLATIONS, Experiment, split_of
 from tactip_twin.sim2real.transfer.fine_tune import FineTuning, fine_tune
 from tactip_twin.sim2real.transfer.neutral_calibration import fit_design_to_neutral_image
 from tactip_twin.sim2real.transfer.pseudo_real import hidden_design
+from tactip_twin.sim2real.transfer.score import score
 from tactip_twin.sim2real.transfer.settings import TransferSettings
 from tactip_twin.sim2real.transfer.sim_gap import sim_to_real_gap
 from tactip_twin.tactip_model.errors import TactipError
@@ -115,11 +116,13 @@ def test_zero_and_few_shot_from_the_command_line(lab, tiny, tmp_path, capsys):
     assert tactip.main(["transfer", "few-shot", *command]) == 0
     record = json.loads((tmp_path / "out" / "results.json").read_text())
     assert list(record["few-shot"]) == ["0", "10", "30"]
-    assert "alone" not in record["few-shot"]["10"] and set(record["few-shot"]["30"]) == {"fine_tuned", "alone"}
+    assert list(record["few-shot"]["10"]) == ["corrected", "fine_tuned"]
+    assert list(record["few-shot"]["30"]) == ["corrected", "fine_tuned", "alone"]
     assert record["few-shot"]["0"]["fine_tuned"] == record["zero-shot"]["simulation"]
     assert record["few-shot"]["30"]["alone"] == record["zero-shot"]["real"]
     page = (tmp_path / "out" / "results.md").read_text()
     assert "| trained in simulation |" in page and "pose_Rx" not in page
+    assert "corrected linearly by 10 real frames" in page and "68 %" not in page  # no intervals
     # Existing results are not made again.
     made = {p: p.stat().st_mtime_ns for p in (tmp_path / "out").rglob("*") if p.name in ("model.pt", "pins.npz")}
     assert tactip.main(["transfer", "few-shot", *command]) == 0
@@ -196,8 +199,9 @@ class Constant:
         self.noise = np.stack([draw.normal(0, 0.1, len(samples)), np.zeros(len(samples)), np.zeros(len(samples))], 1)
         self.targets = samples.targets
 
-    def predict(self, images):
-        return self.targets + self.off + self.noise
+    def estimate(self, images):
+        deviations = np.broadcast_to([0.5, 1.0, 2.0], self.targets.shape)
+        return Estimates(self.targets + self.off + self.noise, deviations, None)
 
 
 def test_score_removes_offset_of_depth_only(lab):
@@ -206,6 +210,9 @@ def test_score_removes_offset_of_depth_only(lab):
     assert figures["mae"]["pose_z"] == pytest.approx(0.4, abs=0.05)
     assert figures["mae_zeroed"]["pose_z"] == pytest.approx(0.1 * np.sqrt(2 / np.pi), rel=0.3)
     assert figures["mae_zeroed"]["pose_Ry"] == figures["mae"]["pose_Ry"] == pytest.approx(3.0)
+    # Errors of 0.8, 0 and 1.5 standard deviations.
+    assert figures["coverage_68"] == {"pose_z": pytest.approx(0.83, abs=0.15), "pose_Rx": 1.0, "pose_Ry": 0.0}
+    assert figures["coverage_95"] == {"pose_z": 1.0, "pose_Rx": 1.0, "pose_Ry": 1.0}
 
 
 @pytest.mark.slow
@@ -350,7 +357,9 @@ def test_transfer_page_shows_targets(lab, tmp_path, monkeypatch):
 
     def figures(depth, tilt):
         values = {"pose_z": depth, "pose_Rx": 0.0, "pose_Ry": tilt}
-        return {"mae": values, "mae_zeroed": values, "varies": {"pose_z": True, "pose_Rx": False, "pose_Ry": True}}
+        inside = {f"coverage_{level}": dict.fromkeys(values, level / 200) for level in (68, 95)}
+        varies = {"pose_z": True, "pose_Rx": False, "pose_Ry": True}
+        return {"mae": values, "mae_zeroed": values, "varies": varies, **inside}
 
     zero = {"simulation": figures(0.3, 1.5), "real": figures(0.1, 1.0)}
     few = {"0": {"fine_tuned": figures(0.3, 1.5)}, "50": {"fine_tuned": figures(0.11, 1.2)}}
@@ -363,6 +372,8 @@ def test_transfer_page_shows_targets(lab, tmp_path, monkeypatch):
     page = (tmp_path / "out" / "transfer.md").read_text()
     assert "| set | pose_z | 0.300 mm | 0.3 mm | 3.00 | 2 | 1.10 | 1.3 |" in page
     assert "| set | pose_Ry | 1.500 ° | 2 ° | 1.50 | 2 | 1.20 | 1.3 |" in page and "| set | pose_Rx" not in page
+    assert "| network | pose_z, 68 % | pose_z, 95 % | pose_Ry, 68 % | pose_Ry, 95 % |" in page
+    assert "| trained in simulation and fine-tuned on 50 real frames | 34 | 48 | 34 | 48 |" in page
     assert page.index("### set") < page.index("fine-tuned on 50 real frames")
     with pytest.raises(TactipError, match="unknown experiment 'many': choose one of zero-shot, few-shot"):
         transferred.run(replace(options, experiments=("many",)))

@@ -1,0 +1,108 @@
+"""A network whose errors are linear in the pose is corrected by a few frames, and stays a network like any other."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from helpers.learning_sets import write_fake_splits
+from helpers.trainings import NET, QUICK, quiet
+from tactip_twin.learning.data import read_splits
+from tactip_twin.learning.model import load_model
+from tactip_twin.sim2real.transfer.linear_correction import corrected, fit_linear_correction, write_corrected
+from tactip_twin.tactip_model.errors import TactipError
+
+UNITS = ("mm", "°", "°")
+VARY = np.array([True, True, True])
+MATRIX = np.array([[1.15, 0.01, 0.0], [0.1, 0.95, -0.05], [0.0, 0.05, 1.1]])
+
+
+def poses(count, seed=0):
+    return np.random.default_rng(seed).uniform([-5, -15, -15], [-1, 15, 15], (count, 3))
+
+
+def test_linear_errors_are_found():
+    """Without noise, the prior has no weight: the labels come out exactly."""
+    estimates = poses(40)
+    labels = estimates @ MATRIX.T + [0.5, -3.0, 1.0]
+    correction = fit_linear_correction(estimates, labels, UNITS, VARY)
+    assert np.allclose(correction.matrix, MATRIX, atol=1e-3)
+    others = poses(100, seed=1)
+    assert np.allclose(correction(others), others @ MATRIX.T + [0.5, -3.0, 1.0], atol=1e-2)
+    assert np.allclose(correction.freedoms, 4.0, atol=1e-2)
+
+
+def test_few_noisy_frames_do_not_distort():
+    """Five frames with the noise of a rig's labels: better than no correction, and gains keep near to 1."""
+    rng, noise, before, after = np.random.default_rng(0), np.array([0.1, 1.5, 1.5]), [], []
+    for seed in range(20):
+        true = poses(205, seed)
+        estimates = (true - [0.4, 2.0, 0.0]) @ np.diag([0.87, 1.0, 1.0])
+        labels = true + rng.normal(size=true.shape) * noise
+        correction = fit_linear_correction(estimates[:5], labels[:5], UNITS, VARY)
+        before.append(np.abs(estimates[5:] - true[5:]).mean(0))
+        after.append(np.abs(correction(estimates[5:]) - true[5:]).mean(0))
+        assert np.all(np.abs(np.diag(correction.matrix) - 1) < 0.3)
+        assert correction.freedoms[0] < 4
+    assert np.mean(after, 0)[0] < 0.7 * np.mean(before, 0)[0]
+    assert np.mean(after, 0)[1] < 0.7 * np.mean(before, 0)[1]
+
+
+def test_component_that_does_not_vary_gets_an_offset_only():
+    estimates = poses(50)
+    labels = estimates.copy()
+    labels[:, 2] = 0.0
+    correction = fit_linear_correction(estimates, labels, UNITS, np.array([True, True, False]))
+    assert np.array_equal(correction.matrix[2], [0, 0, 1]) and not correction.matrix[:2, 2].any()
+    assert correction.offset[2] == pytest.approx(-estimates[:, 2].mean(), abs=0.1)
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("corrected")
+    splits = read_splits(write_fake_splits(folder / "set", samples=48))
+    quiet(*splits, NET, QUICK, folder / "network")
+    return load_model(folder / "network"), splits[0]
+
+
+def test_correction_is_in_the_weights(trained):
+    model, samples = trained
+    kept = {name: tensor.clone() for name, tensor in model.net.state_dict().items()}
+    found, correction = corrected(model, samples)
+    assert all((tensor == kept[name]).all() for name, tensor in model.net.state_dict().items())
+    before, after = model.estimate(samples.images), found.estimate(samples.images)
+    assert np.allclose(after.means[:, :3], correction(before.means[:, :3]), atol=1e-4)
+    assert np.allclose(after.means[:, 3:], before.means[:, 3:], atol=1e-6)
+    errors = [np.abs(e.means[:, :3] - samples.targets).mean(0) for e in (before, after)]
+    assert (errors[1] < errors[0]).all()
+    # Each component's standard deviations have one factor, and fit the errors.
+    ratio = after.deviations / before.deviations
+    assert np.allclose(ratio[:, 3:], 1, atol=1e-6) and np.allclose(ratio, ratio[0], rtol=1e-5)
+    inside = (np.abs(after.means[:, :3] - samples.targets) < 2 * after.deviations[:, :3]).mean(0)
+    assert (inside > 0.85).all()
+
+
+def test_written_network_is_kept_and_is_of_its_frames(trained, tmp_path):
+    model, samples = trained
+    write_corrected(model, samples.take(slice(0, 20)), tmp_path / "out")
+    loaded = load_model(tmp_path / "out")
+    assert np.allclose(
+        loaded.predict(samples.images), corrected(model, samples.take(slice(0, 20)))[0].predict(samples.images)
+    )
+    assert loaded.provenance["real"]["samples"] == 20 and len(loaded.provenance["linear_correction"]["matrix"]) == 3
+    said = []
+    write_corrected(model, samples.take(slice(0, 20)), tmp_path / "out", said.append)
+    assert said == [f"{tmp_path / 'out'} already holds this network"]
+    with pytest.raises(TactipError, match="holds a corrected network with other settings"):
+        write_corrected(model, samples.take(slice(0, 10)), tmp_path / "out")
+    with pytest.raises(TactipError, match="needs at least 5 real frames, got 4"):
+        write_corrected(model, samples.take(slice(0, 4)), tmp_path / "few")
+    assert not (tmp_path / "few").exists()
+
+
+def test_network_without_deviations_is_corrected_too(trained, tmp_path):
+    _, samples = trained
+    network = replace(NET, deviations=False, quantities=False)
+    quiet(samples, samples.take(slice(0, 20)), network, QUICK, tmp_path / "plain")
+    found, _ = corrected(load_model(tmp_path / "plain"), samples)
+    assert found.deviation_scale is None and found.estimate(samples.images).deviations is None
