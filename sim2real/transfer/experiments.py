@@ -30,7 +30,7 @@ from tactip_twin.sim.labels import FidelityName
 from tactip_twin.sim.parallel.worker_pool import worker_count
 from tactip_twin.sim2real.importing.import_set import read_report
 from tactip_twin.sim2real.transfer.fine_tune import FineTuning, fine_tune
-from tactip_twin.sim2real.transfer.linear_correction import MIN_FRAMES, write_corrected
+from tactip_twin.sim2real.transfer.linear_correction import MIN_FRAMES, corrected, write_corrected
 from tactip_twin.sim2real.transfer.neutral_calibration import (
     camera_of,
     fit_design_to_neutral_image,
@@ -293,11 +293,18 @@ class Experiment:
         return load_model(folder)
 
     def tuned(self, count: int) -> Model:
-        """Return the network trained on simulation and fine-tuned with `count` real frames."""
-        folder = self.out / f"network-sim-and-{count}"
+        """Return the network trained on simulation and fine-tuned with `count` real frames.
+
+        Before that, it is corrected linearly, and simulated contacts get the labels that the real rig would give them:
+        with their own, they would teach it the errors again.
+        """
+        folder, real = self.out / f"network-sim-and-{count}", self.split.known.take(slice(0, count))
         base, (trained, _) = self.network(), self.simulated()
+        if count >= MIN_FRAMES:
+            base, correction = corrected(base, real)
+            trained = replace(trained, targets=correction(trained.targets))
         settings = FineTuning(self.settings.seed, self.settings.fine_tuning_steps, optics_ranges=self.optics())
-        fine_tune(base, trained, self.split.known.take(slice(0, count)), settings, folder, self._device, self._log)
+        fine_tune(base, trained, real, settings, folder, self._device, self._log)
         return load_model(folder)
 
     def corrected(self, count: int) -> Model:

@@ -15,7 +15,7 @@ from tactip_twin.benchmarks.options import TransferOptions
 from tactip_twin.commands import main as tactip
 from tactip_twin.learning.configuration import RECIPES, PoseNetConfig, Recipe, TrainSettings
 from tactip_twin.learning.data import read_samples
-from tactip_twin.learning.model import Estimates, load_model
+from tactip_twin.learning.model import Estimates, load_model, net_sha256
 from tactip_twin.learning.train import train
 from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.contact.simulator import ContactSimulator
@@ -120,6 +120,9 @@ def test_zero_and_few_shot_from_the_command_line(lab, tiny, tmp_path, capsys):
     assert list(record["few-shot"]["30"]) == ["corrected", "fine_tuned", "alone"]
     assert record["few-shot"]["0"]["fine_tuned"] == record["zero-shot"]["simulation"]
     assert record["few-shot"]["30"]["alone"] == record["zero-shot"]["real"]
+    # Fine-tuning starts from the corrected network.
+    first, tuned = (load_model(tmp_path / "out" / f"network-sim-{name}-10") for name in ("corrected-by", "and"))
+    assert tuned.provenance["initial_weights"] == net_sha256(first.net)
     page = (tmp_path / "out" / "results.md").read_text()
     assert "| trained in simulation |" in page and "pose_Rx" not in page
     assert "corrected linearly by 10 real frames" in page and "68 %" not in page  # no intervals

@@ -61,7 +61,7 @@ def test_component_that_does_not_vary_gets_an_offset_only():
 def trained(tmp_path_factory):
     folder = tmp_path_factory.mktemp("corrected")
     splits = read_splits(write_fake_splits(folder / "set", samples=48))
-    quiet(*splits, NET, QUICK, folder / "network")
+    quiet(*splits, replace(NET, deviations=True, quantities=True), QUICK, folder / "network")
     return load_model(folder / "network"), splits[0]
 
 
@@ -102,7 +102,6 @@ def test_written_network_is_kept_and_is_of_its_frames(trained, tmp_path):
 
 def test_network_without_deviations_is_corrected_too(trained, tmp_path):
     _, samples = trained
-    network = replace(NET, deviations=False, quantities=False)
-    quiet(samples, samples.take(slice(0, 20)), network, QUICK, tmp_path / "plain")
+    quiet(samples, samples.take(slice(0, 20)), NET, QUICK, tmp_path / "plain")
     found, _ = corrected(load_model(tmp_path / "plain"), samples)
     assert found.deviation_scale is None and found.estimate(samples.images).deviations is None
