@@ -84,7 +84,7 @@ def advice(linear: Mapping[str, Any]) -> list[str]:
             gains = ", ".join(f"{name} at {linear[name]['gain']:.0%}" for name in found)
             out.append(
                 f"Read too {word}: {gains} of the labels. The real tip moves its pins differently from the simulated one: "
-                "fit its mechanics with `tactip calibrate`, or correct by 10 to 50 labelled frames (`tactip transfer few-shot`)."
+                "fit its mechanics with `tactip calibrate`, or correct by 10 labelled frames (`tactip transfer few-shot`)."
             )
     leaks = [name for name, part in linear.items() if _largest(part) > _LEAK[unit_of(name)]]
     if leaks:
