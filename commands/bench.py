@@ -9,7 +9,7 @@ from tactip_twin.commands._parsing import Command, Entry, parse_options, parse_s
 from tactip_twin.tactip_model.errors import TactipError
 
 if TYPE_CHECKING:
-    from tactip_twin.benchmarks.options import Measurement
+    from tactip_twin.benchmarks.measurements import Measurement
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class Bench(Command):
     def parse(cls, arguments: Sequence[str], prog: str) -> Command:
         """Parse the options of the named measurement. Raises TactipError if measurements are not installed."""
         try:
-            measurements = import_module("tactip_twin.benchmarks.options").MEASUREMENTS
+            measurements = import_module("tactip_twin.benchmarks.measurements").MEASUREMENTS
         except ModuleNotFoundError as error:
             if not (error.name or "").startswith("tactip_twin.benchmarks"):
                 raise

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from tqdm import tqdm
 
 from tactip_twin.benchmarks.hardware import machine, machine_text
-from tactip_twin.benchmarks.options import ConventionsOptions
+from tactip_twin.benchmarks.learning.options import ConventionsOptions
 from tactip_twin.benchmarks.report import read_results, table, write_results
 from tactip_twin.sim.dataset.format import read_dataset
 from tactip_twin.sim.parallel.worker_pool import worker_count

@@ -15,7 +15,7 @@ import numpy as np
 
 from tactip_twin.benchmarks.hardware import machine, machine_text
 from tactip_twin.benchmarks.learning.learning import DESIGN, jobs
-from tactip_twin.benchmarks.options import FastTipOptions, LearningOptions
+from tactip_twin.benchmarks.learning.options import FastTipOptions, LearningOptions
 from tactip_twin.benchmarks.report import read_results, table, write_results
 from tactip_twin.learning.fast_tip_settings import FastTipSettings
 from tactip_twin.learning.fast_tip_training import FAST_TIP, TipContacts, fast_tip_errors, read_contacts, train_fast_tip

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from tactip_twin.benchmarks.hardware import machine, machine_text
-from tactip_twin.benchmarks.options import LearningOptions
+from tactip_twin.benchmarks.learning.options import LearningOptions
 from tactip_twin.benchmarks.report import read_results, table, write_results
 from tactip_twin.learning.configuration import Recipe
 from tactip_twin.learning.data import Samples, read_samples, read_splits

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
-from tactip_twin.benchmarks.options import MissingNeutralImageOptions
+from tactip_twin.benchmarks.learning.options import MissingNeutralImageOptions
 from tactip_twin.sim.dataset.format import read_meta
 from tactip_twin.sim2real.importing.import_set import import_set, read_report
 from tactip_twin.sim2real.importing.layout import Layout

@@ -13,7 +13,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from tactip_twin.benchmarks.options import RealComparisonOptions
+from tactip_twin.benchmarks.learning.options import RealComparisonOptions
 from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.contact.record import Contact
 from tactip_twin.sim.contact.simulator import ContactSimulator

@@ -12,7 +12,7 @@ from typing import Any
 
 from tactip_twin.benchmarks.hardware import machine, machine_text
 from tactip_twin.benchmarks.learning.learning import DESIGN, PAPER, TARGETS, WIDE_PX, jobs, rows
-from tactip_twin.benchmarks.options import LearningOptions, ReleaseModelsOptions
+from tactip_twin.benchmarks.learning.options import LearningOptions, ReleaseModelsOptions
 from tactip_twin.learning.data import read_samples
 from tactip_twin.learning.evaluate import evaluate, tables
 from tactip_twin.learning.evaluation_page import force_table

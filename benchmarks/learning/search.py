@@ -20,7 +20,7 @@ from scipy.stats import spearmanr
 
 from tactip_twin.benchmarks.hardware import machine, machine_text
 from tactip_twin.benchmarks.learning import learning
-from tactip_twin.benchmarks.options import SearchBudget, SearchOptions
+from tactip_twin.benchmarks.learning.options import SearchBudget, SearchOptions
 from tactip_twin.benchmarks.report import read_results, table, write_results
 from tactip_twin.learning.checkpoint import METRICS, read_metrics, with_new_defaults
 from tactip_twin.learning.configuration import PoseNetConfig, SearchSpace, TrainSettings, TuneSettings

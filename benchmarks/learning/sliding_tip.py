@@ -11,7 +11,7 @@ from typing import Any
 
 from tactip_twin.benchmarks.hardware import machine, machine_text
 from tactip_twin.benchmarks.learning.learning import CURVATURES_PER_M, DESIGN
-from tactip_twin.benchmarks.options import SlidingTipOptions
+from tactip_twin.benchmarks.learning.options import SlidingTipOptions
 from tactip_twin.benchmarks.report import read_results, table, write_results
 from tactip_twin.control.options import RouteOptions, ServoOptions
 from tactip_twin.control.servo_run import SCORE, run_servo

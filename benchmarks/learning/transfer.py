@@ -10,7 +10,7 @@ from importlib.metadata import version
 from typing import Any
 
 from tactip_twin.benchmarks.hardware import machine, machine_text
-from tactip_twin.benchmarks.options import TransferOptions
+from tactip_twin.benchmarks.learning.options import TransferOptions
 from tactip_twin.benchmarks.report import read_results, table, write_results
 from tactip_twin.sim2real.transfer.experiments import EXPERIMENTS, Experiment
 from tactip_twin.sim2real.transfer.page import sections, write_page

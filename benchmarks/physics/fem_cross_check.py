@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from tactip_twin.benchmarks.options import FemCrossCheckOptions
 from tactip_twin.benchmarks.physics.fem_tetrahedra import Solid, lame
 from tactip_twin.benchmarks.physics.materials import Specimen, gel
+from tactip_twin.benchmarks.physics.options import FemCrossCheckOptions
 from tactip_twin.benchmarks.report import table, write_results
 from tactip_twin.sim.contact.fidelity import FIDELITIES
 from tactip_twin.sim.contact.simulator import ContactSimulator

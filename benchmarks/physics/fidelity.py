@@ -18,10 +18,10 @@ from numpy.typing import ArrayLike
 from tqdm import tqdm
 
 from tactip_twin.benchmarks.hardware import machine
-from tactip_twin.benchmarks.options import FidelityOptions
 from tactip_twin.benchmarks.physics.contact_cache import DESIGN, STANDARD, CachedContact, ContactCache, Variant
 from tactip_twin.benchmarks.physics.contact_cases import CASES, CONVERGING, Case, training
 from tactip_twin.benchmarks.physics.fidelity_page import plot, tables
+from tactip_twin.benchmarks.physics.options import FidelityOptions
 from tactip_twin.benchmarks.physics.parameter_sweeps import refined_meshes, refined_steps, small_steps, sweeps
 from tactip_twin.benchmarks.physics.pose_sensitivity import ImagePins, PoseSensitivity, moved_about
 from tactip_twin.benchmarks.report import write_results

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from tactip_twin.benchmarks.options import FrictionOptions
+from tactip_twin.benchmarks.physics.options import FrictionOptions
 from tactip_twin.benchmarks.report import table, write_results
 from tactip_twin.sim.contact.fidelity import FIDELITIES, Fidelity
 from tactip_twin.sim.contact.record import Contact

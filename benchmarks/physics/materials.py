@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import Delaunay
 
-from tactip_twin.benchmarks.options import MaterialsOptions
 from tactip_twin.benchmarks.physics.fem_tetrahedra import lame
+from tactip_twin.benchmarks.physics.options import MaterialsOptions
 from tactip_twin.benchmarks.report import table, write_results
 from tactip_twin.sim.contact.fidelity import FIDELITIES
 from tactip_twin.tactip_model.design import Materials, TipGeometry

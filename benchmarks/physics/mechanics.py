@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from tactip_twin.benchmarks.options import MechanicsOptions
 from tactip_twin.benchmarks.physics.fem_axisymmetric import Dome, Layer
+from tactip_twin.benchmarks.physics.options import MechanicsOptions
 from tactip_twin.benchmarks.report import table, write_results
 from tactip_twin.sim.contact.fidelity import FIDELITIES, Fidelity
 from tactip_twin.sim.contact.record import Contact

@@ -15,7 +15,7 @@ import trimesh
 
 from tactip_twin.assets.meshes.rims import block
 from tactip_twin.benchmarks.hardware import machine, machine_text
-from tactip_twin.benchmarks.options import MeshContactOptions
+from tactip_twin.benchmarks.physics.options import MeshContactOptions
 from tactip_twin.benchmarks.report import table, write_results
 from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.contact.record import Contact

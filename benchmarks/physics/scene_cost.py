@@ -19,9 +19,9 @@ from tqdm import tqdm
 
 import tactip_twin.sim.contact.scene
 from tactip_twin.benchmarks.hardware import machine, machine_text
-from tactip_twin.benchmarks.options import SceneCostOptions
 from tactip_twin.benchmarks.physics.contact_cache import DESIGN, STANDARD, UncorrectedSimulator, timed
 from tactip_twin.benchmarks.physics.contact_cases import Case, training
+from tactip_twin.benchmarks.physics.options import SceneCostOptions
 from tactip_twin.benchmarks.report import table, write_results
 from tactip_twin.sim.contact.record import Contact
 from tactip_twin.sim.contact.simulator import ContactSimulator

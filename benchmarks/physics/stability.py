@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from tactip_twin.benchmarks.hardware import machine, machine_text
-from tactip_twin.benchmarks.options import StabilityOptions
+from tactip_twin.benchmarks.physics.options import StabilityOptions
 from tactip_twin.benchmarks.physics.stability_map import Cell, cells
 from tactip_twin.benchmarks.report import table, write_results
 from tactip_twin.sim.contact.fidelity import Fidelity, fidelity_named, finer

@@ -17,9 +17,9 @@ from pathlib import Path
 from typing import Any
 
 from tactip_twin.benchmarks.hardware import machine, machine_text
-from tactip_twin.benchmarks.options import PerformanceOptions
 from tactip_twin.benchmarks.report import read_results, table, write_results
 from tactip_twin.benchmarks.scale import shared_cores
+from tactip_twin.benchmarks.scale.options import PerformanceOptions
 from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.dataset.configuration import Configuration
 from tactip_twin.sim.dataset.generate import Job, make

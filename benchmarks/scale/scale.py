@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from tactip_twin.benchmarks.hardware import machine, machine_text
-from tactip_twin.benchmarks.options import ScaleOptions
 from tactip_twin.benchmarks.report import table, write_results
+from tactip_twin.benchmarks.scale.options import ScaleOptions
 from tactip_twin.benchmarks.scale.performance import PLAIN, made_set, set_seconds
 from tactip_twin.learning.data import read_samples
 from tactip_twin.sim.dataset.configuration import Configuration

@@ -18,8 +18,8 @@ import numpy as np
 from tactip_twin.assets.meshes.hard_rims import HARD_RIMS
 from tactip_twin.assets.meshes.hard_solids import HARD_SOLIDS
 from tactip_twin.benchmarks.hardware import machine, machine_text
-from tactip_twin.benchmarks.options import HardObjectsOptions
 from tactip_twin.benchmarks.report import read_results, table, write_results
+from tactip_twin.benchmarks.servo.options import HardObjectsOptions
 from tactip_twin.benchmarks.servo.servo import ERROR, Case, is_done, make, random_start, run_folder
 from tactip_twin.control.options import RouteOptions, ServoOptions, Settings
 from tactip_twin.control.score import events_text

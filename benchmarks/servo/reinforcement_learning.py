@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 
 import tactip_twin.control.environments  # noqa: F401  (registers the environments)
 from tactip_twin.benchmarks.hardware import machine, machine_text
-from tactip_twin.benchmarks.options import ReinforcementLearningOptions, ReinforcementLearningPart
 from tactip_twin.benchmarks.report import read_results, table, write_results
+from tactip_twin.benchmarks.servo.options import ReinforcementLearningOptions, ReinforcementLearningPart
 from tactip_twin.benchmarks.servo.policy_training import TrainingSettings, train
 from tactip_twin.control.policy import Policy, write_policy
 from tactip_twin.control.servo import DEPTHS_MM, FREE_AXES, Servo, gains_named, reference_mm_deg

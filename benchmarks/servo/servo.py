@@ -19,10 +19,10 @@ from typing import Any
 import numpy as np
 
 from tactip_twin.benchmarks.hardware import machine, machine_text
-from tactip_twin.benchmarks.options import ServoBenchOptions
 from tactip_twin.benchmarks.report import read_results, table, write_results
 from tactip_twin.benchmarks.servo.contact_patch import RADII_MM, contact_patch_normal
 from tactip_twin.benchmarks.servo.filter_table import WITHOUT, filter_table
+from tactip_twin.benchmarks.servo.options import ServoBenchOptions
 from tactip_twin.control.options import RouteOptions, ServoOptions, Settings
 from tactip_twin.control.score import events_text
 from tactip_twin.control.servo_run import SCORE, run_servo

@@ -12,8 +12,8 @@ from importlib.metadata import version
 from typing import Any
 
 from tactip_twin.benchmarks.hardware import machine, machine_text
-from tactip_twin.benchmarks.options import TrackingOptions
 from tactip_twin.benchmarks.report import read_results, table, write_results
+from tactip_twin.benchmarks.servo.options import TrackingOptions
 from tactip_twin.control.track_options import TrackOptions
 from tactip_twin.control.tracking import track
 from tactip_twin.tactip_model.errors import lookup

@@ -141,7 +141,7 @@ def test_view_choices_are_the_stimuli(capsys):
 
 
 def test_bench_without_benchmarks_says_how_to_get_them(capsys, monkeypatch):
-    monkeypatch.setitem(sys.modules, "tactip_twin.benchmarks.options", None)
+    monkeypatch.setitem(sys.modules, "tactip_twin.benchmarks.measurements", None)
     assert tactip.main(["bench", "fidelity"]) == 1
     error = capsys.readouterr().err
     assert "clone the repository" in error and len(error.splitlines()) == 1

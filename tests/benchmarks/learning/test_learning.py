@@ -7,7 +7,7 @@ import pytest
 
 from helpers.learning_sets import write_fake_set
 from tactip_twin.benchmarks.learning import learning as learned
-from tactip_twin.benchmarks.options import LearningOptions
+from tactip_twin.benchmarks.learning.options import LearningOptions
 from tactip_twin.learning.configuration import PoseNetConfig, Recipe, TrainSettings
 from tactip_twin.learning.model import load_network
 from tactip_twin.sim.dataset.sampling import Ranges

@@ -10,7 +10,7 @@ import pytest
 from helpers.learning_sets import write_fake_splits
 from tactip_twin.assets import MODELS
 from tactip_twin.benchmarks.learning import release_models as shipped
-from tactip_twin.benchmarks.options import ReleaseModelsOptions
+from tactip_twin.benchmarks.learning.options import ReleaseModelsOptions
 from tactip_twin.commands import main as tactip
 from tactip_twin.learning.configuration import PoseNetConfig, Recipe, TrainSettings
 from tactip_twin.learning.data import read_splits

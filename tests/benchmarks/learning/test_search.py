@@ -9,7 +9,7 @@ import pytest
 
 from helpers.learning_sets import write_fake_set
 from tactip_twin.benchmarks.learning import search as searched
-from tactip_twin.benchmarks.options import SearchOptions
+from tactip_twin.benchmarks.learning.options import SearchOptions
 from tactip_twin.learning.configuration import PoseNetConfig, SearchSpace, TrainSettings, TuneSettings
 from tactip_twin.tactip_model.errors import TactipError
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tactip_twin.benchmarks.learning import fast_tip, sliding_tip
-from tactip_twin.benchmarks.options import SlidingTipOptions
+from tactip_twin.benchmarks.learning.options import SlidingTipOptions
 from tactip_twin.learning.fast_tip_training import TipContacts
 from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.dataset.configuration import Configuration

@@ -10,12 +10,12 @@ import pytest
 
 import tactip_twin.sim.contact.scene
 from helpers.inventory import inventory
-from tactip_twin.benchmarks.options import FidelityOptions
 from tactip_twin.benchmarks.physics import contact_cache, fidelity, pose_sensitivity
 from tactip_twin.benchmarks.physics.contact_cache import STANDARD, CachedContact, ContactCache, Variant, without_timings
 from tactip_twin.benchmarks.physics.contact_cases import CASES, LABELS, Case, moved, training
 from tactip_twin.benchmarks.physics.fidelity import blobs_at, jobs, sequence, spread
 from tactip_twin.benchmarks.physics.fidelity_page import tables
+from tactip_twin.benchmarks.physics.options import FidelityOptions
 from tactip_twin.benchmarks.physics.parameter_sweeps import REFINED_MM, small_steps, sweeps
 from tactip_twin.benchmarks.physics.pose_sensitivity import ImagePins, PoseSensitivity
 from tactip_twin.benchmarks.report import fill

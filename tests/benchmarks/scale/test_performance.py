@@ -6,8 +6,8 @@ from dataclasses import replace
 import pytest
 
 from tactip_twin.benchmarks import report
-from tactip_twin.benchmarks.options import PerformanceOptions
 from tactip_twin.benchmarks.scale import performance as speed
+from tactip_twin.benchmarks.scale.options import PerformanceOptions
 from tactip_twin.tactip_model.errors import TactipError
 
 

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from tactip_twin.benchmarks.options import ScaleOptions
+from tactip_twin.benchmarks.scale.options import ScaleOptions
 from tactip_twin.benchmarks.scale.scale import run
 from tactip_twin.tactip_model.errors import TactipError
 

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import pytest
 
-from tactip_twin.benchmarks.options import ServoBenchOptions
 from tactip_twin.benchmarks.servo import servo as followed
+from tactip_twin.benchmarks.servo.options import ServoBenchOptions
 from tactip_twin.control.options import RouteOptions
 from tactip_twin.tactip_model.errors import TactipError
 

@@ -3,8 +3,8 @@
 import json
 from dataclasses import replace
 
-from tactip_twin.benchmarks.options import TrackingOptions
 from tactip_twin.benchmarks.servo import tracking
+from tactip_twin.benchmarks.servo.options import TrackingOptions
 
 
 def test_page_has_a_row_for_each_setting_measured_so_far(tmp_path, monkeypatch):

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from tactip_twin.benchmarks.options import StabilityOptions
 from tactip_twin.benchmarks.physics import stability
+from tactip_twin.benchmarks.physics.options import StabilityOptions
 from tactip_twin.commands import main as tactip
 from tactip_twin.sim.contact import stimuli
 from tactip_twin.sim.contact.fidelity import MIN_STEP_S, Fidelity, Motion, Solver, fidelity_named, finer

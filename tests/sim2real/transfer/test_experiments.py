@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from tactip_twin.benchmarks.learning import transfer as transferred
-from tactip_twin.benchmarks.options import TransferOptions
+from tactip_twin.benchmarks.learning.options import TransferOptions
 from tactip_twin.commands import main as tactip
 from tactip_twin.learning.configuration import RECIPES, PoseNetConfig, Recipe, TrainSettings
 from tactip_twin.learning.data import read_samples
