@@ -62,6 +62,8 @@ class ColumnMap:
     tcp_behind_apex_mm: float = within(-100, 100, default=0.0)
     """Distance from the apex back to the point whose poses the table holds, mm: the dome's radius for a point in its
     centre."""
+    tcp_beside_axis_mm: tuple[float, float] = within(-20, 20, default=(0.0, 0.0))
+    """Position of that point across the axis of the tip, x and y of the table, mm: depth then changes with tilt."""
 
     def __post_init__(self) -> None:
         check(self)

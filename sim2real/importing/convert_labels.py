@@ -69,7 +69,7 @@ def _label(column_map: ColumnMap, command: np.ndarray) -> np.ndarray:
     angles = column_map.angles
     plain = angles in ("auto", "vector")
     turn = Rotation.from_rotvec(command[3:]) if plain else Rotation.from_euler(angles, command[3:])
-    lever = np.array([0.0, 0.0, 1e-3 * column_map.tcp_behind_apex_mm])
+    lever = 1e-3 * np.array([*column_map.tcp_beside_axis_mm, column_map.tcp_behind_apex_mm])
     camera = matrix(np.zeros(3), Rotation.from_euler("z", column_map.camera_rotation_deg, degrees=True))
     tool = matrix(command[:3] + lever - turn.apply(lever), turn) @ camera.T
     # A surface looks the same from all sides, so its axes are rotated with the camera's.

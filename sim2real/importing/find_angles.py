@@ -16,6 +16,13 @@ from tactip_twin.tactip_model.errors import TactipError
 _SAME_DEG = 0.5
 """Mean difference of labels, degrees, that does not matter."""
 
+_MIN_CHANGE = 1e-4
+"""Minimum standard deviation of the change of depth, mm, by a tool centre that is 1 mm off, for it to be sought."""
+
+_SIGNIFICANT, _MIN_LEVER_MM = 3.5, np.array([3.0, 0.3, 0.3])
+"""Minimum of the tool centre's distance from the apex, in standard deviations, and in mm: behind it, and beside it in x and
+y [?]."""
+
 
 def angles_and_lever(
     table: Mapping[str, Sequence[str]], contacts: EstimatedContacts, column_map: ColumnMap
@@ -29,7 +36,7 @@ def angles_and_lever(
         evidence.append(told)
     elif column_map.task == "surface":
         column_map = in_order(column_map, "vector" if column_map.angles == "auto" else column_map.angles)
-    if mapped & {"pose_Rx", "pose_Ry"} and column_map.tcp_behind_apex_mm == 0:
+    if mapped & {"pose_Rx", "pose_Ry"}:
         column_map, told = _lever(rows, contacts, column_map)
         evidence.append(told)
     return column_map, evidence
@@ -88,23 +95,45 @@ def _renamed(columns: Sequence[str], letters: Mapping[str, str]) -> tuple[str, .
 
 
 def _lever(rows: Mapping[str, Sequence[str]], contacts: EstimatedContacts, column_map: ColumnMap) -> tuple[ColumnMap, str]:
-    """Return a ColumnMap with the distance of the tool centre from the apex that explains how depth changes with tilt."""
-    labels = convert_labels(column_map, rows)[0]
-    lift = 1 - np.cos(np.radians(np.linalg.norm(labels[:, 3:5], axis=1)))
-    depth = contacts.poses[:, 2]
-    design = np.stack([labels[:, 2], lift, np.ones_like(lift)], -1)
-    start, *_ = np.linalg.lstsq(design, depth, rcond=None)
-    spread = 1.48 * float(np.median(np.abs(depth - design @ start))) + 1e-9
-    fit = least_squares(lambda p: (depth - design @ p) / spread, start, loss="soft_l1")
-    gain, slope, _ = (float(value) for value in fit.x)
-    lever, deviation = slope / gain, float(np.sqrt(np.linalg.inv(fit.jac.T @ fit.jac)[1, 1])) / abs(gain)
-    if abs(lever) < max(2.5 * deviation, 3.0):
-        return column_map, f"tcp-behind-apex-mm 0: depth does not show another ({lever:+.0f} ± {deviation:.0f} mm)"
-    rounded = round(float(np.clip(lever, -100, 100)), 1)
-    return replace(column_map, tcp_behind_apex_mm=rounded), (
-        f"tcp-behind-apex-mm {rounded:g} (± {deviation:.0f}): depth differs from the table in tilted frames as a rotation "
-        "about that point makes it"
-    )
+    """Return a ColumnMap with the place of the tool centre, where it is not given, that explains how depth changes with
+    tilt; and the evidence."""
+    given = np.array([column_map.tcp_behind_apex_mm, *column_map.tcp_beside_axis_mm])
+    plain = convert_labels(column_map, rows)[0][:, 2]
+    changes = np.array([convert_labels(_with_lever(column_map, given + one), rows)[0][:, 2] - plain for one in np.eye(3)])
+    chosen = (given == 0) & (changes.std(1) > _MIN_CHANGE)
+    lever, deviations = np.zeros(3), np.zeros(3)
+    for _ in range(2):  # again without what is not significant
+        design = np.stack([plain, np.ones_like(plain), *changes[chosen]], -1)
+        found, spread = _robust_fit(design, contacts.poses[:, 2])
+        gain = float(found[0])
+        lever[:], deviations[chosen] = 0.0, spread[2:] / abs(gain)
+        lever[chosen] = found[2:] / gain
+        chosen &= np.abs(lever) >= np.maximum(_SIGNIFICANT * deviations, _MIN_LEVER_MM)
+    lever = np.where(chosen, np.clip(lever, [-100, -20, -20], [100, 20, 20]).round(1), given)
+    names = [
+        f"{value:g} (± {deviation:.1f})" if new else f"{value:g}"
+        for value, deviation, new in zip(lever, deviations, chosen, strict=True)
+    ]
+    where = f"tcp-behind-apex-mm {names[0]}, tcp-beside-axis-mm {names[1]} {names[2]}"
+    if not chosen.any():
+        return column_map, f"{where}: depth does not show another tool centre"
+    return _with_lever(
+        column_map, lever
+    ), f"{where}: depth differs from the table in tilted frames as that tool centre makes it"
+
+
+def _with_lever(column_map: ColumnMap, lever_mm: np.ndarray) -> ColumnMap:
+    """Return a ColumnMap with a tool centre (3,): behind the apex, and beside the axis in x and y."""
+    behind, x, y = (float(value) for value in lever_mm)
+    return replace(column_map, tcp_behind_apex_mm=behind, tcp_beside_axis_mm=(x, y))
+
+
+def _robust_fit(design: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the coefficients (k,) of a fit to values (n,) that outliers hardly pull, and their standard deviations (k,)."""
+    start, *_ = np.linalg.lstsq(design, values, rcond=None)
+    spread = 1.48 * float(np.median(np.abs(values - design @ start))) + 1e-9
+    fit = least_squares(lambda p: (values - design @ p) / spread, start, loss="soft_l1")
+    return fit.x, np.sqrt(np.diag(np.linalg.inv(fit.jac.T @ fit.jac)))
 
 
 def _fit(labels: np.ndarray, estimates: np.ndarray) -> float:

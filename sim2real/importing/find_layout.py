@@ -37,6 +37,8 @@ class FoundLayout:
         table, frames = self.layout.column_map, self.layout.preprocessing
         out = f"--task {table.task} --columns {' '.join(table.columns)} --angles {table.angles}"
         out += f" --camera-rotation-deg {table.camera_rotation_deg:g} --tcp-behind-apex-mm {table.tcp_behind_apex_mm:g}"
+        if any(table.tcp_beside_axis_mm):
+            out += f" --tcp-beside-axis-mm {' '.join(f'{x:g}' for x in table.tcp_beside_axis_mm)}"
         return out + (f" --rotate-image-deg {frames.rotate_image_deg:g}" if frames.rotate_image_deg else "")
 
     def write_picture(self, folder: Path) -> Path:

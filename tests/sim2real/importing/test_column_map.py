@@ -40,6 +40,18 @@ def test_convert_labels_press_along_y_equals_rig():
         assert np.allclose(shears[k], to_mm_deg(slid), atol=1e-6)
 
 
+def test_tool_centre_beside_the_axis_changes_depth_with_tilt():
+    """A turn by a about x lowers an apex that lies at -y from the tool centre by -y sin a, and about y by x sin b."""
+    tilts = np.linspace(-20, 20, 9)
+    sines = np.sin(np.radians(tilts))
+    column_map = ColumnMap(tcp_beside_axis_mm=(0.6, -0.8))
+    roll, _ = convert_labels(column_map, table_of(pose_z=np.full(9, -3.0), pose_Rx=tilts))
+    pitch, _ = convert_labels(column_map, table_of(pose_z=np.full(9, -3.0), pose_Ry=tilts))
+    assert np.allclose(roll[:, 2], -3 + 0.8 * sines, atol=1e-6)
+    assert np.allclose(pitch[:, 2], -3 + 0.6 * sines, atol=1e-6)
+    assert np.allclose(roll[:, 3], tilts, atol=1e-6) and np.allclose(pitch[:, 4], tilts, atol=1e-6)
+
+
 def test_convert_labels_own_names_need_no_map():
     poses, shears = convert_labels(ColumnMap(), table_of(pose_z=-3, pose_Rx=7, pose_Ry=-2, shear_x=1.5, shear_Rz=4))
     assert np.allclose(poses, [[0, 0, -3, 7, -2, 0]])

@@ -1,5 +1,7 @@
 """Conventions of a table: found from estimates that are noisy and a third too small, refused where they do not tell."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -11,6 +13,7 @@ from tactip_twin.sim2real.importing import find_on_edge
 from tactip_twin.sim2real.importing.column_map import ColumnMap
 from tactip_twin.sim2real.importing.convert_labels import convert_labels
 from tactip_twin.sim2real.importing.estimated_contacts import EstimatedContacts
+from tactip_twin.sim2real.importing.find_angles import angles_and_lever
 from tactip_twin.sim2real.importing.find_conventions import find_conventions, tap_of
 from tactip_twin.tactip_model.errors import TactipError
 
@@ -150,3 +153,38 @@ def test_tap_is_read_from_meta_and_nonsense_is_not(tmp_path):
     for text in ('{"tap_move": "deep"}', '{"tap_move": [0, 0]}', "[1, 2]", '{"tap_move": [0, 0, 1e9]}'):
         (tmp_path / "meta.json").write_text(text)
         assert tap_of(tmp_path) is None
+
+
+COLUMNS = ("pose_z=pose_z", "pose_Rx=pose_Rx", "pose_Ry=pose_Ry")
+
+
+def tilted(rng, true):
+    """Return a table of a rig with a tool centre, and contacts estimated from its frames, a third too shallow."""
+    columns = [rng.uniform(low, high, COUNT) for low, high in ((-5, -1), (-20, 20), (-20, 20))]
+    table = {
+        name: [f"{x:.6f}" for x in values] for name, values in zip(("pose_z", "pose_Rx", "pose_Ry"), columns, strict=True)
+    }
+    _, _, contacts = contacts_of("surface", rng)
+    poses = convert_labels(true, table)[0]
+    poses[:, 2] = 0.7 * poses[:, 2] + rng.normal(0, 0.05, COUNT)
+    return table, replace(contacts, poses=poses)
+
+
+@pytest.mark.parametrize("lever", [(20.0, 0.0, 0.0), (0.0, 1.0, -0.6), (20.0, -1.0, 0.0), (0.0, 0.0, 0.0)])
+def test_tool_centre_is_found(lever):
+    true = ColumnMap(tcp_behind_apex_mm=lever[0], tcp_beside_axis_mm=lever[1:])
+    table, contacts = tilted(np.random.default_rng(0), true)
+    found, (_, evidence) = angles_and_lever(table, contacts, ColumnMap(columns=COLUMNS))
+    assert found.tcp_behind_apex_mm == pytest.approx(lever[0], abs=2.0)
+    assert found.tcp_beside_axis_mm == pytest.approx(lever[1:], abs=0.2)
+    assert [value == 0 for value in (found.tcp_behind_apex_mm, *found.tcp_beside_axis_mm)] == [value == 0 for value in lever]
+    assert evidence.startswith("tcp-behind-apex-mm") and ("not show another" in evidence) == (not any(lever))
+
+
+def test_tool_centre_that_is_given_is_kept():
+    """What is given is believed; the rest is still found."""
+    true = ColumnMap(tcp_behind_apex_mm=20.0, tcp_beside_axis_mm=(0.0, 1.0))
+    table, contacts = tilted(np.random.default_rng(0), true)
+    found, _ = angles_and_lever(table, contacts, ColumnMap(columns=COLUMNS, tcp_behind_apex_mm=19.0))
+    assert found.tcp_behind_apex_mm == 19.0
+    assert found.tcp_beside_axis_mm == pytest.approx((0.0, 1.0), abs=0.2)
