@@ -122,7 +122,9 @@ class PinModel:
         return jacobians.transpose(0, 2, 1) @ jacobians / noise**2 + prior
 
 
-def most_likely(model: PinModel, pins: np.ndarray, start: np.ndarray, noise: float, steps: int = 12) -> MostLikely:
+def most_likely(
+    model: PinModel, pins: np.ndarray, start: np.ndarray, noise: float, steps: int = 12, outlier: float = np.inf
+) -> MostLikely:
     """Return the most likely poses and shears for pins.
 
     Args:
@@ -131,6 +133,8 @@ def most_likely(model: PinModel, pins: np.ndarray, start: np.ndarray, noise: flo
         start: (n, 12) poses and shears from which to start, mm and degrees.
         noise: Standard deviation of each coordinate of a pin, in the same unit, with what the learned tip has wrong.
         steps: Number of steps.
+        outlier: Distance, in the same unit, beyond which a pin hardly counts (Cauchy's cost): as one that is confused with
+            its neighbour.
     """
     wanted = pins.reshape(len(pins), -1)
     known = np.isfinite(wanted)
@@ -140,19 +144,30 @@ def most_likely(model: PinModel, pins: np.ndarray, start: np.ndarray, noise: flo
     def away(there: np.ndarray) -> np.ndarray:
         return np.where(known, wanted - there, 0.0)
 
-    def slopes(of: np.ndarray) -> np.ndarray:
-        return known[..., None] * model.jacobians(of)
+    def squares(there: np.ndarray) -> np.ndarray:
+        """Return the squared distance of each pin (n, p)."""
+        return (away(there) ** 2).reshape(pins.shape).sum(-1)
+
+    def weights(there: np.ndarray) -> np.ndarray:
+        """Return the square root of the weight of each coordinate (n, 2 p)."""
+        return np.repeat(1 / np.sqrt(1 + squares(there) / outlier**2), 2, axis=1)
+
+    def slopes(of: np.ndarray, there: np.ndarray) -> np.ndarray:
+        return (known * weights(there))[..., None] * model.jacobians(of)
 
     def cost(of: np.ndarray, there: np.ndarray) -> np.ndarray:
         """Return minus twice the logarithm of the posterior, (n,), without its constant."""
-        return (away(there) ** 2).sum(1) / noise**2 + (prior * (of - middle) ** 2).sum(1)
+        far = squares(there)
+        if np.isfinite(outlier):
+            far = outlier**2 * np.log1p(far / outlier**2)
+        return far.sum(1) / noise**2 + (prior * (of - middle) ** 2).sum(1)
 
     here = model.positions(values)
     costs, damping = cost(values, here), np.full(len(values), _DAMPING)
     for _ in range(steps):
-        J = slopes(values)
+        J = slopes(values, here)
         A = model.information(J, noise, _PRIOR_WEIGHT)
-        gradient = np.einsum("nij,ni->nj", J, away(here)) / noise**2 - prior * (values - middle)
+        gradient = np.einsum("nij,ni->nj", J, weights(here) * away(here)) / noise**2 - prior * (values - middle)
         damped = A + damping[:, None, None] * np.einsum("njj,jk->njk", A, np.eye(A.shape[1]))
         moved = np.clip(values + np.linalg.solve(damped, gradient[..., None])[..., 0], model.low, model.high)
         there = model.positions(moved)
@@ -160,7 +175,7 @@ def most_likely(model: PinModel, pins: np.ndarray, start: np.ndarray, noise: flo
         better = their_costs < costs
         values, here = np.where(better[:, None], moved, values), np.where(better[:, None], there, here)
         costs, damping = np.where(better, their_costs, costs), np.where(better, 0.2 * damping, 5 * damping)
-    information = model.information(slopes(values), noise, _PRIOR_WEIGHT)
+    information = model.information(slopes(values, here), noise, _PRIOR_WEIGHT)
     deviations = np.zeros((len(values), 12))
     deviations[:, model.free] = np.sqrt(np.diagonal(np.linalg.inv(information), axis1=1, axis2=2))
     whole = model.whole(values)

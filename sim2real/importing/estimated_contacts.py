@@ -48,6 +48,9 @@ _PIXEL_NOISE, _INDEPENDENT = 0.5, 10
 """Residual of a good estimate, px of 256, and number of independent measurements that a frame counts for, because the
 residuals of its pins are correlated (as in calibration/rounds.py)."""
 
+_OUTLIER_PX = 2.0
+"""Distance, px of 256, beyond which a pin hardly counts, because it is confused with its neighbour [?]."""
+
 _RANDOM_CONTACTS, _SECTORS = 4000, 6
 """Number of random contacts of which the nearest is the start of an estimate, and number of ranges of yaw, each with its own
 starts, on an edge."""
@@ -150,7 +153,7 @@ def _optima(model: PinModel, pins: np.ndarray, noise: float, task: Task, rng: np
     edges = np.linspace(-180, 180, _SECTORS + 1)
     sectors = [{5: ends} for ends in itertools.pairwise(edges)] if task == "edge" else [{}]
     starts = [model.nearest_of(pins, _RANDOM_CONTACTS, rng, within) for within in sectors]
-    return [most_likely(model, pins, start, noise) for start in starts]
+    return [most_likely(model, pins, start, noise, outlier=_OUTLIER_PX) for start in starts]
 
 
 def chosen_of(optima: Sequence[EstimatedContacts], which: np.ndarray) -> EstimatedContacts:

@@ -46,6 +46,20 @@ def test_noisy_pins_err_as_the_deviations_say(case):
     assert found.residuals == pytest.approx(0.03 * np.sqrt(2), rel=0.2)
 
 
+def test_pins_that_are_confused_hardly_count(case):
+    """A tenth of the pins exchanged with their neighbours: the pose is as good as without them."""
+    model, truth, rng = case
+    pins = model.positions(truth[:, model.free]).reshape(COUNT, -1, 2) + rng.normal(0, 0.01, (COUNT, 127, 2))
+    confused = pins.copy()
+    confused[:, 1:13:2], confused[:, 2:14:2] = pins[:, 2:14:2], pins[:, 1:13:2]
+    errors = [
+        np.abs(most_likely(model, one, truth, noise=0.03, outlier=outlier).poses - truth[:, :6])[:, 2:5].mean(0)
+        for one, outlier in ((pins, np.inf), (confused, np.inf), (confused, 0.1))
+    ]
+    assert (errors[1] > 3 * errors[0]).all()
+    assert (errors[2] < 1.5 * errors[0] + [0.003, 0.03, 0.03]).all()
+
+
 def test_deviations_are_larger_for_light_contacts(case):
     model, truth, _ = case
     light = truth.copy()
