@@ -55,6 +55,10 @@ VAL_FRAMES = 200
 _MAX_VAL_FRACTION = 0.2
 """Maximum fraction of its frames that are validation frames."""
 
+_CONTACTS = {"surface": 700, "edge": 2000}
+"""Default number of simulated contacts to train on, by task. On a surface, 2000 took three times as long, and the errors on
+real-331 were the same [M] (docs/transfer.md)."""
+
 _TRAIN_FRAMES, _MAX_TRAIN_FRACTION, _MIN_TRAIN_FRAMES = 1500, 0.6, 20
 """Default number of real training frames, its maximum as a fraction of the set, and its minimum."""
 
@@ -226,7 +230,7 @@ class Experiment:
         configuration = Configuration(
             task=self.task,
             split=split,
-            samples=s.contacts * (8 if symmetric else 1) if split == "train" else s.val_contacts,
+            samples=self.contacts * (8 if symmetric else 1) if split == "train" else s.val_contacts,
             seed=s.seed,
             renderer="raster",
             design=design,
@@ -238,6 +242,11 @@ class Experiment:
             mechanics_randomization=randomization,
         )
         return Job(configuration, self.out / variant.contacts / split, path)
+
+    @property
+    def contacts(self) -> int:
+        """Number of simulated contacts to train on."""
+        return self.settings.contacts or _CONTACTS[self.task]
 
     @property
     def simulated_fidelity(self) -> FidelityName:
@@ -323,7 +332,8 @@ class Experiment:
         path = self.out / RESULTS
         record = read_json(path) if path.exists() else {}
         record["real"] = {"set": self.real.name, "digest": self.samples.dataset.meta["digest"], "test": len(self.split.test)}
-        record["settings"] = json.loads(json.dumps(asdict(self.settings) | {"real_train_frames": len(self.split.known)}))
+        counts = {"contacts": self.contacts, "real_train_frames": len(self.split.known)}
+        record["settings"] = json.loads(json.dumps(asdict(self.settings) | counts))
         record[name] = results
         write_file(path, (json.dumps(record, indent=1) + "\n").encode())
         return record

@@ -34,8 +34,9 @@ class TransferSettings:
 
     design: str = ""
     """Design of the real sensor: a preset or a design file. Default: fitted to the set's neutral image."""
-    contacts: int = within(10, 10**7, default=2000)
-    """Number of simulated contacts to train on; each gives a sample for every symmetry of its task."""
+    contacts: int | None = within(10, 10**7, default=None)
+    """Number of simulated contacts to train on. Default: 700 on a surface, each of which gives eight samples by symmetry, or
+    2000 on an edge."""
     val_contacts: int = within(10, 10**6, default=500)
     """Number of simulated contacts to validate on."""
     real_train_frames: int | None = within(20, 10**6, default=None)
