@@ -120,12 +120,22 @@ def simulate_along(job: tuple[Design, Rig, str, Commands, np.ndarray]) -> np.nda
     motion = RigMotion(rig)
     contacts = [motion.contact(pose, move, tap) for pose, move in commands]
     if fidelity == FAST:
-        partial = [part for contact in contacts for part in _partial_shears(*contact)]
-        return _predicted(design, partial).reshape(len(contacts), len(MOVE_FRACTIONS), -1, 3)
+        return predict_along(design, contacts)
     simulator = _simulator(_mechanical(design), fidelity)
     return np.array(
         [[_skin(simulator) for _ in simulator.simulate_partial_shears(*contact, MOVE_FRACTIONS)] for contact in contacts]
     )
+
+
+def predict_along(design: Design, contacts: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+    """Return the skins (n, MOVE_FRACTIONS, s, 3) m at each fraction of the shear, as the learned tip predicts them.
+
+    Args:
+        design: Design that the learned tip knows (`can_predict`).
+        contacts: n pairs of pose and shear (6,), m and rad.
+    """
+    partial = [part for contact in contacts for part in _partial_shears(*contact)]
+    return _predicted(design, partial).reshape(len(contacts), len(MOVE_FRACTIONS), -1, 3)
 
 
 def _partial_shears(pose: np.ndarray, shear: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:

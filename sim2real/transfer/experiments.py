@@ -37,6 +37,7 @@ from tactip_twin.sim2real.transfer.neutral_calibration import (
     nearest_nominal_design,
     with_camera_drift,
 )
+from tactip_twin.sim2real.transfer.real_shear import real_shear
 from tactip_twin.sim2real.transfer.score import Estimator, score
 from tactip_twin.sim2real.transfer.settings import AUTO, GAP, TransferSettings
 from tactip_twin.sim2real.transfer.sim_gap import plot_gap, sim_to_real_gap
@@ -341,8 +342,10 @@ class Experiment:
 
 def zero_shot(experiment: Experiment) -> dict[str, Any]:
     """Return the errors on real frames of a network trained in simulation only, and of one trained on real frames."""
+    network = experiment.network()
+    shear = real_shear(network, experiment.split.test, experiment.design(), experiment.settings.seed)
     return {
-        "simulation": experiment.score(experiment.network()),
+        "simulation": experiment.score(network) | ({"shear": shear} if shear else {}),
         "real": experiment.score(experiment.real_network(len(experiment.split.known))),
     }
 

@@ -6,6 +6,7 @@ from typing import Any
 
 from tactip_twin.learning.labels import LEARNED
 from tactip_twin.sim2real.transfer.linear_errors import advice, table_of
+from tactip_twin.sim2real.transfer.real_shear import MAX_MOVE_MM
 from tactip_twin.sim2real.transfer.score import INTERVALS
 from tactip_twin.sim2real.transfer.settings import GAP
 from tactip_twin.tactip_model.files import write_file
@@ -59,6 +60,9 @@ def sections(record: Mapping[str, Any], task: str, figure: str = GAP) -> list[st
     linear = record.get("zero-shot", {}).get("simulation", {}).get("linear")
     if linear:
         out += ["Linear part of the errors of the network trained in simulation:", table_of(linear)]
+    shear = record.get("zero-shot", {}).get("simulation", {}).get("shear")
+    if shear:
+        out.append(_shear(shear))
     if "gap" in record:
         out += _gap(record["gap"], figure)
     if linear:
@@ -74,6 +78,20 @@ def _coverage(rows: list[tuple[str, dict[str, Any]]], names: list[str]) -> list[
     known = [(what, figures) for what, figures in rows if kinds[0][0] in figures]
     lines += [f"| {what} | {' | '.join(f'{100 * r[key][name]:.0f}' for key, name in kinds)} |" for what, r in known]
     return [_COVERAGE, "\n".join(lines)] if known else []
+
+
+def _shear(figures: Mapping[str, Any]) -> str:
+    """Return a sentence on the shear that the network reads."""
+    parts = [
+        f"{name}: mean error {part['mae_mm']:.2f} mm, correlation {part['correlation']:.2f}, slope {part['slope']:.2f}"
+        for name, part in figures.items()
+        if isinstance(part, Mapping)
+    ]
+    shown = f"{figures['shown_fraction']:.0%} in the median of {figures['frames']} frames"
+    return (
+        f"Effective shear that the network trained in simulation reads in moves of at most {MAX_MOVE_MM:g} mm, against the part "
+        f"of the move that the pins of each frame show through a learned tip ({shown}): {'; '.join(parts)}."
+    )
 
 
 def _gap(figures: Mapping[str, Any], figure: str) -> list[str]:

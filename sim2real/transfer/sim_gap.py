@@ -54,10 +54,7 @@ def sim_to_real_gap(
     """
     order = np.random.default_rng(seed).permutation(len(samples))[:frames]
     chosen = samples.take(np.sort(order))
-    neutral = neutral_px(design)
-    width = chosen.size
-    matcher = PinMatcher((neutral + 0.5) * width / REFERENCE_PX - 0.5)
-    real = np.array([reference_pixels(matcher.match(find_blobs(image)), width) for image in chosen.images])
+    neutral, real = neutral_px(design), detect_pins(design, chosen.images)
     good = np.isfinite(real[..., 0]).mean(1) > _MIN_PIN_FRACTION
     if not good.any():
         raise TactipError(
@@ -95,6 +92,13 @@ def sim_to_real_gap(
         "by_radius_px": _binned(rings, np.sqrt(np.nanmean((off**2).sum(-1), 0))),
     }
     return figures, {"neutral": neutral, "off": np.nanmean(off, 0), "rms": np.sqrt(np.nanmean((off**2).sum(-1), 0))}
+
+
+def detect_pins(design: Design, images: np.ndarray) -> np.ndarray:
+    """Return the pins (n, p, 2), px of 256, of a design in tactile images (n, size, size); NaN where one is not detected."""
+    width = images.shape[1]
+    matcher = PinMatcher((neutral_px(design) + 0.5) * width / REFERENCE_PX - 0.5)
+    return np.array([reference_pixels(matcher.match(find_blobs(image)), width) for image in images])
 
 
 def _simulated(samples: Samples, design: Design, fidelity: str) -> tuple[np.ndarray, np.ndarray]:

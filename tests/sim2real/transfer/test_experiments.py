@@ -26,6 +26,7 @@ from tactip_twin.sim2real.transfer.experiments import ABLATIONS, Experiment, spl
 from tactip_twin.sim2real.transfer.fine_tune import FineTuning, fine_tune
 from tactip_twin.sim2real.transfer.neutral_calibration import fit_design_to_neutral_image
 from tactip_twin.sim2real.transfer.pseudo_real import hidden_design
+from tactip_twin.sim2real.transfer.real_shear import real_shear
 from tactip_twin.sim2real.transfer.score import score
 from tactip_twin.sim2real.transfer.settings import TransferSettings
 from tactip_twin.sim2real.transfer.sim_gap import sim_to_real_gap
@@ -216,6 +217,33 @@ def test_score_removes_offset_of_depth_only(lab):
     # Errors of 0.8, 0 and 1.5 standard deviations.
     assert figures["coverage_68"] == {"pose_z": pytest.approx(0.83, abs=0.15), "pose_Rx": 1.0, "pose_Ry": 0.0}
     assert figures["coverage_95"] == {"pose_z": 1.0, "pose_Rx": 1.0, "pose_Ry": 1.0}
+
+
+class KnowsShear:
+    """A model that reads four fifths of the commanded shear, and otherwise nothing."""
+
+    columns = ("pose_z", "effective_shear_x_mm", "effective_shear_y_mm")
+
+    def __init__(self, samples, quantities=True):
+        self.config = PoseNetConfig(quantities=quantities)
+        self.shears = {image.tobytes(): shear for image, shear in zip(samples.images, samples.shears, strict=True)}
+
+    def estimate(self, images):
+        shears = np.array([self.shears[image.tobytes()] for image in images])
+        return Estimates(np.column_stack([np.zeros(len(images)), 0.8 * shears[:, :2]]), None, None)
+
+
+def test_shear_is_compared_with_what_the_frames_show(lab):
+    """These frames do not lag, so they show nearly all of their moves."""
+    samples, design = read_samples(lab), hidden(design_named("nominal-127"))
+    figures = real_shear(KnowsShear(samples), samples, design)
+    assert 20 <= figures["frames"] < len(samples) and figures["shown_fraction"] > 0.8
+    assert set(figures) == {"frames", "shown_fraction", "shear_x"}
+    assert figures["shear_x"]["slope"] == pytest.approx(0.8, abs=0.15)
+    assert figures["shear_x"]["correlation"] > 0.9 and 0.05 < figures["shear_x"]["mae_mm"] < 0.4
+    assert real_shear(KnowsShear(samples, quantities=False), samples, design) is None
+    unsheared = replace(samples, shears=np.zeros_like(samples.shears))
+    assert real_shear(KnowsShear(samples), unsheared, design) is None
 
 
 @pytest.mark.slow
