@@ -89,7 +89,7 @@ def _shear(figures: Mapping[str, Any]) -> str:
     ]
     shown = f"{figures['shown_fraction']:.0%} in the median of {figures['frames']} frames"
     return (
-        f"Effective shear that the network trained in simulation reads in moves of at most {MAX_MOVE_MM:g} mm, against the part "
+        f"Effective shear that the network trained in simulation reads in moves up to {MAX_MOVE_MM:g} mm, against the part "
         f"of the move that the pins of each frame show through a learned tip ({shown}): {'; '.join(parts)}."
     )
 
