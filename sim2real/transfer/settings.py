@@ -43,7 +43,7 @@ class TransferSettings:
     """Number of real frames to train on, in experiments that use real labels; all others are for testing. Default: 1500,
     or three fifths of a smaller set."""
     shots: tuple[int, ...] = (10, 50, 100, 500)
-    """Numbers of real frames to fine-tune on."""
+    """Numbers of real frames to correct by and to fine-tune on."""
     randomize_mechanics: Mechanics = "real"
     """Randomization of the mechanics: none or real (sim/dataset/mechanics_randomization.py)."""
     optics_ranges: OpticsChoice = AUTO

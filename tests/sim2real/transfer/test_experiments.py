@@ -393,7 +393,7 @@ def test_transfer_page_shows_targets(lab, tmp_path, monkeypatch):
         return {"mae": values, "mae_zeroed": values, "varies": varies, **inside}
 
     zero = {"simulation": figures(0.3, 1.5), "real": figures(0.1, 1.0)}
-    few = {"0": {"fine_tuned": figures(0.3, 1.5)}, "50": {"fine_tuned": figures(0.11, 1.2)}}
+    few = {"0": {"fine_tuned": figures(0.3, 1.5)}, "50": {"corrected": figures(0.11, 1.2), "fine_tuned": figures(0.2, 2.0)}}
     monkeypatch.setattr(transferred, "EXPERIMENTS", {"zero-shot": lambda e: zero, "few-shot": lambda e: few})
     folders = {"runs": tmp_path / "runs", "out": tmp_path / "out", "settings": TransferSettings(real_train_frames=30)}
     options = TransferOptions((lab,), ("zero-shot",), **folders)
