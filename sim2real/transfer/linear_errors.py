@@ -26,6 +26,9 @@ _LEAK = {"mm": 0.02, "°": 0.2}
 """Leak of a shear of 1 mm or 1 degree that is worth a remark, by unit of the component: with the paper's 5 mm, 0.1 mm and 1
 degree [?]."""
 
+_BESIDE_MM = 0.3
+"""Distance of a tool centre from the axis that is worth a remark, mm: 0.1 mm of depth at a tilt of 20 degrees [?]."""
+
 _OFFSET = {"mm": 0.1, "°": 0.5}
 """Offset that is worth a remark, by unit [?]."""
 
@@ -37,8 +40,8 @@ def linear_errors(predictions: np.ndarray, samples: Samples) -> dict[str, Any] |
     coefficient each.
 
     Returns:
-        For each component that varies: offset at the middle of the labels, gain, leak by the name of the shear, and the mean
-        error without the linear part.
+        For each component that varies: offset at the middle of the labels, gain, change by another component, leak by the
+        name of the shear, and the mean error without the linear part.
     """
     names = samples.labels.names
     varying = [k for k, name in enumerate(names) if samples.targets[:, k].std() > _MIN_SPREAD[unit_of(name)]]
@@ -58,6 +61,7 @@ def linear_errors(predictions: np.ndarray, samples: Samples) -> dict[str, Any] |
         out[names[k]] = {
             "offset": float(found[0, i] - middle[i]),
             "gain": float(found[1 + i, i]),
+            "cross": {names[j]: float(found[1 + m, i]) for m, j in enumerate(varying) if m != i},
             "leak": {SHEARS[j]: float(leak) for j, leak in zip(sheared, leaks, strict=True)},
             "rest": float(rest[i]),
         }
@@ -91,6 +95,14 @@ def advice(linear: Mapping[str, Any]) -> list[str]:
         worst = ", ".join(f"{name} by {_leak(name, linear[name])}" for name in leaks)
         out.append(
             f"Shear leaks into the pose: {worst}. Friction or the thickness of the skin differ: calibrate, or fine-tune."
+        )
+    # Depth in a tilt about x or y changes by the distance times the sine of the tilt.
+    cross = linear.get("pose_z", {}).get("cross", {})
+    beside_mm = np.degrees([cross.get(name, 0.0) for name in ("pose_Rx", "pose_Ry")])
+    if np.abs(beside_mm).max() > _BESIDE_MM:
+        out.append(
+            f"Depth changes with tilt, as about a tool centre {np.hypot(*beside_mm):.1f} mm beside the axis: import again "
+            "with `--find`, or with `--tcp-beside-axis-mm`."
         )
     offsets = {name: part["offset"] for name, part in linear.items() if abs(part["offset"]) > _OFFSET[unit_of(name)]}
     if "pose_z" in offsets:

@@ -41,6 +41,16 @@ def test_known_offsets_gains_and_leaks_are_found():
     assert f"| pose_z | {depth['offset']:+.2f} mm | 0.80 |" in table_of(found)
 
 
+def test_tool_centre_beside_the_axis_is_named():
+    real = samples()
+    predictions = real.targets.copy()
+    predictions[:, 0] += 0.6 * np.sin(np.radians(real.targets[:, 2]))
+    found = linear_errors(predictions, real)
+    assert found is not None
+    assert found["pose_z"]["cross"] == pytest.approx({"pose_Rx": 0.0, "pose_Ry": np.radians(0.6)}, abs=5e-4)
+    assert "a tool centre 0.6 mm beside the axis" in "\n".join(advice(found))
+
+
 def test_a_good_network_gets_no_remark_but_that():
     real = samples(sheared=False)
     found = linear_errors(real.targets + np.random.default_rng(1).normal(0, 0.05, real.targets.shape), real)
