@@ -95,8 +95,8 @@ def test_written_network_is_kept_and_is_of_its_frames(trained, tmp_path):
     assert said == [f"{tmp_path / 'out'} already holds this network"]
     with pytest.raises(TactipError, match="holds a corrected network with other settings"):
         write_corrected(model, samples.take(slice(0, 10)), tmp_path / "out")
-    with pytest.raises(TactipError, match="needs at least 5 real frames, got 4"):
-        write_corrected(model, samples.take(slice(0, 4)), tmp_path / "few")
+    with pytest.raises(TactipError, match="needs at least 10 real frames, got 9"):
+        write_corrected(model, samples.take(slice(0, 9)), tmp_path / "few")
     assert not (tmp_path / "few").exists()
 
 
