@@ -345,7 +345,7 @@ def test_servo_video_without_pyrender_is_refused(tmp_path, capsys):
     assert not (tmp_path / "run").exists()
 
 
-@pytest.mark.parametrize("name", ["score.json", "steps.npz"])
+@pytest.mark.parametrize("name", [pytest.param("score.json", marks=pytest.mark.slow), "steps.npz"])
 def test_servo_killed_after_its_last_step_runs_again(tmp_path, name):
     out = tmp_path / "run"
     command = [*QUICK, "--route.kind", "straight", "--route.length-mm", "1", "--arm", "none", "--out", str(out)]

@@ -193,6 +193,7 @@ def test_tune_killed_trial_is_result_and_broken_program_raises(data, tmp_path, m
     assert read_results(folder, SPACE) == []
 
 
+@pytest.mark.slow
 def test_tune_prune_ends_bad_trials(data, tmp_path):
     settings = TuneSettings(
         trials=6, random_trials=6, prune=True, min_epochs=2, space=SPACE, training=TrainSettings(epochs=4, patience=4)

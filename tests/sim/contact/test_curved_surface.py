@@ -59,6 +59,7 @@ def test_force_falls_with_curvature_as_in_hertz():
     assert np.allclose(simulator.simulate(*pose).pin_tips, flat.simulate(*pose).pin_tips, atol=2e-6)
 
 
+@pytest.mark.slow
 def test_curved_set_does_not_depend_on_worker_count(tmp_path):
     command = ["dataset", "make", "--fidelity", "draft", "--renderer", "raster", "--curvature-per-m", "-20", "60"]
     for name, workers in (("a", "1"), ("b", "2")):

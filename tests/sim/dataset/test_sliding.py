@@ -109,6 +109,7 @@ def made(folder, design, workers=1, **changes):
     return given, make([Job(given, folder)], workers, log=lambda line: None)[0]
 
 
+@pytest.mark.slow
 def test_set_of_snapshots_is_independent_of_workers(design, tmp_path):
     """From one worker, from two, and extended from a smaller set that ends within a contact."""
     made(tmp_path / "a", design)

@@ -91,6 +91,7 @@ def test_mesh_without_deformation_is_the_undeformed_one(tip):
     assert np.abs(moved - mesh.vertices).max() > 1e-4
 
 
+@pytest.mark.slow
 def test_corrected_set_is_the_same_with_any_worker_count(tmp_path, capsys):
     make = ["dataset", "make", "--fidelity", "corrected", "--task", "edge", "--samples", "12", "--augment-symmetry"]
     for name, workers in (("a", "1"), ("b", "2")):
