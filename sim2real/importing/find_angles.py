@@ -21,6 +21,9 @@ _BAD_FIT = 2.0
 confused in its frame, or the frame lags behind its row. Without them, the tool centre of real-331 is known to 0.1 mm instead
 of 0.2 [M]."""
 
+_MIN_DEPTH_SPREAD_MM = 0.1
+"""Minimum standard deviation of the labels of depth, mm, from which their gain can be told [?]."""
+
 _MIN_CHANGE = 1e-4
 """Minimum standard deviation of the change of depth, mm, by a tool centre that is 1 mm off, for it to be sought."""
 
@@ -107,6 +110,8 @@ def _lever(rows: Mapping[str, Sequence[str]], contacts: EstimatedContacts, colum
     depths = contacts.poses[fits, 2]
     given = np.array([column_map.tcp_behind_apex_mm, *column_map.tcp_beside_axis_mm])
     plain = convert_labels(column_map, rows)[0][:, 2]
+    if plain.std() < _MIN_DEPTH_SPREAD_MM:
+        return column_map, "the depth hardly varies, so no tool centre is sought"
     changes = np.array([convert_labels(_with_lever(column_map, given + one), rows)[0][:, 2] - plain for one in np.eye(3)])
     chosen = (given == 0) & (changes.std(1) > _MIN_CHANGE)
     lever, deviations = np.zeros(3), np.zeros(3)
@@ -125,9 +130,8 @@ def _lever(rows: Mapping[str, Sequence[str]], contacts: EstimatedContacts, colum
     where = f"tcp-behind-apex-mm {names[0]}, tcp-beside-axis-mm {names[1]} {names[2]}"
     if not chosen.any():
         return column_map, f"{where}: depth does not show another tool centre"
-    return _with_lever(
-        column_map, lever
-    ), f"{where}: depth differs from the table in tilted frames as that tool centre makes it"
+    told = f"{where}: depth differs from the table in tilted frames as that tool centre makes it"
+    return _with_lever(column_map, lever), told
 
 
 def _with_lever(column_map: ColumnMap, lever_mm: np.ndarray) -> ColumnMap:

@@ -188,3 +188,10 @@ def test_tool_centre_that_is_given_is_kept():
     found, _ = angles_and_lever(table, contacts, ColumnMap(columns=COLUMNS, tcp_behind_apex_mm=19.0))
     assert found.tcp_behind_apex_mm == 19.0
     assert found.tcp_beside_axis_mm == pytest.approx((0.0, 1.0), abs=0.2)
+
+
+def test_no_tool_centre_is_sought_at_one_depth():
+    table, contacts = tilted(np.random.default_rng(0), ColumnMap(tcp_beside_axis_mm=(0.0, 1.0)))
+    table["pose_z"] = ["-3"] * COUNT
+    found, evidence = angles_and_lever(table, contacts, ColumnMap(columns=COLUMNS))
+    assert found.tcp_beside_axis_mm == (0.0, 0.0) and "the depth hardly varies" in evidence[-1]
