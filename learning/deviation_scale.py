@@ -47,6 +47,11 @@ class DeviationScale:
         factors = np.log(self.factors)
         return np.exp(np.stack([np.interp(forces_n, self.forces_n, column) for column in factors.T], 1))
 
+    def times(self, factors: np.ndarray) -> "DeviationScale":
+        """Return the factors of each force times others (c), within the allowed range."""
+        rows = np.clip(np.array(self.factors) * factors, 1 / _MAX_FACTOR, _MAX_FACTOR)
+        return DeviationScale(self.forces_n, tuple(tuple(row) for row in rows.tolist()))
+
 
 def fit_deviation_scale(errors: np.ndarray, deviations: np.ndarray, forces_n: np.ndarray | None) -> DeviationScale:
     """Return the factors that balance the coverage of the 68 % and the 95 % intervals on held-out samples.

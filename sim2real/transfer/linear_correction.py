@@ -124,8 +124,7 @@ def corrected(model: Model, real: Samples) -> tuple[Model, LinearCorrection]:
     factors = np.ones(len(model.columns))
     factors[:count] = np.array(found) ** (len(real) / (len(real) + _SCALE_FRAMES))
     before = model.deviation_scale or DeviationScale((0.0,), (tuple(np.ones(len(factors)).tolist()),))
-    rows = tuple(tuple((np.array(row) * factors).tolist()) for row in before.factors)
-    return replace(model, net=net, deviation_scale=DeviationScale(before.forces_n, rows)), correction
+    return replace(model, net=net, deviation_scale=before.times(factors)), correction
 
 
 def _with_outputs(model: Model, correction: LinearCorrection) -> PoseNet:

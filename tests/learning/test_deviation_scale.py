@@ -61,3 +61,8 @@ def test_fitted_factors_bands_with_few_samples_are_merged():
 def test_invalid_scale_is_refused(forces, factors):
     with pytest.raises(TactipError, match="deviation_scale"):
         DeviationScale(forces, factors)
+
+
+def test_factors_times_others_stay_in_range():
+    scale = DeviationScale((0.0, 1.0), ((2.0, 50.0), (1.0, 0.5)))
+    assert scale.times(np.array([3.0, 10.0])).factors == ((6.0, 100.0), (3.0, 5.0))

@@ -182,7 +182,7 @@ def test_tool_centre_is_found(lever):
 
 
 def test_tool_centre_that_is_given_is_kept():
-    """What is given is believed; the rest is still found."""
+    """A distance behind the apex that the user gives is kept, and the position beside the axis is found with it."""
     true = ColumnMap(tcp_behind_apex_mm=20.0, tcp_beside_axis_mm=(0.0, 1.0))
     table, contacts = tilted(np.random.default_rng(0), true)
     found, _ = angles_and_lever(table, contacts, ColumnMap(columns=COLUMNS, tcp_behind_apex_mm=19.0))
