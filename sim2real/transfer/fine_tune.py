@@ -76,15 +76,12 @@ def fine_tune(
         Interrupted: On Ctrl-C; the same command then starts over.
     """
     folder = Path(folder)
-    chosen = hashlib.sha256(real.rows.astype("<i8").tobytes()).hexdigest()
-    record = {
-        "initial_weights": net_sha256(model.net),
-        "real": {"digest": real.dataset.meta["digest"], "samples": len(real), "chosen": chosen},
+    record = origin(model, real) | {
         "simulated": simulated.dataset.meta["digest"],
         "fine_tuning": json.loads(json.dumps(asdict(settings))),
     }
     # An interruption leaves weights without a description.
-    if check_resumable(folder, "fine-tuned network", _recorded(folder, record), record, own=(WEIGHTS,)):
+    if check_resumable(folder, "fine-tuned network", recorded(folder, record, "fine_tuning"), record, own=(WEIGHTS,)):
         log(f"{folder} already holds this network")
         return
     if not len(real):
@@ -101,12 +98,20 @@ def fine_tune(
     save_model(folder, state, model.config, model.labels, model.size, model.provenance | record, model.deviation_scale)
 
 
-def _recorded(folder: Path, record: dict[str, Any]) -> dict[str, Any] | None:
-    """Return what the provenance of a folder's network has for the keys of `record`; None without a fine-tuned network."""
+def origin(model: Model, real: Samples) -> dict[str, Any]:
+    """Return, as JSON, the initial network and the real samples from which another network is made."""
+    chosen = hashlib.sha256(real.rows.astype("<i8").tobytes()).hexdigest()
+    samples = {"digest": real.dataset.meta["digest"], "samples": len(real), "chosen": chosen}
+    return {"initial_weights": net_sha256(model.net), "real": samples}
+
+
+def recorded(folder: Path, record: dict[str, Any], kind: str) -> dict[str, Any] | None:
+    """Return what the provenance of a folder's network has for the keys of `record`; None without a network of this kind,
+    whose provenance has the key `kind`."""
     if not (folder / DESCRIPTION).exists():
         return None
     provenance = read_description(folder)["provenance"]
-    return {key: provenance.get(key) for key in record} if "fine_tuning" in provenance else None
+    return {key: provenance.get(key) for key in record} if kind in provenance else None
 
 
 def _steps(model: Model, simulated: Samples, real: Samples, settings: FineTuning, device: str) -> dict[str, torch.Tensor]:
