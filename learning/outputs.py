@@ -22,6 +22,10 @@ from tactip_twin.learning.quantities import QUANTITIES
 _MIN_LOG_DEVIATION = float(np.log(1e-3))
 """Smallest logarithm of a standard deviation over its scale: 5 µm of 5 mm."""
 
+_MAX_LOG_DEVIATION = float(np.log(30.0))
+"""Largest one: 150 mm of 5 mm. Without it, weights of the loss overflow where a network first sees images unlike those that
+it was trained on."""
+
 _INITIAL_LOG_DEVIATION = float(np.log(0.3))
 """That of a network with zero weights: the order of the labels' own [?]."""
 
@@ -57,6 +61,7 @@ class Layout:
         if self._deviations:
             # Above the minimum, and nearly the identity well above it.
             logs = _MIN_LOG_DEVIATION + softplus(raw[:, n : 2 * n] + _INITIAL_LOG_DEVIATION - _MIN_LOG_DEVIATION)
+            logs = logs.clamp(max=_MAX_LOG_DEVIATION)
         return Split(raw[:, :n], logs)
 
     def rows_of(self, earlier: "Layout") -> list[tuple[int, int]]:

@@ -33,6 +33,18 @@ def random_split(m=40, n=3):
     return Split(numbers[0], 0.3 * numbers[1] - 1), numbers[2]
 
 
+@pytest.mark.parametrize("raw_log_deviation", [-1e4, 0.0, 271.0, 1e4])
+def test_loss_is_finite_whatever_a_network_says(raw_log_deviation):
+    """A network trained on 127 pins said 271 for the image of a 331-pin tip, and the weight of its loss overflowed."""
+    layout = Layout(FULL, 3)
+    raw = torch.full((2, layout.size), 60.0)
+    raw[:, layout.components :] = raw_log_deviation
+    raw.requires_grad_()
+    loss = losses(layout.split(raw), torch.zeros(2, layout.components), beta=1.0).mean()
+    (gradient,) = torch.autograd.grad(loss, raw)
+    assert torch.isfinite(loss) and torch.isfinite(gradient).all()
+
+
 def test_losses_with_deviations_are_negative_log_likelihoods():
     split, targets = random_split()
     expected = -norm.logpdf(targets.numpy(), split.means.numpy(), split.log_deviations.exp().numpy()).sum(1)
