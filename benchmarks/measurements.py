@@ -10,6 +10,7 @@ from tactip_twin.benchmarks.learning.options import (
     AnyMaterialsOptions,
     ConventionsOptions,
     FastTipOptions,
+    HiddenSensorsOptions,
     LearningOptions,
     MissingNeutralImageOptions,
     RealComparisonOptions,
@@ -75,6 +76,9 @@ MEASUREMENTS = {
         "tactip_twin.benchmarks.learning.missing_neutral_image", MissingNeutralImageOptions, ""
     ),
     "conventions": Measurement("tactip_twin.benchmarks.learning.conventions", ConventionsOptions, "conventions.md"),
+    "hidden-sensors": Measurement(
+        "tactip_twin.benchmarks.learning.hidden_sensors", HiddenSensorsOptions, "hidden_sensors.md"
+    ),
     "real-comparison": Measurement(
         "tactip_twin.benchmarks.learning.real_comparison", RealComparisonOptions, "real_and_simulated.png"
     ),

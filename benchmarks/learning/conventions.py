@@ -81,7 +81,7 @@ def mislabel(
     for i in range(len(poses)):
         writer.writerow([f"frame_{i}.png", *(column[i] for column in columns.values())])
     write_file(copy / "targets.csv", text.getvalue().encode())
-    return _as_in_frames(poses, task, quarter, mirrored)
+    return as_in_frames(poses, task, quarter, mirrored)
 
 
 def mislabel_table(
@@ -118,7 +118,7 @@ def mislabel_table(
     return {str(name): [f"{value:.8g}" for value in columns[name]] for name in order}, before_tap
 
 
-def _as_in_frames(poses: np.ndarray, task: Task, quarter: int, mirrored: bool) -> np.ndarray:
+def as_in_frames(poses: np.ndarray, task: Task, quarter: int, mirrored: bool) -> np.ndarray:
     """Return poses (n, 6), mm and degrees, as they are in frames that were mirrored left to right, then turned."""
     out = poses.copy()
     if task == "surface":
@@ -145,7 +145,7 @@ def judge(copy: Path, task: Task, truth: np.ndarray) -> dict[str, Any]:
     if task == "edge":
         # Frames that are turned once more have been turned in the truth too.
         quarter = round(found.layout.preprocessing.rotate_image_deg / 90)
-        truth = _as_in_frames(truth, task, quarter, False)
+        truth = as_in_frames(truth, task, quarter, False)
     one, other = (Rotation.from_rotvec(part[:, 3:], degrees=True) for part in (labels, truth))
     apart = np.abs(labels[:, 3:5] - truth[:, 3:5]).mean() if task == "surface" else np.nan
     yaw = (other.inv() * one).magnitude() if task == "edge" else np.zeros(1)

@@ -141,6 +141,24 @@ class TransferOptions:
 
 
 @dataclass(frozen=True)
+class HiddenSensorsOptions:
+    """Measure networks trained in simulation on hidden simulated sensors with rigs that have faults. Rerun to resume."""
+
+    only: tuple[str, ...] = ()
+    """Names of the sensors to measure, as on the page; results of others remain. Default: all."""
+    frames: int = 400
+    """Number of frames of each set; two fifths are for testing."""
+    runs: Path = Path("runs/hidden-sensors")
+    """Folder of the sets and networks: RUNS/SENSOR."""
+    out: Path = Path("docs")
+    """Folder for hidden_sensors.json and hidden_sensors.md."""
+    workers: str = "auto"
+    """Number of worker processes that simulate contacts; auto: one per core."""
+    settings: Annotated[TransferSettings, tyro.conf.arg(name="")] = field(default_factory=TransferSettings)
+    """Settings of the training in simulation."""
+
+
+@dataclass(frozen=True)
 class ReleaseModelsOptions:
     """Copy a network of `tactip bench learning` into the package, with its evaluation and its card."""
 

@@ -8,7 +8,7 @@ import csv
 import io
 import json
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import cv2
@@ -19,12 +19,13 @@ from tactip_twin.sim.dataset.configuration import Configuration
 from tactip_twin.sim.dataset.format import encode_image, read_dataset, read_pins
 from tactip_twin.sim.dataset.generate import Job, make
 from tactip_twin.sim.dataset.mechanics_randomization import MECHANICS_RANDOMIZATIONS
-from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES
+from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES, Ranges
 from tactip_twin.sim.labels import LABELS, SHEARS
 from tactip_twin.sim2real.importing.column_map import ColumnMap, Task
 from tactip_twin.sim2real.importing.import_set import import_set
 from tactip_twin.sim2real.importing.layout import Layout
 from tactip_twin.sim2real.importing.source import read_source
+from tactip_twin.sim2real.transfer.rig_faults import RigFaults
 from tactip_twin.sim2real.transfer.settings import PseudoKind
 from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.design_file import design_as_dict
@@ -53,10 +54,12 @@ _COLUMNS = {
 }
 
 
-def hidden_design(name: str, seed: int) -> Design:
-    """Return the design of a hidden sensor similar to a preset."""
+def hidden_design(name: str, seed: int, friction: float | None = None) -> Design:
+    """Return the design of a hidden sensor similar to a preset; with the friction, if it is given."""
     rng = np.random.default_rng((seed, 77))
     plain = MECHANICS_RANDOMIZATIONS["real"].sample(design_named(name), rng)
+    if friction is not None:
+        plain = replace(plain, materials=replace(plain.materials, friction=friction))
     o, p = plain.optics, plain.pins
     optics = replace(
         o,
@@ -100,42 +103,82 @@ def make_pseudo_real(
         TactipError: If the folder holds something else, or a contact fails.
         Interrupted: On Ctrl-C.
     """
+    lab = make_lab(folder, hidden_design(name, seed), HiddenSet(task, frames, seed, FRAME_PX[name]), workers, log)
+    layout = Layout(replace(COLUMN_MAP, task=task))
+    import_set(read_source(lab, layout.column_map), layout, lab.parent / "set", log)
+    return lab.parent / "set"
+
+
+@dataclass(frozen=True)
+class HiddenSet:
+    """What is recorded with a hidden sensor."""
+
+    task: Task
+    """Task of the set."""
+    frames: int
+    """Number of frames."""
+    seed: int
+    """Seed of contacts, light and specks."""
+    frame_px: int
+    """Width of the frames, px."""
+    poses: Ranges | None = None
+    """Ranges of the poses. Default: those of the task in the paper."""
+    faults: RigFaults = field(default_factory=RigFaults)
+    """Faults of the rig."""
+    neutral_image: bool = True
+    """Whether there is an image of the undeformed tip."""
+
+
+def make_lab(folder: str | Path, design: Design, what: HiddenSet, workers: int, log: Callable[[str], None] = print) -> Path:
+    """Make a hidden sensor's set as a laboratory publishes it, and return its folder. An interrupted run resumes.
+
+    Args:
+        folder: Folder of the contacts and the published set.
+        design: The hidden sensor.
+        what: What is recorded.
+        workers: Number of worker processes.
+        log: Callback for messages to the user.
+
+    Raises:
+        TactipError: If the folder holds something else, or a contact fails.
+        Interrupted: On Ctrl-C.
+    """
     folder = Path(folder)
-    design = hidden_design(name, seed)
     configuration = Configuration(
-        task=task,
+        task=what.task,
         split="test",
-        samples=frames,
-        seed=seed,
+        samples=what.frames,
+        seed=what.seed,
         renderer="raster",
         design=design,
         fidelity=fidelity_named("standard"),
-        pose=POSE_RANGES[task],
+        pose=what.poses or POSE_RANGES[what.task],
         shear=SHEAR_RANGES,
     )
     make([Job(configuration, folder / "contacts")], workers, log)
-    lab = folder / "lab"
-    if not (lab / "targets.csv").exists():
-        _publish(folder / "contacts", design, FRAME_PX[name], lab, seed)
-    layout = Layout(replace(COLUMN_MAP, task=task))
-    import_set(read_source(lab, layout.column_map), layout, folder / "set", log)
-    return folder / "set"
+    if not (folder / "lab" / "targets.csv").exists():
+        _publish(folder / "contacts", design, what, folder / "lab")
+    return folder / "lab"
 
 
-def _publish(contacts: Path, design: Design, width: int, lab: Path, seed: int) -> None:
+def _publish(contacts: Path, design: Design, what: HiddenSet, lab: Path) -> None:
     """Write frames and table as a laboratory does, the table last."""
     (lab / "images").mkdir(parents=True, exist_ok=True)
     for place in (lab, lab / "images"):
         remove_leftovers(place)
-    rng, dataset = np.random.default_rng((seed, 78)), read_dataset(contacts)
-    camera = _Camera(design, width, rng)
-    write_file(lab / "init_0.png", encode_image(camera.frame(*neutral_pins(design), rng)))
+    rng, dataset = np.random.default_rng((what.seed, 78)), read_dataset(contacts)
+    camera = _Camera(design, what.frame_px, rng)
+    neutral = camera.frame(*neutral_pins(design), rng)
+    if what.neutral_image:
+        write_file(lab / "init_0.png", encode_image(neutral))
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(["image_name", *(name for name, _ in _COLUMNS.values()), *SHEARS])
     tips, directions = (pins.astype(float) for pins in read_pins(contacts, dataset.meta))
-    for k, (pose, shear) in enumerate(zip(dataset.poses, dataset.shears, strict=True)):
-        write_file(lab / "images" / f"frame_{k}.png", encode_image(camera.frame(tips[k], directions[k], rng)))
+    table = what.faults.commanded(dataset.poses, dataset.shears, np.random.default_rng((what.seed, 79)))
+    for k, (pose, shear) in enumerate(zip(*table, strict=True)):
+        frame = camera.frame(tips[k], directions[k], rng, what.faults.zoom(k / len(tips)))
+        write_file(lab / "images" / f"frame_{k}.png", encode_image(frame))
         cells = [f"{sign * pose[LABELS.index(ours)]:.6f}" for ours, (_, sign) in _COLUMNS.items()]
         writer.writerow([f"frame_{k}.png", *cells, *(f"{x:.6f}" for x in shear)])
     write_file(lab / "hidden.json", (json.dumps(design_as_dict(design), indent=1) + "\n").encode())
@@ -146,7 +189,8 @@ class _Camera:
     """Frames of the hidden sensor, with light at the rim that no contact moves, and specks."""
 
     def __init__(self, design: Design, width: int, rng: np.random.Generator) -> None:
-        self._raster = Raster(design)
+        self._design = design
+        self._rasters: dict[float, Raster] = {}
         self._width = width
         self._image = replace(design.image, size_px=width)
         self._rim = np.zeros((width, width), np.uint8)
@@ -155,9 +199,16 @@ class _Camera:
             end = start + rng.uniform(20, 50)
             cv2.ellipse(self._rim, (middle, middle), (radius, radius), 0, start, end, 255, int(rng.integers(2, 6)))
 
-    def frame(self, tips: np.ndarray, directions: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """Return a frame (h, w) uint8 of pins (p, 3) m and their directions (p, 3)."""
-        image = np.maximum(tactile_image(self._raster.render(tips, directions), self._image), self._rim)
+    def frame(self, tips: np.ndarray, directions: np.ndarray, rng: np.random.Generator, zoom: float = 1.0) -> np.ndarray:
+        """Return a frame (h, w) uint8 of pins (p, 3) m and their directions (p, 3), with the image `zoom` times as large."""
+        zoom = round(zoom, 3)
+        if zoom not in self._rasters:
+            optics = replace(self._design.optics, zoom=zoom)
+            self._rasters[zoom] = Raster(replace(self._design, optics=optics))
+        raster, (x, y) = self._rasters[zoom], np.array(self._design.optics.centre) * self._width - 0.5
+        grown = np.array([[zoom, 0, (1 - zoom) * x], [0, zoom, (1 - zoom) * y]])
+        rim = self._rim if zoom == 1 else cv2.warpAffine(self._rim, grown, self._rim.shape, flags=cv2.INTER_NEAREST)
+        image = np.maximum(tactile_image(raster.render(tips, directions), self._image), rim)
         for x, y in rng.integers(0, self._width, (rng.integers(0, 3), 2)):
             cv2.circle(image, (int(x), int(y)), 1, 255, -1)
         return image
