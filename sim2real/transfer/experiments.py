@@ -7,6 +7,7 @@ Each finished step is kept in OUT and not repeated, so an interrupted command re
 """
 
 import json
+import re
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -16,10 +17,11 @@ import numpy as np
 
 from tactip_twin.learning.configuration import DeviceName, Recipe
 from tactip_twin.learning.data import Samples, read_samples
-from tactip_twin.learning.model import Model, load_model, load_network
+from tactip_twin.learning.model import Model, load_model, load_network, shipped_models
 from tactip_twin.learning.optics_ranges import noiseless
 from tactip_twin.learning.recipes import recipe_named
 from tactip_twin.learning.train import train
+from tactip_twin.learning.training import initial_state
 from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.dataset.configuration import Configuration
 from tactip_twin.sim.dataset.generate import Job, make
@@ -39,13 +41,14 @@ from tactip_twin.sim2real.transfer.neutral_calibration import (
 )
 from tactip_twin.sim2real.transfer.real_shear import real_shear
 from tactip_twin.sim2real.transfer.score import Estimator, score
-from tactip_twin.sim2real.transfer.settings import AUTO, GAP, TransferSettings
+from tactip_twin.sim2real.transfer.settings import AUTO, GAP, NONE, TransferSettings
 from tactip_twin.sim2real.transfer.sim_gap import plot_gap, sim_to_real_gap
 from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.design_file import write_design
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.files import remove_leftovers, write_file
 from tactip_twin.tactip_model.input_files import read_json
+from tactip_twin.tactip_model.pins import neutral_pins
 from tactip_twin.tactip_model.presets import load_design
 
 RESULTS = "results.json"
@@ -55,6 +58,13 @@ VAL_FRAMES = 200
 
 _MAX_VAL_FRACTION = 0.2
 """Maximum fraction of its frames that are validation frames."""
+
+_STEPS, _STEPS_FROM_NETWORK = 3000, 1500
+"""Default numbers of training steps from random weights and from those of a network [M] (docs/transfer.md)."""
+
+_MAX_PIN_DIFFERENCE = 0.05
+"""Largest difference of the numbers of pins, as a fraction, of a sensor and of a shipped network that its training starts
+from. On 331 pins, weights for 127 pins made the tilt 0.5° worse than random ones [M]."""
 
 _CONTACTS = {"surface": 700, "edge": 2000}
 """Default number of simulated contacts to train on, by task. On a surface, 2000 took three times as long, and the errors on
@@ -164,14 +174,14 @@ class Experiment:
                 f"the median pose_z of {self.real} must be negative (into the object), got {depth:g} mm: import the set "
                 "again with --columns pose_z=-COLUMN"
             )
+        self._init_from = self._initial_network()
         self.recipe()  # an unknown name is reported before any work starts
         self._given_design = load_design(settings.design) if settings.design else None
         self._fitted: Design | None = None
-        self._init_from = load_network(settings.init_from) if settings.init_from else None
 
     def recipe(self, variant: Variant = Variant()) -> Recipe:
         """Return the recipe of a training on simulated samples of a variant."""
-        s, recipe = self.settings, self._recipe()
+        s, recipe = self.settings, self._recipe(_STEPS_FROM_NETWORK if self._init_from else _STEPS)
         drawn = s.augmented_fraction if variant.augmented_fraction is None else variant.augmented_fraction
         varied = replace(
             recipe.settings,
@@ -182,9 +192,31 @@ class Experiment:
         )
         return replace(recipe, settings=varied)
 
-    def _recipe(self) -> Recipe:
-        recipe, least = recipe_named(self.settings.recipe, self.task), self.settings.min_steps
-        return recipe if least is None else replace(recipe, settings=replace(recipe.settings, min_steps=least))
+    def _recipe(self, default_steps: int) -> Recipe:
+        """Return the recipe with its number of training steps: that of the settings, the given default, or the paper's."""
+        s = self.settings
+        recipe, steps = recipe_named(s.recipe, self.task), s.steps or (None if s.recipe == "paper" else default_steps)
+        return recipe if steps is None else replace(recipe, settings=replace(recipe.settings, epochs=1, min_steps=steps))
+
+    def _initial_network(self) -> Model | None:
+        """Return the network that trainings in simulation start from; None for random weights."""
+        name = self.settings.init_from
+        if name != AUTO:
+            return None if name == NONE else load_network(name)
+        if read_report(self.real) is None:  # the number of pins is unknown
+            return None
+        config = recipe_named(self.settings.recipe, self.task).network
+        for name in shipped_models():
+            found = re.fullmatch(rf"{self.task}(?:-\d+px)?-(tactip-\d+)", name)
+            if not found or abs(len(neutral_pins(load_design(found[1]))[0]) / self._pins() - 1) > _MAX_PIN_DIFFERENCE:
+                continue
+            network = load_network(name)
+            try:
+                initial_state(network, config, self.samples)
+            except TactipError:  # other images or layers
+                continue
+            return network
+        return None
 
     def optics(self, variant: Variant = Variant()) -> str:
         """Return the name of the OpticsRanges of a variant's images; without calibration, those of an unknown camera."""
@@ -295,7 +327,7 @@ class Experiment:
         """Return the network trained on `count` real frames only, some of which are validation frames."""
         val = min(VAL_FRAMES, round(_MAX_VAL_FRACTION * count))
         known = self.split.known.take(slice(0, count))
-        recipe = self._recipe()
+        recipe = self._recipe(_STEPS)
         plain = replace(recipe.settings, augmented_fraction=0.0, undeformed_fraction=0.0, seed=self.settings.seed)
         network = replace(recipe.network, quantities=False)  # real frames have no forces
         folder = self.out / f"network-real-{count}"

@@ -9,7 +9,11 @@ from tactip_twin.tactip_model.bounds import check, within
 from tactip_twin.tactip_model.errors import lookup
 
 AUTO = "auto"
-"""Name for optics chosen by the set, and for a fidelity chosen by the task and the tip."""
+"""Name for optics chosen by the set, for a fidelity chosen by the task and the tip, and for initial weights chosen by the
+sensor."""
+
+NONE = "none"
+"""Name for random initial weights."""
 
 GAP = "gap.png"
 """Figure of the sim-to-real gap."""
@@ -56,11 +60,12 @@ class TransferSettings:
     materials, several times as fast; auto: fast for surfaces and tips that it knows, standard for others."""
     recipe: RecipeName = "laptop"
     """Network and training: laptop or paper (learning/configuration.py)."""
-    min_steps: int | None = None
-    """Minimum number of training steps. Default: the recipe's."""
-    init_from: str = ""
-    """Initial weights of the training on simulated contacts: a shipped network, or the folder of a training. Default:
-    random weights."""
+    steps: int | None = within(1, 10**8, default=None)
+    """Number of training steps, rounded up to whole epochs. Default: 1500 from initial weights, 3000 from random ones
+    (effect: docs/transfer.md); of the recipe paper, its own."""
+    init_from: str = AUTO
+    """Initial weights of the training on simulated contacts: a shipped network, the folder of a training, or none for random
+    weights. auto: the shipped network for as many pins and images of the same size, else none."""
     gap_frames: int = within(8, 10**5, default=150)
     """Number of real frames to compare with simulated ones."""
     fine_tuning_steps: int = within(1, 10**6, default=800)

@@ -103,7 +103,7 @@ def test_fit_design_recovers_hidden_pins(lab):
 
 
 FEW = ["--contacts", "10", "--val-contacts", "10", "--real-train-frames", "30", "--recipe", "laptop", "--fidelity", "draft"]
-FEW += ["--fine-tuning-steps", "4", "--workers", "1"]
+FEW += ["--steps", "6", "--fine-tuning-steps", "4", "--workers", "1"]
 
 
 def test_zero_and_few_shot_from_the_command_line(lab, tiny, tmp_path, capsys):
@@ -131,6 +131,26 @@ def test_zero_and_few_shot_from_the_command_line(lab, tiny, tmp_path, capsys):
     made = {p: p.stat().st_mtime_ns for p in (tmp_path / "out").rglob("*") if p.name in ("model.pt", "pins.npz")}
     assert tactip.main(["transfer", "few-shot", *command]) == 0
     assert made == {p: p.stat().st_mtime_ns for p in made}
+
+
+def test_training_starts_from_the_shipped_network_for_as_many_pins(lab, tmp_path):
+    """It then takes half as many steps. A set of other pins, or of other images, starts from random weights."""
+
+    def steps(real, **settings):
+        few = TransferSettings(real_train_frames=30, **settings)
+        return Experiment(real, tmp_path / "out", few, 1).recipe().settings.min_steps
+
+    started, random = steps(lab), steps(lab, init_from="none")
+    assert started == random / 2
+    assert steps(lab, steps=70) == 70
+    assert steps(lab, init_from="edge-tactip-127") == started  # refused when its training begins
+    other = tmp_path / "other"
+    shutil.copytree(lab, other)
+    report = json.loads((other / "import.json").read_text())
+    report["pins"]["median"] = 331.0
+    (other / "import.json").write_text(json.dumps(report))
+    assert steps(other) == random
+    assert steps(lab, recipe="paper") == RECIPES["paper"]["surface"].settings.min_steps
 
 
 def test_training_sets_are_predicted_by_the_learned_tip(lab, tiny, tmp_path, capsys):
