@@ -1,7 +1,8 @@
 """The linear part of a network's errors on a real set, and what it says about the rig, the tip and the next step.
 
 A rig's zero of depth and its tilt show as offsets, a tip of other mechanics or optics as a gain, and a skin that sticks
-longer or shorter than the simulated one as a leak of shear into the pose. The remaining error is noise of frames, labels and
+longer or shorter than the simulated one as a leak of shear into the pose. Frames that are taken before the shear is finished
+show as a leak of the same component: their labels are ahead of the tip. The remaining error is noise of frames, labels and
 network.
 """
 
@@ -25,6 +26,9 @@ _GAIN = 0.1
 _LEAK = {"mm": 0.02, "°": 0.2}
 """Leak of a shear of 1 mm or 1 degree that is worth a remark, by unit of the component: with the paper's 5 mm, 0.1 mm and 1
 degree [?]."""
+
+_AHEAD = 0.1
+"""Part of a shear by which labels are ahead of the tip that is worth a remark, - [?]."""
 
 _BESIDE_MM = 0.3
 """Distance of a tool centre from the axis that is worth a remark, mm: 0.1 mm of depth at a tilt of 20 degrees [?]."""
@@ -90,6 +94,15 @@ def advice(linear: Mapping[str, Any]) -> list[str]:
                 f"Read too {word}: {gains} of the labels. The real tip moves its pins differently from the simulated one: "
                 "fit its mechanics with `tactip calibrate`, or correct by 10 labelled frames (`tactip transfer few-shot`)."
             )
+    ahead = {name: -part["leak"].get(name.replace("pose", "shear"), 0.0) for name, part in linear.items()}
+    ahead = {name: fraction for name, fraction in ahead.items() if fraction > _AHEAD}
+    if ahead:
+        parts = ", ".join(f"{name} by {fraction:.0%} of {name.replace('pose', 'shear')}" for name, fraction in ahead.items())
+        out.append(
+            f"Labels seem to be ahead of the tip: {parts}. If frames were taken before the motion was finished, this is an "
+            "error of the labels, not of the network: wait until the robot stands still."
+        )
+    linear = {name: _without_own_leak(name, part) if name in ahead else part for name, part in linear.items()}
     leaks = [name for name, part in linear.items() if _largest(part) > _LEAK[unit_of(name)]]
     if leaks:
         worst = ", ".join(f"{name} by {_leak(name, linear[name])}" for name in leaks)
@@ -123,6 +136,12 @@ def advice(linear: Mapping[str, Any]) -> list[str]:
 def unit_of(name: str) -> str:
     """Return the unit of a component of a pose or shear."""
     return "°" if "_R" in name else "mm"
+
+
+def _without_own_leak(name: str, part: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the linear part of a component without the leak of the shear of the same component."""
+    own = name.replace("pose", "shear")
+    return {**part, "leak": {shear: leak for shear, leak in part["leak"].items() if shear != own}}
 
 
 def _largest(part: Mapping[str, Any]) -> float:

@@ -8,6 +8,7 @@ import pytest
 
 from tactip_twin.learning.labels import Labels
 from tactip_twin.sim2real.transfer.linear_errors import advice, linear_errors, table_of
+from tactip_twin.sim2real.transfer.rig_faults import RigFaults
 
 
 def samples(count=300, sheared=True, seed=0) -> Any:
@@ -39,6 +40,24 @@ def test_known_offsets_gains_and_leaks_are_found():
     assert "pose_Rx by +0.35 ° per mm of shear_y" in text
     assert f"Depth is off by {depth['offset']:+.2f} mm" in text and "Constant offsets" not in text
     assert f"| pose_z | {depth['offset']:+.2f} mm | 0.80 |" in table_of(found)
+
+
+def test_labels_ahead_of_the_tip_are_named_as_errors_of_the_labels():
+    """A network that reads the true pose of frames that are taken before the shear is finished."""
+    truth, rng = samples(), np.random.default_rng(2)
+    poses, shears = np.zeros((2, len(truth.targets), 6))
+    poses[:, 2:5], shears[:, 3:5] = truth.targets, rng.uniform(-5, 5, (len(poses), 2))
+    ends, moves = RigFaults(max_unfinished=0.6).commanded(poses, shears, rng)
+    rig = cast(Any, SimpleNamespace(targets=ends[:, 2:5], shears=moves, labels=truth.labels))
+    found = linear_errors(truth.targets, rig)
+    assert found is not None
+    # The mean of a fraction that is uniform from 0 to 0.6, weighted by the square of the commanded shear.
+    left = rng.uniform(0, 0.6, 10**6)
+    expected = -np.average(left, weights=(1 - left) ** -2)
+    for name in ("Rx", "Ry"):
+        assert found[f"pose_{name}"]["leak"][f"shear_{name}"] == pytest.approx(expected, abs=0.05)
+    (remark,) = advice(found)
+    assert "ahead of the tip: pose_Rx by" in remark and "wait until the robot stands still" in remark
 
 
 def test_tool_centre_beside_the_axis_is_named():
