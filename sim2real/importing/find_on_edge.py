@@ -25,6 +25,7 @@ from tactip_twin.sim2real.importing.table_columns import (
     column_spec,
     correlation,
     explaining,
+    is_to_scale,
     nearest_unit,
     plainness,
 )
@@ -97,7 +98,9 @@ def on_edge(
     wanted = {"pose_x": contacts.poses[:, 0]}
     wanted |= {"shear_x": contacts.shears[:, 0], "shear_y": contacts.shears[:, 1], "shear_Rz": contacts.shears[:, 5]}
     for ours, estimate in wanted.items():
-        r = {one: float(np.corrcoef(columns.of(one), estimate)[0, 1]) for one in left}
+        component = ours.partition("_")[2]
+        possible = [one for one in left if is_to_scale(columns.of(one), centred(estimate), component)]
+        r = {one: float(np.corrcoef(columns.of(one), estimate)[0, 1]) for one in possible}
         best = max(r, key=lambda one: abs(r[one]), default="")
         if not r or abs(r[best]) < MIN_CORRELATION:
             if ours == "pose_x":
@@ -106,7 +109,7 @@ def on_edge(
                     f"{best or 'none'}, correlation {r.get(best, 0):.2f}): give --columns pose_x=…"
                 )
             continue
-        best, same = columns.likeliest(best, left, (ours.partition("_")[2],))
+        best, same = columns.likeliest(best, left, (component,))
         slope = float((columns.of(best) * centred(estimate)).sum() / (columns.of(best) ** 2).sum())
         factor, unit = nearest_unit(abs(slope), "angle" if "_R" in ours else "pose")
         found[ours] = column_spec(float(np.sign(slope)) * factor, best, 0.0)
@@ -194,7 +197,7 @@ def _tilts_on_edge(
     after it does not: both are tried. A column that explains the shear better is none, because shear shows as tilt too."""
     shown = Columns(columns.names, columns.values[clear])
     normals = [turn.apply([0.0, 0.0, 1.0]) for turn in (estimated, estimated.inv())]
-    tilted = [centred(normal[:, 0] + 1j * normal[:, 1]) for normal in normals]
+    tilted = [180 / np.pi * centred(normal[:, 0] + 1j * normal[:, 1]) for normal in normals]  # degrees, small angles
     shears = [
         one
         for one in free

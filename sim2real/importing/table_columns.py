@@ -20,6 +20,10 @@ MIN_EVIDENCE = 6.0
 UNITS = {"pose": {1.0: "", 1000.0: "m"}, "angle": {1.0: "", 57.29578: "rad"}}
 """Factors to mm and degrees, and the units that they are from."""
 
+_MAX_SCALE = 5.0
+"""Largest ratio, up or down, of an estimate to what a column says in one of its units. Estimates are up to three times too
+small, because skin slips [?]; a column that is not so is another one's trace, as the height of a shear on a tilted table."""
+
 Known = Mapping[str, tuple[float, str | None, float]]
 """Columns that are given: (factor, column, offset) by our components."""
 
@@ -77,7 +81,8 @@ def explaining(
     chosen: list[str] = []
     left, others = estimate, list(free)
     for _ in range(2):
-        r = {name: correlation(columns.of(name), left) for name in others}
+        possible = [name for name in others if is_to_scale(columns.of(name), left, components[0])]
+        r = {name: correlation(columns.of(name), left) for name in possible}
         if chosen:
             first = np.angle(correlation(columns.of(chosen[0]), estimate))
             r = {name: value for name, value in r.items() if abs(np.cos(np.angle(value) - first)) < 0.5}
@@ -131,6 +136,14 @@ def _sounds_like(name: str, component: str) -> bool:
         words = {"Rx": ("roll",), "Ry": ("pitch",), "Rz": ("yaw",)}[component]
         return low.endswith((component.lower(), *words)) or _SUFFIXES.get(name[-1]) == component
     return (low == component or low.endswith("_" + component)) or _SUFFIXES.get(name[-1]) == component
+
+
+def is_to_scale(column: np.ndarray, estimate: np.ndarray, component: str) -> bool:
+    """Return whether an estimate of a component (n,), real or complex, changes with a column (n,) about as much as it says,
+    in one of its units; both without mean."""
+    slope = abs((column * estimate).sum()) / (column**2).sum()
+    factor, _ = nearest_unit(float(slope), "angle" if component.startswith("R") else "pose")
+    return 1 / _MAX_SCALE < slope / factor < _MAX_SCALE
 
 
 def nearest_unit(slope: float, kind: str) -> tuple[float, str]:

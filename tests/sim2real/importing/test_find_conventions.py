@@ -61,6 +61,19 @@ def test_evidence_names_every_choice():
     assert "camera-rotation-deg" in told and "tcp-behind-apex-mm" in told and "angles" in told
 
 
+@pytest.mark.parametrize("task", ["surface", "edge"])
+def test_trace_of_the_shear_in_another_column_is_not_taken_for_it(task):
+    """On a tilted table a shear has a small height, which may follow an estimate better than the shear itself."""
+    rng = np.random.default_rng(1)
+    poses, shears, contacts = contacts_of(task, rng)
+    table = {f"pose_{name}": poses[:, k] for k, name in enumerate(("x", "y", "z", "Rx", "Ry", "Rz"))}
+    table |= {"shear_x": shears[:, 0], "shear_y": shears[:, 1], "shear_z": -0.03 * contacts.shears[:, 0]}
+    table["shear_Rz"] = shears[:, 5]
+    cells = {name: [repr(float(value)) for value in column] for name, column in table.items()}
+    columns = find_conventions(cells, contacts, ColumnMap(task=task), None).column_map.columns
+    assert "shear_x=shear_x" in columns and "shear_z" not in " ".join(columns)
+
+
 def test_columns_that_explain_nothing_are_refused():
     rng = np.random.default_rng(2)
     _, _, contacts = contacts_of("surface", rng)
