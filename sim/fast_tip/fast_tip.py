@@ -34,9 +34,6 @@ def any_materials(task: Task) -> Path:
     return FAST_TIPS / f"{task}-any-materials.npz"
 
 
-ANY_MATERIALS = any_materials("surface")
-"""File of the shipped tip that knows flat surfaces and any materials."""
-
 REFERENCE_YOUNG_PA = 1e4
 """Young's modulus of the gel, Pa, for which a tip that knows any materials learns its forces."""
 
@@ -239,25 +236,15 @@ class PinDecoder:
 
 
 def shipped_fast_tip(task: Task, design: str, randomized: bool = False) -> Path:
-    """Return the file of the shipped learned tip of a task and a design: its own, or on surfaces that of any materials.
+    """Return the file of the shipped learned tip of a task and a design: its own, or that of any materials.
 
     Args:
         task: `surface` or `edge`.
         design: Name of the design.
         randomized: Whether the design's materials differ from contact to contact.
-
-    Raises:
-        TactipError: There is none; the message lists those there are.
     """
     path = FAST_TIPS / f"{task}-{design}.npz"
-    if task == "surface" and (randomized or not path.exists()):
-        return ANY_MATERIALS
-    if not path.exists():
-        known = ", ".join(sorted(one.stem for one in FAST_TIPS.glob("*.npz"))) or "none"
-        raise TactipError(
-            f"there is no shipped learned tip for {task} and {design} (there is {known}): give --fast-tip FILE"
-        )
-    return path
+    return any_materials(task) if randomized or not path.exists() else path
 
 
 def write_fast_tip(tip: FastTip, path: Path) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 
 from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.contact.simulator import ContactSimulator
-from tactip_twin.sim.fast_tip.fast_tip import ANY_MATERIALS, FastTip, PinDecoder, read_fast_tip
+from tactip_twin.sim.fast_tip.fast_tip import FastTip, PinDecoder, any_materials, read_fast_tip
 from tactip_twin.sim.fast_tip.materials import check_mechanics, material_inputs
 from tactip_twin.sim.fast_tip.mesh_decoder import MeshDecoder
 from tactip_twin.sim.pose import before_shear, path, shear_between
@@ -56,7 +56,7 @@ def _skin(simulator: ContactSimulator) -> np.ndarray:
 
 @lru_cache(maxsize=1)
 def _learned_tip() -> FastTip:
-    return read_fast_tip(ANY_MATERIALS)
+    return read_fast_tip(any_materials("surface"))
 
 
 def can_predict(design: Design) -> bool:

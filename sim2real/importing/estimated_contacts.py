@@ -133,7 +133,7 @@ def estimate_contacts(
             f"{len(good)} frames, and at least {_MIN_FRAMES} are needed"
         )
     rows, pins = np.array(list(images))[good], pins[good]
-    tip = read_fast_tip(shipped_fast_tip("edge", _PRESET) if task == "edge" else shipped_fast_tip("surface", layout))
+    tip = read_fast_tip(shipped_fast_tip(task, layout))
     materials = None if tip.materials is None else np.clip(material_inputs(design.materials), *tip.materials.T)
     model = PinModel(tip, PinDecoder(design, tip.modes), _POSES[task], _SHEARS, Lens(design), materials)
     noise = _PIXEL_NOISE * np.sqrt(2 * pins.shape[1] / _INDEPENDENT)

@@ -27,7 +27,7 @@ from tactip_twin.sim.dataset.configuration import Configuration
 from tactip_twin.sim.dataset.generate import Job, make
 from tactip_twin.sim.dataset.mechanics_randomization import MECHANICS_RANDOMIZATIONS
 from tactip_twin.sim.dataset.sampling import SHEAR_RANGES, Ranges, Split
-from tactip_twin.sim.fast_tip.fast_tip import ANY_MATERIALS, read_fast_tip, shipped_fast_tip
+from tactip_twin.sim.fast_tip.fast_tip import any_materials, read_fast_tip
 from tactip_twin.sim.labels import FidelityName
 from tactip_twin.sim.parallel.worker_pool import worker_count
 from tactip_twin.sim2real.importing.import_set import read_report
@@ -293,9 +293,9 @@ class Experiment:
         Raises TactipError if `fast` was chosen by name, and the tip does not know the task or the design.
         """
         name = self.settings.fidelity
-        if name not in (AUTO, "fast") or (name == AUTO and self.task != "surface"):
+        if name not in (AUTO, "fast"):
             return None, ""
-        path = ANY_MATERIALS if self.task == "surface" else shipped_fast_tip("edge", design.name)
+        path = any_materials(self.task)
         tip = read_fast_tip(path)
         try:
             tip.check_design(design, randomized)

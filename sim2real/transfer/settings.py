@@ -26,7 +26,7 @@ OpticsChoice = Literal["auto", OpticsName]
 
 FidelityChoice = Literal["auto", "fast", FidelityName]
 """Names of the fidelities (fidelity.FIDELITIES); `fast`, contacts of standard that a learned tip predicts; or `auto`, fast
-where it knows the task and the tip."""
+where it knows the tip."""
 
 PseudoKind = Literal["nominal-127", "nominal-331"]
 """Names of the presets that a pseudo-real sensor may be similar to."""
@@ -57,7 +57,7 @@ class TransferSettings:
     """Fraction of the training images that are rendered with randomized optics."""
     fidelity: FidelityChoice = AUTO
     """Fidelity of the contact simulation. fast: predict the contacts of standard by the shipped learned tip of any
-    materials, several times as fast; auto: fast for surfaces and tips that it knows, standard for others."""
+    materials, several times as fast; auto: fast for tips that it knows, standard for others."""
     recipe: RecipeName = "laptop"
     """Network and training: laptop or paper (learning/configuration.py)."""
     steps: int | None = within(1, 10**8, default=None)

@@ -11,7 +11,7 @@ from tactip_twin.sim.contact.simulator import ContactSimulator
 from tactip_twin.sim.dataset.format import read_dataset, read_meta, read_rows
 from tactip_twin.sim.dataset.mechanics_randomization import MECHANICS_RANDOMIZATIONS
 from tactip_twin.sim.fast_tip.fast_contacts import FastContacts
-from tactip_twin.sim.fast_tip.fast_tip import ANY_MATERIALS, read_fast_tip, shipped_fast_tip
+from tactip_twin.sim.fast_tip.fast_tip import any_materials, read_fast_tip, shipped_fast_tip
 from tactip_twin.sim.fast_tip.randomized_contacts import RandomizedContacts
 from tactip_twin.sim.pose import from_mm_deg
 from tactip_twin.tactip_model.errors import TactipError
@@ -22,7 +22,7 @@ POSE, SHEAR = from_mm_deg([[0, 0, -3, 8, -5, 0]]), from_mm_deg([[4, 1, 0, 0, 0, 
 
 @pytest.fixture(scope="module")
 def tip():
-    return read_fast_tip(ANY_MATERIALS)
+    return read_fast_tip(any_materials("surface"))
 
 
 def with_materials(design, **changes):
@@ -75,7 +75,7 @@ def test_fast_set_with_randomized_mechanics_does_not_depend_on_workers(tmp_path)
         assert tactip.main([*command, "--workers", workers, "--out", str(tmp_path / name)]) == 0
     a, b = (read_dataset(tmp_path / name) for name in "ab")
     assert a.meta["files"] == b.meta["files"]
-    assert a.meta["configuration"]["fast_tip"] == read_fast_tip(ANY_MATERIALS).digest
+    assert a.meta["configuration"]["fast_tip"] == read_fast_tip(any_materials("surface")).digest
     assert tactip.main(["dataset", "verify", str(tmp_path / "a")]) == 0
     steps = [int(row["steps"]) for row in read_rows(tmp_path / "a", read_meta(tmp_path / "a"))]
     assert np.mean(np.array(steps) == 0) > 0.7
@@ -83,7 +83,8 @@ def test_fast_set_with_randomized_mechanics_does_not_depend_on_workers(tmp_path)
 
 def test_tip_of_one_design_with_randomized_mechanics_gives_one_sentence(tmp_path, capsys):
     command = ["dataset", "make", "--fidelity", "fast", "--randomize-mechanics", "real", "--out", str(tmp_path / "set")]
-    assert tactip.main([*command, "--task", "edge", "--samples", "2"]) == 1
+    tip = str(shipped_fast_tip("edge", "tactip-127"))
+    assert tactip.main([*command, "--task", "edge", "--fast-tip", tip, "--samples", "2"]) == 1
     assert "knows the materials of one tip only, on the task 'edge'" in " ".join(capsys.readouterr().err.split())
     tip = str(shipped_fast_tip("surface", "tactip-127"))
     assert tactip.main([*command, "--fast-tip", tip, "--samples", "2"]) == 1

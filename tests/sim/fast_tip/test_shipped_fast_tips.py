@@ -10,7 +10,8 @@ from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.contact.simulator import ContactSimulator
 from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES
 from tactip_twin.sim.fast_tip.fast_contacts import FastContacts
-from tactip_twin.sim.fast_tip.fast_tip import ANY_MATERIALS, read_fast_tip, shipped_fast_tip
+from tactip_twin.sim.fast_tip.fast_tip import any_materials, read_fast_tip, shipped_fast_tip
+from tactip_twin.sim.labels import TASKS
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.presets import design_named
 
@@ -18,7 +19,8 @@ MAX_MM = {"surface": 0.08, "edge": 0.15}
 """Mean distance of pins over six contacts of another seed: about three times the mean of docs/fast_tip.md."""
 
 
-@pytest.mark.parametrize(("task", "name"), [("surface", "tactip-127"), ("edge", "tactip-127"), ("surface", "tactip-331")])
+@pytest.mark.parametrize("task", TASKS)
+@pytest.mark.parametrize("name", ["tactip-127", "tactip-331"])
 def test_shipped_tip_predicts_contacts_of_another_seed(task, name):
     """One of the surface contacts is not trusted: there `standard` itself is 0.7 mm from `reference`.
 
@@ -44,7 +46,7 @@ def test_shipped_tip_predicts_contacts_of_another_seed(task, name):
 
 
 def test_tip_of_any_materials_refuses_what_it_does_not_know():
-    tip, design = read_fast_tip(ANY_MATERIALS), design_named("tactip-127")
+    tip, design = read_fast_tip(any_materials("surface")), design_named("tactip-127")
     slippery = dataclasses.replace(design, materials=dataclasses.replace(design.materials, friction=0.1))
     with pytest.raises(TactipError, match=r"knows a friction from 0\.38\d+ to 1\.2\d+, but the design has 0\.1"):
         tip.check_design(slippery)
@@ -54,7 +56,7 @@ def test_tip_of_any_materials_refuses_what_it_does_not_know():
 
 
 def test_force_of_the_tip_of_any_materials_scales_with_both_moduli():
-    tip, design = read_fast_tip(ANY_MATERIALS), design_named("tactip-127")
+    tip, design = read_fast_tip(any_materials("surface")), design_named("tactip-127")
     m = design.materials
     twice = dataclasses.replace(m, skin_young_pa=2 * m.skin_young_pa, gel_young_pa=2 * m.gel_young_pa)
     pose, shear = np.array([[0, 0, -3e-3, 0.1, 0, 0]]), np.array([[2e-3, 0, 0, 0, 0, 0]])
@@ -65,7 +67,9 @@ def test_force_of_the_tip_of_any_materials_scales_with_both_moduli():
     assert np.allclose(stiff.pin_tips, soft.pin_tips, atol=1e-9)
 
 
-def test_unknown_tip_gives_the_list_of_those_there_are():
-    with pytest.raises(TactipError, match="there is no shipped learned tip for edge and mine"):
-        shipped_fast_tip("edge", "mine")
+@pytest.mark.parametrize("task", TASKS)
+def test_other_designs_and_randomized_ones_get_the_tip_of_any_materials(task):
+    assert shipped_fast_tip(task, "mine") == shipped_fast_tip(task, "tactip-127", randomized=True) == any_materials(task)
+    assert read_fast_tip(any_materials(task)).materials is not None
+    assert shipped_fast_tip(task, "tactip-127").stem == f"{task}-tactip-127"
     assert {path.suffix for path in FAST_TIPS.iterdir()} == {".npz"}
