@@ -107,7 +107,7 @@ def test_corrected_set_is_the_same_with_any_worker_count(tmp_path, capsys):
 
 
 def test_corrections_need_a_learned_tip_of_the_task(tmp_path, capsys):
-    arguments = ["dataset", "make", "--fidelity", "corrected", "--task", "edge", "--design", "tactip-331"]
+    arguments = ["dataset", "make", "--fidelity", "corrected", "--task", "edge", "--design", "tactip-127"]
     tip = str(shipped_fast_tip("surface", "tactip-127"))
     assert tactip.main([*arguments, "--fast-tip", tip, "--out", str(tmp_path / "set")]) == 1
     assert "is for surface, got --task edge" in " ".join(capsys.readouterr().err.split())
