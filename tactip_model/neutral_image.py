@@ -83,7 +83,13 @@ def fit_neutral(design: Design, image: np.ndarray) -> tuple[Design, NeutralFit]:
             "use an image of this tip without contact"
         )
     # This map treats the pins as flat; with the camera off the axis, the dome's height matters.
-    fitted, on_lattice = fit_pins(_design_of(design, guess), seen)
+    try:
+        fitted, on_lattice = fit_pins(_design_of(design, guess), seen)
+    except TactipError as error:  # a value that no design has
+        raise TactipError(
+            f"no lens shows the pins of the design {design.name!r} as in the neutral image ({error}): use an image of this "
+            "tip without contact"
+        ) from error
     return fitted, NeutralFit(seen, _rms(before, seen), _rms(on_lattice, seen), _rms(neutral_px(fitted), seen))
 
 

@@ -20,6 +20,7 @@ from tactip_twin.sim.parallel.file_lock import locked
 from tactip_twin.sim.parallel.resume import check_resumable
 from tactip_twin.sim2real.importing.column_map import ColumnMap
 from tactip_twin.sim2real.importing.layout import Layout
+from tactip_twin.sim2real.importing.missing_neutral import neutral_from_frames
 from tactip_twin.sim2real.importing.report import picture, report_of
 from tactip_twin.sim2real.importing.source import Source, frame_reader, spread
 from tactip_twin.sim2real.sensor.preprocess import MIN_PIN_FRACTION, FrameReader, load_neutral
@@ -32,15 +33,6 @@ from tactip_twin.tactip_model.pin_detection import find_blobs
 NEUTRAL, NEUTRAL_TACTILE, REPORT, PICTURE = "neutral.png", "neutral_tactile.png", "import.json", "import.png"
 """Files of an imported set: the binary image of the undeformed tip, or its replacement, at the size of the frames and at the
 size of the tactile images (thresholded separately if frames are grey); the report, and a picture of some frames."""
-
-_SHALLOW_FRACTION, _MIN_SHALLOW_FRAMES, PSEUDO_NEUTRAL_FRAMES = 0.05, 5, 21
-"""Fraction and numbers of frames whose median replaces a missing neutral image: the least tilted, at most 21, of the
-shallowest 5 % or at least 5 frames, because a tilted dome may be deeper than its table says. docs/your-own-sensor.md has the
-errors."""
-
-_MIN_MEDIAN_PIN_FRACTION = 0.97
-"""Fraction of the usual number of pins below which that median is too blurred; the shallowest frame then replaces the
-neutral image. An estimate [?]."""
 
 _MAX_LEFT_OUT_FRACTION = 0.5
 """Maximum fraction of frames left out; above it, the layout is more likely wrong than the frames."""
@@ -78,7 +70,7 @@ def import_set(
     record["source"]["neutral_sha256"] = source.neutral and checksum(read_file(source.neutral))
     if not (out / _WORK).exists() and check_resumable(out, _KIND, _recorded(out, record), record):
         report = read_report(out)
-        if report and ("camera" in report and (report["neutral_image"] or "stand_in" in report)):
+        if report and ("camera" in report and (report["neutral_image"] or "press_removed" in report.get("stand_in", {}))):
             log(f"{out} already holds this set")
             return report
         log(f"{out} was imported by an earlier version, whose report is incomplete: importing it again")
@@ -166,7 +158,7 @@ def _import(
     report = report_of(source, kept, pins, left_out) | {"neutral_image": neutral is not None}
     report["camera"] = None if neutral is None else _camera(source, kept, reader, neutral)
     if neutral is None:
-        at_rest, report["stand_in"] = _pseudo_neutral(source, kept, reader, usual)
+        at_rest, report["stand_in"] = neutral_from_frames(source, kept, reader, usual, layout.column_map.task)
     else:
         at_rest = reader.masked(neutral)
     files = {"targets.csv": _targets(source, kept), REPORT: (json.dumps(report, indent=1) + "\n").encode()}
@@ -193,33 +185,6 @@ def _import(
     write_file(out / "meta.json", (json.dumps(meta, indent=1) + "\n").encode())
     (out / _WORK).unlink()
     return report
-
-
-def _pseudo_neutral(
-    source: Source, kept: np.ndarray, reader: FrameReader, usual: float
-) -> tuple[np.ndarray, dict[str, Any]]:
-    """Return a replacement for the neutral image of a Source, binary, (h, w) uint8, and figures of the frames that it is
-    made of.
-
-    Args:
-        source: The set.
-        kept: (n,) int, rows to keep.
-        reader: Reader of its frames.
-        usual: Median number of pins.
-    """
-    poses = source.poses
-    shallow = kept[np.argsort(-poses[kept, 2], kind="stable")][
-        : max(_MIN_SHALLOW_FRAMES, round(_SHALLOW_FRACTION * len(kept)))
-    ]
-    chosen = shallow[np.argsort(np.linalg.norm(poses[shallow, 3:5], axis=1), kind="stable")][:PSEUDO_NEUTRAL_FRAMES]
-    frames = [reader.masked(source.load(i)) for i in chosen]
-    # The median: a pin is where it is in the half of the frames that do not press it.
-    image = np.where(np.mean([frame > 127 for frame in frames], 0) > 0.5, 255, 0).astype(np.uint8)
-    if len(find_blobs(image).centres) < _MIN_MEDIAN_PIN_FRACTION * usual:
-        first = np.argmax(poses[chosen, 2])
-        chosen, image = chosen[[first]], frames[first]
-    depths = poses[chosen, 2]
-    return image, {"frames": len(chosen), "pose_z": [round(float(d), 6) for d in (depths.max(), depths.min())]}
 
 
 def _camera(source: Source, kept: np.ndarray, reader: FrameReader, neutral: np.ndarray) -> dict[str, Any] | None:

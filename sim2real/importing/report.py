@@ -51,11 +51,12 @@ def report_lines(report: Mapping[str, Any]) -> list[str]:
         low, high = report["stand_in"]["pose_z"]
         many = report["stand_in"]["frames"]
         what = (
-            f"the median of {many} of the shallowest frames ({low:g} to {high:g} mm)"
+            f"the median of the {many} frames that have moved least ({low:g} to {high:g} mm)"
             if many > 1
             else f"one frame at {low:g} mm"
         )
-        lines.append(f"no neutral image: replaced by {what}")
+        press = "removed by a learned tip" if report["stand_in"]["press_removed"] else "not removed"
+        lines.append(f"no neutral image: replaced by {what}, press {press}")
     elif report["camera"]:
         zoom, drift = report["camera"]["zoom"], report["camera"]["drift"]
         lines.append(

@@ -168,6 +168,13 @@ class FrameReader:
         left, top, right, bottom = self._image.crop or (0, 0, *binary.shape[::-1])
         return self._square(binary, min(right - left, bottom - top))
 
+    def uncropped(self, part: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+        """Return a binary frame of a `shape` (h, w), uint8, that is black but for its `cropped` part."""
+        left, top, right, bottom = self._image.crop or (0, 0, *shape[::-1])
+        out = np.zeros(shape, np.uint8)
+        out[top:bottom, left:right] = cv2.resize(part, (right - left, bottom - top), interpolation=cv2.INTER_NEAREST)
+        return out
+
     def _square(self, binary: np.ndarray, size: int, grey: bool = False) -> np.ndarray:
         left, top, right, bottom = self._image.crop or (0, 0, *binary.shape[::-1])
         if abs((right - left) / max(bottom - top, 1) - 1) > _MAX_OBLONG:

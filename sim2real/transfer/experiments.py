@@ -234,8 +234,6 @@ class Experiment:
         if self._fitted is None:
             self._log("fitting tip and camera to the neutral image")
             self._fitted, figures = fit_design_to_neutral_image(self.real, self.samples.size)
-            if figures["pressed_mm"]:
-                self._log(f"no neutral image: removed a press of {figures['pressed_mm']:.2f} mm from its replacement")
             self.out.mkdir(parents=True, exist_ok=True)
             write_design(self.out / "design.json", self._fitted, {"neutral_image_of": self.real.name, **figures})
         return self._fitted

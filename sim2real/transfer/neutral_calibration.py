@@ -1,8 +1,8 @@
 """Design of a real sensor from its neutral image: lens, camera and pins are fitted, the rest is nominal.
 
-No label is needed, unless pressed frames replace that image: their press is then simulated at the depth in the table and
-subtracted. Changes of the camera since that image are measured by the light at the rim of unlabelled frames, if there is
-some. The mechanics, which neither shows, are randomized instead (sim/dataset/mechanics_randomization.py).
+No label is needed, unless the set has no such image and frames replace it (sim2real/importing/missing_neutral.py). Changes
+of the camera since that image are measured by the light at the rim of unlabelled frames, if there is some. The mechanics,
+which neither shows, are randomized instead (sim/dataset/mechanics_randomization.py).
 """
 
 from dataclasses import replace
@@ -11,17 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from tactip_twin.sim.contact.fidelity import fidelity_named
-from tactip_twin.sim.contact.record import Contact
-from tactip_twin.sim.contact.simulator import ContactSimulator
-from tactip_twin.sim.dataset.format import read_meta
-from tactip_twin.sim.pose import from_mm_deg
 from tactip_twin.sim2real.importing.import_set import NEUTRAL, NEUTRAL_TACTILE, read_report
 from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.input_images import read_image
-from tactip_twin.tactip_model.neutral_image import fit_neutral, fit_pins, neutral_px, reference_pixels
-from tactip_twin.tactip_model.optics import Lens
+from tactip_twin.tactip_model.neutral_image import fit_neutral
 from tactip_twin.tactip_model.pin_detection import find_blobs
 from tactip_twin.tactip_model.pins import neutral_pins
 from tactip_twin.tactip_model.presets import NOMINAL
@@ -30,16 +24,6 @@ from tactip_twin.tactip_model.tactile_image import tactile_image
 
 _ROUNDS = 4
 """Number of iterations that correct the pins' sizes."""
-
-_PRESS_FRACTION = 0.75
-"""Fraction of the depth in the table whose press is subtracted from frames that replace a neutral image. In two real sets,
-the pins' errors were smallest at 1.0 (0.44 mm, 127 pins) and 0.6 (1.07 mm, 331 pins), because a tip may touch later than its
-table says. Subtracting all of it raises the pin error of the 331-pin tip from 0.24 to 0.40 px of 256 [M]."""
-
-_MAX_PRESS_MM = 3.0
-"""Maximum press that is subtracted from frames that replace a neutral image, mm. If the table has more, its depth more
-likely has an offset. An estimate [?]."""
-
 
 _KINETIC_FRACTION = 0.63
 """Ratio of kinetic to static friction of a fitted design: the middle of the 0.4 to 0.99 that `real` mechanics make of it.
@@ -69,43 +53,12 @@ def fit_design_to_neutral_image(folder: Path, size_px: int) -> tuple[Design, dic
     nominal = NOMINAL[name]
     materials = replace(nominal.materials, kinetic_fraction=_KINETIC_FRACTION)
     design, fit = fit_neutral(replace(nominal, name=folder.resolve().name, materials=materials), image)
-    pressed_mm = _pressed_mm(folder)
-    pressed = _contact(design, pressed_mm)
-    if pressed:
-        # A small error of the fit hardly changes the motion under a press.
-        moved = _positions_px(design, pressed) - neutral_px(design)
-        design, _ = fit_pins(design, fit.pins_px - moved)
     design = replace(design, image=replace(design.image, size_px=size_px))
-    design = with_pin_sizes(design, tactile > 127, (pressed.pin_tips, pressed.directions) if pressed else None)
+    design = with_pin_sizes(design, tactile > 127)
     camera = camera_of(folder)
     design = with_camera_drift(design, camera)
     found = {"layout": name, "pins": blobs, "before_px": fit.before_px, "lattice_px": fit.lattice_px}
-    return design, found | {"pressed_mm": pressed_mm, "camera": camera}
-
-
-def _pressed_mm(folder: Path) -> float:
-    """Return the depth, mm, of the tip in an imported set's neutral image; 0 if at rest, or on an edge. The median of frames
-    with tilts and shears in all directions is close to an upright press.
-    """
-    report = read_report(folder)
-    if report is None or report["neutral_image"] or read_meta(folder)["configuration"]["task"] != "surface":
-        return 0.0
-    return float(np.clip(-_PRESS_FRACTION * np.mean(report["stand_in"]["pose_z"]), 0.0, _MAX_PRESS_MM))
-
-
-def _contact(design: Design, depth_mm: float) -> Contact | None:
-    """Return the contact of a design pressed upright on a flat surface; None if it is not pressed."""
-    if not depth_mm:
-        return None
-    return ContactSimulator(design, "surface", fidelity_named("draft")).simulate(
-        from_mm_deg([0, 0, -depth_mm, 0, 0, 0]), np.zeros(6)
-    )
-
-
-def _positions_px(design: Design, contact: Contact) -> np.ndarray:
-    """Return the positions (p, 2), px of a 256 px image, of a design's pins in a contact."""
-    lens = Lens(design)
-    return reference_pixels(lens.project(contact.pin_tips), lens.width)
+    return design, found | {"camera": camera}
 
 
 def camera_of(folder: Path) -> dict[str, Any] | None:
@@ -134,19 +87,18 @@ def _nearest(pins: float) -> str:
     return min(counts, key=lambda name: abs(counts[name] - pins))
 
 
-def with_pin_sizes(design: Design, image: np.ndarray, pins: tuple[np.ndarray, np.ndarray] | None = None) -> Design:
-    """Return the design with the pin sizes of a tactile image, in the middle and at the rim.
+def with_pin_sizes(design: Design, image: np.ndarray) -> Design:
+    """Return the design with the pin sizes of a tactile image of the tip at rest, in the middle and at the rim.
 
     Args:
         design: The design.
         image: (size, size) bool, the tactile image.
-        pins: Pin tips and directions in that image, (p, 3) each; at rest if None.
     """
     radius = np.linalg.norm(np.indices(image.shape) - (np.array(image.shape)[:, None, None] - 1) / 2, axis=0)
     white = radius[image]
     middle = radius < np.median(white)
     for _ in range(_ROUNDS):
-        rendered = tactile_image(Raster(design).render(*(pins or neutral_pins(design))), design.image) > 127
+        rendered = tactile_image(Raster(design).render(*neutral_pins(design)), design.image) > 127
         inner, outer = (np.sqrt(max(image[part].sum(), 1) / max(rendered[part].sum(), 1)) for part in (middle, ~middle))
         # Half of the pins lie outside the middle, most of them near the rim.
         sized = replace(
