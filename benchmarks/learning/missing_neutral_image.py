@@ -16,7 +16,7 @@ from tactip_twin.benchmarks.learning.options import MissingNeutralImageOptions
 from tactip_twin.sim.dataset.format import read_meta
 from tactip_twin.sim2real.importing.import_set import import_set, read_report
 from tactip_twin.sim2real.importing.layout import Layout
-from tactip_twin.sim2real.importing.source import read_source
+from tactip_twin.sim2real.importing.source import Source, read_source
 from tactip_twin.sim2real.transfer.neutral_calibration import fit_design_to_neutral_image, nearest_nominal_design
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.neutral_image import neutral_px
@@ -35,7 +35,7 @@ def run(options: MissingNeutralImageOptions, log: Callable[[str], None] = print)
     size, pins = layout.preprocessing.size_px, report["pins"]["median"]
     with tempfile.TemporaryDirectory() as folder:
         out = options.keep or Path(folder) / "set"
-        import_set(replace(read_source(options.lab, layout.column_map), neutral=None), layout, out)
+        import_set(_deep(read_source(options.lab, layout.column_map), options.min_depth_mm), layout, out)
         from_frames, _ = fit_design_to_neutral_image(out, size)
     reference = cKDTree(neutral_px(fit_design_to_neutral_image(options.real, size)[0]))
     designs = {"of frames alone": from_frames, "fitted to nothing": nearest_nominal_design(pins, size)}
@@ -43,3 +43,17 @@ def run(options: MissingNeutralImageOptions, log: Callable[[str], None] = print)
     for name, distance_px in result.items():
         log(f"{name}: {distance_px:.3f} px")
     return result
+
+
+def _deep(source: Source, min_depth_mm: float) -> Source:
+    """Return a source without its neutral image and its frames at a smaller depth."""
+    rows = np.flatnonzero(source.poses[:, 2] <= -min_depth_mm) if min_depth_mm else np.arange(len(source.names))
+    return replace(
+        source,
+        names=tuple(source.names[i] for i in rows),
+        paths=tuple(source.paths[i] for i in rows),
+        table={name: [cells[i] for i in rows] for name, cells in source.table.items()},
+        poses=source.poses[rows],
+        shears=source.shears[rows],
+        neutral=None,
+    )

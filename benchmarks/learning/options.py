@@ -272,6 +272,8 @@ class MissingNeutralImageOptions:
     """Folder of the laboratory's set."""
     real: Path
     """Folder that it was imported into (tactip import)."""
+    min_depth_mm: float = 0.0
+    """Minimum depth of the frames that are used, mm: sets whose contacts are all deep show the pins at rest least."""
     keep: Path | None = None
     """Folder for the set imported without its neutral image, for tactip transfer. Default: it is not kept."""
 

@@ -9,6 +9,7 @@ from tactip_twin.benchmarks.report import DOCS, fill
 
 PAGES = {
     "transfer": "learning.transfer",
+    "hidden_sensors": "learning.hidden_sensors",
     "fem_cross_check": "physics.fem_cross_check",
     "materials": "physics.materials",
     "mechanics": "physics.mechanics",
