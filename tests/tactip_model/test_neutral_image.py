@@ -6,6 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
+from tactip_twin.sim.fast_tip.fast_contacts import FastContacts
+from tactip_twin.sim.fast_tip.fast_tip import any_materials, read_fast_tip
+from tactip_twin.sim.pose import from_mm_deg
 from tactip_twin.tactip_model.design import Optics, Pins
 from tactip_twin.tactip_model.design_file import read_design, read_design_with_drift, write_design, write_fitted_design
 from tactip_twin.tactip_model.errors import TactipError
@@ -65,6 +68,17 @@ def test_fit_neutral_of_other_tip_raises_error(hidden):
         fit_neutral(design_named("tactip-331"), neutral_image(hidden))
     with pytest.raises(TactipError, match="square"):
         fit_neutral(design_named("nominal-127"), np.zeros((200, 300), np.uint8))
+
+
+def test_fit_neutral_of_pressed_tip_says_that_it_must_not_touch():
+    """No camera that a design may have shows a lattice as the pins of a deep, tilted press."""
+    plain = design_named("nominal-331")
+    design = replace(plain, materials=replace(plain.materials, kinetic_fraction=0.9))
+    pose = from_mm_deg(np.array([[0, 0, -4, 10, 0, 0]]))
+    (contact,), _ = FastContacts(read_fast_tip(any_materials("surface")), design).predict(pose, np.zeros((1, 6)))
+    pins = Raster(design).render(contact.pin_tips, contact.directions)
+    with pytest.raises(TactipError, match="no lens shows the pins of the design 'nominal-331' .* use an image of this tip"):
+        fit_neutral(design, tactile_image(pins, replace(design.image, size_px=360)))
 
 
 def test_zoom_and_drift_move_only_the_image(hidden):
