@@ -77,7 +77,7 @@ def test_fit_neutral_of_pressed_tip_says_that_it_must_not_touch():
     pose = from_mm_deg(np.array([[0, 0, -4, 10, 0, 0]]))
     (contact,), _ = FastContacts(read_fast_tip(any_materials("surface")), design).predict(pose, np.zeros((1, 6)))
     pins = Raster(design).render(contact.pin_tips, contact.directions)
-    with pytest.raises(TactipError, match="no lens shows the pins of the design 'nominal-331' .* use an image of this tip"):
+    with pytest.raises(TactipError, match=r"no lens shows the pins of the design 'nominal-331' .* use an image of this tip"):
         fit_neutral(design, tactile_image(pins, replace(design.image, size_px=360)))
 
 
