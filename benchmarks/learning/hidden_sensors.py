@@ -47,6 +47,9 @@ TARGETS = {
 _EDGE = Ranges(x_mm=(-5, 5), depth_mm=(-5.5, -1.5), yaw_deg=(-45, 45))
 """Poses on edges: published sets have no tilts."""
 
+_DEEP = Ranges(depth_mm=(-5.5, -2.5), roll_deg=(-15, 15), pitch_deg=(-15, 15))
+"""Poses on a surface that show no light touch."""
+
 
 @dataclass(frozen=True)
 class Sensor:
@@ -62,6 +65,8 @@ class Sensor:
     """Friction of its skin on the object, -."""
     neutral_image: bool = True
     """Whether its set has a neutral image."""
+    poses: Ranges | None = None
+    """Ranges of its poses. Default: those of its task."""
 
 
 SENSORS = {
@@ -69,6 +74,7 @@ SENSORS = {
     "surface-b": Sensor("surface", "nominal-331", 102, 1.2),
     "surface-c": Sensor("surface", "nominal-331", 103, 0.8, neutral_image=False),
     "surface-d": Sensor("surface", "nominal-127", 104, 1.8),
+    "surface-e": Sensor("surface", "nominal-331", 109, 1.0, neutral_image=False, poses=_DEEP),
     "edge-a": Sensor("edge", "nominal-127", 105, 1.2),
     "edge-b": Sensor("edge", "nominal-331", 106, 0.5),
     "edge-c": Sensor("edge", "nominal-127", 107, 1.8),
@@ -105,7 +111,7 @@ def _measured(sensor: Sensor, folder: Path, options: HiddenSensorsOptions, log: 
         options.frames,
         sensor.seed,
         FRAME_PX[sensor.design],
-        _EDGE if sensor.task == "edge" else None,
+        sensor.poses or (_EDGE if sensor.task == "edge" else None),
         faults,
         sensor.neutral_image,
     )
