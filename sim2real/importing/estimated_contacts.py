@@ -7,6 +7,7 @@ or too large, but its sign and its axis are right.
 
 import itertools
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,8 +19,9 @@ from tactip_twin.sim.fast_tip.materials import material_inputs
 from tactip_twin.sim.labels import Task
 from tactip_twin.sim2real.importing.source import PIN_DETECTION_FRAMES, Recording
 from tactip_twin.sim2real.sensor.preprocess import FrameReader
+from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.errors import TactipError
-from tactip_twin.tactip_model.neutral_image import camera_change, fit_neutral, reference_pixels
+from tactip_twin.tactip_model.neutral_image import NeutralFit, camera_change, fit_neutral, reference_pixels
 from tactip_twin.tactip_model.optics import REFERENCE_PX, Lens
 from tactip_twin.tactip_model.pin_detection import PinMatcher, find_blobs
 from tactip_twin.tactip_model.pins import neutral_pins
@@ -51,6 +53,9 @@ residuals of its pins are correlated (as in calibration/rounds.py)."""
 _OUTLIER_PX = 2.0
 """Distance, px of 256, beyond which a pin hardly counts, because it is confused with its neighbour [?]."""
 
+_TRIED_AT_REST = 20
+"""Number of frames, those whose pins are closest together, that are tried in place of a missing neutral image [?]."""
+
 _RANDOM_CONTACTS, _SECTORS = 4000, 6
 """Number of random contacts of which the nearest is the start of an estimate, and number of ranges of yaw, each with its own
 starts, on an edge."""
@@ -76,13 +81,20 @@ class EstimatedContacts:
     """(n, p, 2) detected pins, px of 256; NaN where one is not detected."""
     simulated_px: np.ndarray
     """(n, p, 2) pins of the estimated contacts, px of 256."""
+    touching_at_rest: bool = False
+    """Whether the pins at rest are from frames that touch, because there is no neutral image: depths then have no zero."""
     optima: "tuple[EstimatedContacts, ...]" = ()
     """On an edge, estimates from several starts, of which this holds the one that fits best in each frame: another may be
     right."""
 
 
 def estimate_contacts(
-    recording: Recording, reader: FrameReader, neutral: np.ndarray | None, task: Task, seed: int = 0
+    recording: Recording,
+    reader: FrameReader,
+    neutral: np.ndarray | None,
+    task: Task,
+    at_rest: np.ndarray | None = None,
+    seed: int = 0,
 ) -> EstimatedContacts:
     """Estimate the contacts of up to FRAMES frames of a set.
 
@@ -91,6 +103,8 @@ def estimate_contacts(
         reader: Reader of its frames.
         neutral: (h, w[, 3]) uint8, the neutral image, if there is one.
         task: Stimulus of the set.
+        at_rest: (h, w) uint8, a cropped binary image of the pins at rest in place of a missing neutral image; without both,
+            the least deformed frame takes its place.
         seed: Seed of the choice of frames and of the starts.
 
     Raises:
@@ -111,11 +125,13 @@ def estimate_contacts(
         with_rim.append(reader.with_rim(frame))
     if not images:
         raise TactipError(f"none of {len(rows)} frames can be used, for example {problem}")
-    at_rest = reader.cropped(reader.masked(neutral)) if neutral is not None else _least_spread(list(images.values()))
-    blobs = len(find_blobs(at_rest).centres)
+    at_rest = at_rest if neutral is None else reader.cropped(reader.masked(neutral))
+    candidates = list(images.values()) if at_rest is None else [at_rest]
+    blobs = np.median([len(find_blobs(image).centres) for image in candidates])
     layout = min(NOMINAL, key=lambda name: abs(len(neutral_pins(NOMINAL[name])[0]) - blobs))
-    design, fit = fit_neutral(replace(NOMINAL[layout], materials=design_named(_PRESET).materials), at_rest)
-    width = at_rest.shape[1]
+    nominal = replace(NOMINAL[layout], materials=design_named(_PRESET).materials)
+    design, fit = _least_deformed(nominal, candidates) if at_rest is None else fit_neutral(nominal, at_rest)
+    width = candidates[0].shape[1]
     centre_px = np.array(design.optics.centre) * width - 0.5
     camera = None if neutral is None else camera_change(reader.with_rim(neutral), with_rim[:PIN_DETECTION_FRAMES], centre_px)
     if camera is not None:
@@ -142,7 +158,17 @@ def estimate_contacts(
         values = np.concatenate([found.poses, found.shears], 1)[:, model.free]
         simulated = model.positions(values).reshape(pins.shape)
         deviations = found.deviations[:, :6]
-        one = EstimatedContacts(rows, found.poses, deviations, found.shears, found.residuals, fit.pins_px, pins, simulated)
+        one = EstimatedContacts(
+            rows,
+            found.poses,
+            deviations,
+            found.shears,
+            found.residuals,
+            fit.pins_px,
+            pins,
+            simulated,
+            touching_at_rest=neutral is None,
+        )
         optima.append(one)
     best = chosen_of(optima, np.argmin([one.residuals_px for one in optima], 0))
     return replace(best, optima=tuple(optima) if len(optima) > 1 else ())
@@ -164,12 +190,25 @@ def chosen_of(optima: Sequence[EstimatedContacts], which: np.ndarray) -> Estimat
     return replace(optima[0], **parts)
 
 
-def _least_spread(images: list[np.ndarray]) -> np.ndarray:
-    """Return the binary image whose pins are closest together: a contact spreads them, so it shows the lightest one."""
-    usual = np.median([len(find_blobs(image).centres) for image in images])
-    spreads = []
+def _least_deformed(nominal: Design, images: list[np.ndarray]) -> tuple[Design, NeutralFit]:
+    """Return the fit of a design to the binary image whose pins are nearest to a lattice that a lens shows, among those
+    whose pins are closest together, because a contact spreads and distorts them.
+
+    Raises:
+        TactipError: If none of these images shows the pins of the design.
+    """
+    count, spreads = len(neutral_pins(nominal)[0]), []
     for image in images:
         centres = find_blobs(image).centres
-        whole = len(centres) == usual
+        whole = abs(len(centres) - count) <= (1 - _MIN_DETECTED) * count
         spreads.append(float(np.linalg.norm(centres - centres.mean(0), axis=1).mean()) if whole else np.inf)
-    return images[int(np.argmin(spreads))]
+    fits = []
+    for k in np.argsort(spreads, kind="stable")[:_TRIED_AT_REST]:
+        with suppress(TactipError):  # another image may do
+            fits.append(fit_neutral(nominal, images[k]))
+    if not fits:
+        raise TactipError(
+            f"no frame shows the {count} pins of {nominal.name} nearly at rest, and there is no neutral image: give one "
+            "with --neutral, or give --columns instead of --find"
+        )
+    return min(fits, key=lambda fit: fit[1].lattice_px)

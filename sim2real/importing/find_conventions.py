@@ -111,12 +111,17 @@ def _depth(
     gain = abs(slope) / factor
     zero = float(np.mean(depth) / gain - np.mean(sign * factor * raw))
     candidates = [0.0] if tap_mm is None else [0.0, -tap_mm, tap_mm]
+    if contacts.touching_at_rest:  # the frames show no zero, so the one that puts them into the object is believed
+        inside = [offset for offset in candidates if np.mean(sign * factor * raw) + offset < 0]
+        zero = inside[0] if inside else zero
     nearest = min(candidates, key=lambda offset: abs(offset - zero))
     offset = nearest if abs(nearest - zero) < _MAX_ZERO_MM else round(zero, 1)
     text = column_spec(sign * factor, best, offset)
     why = f"pose_z={text}: the depth of the frames follows {best} (correlation {r[best]:+.2f}{unit})"
     if offset == nearest and offset:
         why += f"; its zero is a tap of {tap_mm:g} mm away (measured: {zero:+.1f} mm)"
+    elif offset == nearest and contacts.touching_at_rest:
+        why += "; its zero is taken as given, because no neutral image shows it"
     elif offset == nearest:
         why += f"; its zero is the surface (measured: {zero:+.1f} mm away)"
     else:

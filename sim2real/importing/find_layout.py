@@ -10,7 +10,8 @@ from tactip_twin.sim.view.plot import COLORS, figure_of, save_figure
 from tactip_twin.sim2real.importing.estimated_contacts import EstimatedContacts, estimate_contacts
 from tactip_twin.sim2real.importing.find_conventions import find_conventions, tap_of
 from tactip_twin.sim2real.importing.layout import Layout
-from tactip_twin.sim2real.importing.source import Recording, frame_reader
+from tactip_twin.sim2real.importing.missing_neutral import neutral_from_frames
+from tactip_twin.sim2real.importing.source import Recording, frame_reader, with_labels
 from tactip_twin.sim2real.sensor.preprocess import load_neutral
 from tactip_twin.tactip_model.optics import REFERENCE_PX
 
@@ -63,6 +64,23 @@ def find_layout(recording: Recording, given: Layout, log: Callable[[str], object
     reader = frame_reader(recording, given.preprocessing, neutral)
     log("estimating the contacts of some frames from their pins")
     contacts = estimate_contacts(recording, reader, neutral, given.column_map.task)
+    found = _layout_of(recording, given, contacts)
+    if neutral is not None:
+        return found
+    # The labels that were found tell where the pins are at rest, and with these, the frames tell more of the labels.
+    reader = frame_reader(recording, found.layout.preprocessing, None)
+    source = with_labels(recording, found.layout.column_map)
+    image, figures = neutral_from_frames(source, contacts.rows, reader, len(contacts.at_rest_px), given.column_map.task)
+    if not figures["press_removed"]:
+        return found
+    log("estimating them again, with the pins at rest that follow from the labels found so far")
+    turned = replace(given, preprocessing=found.layout.preprocessing)
+    contacts = estimate_contacts(recording, reader, None, given.column_map.task, at_rest=reader.cropped(image))
+    return _layout_of(recording, turned, contacts)
+
+
+def _layout_of(recording: Recording, given: Layout, contacts: EstimatedContacts) -> FoundLayout:
+    """Return the layout that agrees with estimated contacts, whose frames were read as the given layout says."""
     found = find_conventions(recording.table, contacts, given.column_map, tap_of(recording.folder))
     turned = (given.preprocessing.rotate_image_deg + found.rotate_image_deg + 180) % 360 - 180
     preprocessing = replace(given.preprocessing, rotate_image_deg=turned)

@@ -176,6 +176,8 @@ def _publish(contacts: Path, design: Design, what: HiddenSet, lab: Path) -> None
     writer.writerow(["image_name", *(name for name, _ in _COLUMNS.values()), *SHEARS])
     tips, directions = (pins.astype(float) for pins in read_pins(contacts, dataset.meta))
     table = what.faults.commanded(dataset.poses, dataset.shears, np.random.default_rng((what.seed, 79)))
+    if what.task == "surface":  # where on the surface it is pressed makes no difference, and the table does not say it
+        table[0][:, :2] = 0.0
     for k, (pose, shear) in enumerate(zip(*table, strict=True)):
         frame = camera.frame(tips[k], directions[k], rng, what.faults.zoom(k / len(tips)))
         write_file(lab / "images" / f"frame_{k}.png", encode_image(frame))
