@@ -159,6 +159,19 @@ def test_given_columns_of_euler_angles_are_listed_in_their_order():
         find_conventions(cells, contacts, ColumnMap(task="edge", angles="zyx", columns=("pose_Rz=-pose_6",)))
 
 
+@pytest.mark.parametrize(("touching", "expected"), [(False, "pose_z=-depth+2"), (True, "pose_z=-depth")])
+def test_zero_of_depth_is_not_changed_where_frames_at_rest_touch(touching, expected):
+    """Without a neutral image, frames are compared with a frame that is pressed itself: here, by 2 mm."""
+    rng = np.random.default_rng(3)
+    poses, shears, contacts = contacts_of("surface", rng, gain=1.0)
+    contacts = replace(contacts, poses=contacts.poses + [0, 0, 2.0, 0, 0, 0], touching_at_rest=touching)
+    table = {"depth": -poses[:, 2], "roll": poses[:, 3], "pitch": poses[:, 4], "x_mm": shears[:, 0], "y_mm": shears[:, 1]}
+    cells = {name: [repr(float(value)) for value in column] for name, column in table.items()}
+    (spec, *_), evidence = (found := find_conventions(cells, contacts, ColumnMap())).column_map.columns, found.evidence
+    assert spec.startswith(expected) and (spec == expected) == touching
+    assert ("no neutral image shows it" in evidence[0]) == touching
+
+
 def test_tap_is_read_from_meta_and_nonsense_is_not(tmp_path):
     assert tap_of(tmp_path) is None
     (tmp_path / "meta.json").write_text('{"tap_move": [0, 3, 4, 0, 0, 0]}')

@@ -12,6 +12,8 @@ from tactip_twin.commands import main as tactip
 from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.contact.simulator import ContactSimulator
 from tactip_twin.sim.dataset.format import read_dataset
+from tactip_twin.sim.fast_tip.fast_contacts import FastContacts
+from tactip_twin.sim.fast_tip.fast_tip import any_materials, read_fast_tip
 from tactip_twin.sim.pose import from_mm_deg
 from tactip_twin.sim2real.transfer.neutral_calibration import fit_design_to_neutral_image
 from tactip_twin.tactip_model.neutral_image import neutral_px, reference_pixels
@@ -125,6 +127,35 @@ def test_press_of_frames_that_replace_a_neutral_image_is_removed(tmp_path, low_m
     off = np.sqrt(((neutral_px(design) - neutral_px(DESIGN)) ** 2).sum(1).mean())
     assert off < max_px and off < 0.4 * min(moved)
     assert design.pins.diameter_m == pytest.approx(DESIGN.pins.diameter_m, rel=0.2 if tilt_deg else 0.15)
+
+
+@pytest.mark.slow
+def test_conventions_are_found_without_neutral_image_on_deep_frames(tmp_path, capsys):
+    """331 pins, 2.5 to 5 mm deep, tilted and sheared: no frame shows the pins near where they are at rest."""
+    plain = design_named("nominal-331")
+    stiffer = replace(plain.materials, friction=0.9, kinetic_fraction=0.8, skin_young_pa=1.2 * plain.materials.skin_young_pa)
+    design, rng = replace(plain, materials=stiffer), np.random.default_rng(1)
+    low, high = np.array([[0, 0, -5, -12, -12, 0], [0, 0, -2.5, 12, 12, 0]])
+    poses, shears = rng.uniform(low, high, (150, 6)), rng.uniform(-4, 4, (150, 6)) * [1, 1, 0, 0, 0, 0]
+    tip = FastContacts(read_fast_tip(any_materials("surface")), design)
+    contacts, _ = tip.predict(from_mm_deg(poses), from_mm_deg(shears))
+    (tmp_path / "lab" / "images").mkdir(parents=True)
+    rows = []
+    for k, contact in enumerate(contacts):
+        drawn = Raster(design).render(contact.pin_tips, contact.directions)
+        image = tactile_image(drawn, replace(design.image, size_px=360))
+        cv2.imwrite(str(tmp_path / "lab" / "images" / f"frame_{k}.png"), image)
+        row = {"image_name": f"frame_{k}.png", "u1": -poses[k, 2], "u2": poses[k, 4], "u3": -poses[k, 3]}
+        rows.append(row | {"v1": shears[k, 0], "v2": shears[k, 1]})
+    write_table(tmp_path / "lab", rows)
+    assert tactip.main(["import", str(tmp_path / "lab"), "--out", str(tmp_path / "set"), "--find"]) == 0
+    output = capsys.readouterr().out
+    assert "no neutral image shows it" in output and "press removed by a learned tip" in output
+    found = read_dataset(tmp_path / "set").poses
+    assert np.abs(found[:, 2] - poses[:, 2]).mean() < 0.05
+    assert np.abs(found[:, 3:5] - poses[:, 3:5]).mean() < 1.0
+    design, _ = fit_design_to_neutral_image(tmp_path / "set", 128)
+    assert np.sqrt(((neutral_px(design) - neutral_px(plain)) ** 2).sum(1).mean()) < 0.6
 
 
 def test_import_other_layout_without_neutral_image(tmp_path):
