@@ -47,7 +47,7 @@ def run(options: MissingNeutralImageOptions, log: Callable[[str], None] = print)
 
 def _deep(source: Source, min_depth_mm: float) -> Source:
     """Return a source without its neutral image and its frames at a smaller depth."""
-    rows = np.flatnonzero(source.poses[:, 2] <= -min_depth_mm) if min_depth_mm else np.arange(len(source.names))
+    rows = [i for i, depth in enumerate(source.poses[:, 2]) if not min_depth_mm or depth <= -min_depth_mm]
     return replace(
         source,
         names=tuple(source.names[i] for i in rows),

@@ -293,7 +293,7 @@ class Experiment:
         name = self.settings.fidelity
         if name not in (AUTO, "fast"):
             return None, ""
-        path = any_materials(self.task)
+        path = any_materials("edge" if self.task == "edge" else "surface")
         tip = read_fast_tip(path)
         try:
             tip.check_design(design, randomized)

@@ -54,10 +54,12 @@ def typical_rig_faults(rng: np.random.Generator) -> RigFaults:
     """Return faults as large as those of the published sets and of usual rigs: a table tilted by 1 to 2 degrees, a tool
     centre up to 0.7 mm beside the axis, a tenth of the shear unfinished, an image that grows by 0.5 to 1.5 % [M][?]."""
     azimuth, tilt = rng.uniform(0, 2 * np.pi), rng.uniform(1.0, 2.0)
+    behind = float(rng.uniform(-1.0, 1.0))
+    x, y = (float(offset) for offset in rng.uniform(-0.5, 0.5, 2))
     return RigFaults(
         table_tilt_deg=(float(tilt * np.cos(azimuth)), float(tilt * np.sin(azimuth))),
-        tcp_behind_apex_mm=float(rng.uniform(-1.0, 1.0)),
-        tcp_beside_axis_mm=tuple(float(x) for x in rng.uniform(-0.5, 0.5, 2)),
+        tcp_behind_apex_mm=behind,
+        tcp_beside_axis_mm=(x, y),
         max_unfinished=0.1,
         image_growth=float(rng.uniform(0.005, 0.015)),
     )
