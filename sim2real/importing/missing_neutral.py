@@ -26,6 +26,9 @@ from tactip_twin.tactip_model.pin_detection import PinMatcher, find_blobs
 from tactip_twin.tactip_model.pins import neutral_pins
 from tactip_twin.tactip_model.presets import NOMINAL
 
+_MAX_CONSIDERED = 2000
+"""Largest number of frames whose motion is predicted, evenly spaced in the table: more would take memory for nothing."""
+
 _LAYOUT_FRACTION, _LAYOUT_FRAMES = 0.05, (5, 21)
 """Fraction of the frames, those that have moved least, whose median shows the layout, and its least and largest number."""
 
@@ -58,6 +61,7 @@ def neutral_from_frames(
         task: Task of the set.
     """
     nominal = NOMINAL[min(NOMINAL, key=lambda name: abs(len(neutral_pins(NOMINAL[name])[0]) - usual))]
+    kept = kept[np.linspace(0, len(kept) - 1, min(len(kept), _MAX_CONSIDERED)).astype(int)]
     motion = np.linalg.norm(_motion_px(nominal, task, source.poses[kept], source.shears[kept]), axis=-1).mean(1)
     order = kept[np.argsort(motion, kind="stable")]
     stand_in, rows = _layout_image(source, order[: _count(len(kept), _LAYOUT_FRACTION, _LAYOUT_FRAMES)], reader, usual)

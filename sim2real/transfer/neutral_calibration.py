@@ -48,6 +48,11 @@ def fit_design_to_neutral_image(folder: Path, size_px: int) -> tuple[Design, dic
         )
     if tactile is None:
         raise TactipError(f"{folder} has no {NEUTRAL_TACTILE} because an earlier version imported it: import the set again")
+    report = read_report(folder)
+    if report and not report["neutral_image"] and "press_removed" not in report.get("stand_in", {}):
+        raise TactipError(
+            f"{folder} has no neutral image, and an earlier version made its replacement: import the set again"
+        )
     blobs = len(find_blobs(image).centres)
     name = _nearest(blobs)
     nominal = NOMINAL[name]

@@ -16,6 +16,7 @@ from tactip_twin.sim.fast_tip.fast_contacts import FastContacts
 from tactip_twin.sim.fast_tip.fast_tip import any_materials, read_fast_tip
 from tactip_twin.sim.pose import from_mm_deg
 from tactip_twin.sim2real.transfer.neutral_calibration import fit_design_to_neutral_image
+from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.neutral_image import neutral_px, reference_pixels
 from tactip_twin.tactip_model.optics import Lens
 from tactip_twin.tactip_model.pins import neutral_pins
@@ -86,10 +87,12 @@ def test_import_without_neutral_image_uses_shallowest_frames(tmp_path, capsys):
     design, figures = fit_design_to_neutral_image(tmp_path / "set", 128)
     assert figures["pins"] == 127 and figures["camera"] is None
     assert np.abs(neutral_px(design) - neutral_px(DESIGN)).max() < 0.6
-    # One that an earlier version imported, which kept no such image, is imported anew.
+    # One that an earlier version imported, which did not remove the press, is imported anew, and not used before.
     report = json.loads((tmp_path / "set" / "import.json").read_text())
-    del report["stand_in"]
+    del report["stand_in"]["press_removed"]
     (tmp_path / "set" / "import.json").write_text(json.dumps(report))
+    with pytest.raises(TactipError, match="an earlier version made its replacement: import the set again"):
+        fit_design_to_neutral_image(tmp_path / "set", 128)
     assert tactip.main(command) == 0
     assert "whose report is incomplete" in capsys.readouterr().out
     # And one whose report is damaged is named.
