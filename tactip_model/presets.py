@@ -58,3 +58,10 @@ def load_design(name: str | Path) -> Design:
     if not Path(name).is_file():
         raise TactipError(f"the design file {name} does not exist; presets are {', '.join(DESIGNS)}")
     return read_design(name)
+
+
+def nearest_nominal(pins: float) -> str:
+    """Return the name of the nominal preset whose number of pins is nearest to `pins`."""
+    from tactip_twin.tactip_model.pins import neutral_pins
+
+    return min(NOMINAL, key=lambda name: abs(len(neutral_pins(NOMINAL[name])[0]) - pins))

@@ -84,7 +84,7 @@ SENSORS = {
 
 
 def run(options: HiddenSensorsOptions, log: Callable[[str], None] = print) -> dict[str, Any]:
-    """Measure, write the page, and return the results. A finished sensor is not measured again.
+    """Measure, write the page, and return the results. What an earlier run has made is not made again.
 
     Raises:
         TactipError: If a sensor is unknown, or a folder holds something else.
@@ -95,8 +95,9 @@ def run(options: HiddenSensorsOptions, log: Callable[[str], None] = print) -> di
     result = read_results(options.out / "hidden_sensors.json")
     result.setdefault("sensors", {})
     for name, sensor in sensors.items():
-        before = result["sensors"].get(name, {})
-        result["sensors"][name] = {"seconds": None} | before | _measured(sensor, options.runs / name, options, log)
+        seconds = result["sensors"].get(name, {}).get("seconds")  # a resumed measurement has no time of its own
+        measured = _measured(sensor, options.runs / name, options, log)
+        result["sensors"][name] = {"seconds": seconds} | measured
         result["sensors"] = {one: result["sensors"][one] for one in SENSORS if one in result["sensors"]}
         result["machine"] = machine()
         write_results("hidden_sensors", result, tables(result), options.out)

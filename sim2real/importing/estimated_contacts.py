@@ -25,7 +25,7 @@ from tactip_twin.tactip_model.neutral_image import NeutralFit, camera_change, fi
 from tactip_twin.tactip_model.optics import REFERENCE_PX, Lens
 from tactip_twin.tactip_model.pin_detection import PinMatcher, find_blobs
 from tactip_twin.tactip_model.pins import neutral_pins
-from tactip_twin.tactip_model.presets import NOMINAL, design_named
+from tactip_twin.tactip_model.presets import NOMINAL, design_named, nearest_nominal
 
 FRAMES = 120
 """Number of frames that are read."""
@@ -128,7 +128,7 @@ def estimate_contacts(
     at_rest = at_rest if neutral is None else reader.cropped(reader.masked(neutral))
     candidates = list(images.values()) if at_rest is None else [at_rest]
     blobs = np.median([len(find_blobs(image).centres) for image in candidates])
-    layout = min(NOMINAL, key=lambda name: abs(len(neutral_pins(NOMINAL[name])[0]) - blobs))
+    layout = nearest_nominal(float(blobs))
     nominal = replace(NOMINAL[layout], materials=design_named(_PRESET).materials)
     design, fit = _least_deformed(nominal, candidates) if at_rest is None else fit_neutral(nominal, at_rest)
     width = candidates[0].shape[1]

@@ -18,7 +18,7 @@ from tactip_twin.tactip_model.input_images import read_image
 from tactip_twin.tactip_model.neutral_image import fit_neutral
 from tactip_twin.tactip_model.pin_detection import find_blobs
 from tactip_twin.tactip_model.pins import neutral_pins
-from tactip_twin.tactip_model.presets import NOMINAL
+from tactip_twin.tactip_model.presets import NOMINAL, nearest_nominal
 from tactip_twin.tactip_model.raster_renderer import Raster
 from tactip_twin.tactip_model.tactile_image import tactile_image
 
@@ -54,7 +54,7 @@ def fit_design_to_neutral_image(folder: Path, size_px: int) -> tuple[Design, dic
             f"{folder} has no neutral image, and an earlier version made its replacement: import the set again"
         )
     blobs = len(find_blobs(image).centres)
-    name = _nearest(blobs)
+    name = nearest_nominal(blobs)
     nominal = NOMINAL[name]
     materials = replace(nominal.materials, kinetic_fraction=_KINETIC_FRACTION)
     design, fit = fit_neutral(replace(nominal, name=folder.resolve().name, materials=materials), image)
@@ -82,14 +82,8 @@ def with_camera_drift(design: Design, camera: dict[str, Any] | None) -> Design:
 
 def nearest_nominal_design(pins: float, size_px: int) -> Design:
     """Return the nominal design whose number of pins is nearest to `pins`, with images `size_px` wide."""
-    design = NOMINAL[_nearest(pins)]
+    design = NOMINAL[nearest_nominal(pins)]
     return replace(design, image=replace(design.image, size_px=size_px))
-
-
-def _nearest(pins: float) -> str:
-    """Return the name of the preset whose number of pins is nearest."""
-    counts = {name: len(neutral_pins(design)[0]) for name, design in NOMINAL.items()}
-    return min(counts, key=lambda name: abs(counts[name] - pins))
 
 
 def with_pin_sizes(design: Design, image: np.ndarray) -> Design:
