@@ -9,6 +9,7 @@ import itertools
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -111,34 +112,90 @@ def estimate_contacts(
         TactipError: If the pins at rest have no known layout, or pins are not detected in enough frames.
     """
     rng = np.random.default_rng(seed)
+    frames = _read_frames(recording, reader, rng)
+    at_rest = at_rest if neutral is None else reader.cropped(reader.masked(neutral))
+    candidates = list(frames.cropped.values()) if at_rest is None else [at_rest]
+    layout = nearest_nominal(float(np.median([len(find_blobs(image).centres) for image in candidates])))
+    nominal = replace(NOMINAL[layout], materials=design_named(_PRESET).materials)
+    design, fit = _least_deformed(nominal, candidates) if at_rest is None else fit_neutral(nominal, at_rest)
+    if neutral is not None:
+        design = _with_camera_of(design, reader.with_rim(neutral), frames.with_rim[:PIN_DETECTION_FRAMES])
+    rows, pins = _detected(frames.cropped, fit.pins_px)
+    tip = read_fast_tip(shipped_fast_tip(task, layout))
+    materials = None if tip.materials is None else np.clip(material_inputs(design.materials), *tip.materials.T)
+    model = PinModel(tip, PinDecoder(design, tip.modes), _POSES[task], _SHEARS, Lens(design), materials)
+    noise = _PIXEL_NOISE * np.sqrt(2 * pins.shape[1] / _INDEPENDENT)
+    optima = []
+    for found in _optima(model, pins, noise, task, rng):
+        values = np.concatenate([found.poses, found.shears], 1)[:, model.free]
+        one = EstimatedContacts(
+            rows=rows,
+            poses=found.poses,
+            pose_deviations=found.deviations[:, :6],
+            shears=found.shears,
+            residuals_px=found.residuals,
+            at_rest_px=fit.pins_px,
+            detected_px=pins,
+            simulated_px=model.positions(values).reshape(pins.shape),
+            touching_at_rest=neutral is None,
+        )
+        optima.append(one)
+    best = chosen_of(optima, np.argmin([one.residuals_px for one in optima], 0))
+    return replace(best, optima=tuple(optima) if len(optima) > 1 else ())
+
+
+class _Frames(NamedTuple):
+    """Frames that could be read."""
+
+    cropped: dict[int, np.ndarray]
+    """Cropped binary images (h, w) uint8 by row of the table."""
+    with_rim: list[np.ndarray]
+    """The same frames with what lies around the pins, (h, w) uint8."""
+
+
+def _read_frames(recording: Recording, reader: FrameReader, rng: np.random.Generator) -> _Frames:
+    """Read up to FRAMES frames of a set, chosen at random. Raises TactipError if none can be used."""
     rows = np.array([i for i, path in enumerate(recording.paths) if path])
     rows = np.sort(rng.choice(rows, min(FRAMES, len(rows)), replace=False))
-    images: dict[int, np.ndarray] = {}
+    cropped: dict[int, np.ndarray] = {}
     with_rim, problem = [], ""
     for i in rows:
         try:
             frame = recording.load(i)
-            images[int(i)] = reader.cropped(reader.masked(frame))
+            cropped[int(i)] = reader.cropped(reader.masked(frame))
         except TactipError as error:  # the import leaves it out later, and reports it
             problem = problem or f"{recording.names[i]}: {error}"
             continue
         with_rim.append(reader.with_rim(frame))
-    if not images:
+    if not cropped:
         raise TactipError(f"none of {len(rows)} frames can be used, for example {problem}")
-    at_rest = at_rest if neutral is None else reader.cropped(reader.masked(neutral))
-    candidates = list(images.values()) if at_rest is None else [at_rest]
-    blobs = np.median([len(find_blobs(image).centres) for image in candidates])
-    layout = nearest_nominal(float(blobs))
-    nominal = replace(NOMINAL[layout], materials=design_named(_PRESET).materials)
-    design, fit = _least_deformed(nominal, candidates) if at_rest is None else fit_neutral(nominal, at_rest)
-    width = candidates[0].shape[1]
-    centre_px = np.array(design.optics.centre) * width - 0.5
-    camera = None if neutral is None else camera_change(reader.with_rim(neutral), with_rim[:PIN_DETECTION_FRAMES], centre_px)
-    if camera is not None:
-        zoom, x, y = (float(value) for value in camera[0])
-        design = replace(design, optics=replace(design.optics, zoom=zoom, drift=(x, y)))
-    known = np.isfinite(fit.pins_px[:, 0])
-    matcher = PinMatcher((fit.pins_px[known] + 0.5) * width / REFERENCE_PX - 0.5)
+    return _Frames(cropped, with_rim)
+
+
+def _with_camera_of(design: Design, neutral: np.ndarray, frames: list[np.ndarray]) -> Design:
+    """Return a design whose camera is zoomed and moved as it is in frames (h, w) uint8 against the neutral image (h, w)."""
+    centre_px = np.array(design.optics.centre) * neutral.shape[1] - 0.5
+    change = camera_change(neutral, frames, centre_px)
+    if change is None:
+        return design
+    zoom, x, y = (float(value) for value in change[0])
+    return replace(design, optics=replace(design.optics, zoom=zoom, drift=(x, y)))
+
+
+def _detected(images: dict[int, np.ndarray], at_rest_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the rows (n,) of the frames in which enough pins are detected, and their pins (n, p, 2), px of 256; NaN where
+    one is not detected.
+
+    Args:
+        images: Cropped binary images (h, w) uint8 by row.
+        at_rest_px: (p, 2) pins at rest, px of 256; NaN where unknown.
+
+    Raises:
+        TactipError: If there are fewer than _MIN_FRAMES such frames.
+    """
+    width = next(iter(images.values())).shape[1]
+    known = np.isfinite(at_rest_px[:, 0])
+    matcher = PinMatcher((at_rest_px[known] + 0.5) * width / REFERENCE_PX - 0.5)
     pins = np.full((len(images), len(known), 2), np.nan)
     for k, image in enumerate(images.values()):
         pins[k, known] = reference_pixels(matcher.match(find_blobs(image)), width)
@@ -148,30 +205,7 @@ def estimate_contacts(
             f"the table's conventions cannot be found: {_MIN_DETECTED:.0%} of the pins were detected in {good.sum()} of "
             f"{len(good)} frames, and at least {_MIN_FRAMES} are needed"
         )
-    rows, pins = np.array(list(images))[good], pins[good]
-    tip = read_fast_tip(shipped_fast_tip(task, layout))
-    materials = None if tip.materials is None else np.clip(material_inputs(design.materials), *tip.materials.T)
-    model = PinModel(tip, PinDecoder(design, tip.modes), _POSES[task], _SHEARS, Lens(design), materials)
-    noise = _PIXEL_NOISE * np.sqrt(2 * pins.shape[1] / _INDEPENDENT)
-    optima = []
-    for found in _optima(model, pins, noise, task, rng):
-        values = np.concatenate([found.poses, found.shears], 1)[:, model.free]
-        simulated = model.positions(values).reshape(pins.shape)
-        deviations = found.deviations[:, :6]
-        one = EstimatedContacts(
-            rows,
-            found.poses,
-            deviations,
-            found.shears,
-            found.residuals,
-            fit.pins_px,
-            pins,
-            simulated,
-            touching_at_rest=neutral is None,
-        )
-        optima.append(one)
-    best = chosen_of(optima, np.argmin([one.residuals_px for one in optima], 0))
-    return replace(best, optima=tuple(optima) if len(optima) > 1 else ())
+    return np.array(list(images))[good], pins[good]
 
 
 def _optima(model: PinModel, pins: np.ndarray, noise: float, task: Task, rng: np.random.Generator) -> list[MostLikely]:
