@@ -18,7 +18,17 @@ from tactip_twin.learning.recipes import read_recipe
 class Train(Command):
     """Train a network on a data set. Rerun to resume."""
 
-    common = ("data", "out", "recipe", "config", "init_from", "device", "training.epochs", "training.seed")
+    common = (
+        "data",
+        "out",
+        "recipe",
+        "config",
+        "init_from",
+        "device",
+        "training.epochs",
+        "training.min_steps",
+        "training.seed",
+    )
     example = "tactip train --data data/surface --out runs/surface"
 
     data: Path

@@ -151,9 +151,9 @@ class TrainSettings:
     seed: int = within(0, 2**31, default=0)
     """Seed of weights, order and dropout."""
     epochs: int = within(1, 100000, default=500)
-    """Maximum number of epochs; the paper names no limit."""
+    """Maximum number of epochs, or more if these have fewer than `min_steps` steps; the paper names no limit."""
     min_steps: int = within(0, 10**8, default=0)
-    """Minimum number of training steps: small sets are repeated for more than `epochs` epochs to reach it; 0 [P]."""
+    """Number of training steps for which small sets are repeated, beyond `epochs` epochs if need be; 0 [P]."""
     patience: int = within(1, 100000, default=10)
     """Number of epochs without a lower validation error after which training ends [P]."""
     learning_rate: float = within(1e-7, 1, default=1e-4)

@@ -433,13 +433,11 @@ def plot(whole: Mapping[str, Any], path: Path) -> None:
     colors = dict(zip(kinds, (*COLORS, "0.5"), strict=True))
     box = {"fc": "white", "ec": "none", "pad": 0.5}
     for axis, (task, record) in zip(axes, whole.items(), strict=True):
-        best = min(relative_error(row, task) for row in record["rows"])
         for row in record["rows"]:
             x, y = row["latency_ms"], relative_error(row, task)
-            up = -13 if y == best else 5  # the label of the lowest point lies below it, off the others
             axis.plot(x, y, "o", color=colors[row["set"]])
             axis.annotate(
-                row["name"], (x, y), xytext=(0, up), textcoords="offset points", ha="center", fontsize=8, bbox=box, zorder=1
+                row["name"], (x, y), xytext=(7, 0), textcoords="offset points", va="center", fontsize=8, bbox=box, zorder=3
             )
         axis.axhline(1, color="0.4", lw=0.8)
         for name in "xy":

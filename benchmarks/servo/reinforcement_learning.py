@@ -215,15 +215,23 @@ def _cells(task: Task, row: dict[str, Any]) -> list[str]:
     return [row["object"], poses, row["controller"], f"{row['reached']:.0%}", *errors, f"{row['return']:.1f}"]
 
 
+_PLOTTED: tuple[tuple[str, dict[Task, str]], ...] = (
+    ("position error, mm", {"surface": "depth_mm", "edge": "lateral_mm"}),
+    ("angle error, °", {"surface": "angle_deg", "edge": "yaw_deg"}),
+)
+"""What the plots show of each task: the errors that its actions can change."""
+
+
 def _plot(result: dict[str, Any], path: Path) -> None:
     """Plot the curves of the trainings."""
     figure, axes = figure_of(1, 2, (8.0, 3.0))
-    for k, task in enumerate(task for task in ENVIRONMENTS if task in result):
-        curve = result[task]["curve"]
-        for axis, name in zip(axes, ("depth_mm", "angle_deg"), strict=True):
-            axis.plot([p["steps"] for p in curve], [p[name] for p in curve], color=COLORS[k], marker=".", label=task)
-    for axis, label in zip(axes, ("depth error, mm", "angle, °"), strict=True):
+    for axis, (label, names) in zip(axes, _PLOTTED, strict=True):
+        for k, (task, name) in enumerate(names.items()):
+            if task in result:
+                curve, what = result[task]["curve"], name.rpartition("_")[0]
+                steps, errors = [p["steps"] for p in curve], [p[name] for p in curve]
+                axis.plot(steps, errors, color=COLORS[k], marker=".", label=f"{task}: {what}")
         axis.set(xlabel="steps of the environment", ylabel=label)
         log_axis(axis, "y")
-    axes[0].legend()
+        axis.legend()
     save_figure(figure, path)

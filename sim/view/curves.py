@@ -15,8 +15,8 @@ BAND = 2.0
 MIN_CONTACT_N = 0.02
 """Force above which there is contact, N."""
 
-_COMPONENTS = (("x", "x", "mm"), ("z", "depth", "mm"), ("Rx", "Rx", "°"), ("Ry", "Ry", "°"), ("Rz", "Rz", "°"))
-"""Components that networks predict: their names in a label and on a page, and their units."""
+COMPONENT_NAMES = {"x": "x", "z": "depth", "Rx": "Rx", "Ry": "Ry", "Rz": "Rz"}
+"""Names on a page of the components that networks predict, by their names in a label."""
 
 
 @dataclass(frozen=True)
@@ -69,9 +69,9 @@ def curves_of(arrays: Mapping[str, np.ndarray], task: str) -> list[Curve]:
     true, predicted, deviations = (to_mm_deg(arrays[name]) for name in ("true", "predicted", "deviations"))
     out = [Curve("force", "N", np.linalg.norm(arrays["force_n"], axis=1))]
     out += [Curve("position error", "mm", position_errors_mm(arrays, task))]
-    for component, name, unit in _COMPONENTS:
+    for component, name in COMPONENT_NAMES.items():
         if component in LEARNED[task]:
-            k = COMPONENTS.index(component)
+            k, unit = COMPONENTS.index(component), "°" if component.startswith("R") else "mm"
             estimated = np.where(contact, predicted[:, k], np.nan)
             spread = np.where(contact, deviations[:, k], np.nan)
             out.append(Curve(name, unit, true[:, k], estimated, spread if np.isfinite(spread).any() else None))

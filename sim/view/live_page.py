@@ -124,6 +124,10 @@ class LivePage:
         """Address of the page."""
         self._build_scene()
         self._build_panel()
+        self._handles: dict[int, viser.TransformControlsHandle] = {}
+        self._views: dict[int, str] = {}
+        self._server.on_client_connect(self._welcome)
+        self._server.on_client_disconnect(self._forget)
         self._show(self._contact.tip_state(), 0.0)
 
     def run(self, seconds: float | None = None) -> None:
@@ -206,15 +210,21 @@ class LivePage:
         set_pose(self._tip.frame, _T_WORLD_SENSOR)
         self._state, self._project = state, PinProjection(self._design)
         self._rest_px = self._project(state.pin_tips)
-        # The handle is the target of the stimulus, which follows it.
-        self._handle = scene.add_transform_controls("/target", scale=0.03, depth_test=False)
-        self._handle.on_update(lambda _: self._on_drag())
-        self._views: dict[int, str] = {}
 
-        def welcome(client: viser.ClientHandle) -> None:
-            keep_in_view(client, lambda: self._set_view(self._views.get(client.client_id, "overview"), client))
+    def _welcome(self, client: viser.ClientHandle) -> None:
+        """Give a new viewer a handle, which is the target of the stimulus, and the overview."""
+        handle = client.scene.add_transform_controls("/target", scale=0.03, depth_test=False)
+        handle.on_update(lambda _: self._on_drag(handle))
+        with self._lock:
+            self._handles[client.client_id] = handle
+            self._place_handles()
+        keep_in_view(client, lambda: self._set_view(self._views.get(client.client_id, "overview"), client))
 
-        self._server.on_client_connect(welcome)
+    def _forget(self, client: viser.ClientHandle) -> None:
+        """Forget a viewer who has left."""
+        with self._lock:
+            self._handles.pop(client.client_id, None)
+            self._views.pop(client.client_id, None)
 
     def _build_panel(self) -> None:
         gui, (low, high) = self._server.gui, ranges_of(self._name)
@@ -233,7 +243,6 @@ class LivePage:
             slider = gui.add_slider(name, float(minimum), float(maximum), 0.1, start)
             slider.on_update(on_update)
             self._sliders.append(slider)
-        self._place_handle()
         actions = gui.add_button_group("motion", ["lift and press", "reset"])
         views = gui.add_button_group("view", list(_VIEWS))
         skin = gui.add_dropdown("skin", SKINS)
@@ -260,18 +269,19 @@ class LivePage:
             self._requested = np.array(label_mm_deg, float)
 
     def _on_slider(self) -> None:
-        """Request the sliders' label, and move the handle there."""
+        """Request the sliders' label, and move the handles there."""
         self._request([slider.value for slider in self._sliders])
-        self._place_handle()
+        self._place_handles()
 
-    def _on_drag(self) -> None:
-        """Request the handle's label, within the sliders' ranges, and move the sliders there."""
-        T = matrix(self._handle.position, Rotation.from_quat(self._handle.wxyz, scalar_first=True))
+    def _on_drag(self, handle: viser.TransformControlsHandle) -> None:
+        """Request a handle's label, within the sliders' ranges, and move the sliders and the other handles there."""
+        T = matrix(handle.position, Rotation.from_quat(handle.wxyz, scalar_first=True))
         low, high = ranges_of(self._name)
         label = np.clip(to_mm_deg(label_of(inverse(inverse(_T_WORLD_SENSOR) @ T))), low, high)
         for slider, value in zip(self._sliders, label, strict=True):
             slider.value = float(value)
         self._request(label)
+        self._place_handles(but=handle)
 
     def _on_lift(self) -> None:
         """Request a lift."""
@@ -285,10 +295,13 @@ class LivePage:
         self._on_slider()
         self._on_lift()
 
-    def _place_handle(self) -> None:
-        """Move the handle to the sliders' label."""
+    def _place_handles(self, but: viser.TransformControlsHandle | None = None) -> None:
+        """Move the handles, but one that is dragged, to the sliders' label."""
         label = from_mm_deg([slider.value for slider in self._sliders])
-        set_pose(self._handle, _T_WORLD_SENSOR @ inverse(sensor_in_contact(label)))
+        with self._lock:
+            others = [handle for handle in self._handles.values() if handle is not but]
+        for handle in others:
+            set_pose(handle, _T_WORLD_SENSOR @ inverse(sensor_in_contact(label)))
 
     def _set_view(self, view: str, client: viser.ClientHandle) -> None:
         """Move a viewer's camera to a view: `overview`, `close` or `inside`."""
@@ -299,7 +312,7 @@ class LivePage:
             covered = covered_fraction(camera, IMAGE_PANEL_PX)
             eye, target = beside(np.array(eye), np.array(target), field, camera.aspect, covered)
         # From inside, the handle would cover the pins.
-        self._handle.visible = view != "inside"
+        self._handles[client.client_id].visible = view != "inside"
         with client.atomic():
             camera.position, camera.look_at, camera.fov = tuple(eye), tuple(target), field
             # The view from inside is oriented as the tactile image: x to the right, y down.

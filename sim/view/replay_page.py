@@ -3,6 +3,7 @@
 import threading
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -55,7 +56,23 @@ _CLOSE_M = (0.07, -0.13, 0.04)
 
 _VIEWS = ("overview", "close", "inside")
 
-_KEYS = "Keys: **space** play or pause, **← →** one step, **Home End** first and last step, **N P** next and previous event."
+_KEYS = "Keys: **space** play or pause, **← →** one step, **Home End** first and last step"
+_EVENT_KEYS = ", **N P** next and previous event"
+
+_INSIDE_M, _INSIDE_FIELD_DEG = 0.022, 110.0
+"""Distance of the eye of the view from inside from the apex, m, and its field of view, degrees."""
+
+
+@dataclass
+class _Viewer:
+    """One who looks at the page."""
+
+    client: viser.ClientHandle
+    camera: FollowCamera
+    path: viser.LineSegmentsHandle
+    """The path, which other viewers may see while this one does not."""
+    view: str = "overview"
+    """One of _VIEWS."""
 
 
 class ReplayPage:
@@ -97,8 +114,7 @@ class ReplayPage:
         self.pictures = 0
         """Number of steps shown so far."""
         self._lock, self._shown, self._marked_s = threading.RLock(), -1, 0.0
-        self._views: dict[int, str] = {}
-        self._cameras: dict[int, FollowCamera] = {}
+        self._viewers: dict[int, _Viewer] = {}
         self._server = serve(host, port)
         self.address = f"http://{host}:{self._server.get_port()}"
         """Address of the page."""
@@ -139,9 +155,8 @@ class ReplayPage:
                 poses = self._geometry.body_poses(a["angles_rad"][k])
                 for body, frame in self._links.items():
                     set_pose(frame, poses[body])
-            count = max(1, self._line_counts[k])
-            self._path.points = self._lines[:count]
-            self._path.colors = self._line_colors[:count]
+            for viewer in self._viewers.values():
+                viewer.path.points, viewer.path.colors = self._path()
             self._show_image()
             first, *others = status_lines(self._record, a, k)
             self._status.content = "  \n".join([f"**{first}**", *others])
@@ -151,6 +166,11 @@ class ReplayPage:
                 self._marked_s = now
                 for handle, data in self._curves:
                     handle.data = (*data, _mark(data, k))
+
+    def _path(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the lines of the path up to the step that is shown, (n, 2, 3) m, and their colors."""
+        count = max(1, self._line_counts[max(0, self._shown)])
+        return self._lines[:count], self._line_colors[:count]
 
     def _show_tip(self) -> None:
         """Show the tip at the step that is shown."""
@@ -178,7 +198,6 @@ class ReplayPage:
             for n, mesh in enumerate(meshes):
                 add_mesh(scene, f"/arm/{body}/{n}", mesh)
         self._tip = TipNodes(scene, geometry.sensor, geometry.skin_triangles, skin, self._skin_end_mm)
-        self._path = scene.add_line_segments("/path", self._lines[:1], self._line_colors[:1], thickness=0.8e-3)
 
     def _build_panel(self) -> None:
         gui, replay, record = self._server.gui, self.playback, self._record
@@ -214,7 +233,7 @@ class ReplayPage:
             speed = gui.add_dropdown("speed", [f"{s:g}" for s in SPEEDS], initial_value="1")
             self._follows = gui.add_checkbox("camera follows the tip", True)
             self._arrows = gui.add_checkbox("arrows on the image", True, visible=self._project is not None)
-            gui.add_markdown(_KEYS)
+            gui.add_markdown(f"{_KEYS}{_EVENT_KEYS if record['events'] else ''}.")
 
         self._buttons["play"].on_click(self._then_show(replay.toggle))
         for buttons in (step_buttons, event_buttons):
@@ -278,43 +297,40 @@ class ReplayPage:
 
     def _welcome(self, client: viser.ClientHandle) -> None:
         """Show a new viewer the overview."""
-        self._views[client.client_id] = "overview"
         with self._lock:
-            self._cameras[client.client_id] = FollowCamera(client.camera)
+            path = client.scene.add_line_segments("/path", *self._path(), thickness=0.8e-3)
+            viewer = self._viewers[client.client_id] = _Viewer(client, FollowCamera(client.camera), path)
 
         def look() -> None:
-            view = self._views.get(client.client_id)
-            if view in ("overview", "close"):
-                self._set_view(view, client)
+            if viewer.view != "inside":
+                self._set_view(viewer.view, client)
 
         keep_in_view(client, look)
 
     def _forget(self, client: viser.ClientHandle) -> None:
         """Forget a viewer who has left."""
         with self._lock:
-            self._views.pop(client.client_id, None)
-            self._cameras.pop(client.client_id, None)
+            self._viewers.pop(client.client_id, None)
 
     def _set_view(self, view: str, client: viser.ClientHandle) -> None:
         """Move a viewer's camera to one of _VIEWS."""
-        self._views[client.client_id] = view
-        self._path.visible = view != "inside"  # it would cover the pins
         with self._lock:
-            T = self._arrays["T_base_tcp"][max(0, self._shown)]
-        field, camera = np.radians(110.0 if view == "inside" else _FIELD_DEG), client.camera
+            viewer, T = self._viewers[client.client_id], self._arrays["T_base_tcp"][max(0, self._shown)]
+        viewer.view, viewer.path.visible = view, view != "inside"  # it would cover the pins
+        if view == "inside":
+            _look_inside(client, T)
+            return
+        field, camera = np.radians(_FIELD_DEG), client.camera
         covered = covered_fraction(camera, IMAGE_PANEL_PX) if self._image is not None else 0.0
         if view == "overview":
             eye, target = fitted_camera(self._extent(), _TOWARDS, field, camera.aspect, covered)
-        elif view == "close":
-            eye, target = beside(T[:3, 3] + _CLOSE_M, T[:3, 3], field, camera.aspect, covered)
         else:
-            eye, target = T[:3, 3] - 0.022 * T[:3, 2], T[:3, 3]
+            eye, target = beside(T[:3, 3] + _CLOSE_M, T[:3, 3], field, camera.aspect, covered)
         with client.atomic():
             camera.position, camera.look_at, camera.fov = tuple(eye), tuple(target), float(field)
-            # The view from inside is oriented as the tactile image: x to the right, y down.
-            camera.up_direction = tuple(-T[:3, 1]) if view == "inside" else (0.0, 0.0, 1.0)
+            camera.up_direction = (0.0, 0.0, 1.0)
         with self._lock:
-            self._cameras[client.client_id].start(eye, target, T[:3, 3])
+            viewer.camera.start(eye, target, T[:3, 3])
 
     def _extent(self) -> np.ndarray:
         """Return points (n, 3) m that the overview shows: the object, and the arm at the step that is shown."""
@@ -326,9 +342,20 @@ class ReplayPage:
     def _follow(self) -> None:
         """Move the cameras of viewers who look at the tip with it."""
         if self._follows.value:
-            for number, camera in self._cameras.items():
-                if self._views.get(number) in ("close", "inside"):
-                    camera.follow(self._arrays["T_base_tcp"][self._shown, :3, 3])
+            T = self._arrays["T_base_tcp"][self._shown]
+            for viewer in self._viewers.values():
+                if viewer.view == "close":
+                    viewer.camera.follow(T[:3, 3])
+                elif viewer.view == "inside":
+                    _look_inside(viewer.client, T)
+
+
+def _look_inside(client: viser.ClientHandle, T_base_tcp: np.ndarray) -> None:
+    """Look at the pins from inside the tip at a pose (4, 4), oriented as the tactile image: x to the right, y down."""
+    camera, apex = client.camera, T_base_tcp[:3, 3]
+    with client.atomic():
+        camera.position, camera.look_at = tuple(apex - _INSIDE_M * T_base_tcp[:3, 2]), tuple(apex)
+        camera.up_direction, camera.fov = tuple(-T_base_tcp[:3, 1]), float(np.radians(_INSIDE_FIELD_DEG))
 
 
 def _chart(steps: np.ndarray, curve: Curve) -> tuple[tuple[np.ndarray, ...], list[uplot.Series], tuple[uplot.Band, ...]]:

@@ -12,7 +12,7 @@ from tactip_twin.learning.model import Model
 from tactip_twin.sim.labels import COMPONENTS
 from tactip_twin.sim.pose import from_mm_deg, inverse, sensor_in_contact
 from tactip_twin.sim.view.camera_fit import beside
-from tactip_twin.sim.view.curves import BAND
+from tactip_twin.sim.view.curves import BAND, COMPONENT_NAMES
 from tactip_twin.sim.view.geometry import ColoredMesh, sensor_meshes
 from tactip_twin.sim.view.palette import ESTIMATED_COLOR, SKIN_COLOR, Color
 from tactip_twin.sim.view.tactile_picture import tactile_picture
@@ -161,11 +161,11 @@ class CameraPage:
             self._curves[name] = self._server.gui.add_uplot(
                 (nothing,) * 4,
                 tuple(series),
-                title=f"{name.removesuffix('_N')}, {unit}",
+                title=f"{_shown_name(name)}, {unit}",
                 bands=(uplot.Band(series=(2, 3), fill="rgba(194, 65, 12, 0.18)"),),
                 scales={"x": uplot.Scale(time=False)},
                 axes=(uplot.Axis(space=40, size=30), uplot.Axis(space=13)),
-                legend=uplot.Legend(show=False),
+                legend=uplot.Legend(show=True, live=True),
                 height=_CURVE_PX,
                 padding=(8, 8, 0, 0),
             )
@@ -178,6 +178,11 @@ class CameraPage:
                 values = np.array([r.predicted.get(name, np.nan) for _, r in self._history])
                 spread = BAND * np.array([r.deviations.get(name, np.nan) for _, r in self._history])
                 chart.data = (times, values, values + spread, values - spread)
+
+
+def _shown_name(column: str) -> str:
+    """Return the name of a column of estimates on the page."""
+    return COMPONENT_NAMES.get(column.removeprefix("pose_"), column.removesuffix("_N").replace("_", " "))
 
 
 def _look(client: viser.ClientHandle) -> None:

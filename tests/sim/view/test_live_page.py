@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from helpers.viewers import Viewer
 from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.contact.simulator import Diverged
 from tactip_twin.sim.contact.solid_stimulus import SolidStimulus
@@ -21,8 +22,16 @@ def page():
     design = design_named("nominal-127")
     read = lambda image: {"z": -9.0, "Rx": float(image.mean())}  # noqa: E731
     page = LivePage(design, "edge", fidelity_named("draft"), renderer_named("raster", design), read, port=8441)
+    page._welcome(Viewer(page._server, 1))
+    page._welcome(Viewer(page._server, 2))
     yield page
     page.close()
+
+
+def _drag(page, label):
+    """Drag the first viewer's handle to a label (6,), mm and degrees."""
+    set_pose(page._handles[1], _T_WORLD_SENSOR @ inverse(sensor_in_contact(from_mm_deg(label))))
+    page._on_drag(page._handles[1])
 
 
 def _until_rest(page):
@@ -44,25 +53,35 @@ def test_sliders_move_the_stimulus_and_deform_the_tip(page):
     assert np.allclose(page._tip.pins.points[:, 1], state.pin_tips, atol=1e-7)
     wanted = _T_WORLD_SENSOR @ inverse(sensor_in_contact(page._contact.label))
     assert np.allclose(page._stimulus.position, wanted[:3, 3])
-    assert np.allclose(page._handle.position, wanted[:3, 3])
+    assert all(np.allclose(handle.position, wanted[:3, 3]) for handle in page._handles.values())
     assert f"force {np.linalg.norm(state.force):.2f} N" in page._status.content
     assert "| depth, mm | -3.00 | -9.00 |" in page._status.content
     assert "at rest" in page._status.content
 
 
 def test_dragging_moves_the_sliders_and_the_stimulus(page):
-    set_pose(page._handle, _T_WORLD_SENSOR @ inverse(sensor_in_contact(from_mm_deg([-1, 2, -2, 0, 5, -10]))))
-    page._on_drag()
+    _drag(page, [-1, 2, -2, 0, 5, -10])
     assert np.allclose([s.value for s in page._sliders], [-1, 2, -2, 0, 5, -10], atol=1e-9)
     _until_rest(page)
     assert np.allclose(to_mm_deg(page._contact.label), [-1, 2, -2, 0, 5, -10])
+    assert np.allclose(page._handles[2].position, page._handles[1].position)
 
 
 def test_dragged_too_far_it_goes_to_the_end_of_the_sliders(page):
-    set_pose(page._handle, _T_WORLD_SENSOR @ inverse(sensor_in_contact(from_mm_deg([-90, 2, 40, 0, 5, -10]))))
-    page._on_drag()
+    _drag(page, [-90, 2, 40, 0, 5, -10])
     low, high = ranges_of("edge")
     assert np.allclose([s.value for s in page._sliders[:3]], [low[0], 2, high[2]])
+
+
+def test_each_viewer_has_a_view_and_a_handle(page):
+    one = Viewer(page._server, 3)
+    page._welcome(one)
+    page._set_view("inside", one)
+    assert not page._handles[3].visible
+    assert page._handles[1].visible
+    assert one.camera.up_direction == pytest.approx(-_T_WORLD_SENSOR[:3, 1])
+    page._forget(one)
+    assert list(page._handles) == [1, 2]
 
 
 def test_lifting_forgets_the_shear(page):

@@ -12,6 +12,7 @@ import websockets
 from websockets.datastructures import Headers
 
 from helpers.recordings import RECORD, STEPS, arrays_of, scenery
+from helpers.viewers import Viewer
 from tactip_twin.sim.view import viser_utils
 from tactip_twin.sim.view.follow_camera import FollowCamera
 from tactip_twin.sim.view.geometry import path_lines
@@ -48,6 +49,28 @@ def test_step_is_shown_as_recorded(page):
     assert "ended: the loop is closed" in page._status.content
 
 
+def test_view_from_inside_turns_with_the_tip_and_is_one_viewers_own(page):
+    inside, beside = Viewer(page._server, 1), Viewer(page._server, 2)
+    page._welcome(inside)
+    page._welcome(beside)
+    page._set_view("inside", inside)
+    page._set_view("close", beside)
+    for step in (2, 6):
+        page.playback.go(step)
+        page.show()
+        T = arrays_of()["T_base_tcp"][step]
+        eye = np.linalg.inv(T) @ [*inside.camera.position, 1]
+        assert eye[:3] == pytest.approx([0, 0, -0.022])
+        assert inside.camera.look_at == pytest.approx(T[:3, 3])
+        assert inside.camera.up_direction == pytest.approx(-T[:3, 1])
+        assert beside.camera.look_at != inside.camera.look_at
+        assert [viewer.path.visible for viewer in page._viewers.values()] == [False, True]
+        assert np.array_equal(page._viewers[2].path.points, page._lines[: max(1, page._line_counts[step])])
+    page._forget(inside)
+    page._forget(beside)
+    assert not page._viewers
+
+
 class Camera:
     """A camera that reports its place only when `report` is called, as a browser does after a delay."""
 
@@ -78,18 +101,21 @@ def test_camera_follows_in_spite_of_late_reports():
     assert np.allclose(camera.position, turned + 8 * x) and np.allclose(camera.look_at, 8 * x)
 
 
-def test_close_view_follows_the_tip(page):
+def test_close_view_follows_the_tip_and_the_overview_stays(page):
+    close, overview = Viewer(page._server, 7), Viewer(page._server, 8)
     page.playback.go(2)
     page.show()
-    camera = Camera()
-    page._cameras[7], tip = FollowCamera(camera), page._arrays["T_base_tcp"][2, :3, 3]
-    page._cameras[7].start(tip + 0.1, tip, tip)
-    for view, step in (("close", 6), ("overview", 6)):
-        page._views[7] = view
-        page.playback.forward(4)
-        page.show()
-        assert np.allclose(camera.look_at, page._arrays["T_base_tcp"][step, :3, 3])
-    del page._views[7], page._cameras[7]
+    for viewer, view in ((close, "close"), (overview, "overview")):
+        page._welcome(viewer)
+        page._set_view(view, viewer)
+    places = page._arrays["T_base_tcp"][:, :3, 3]
+    beside, before = close.camera.look_at - places[2], overview.camera.look_at
+    page.playback.forward(4)
+    page.show()
+    assert np.allclose(close.camera.look_at - places[6], beside)
+    assert overview.camera.look_at == before
+    page._forget(close)
+    page._forget(overview)
 
 
 def test_see_through_skin_shows_its_pins(page):
