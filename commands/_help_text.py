@@ -21,6 +21,10 @@ _ALIASES = {("SearchSpace", "max_filters"): "--max-filters"}
 """Second names of options, by class and field."""
 
 
+_TAGS = {"[P]": "(paper)", "[M]": "(measured)", "[R]": "(published)", "[?]": "(estimate)"}
+"""Tags of sources in docstrings (docs/style.md), and what help texts say instead."""
+
+
 def registry(shown: Collection[tuple[type, str]] | None = None) -> ConstructorRegistry:
     """Return the rules for tyro.cli.
 
@@ -92,7 +96,7 @@ def _metavar(hint: Any) -> str:
 
 @cache
 def _field_help(configuration: type) -> dict[str, str]:
-    """Return the docstrings below the fields of a dataclass and its bases, each paragraph as one line."""
+    """Return the docstrings below the fields of a dataclass and its bases, a line each paragraph."""
     texts: dict[str, str] = {}
     for owner in reversed(configuration.__mro__):
         if not dataclasses.is_dataclass(owner):
@@ -103,5 +107,8 @@ def _field_help(configuration: type) -> dict[str, str]:
                 continue
             if isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant) and isinstance(after.value.value, str):
                 paragraphs = inspect.cleandoc(after.value.value).split("\n\n")
-                texts[statement.target.id] = "\n\n".join(" ".join(paragraph.split()) for paragraph in paragraphs)
+                text = "\n\n".join(" ".join(paragraph.split()) for paragraph in paragraphs)
+                for tag, words in _TAGS.items():
+                    text = text.replace(tag, words)
+                texts[statement.target.id] = text
     return texts

@@ -17,7 +17,7 @@ GainsName = Literal["paper", "tactile-servo-control"]
 RouteKind = Literal["serpentine", "straight", "geodesic"]
 """Kinds of routes over a surface."""
 
-UnitName = Literal["mm", "cm", "m"]
+UnitName = Literal["mm", "cm", "m", "in"]
 """Units of mesh files."""
 
 

@@ -113,10 +113,13 @@ def run_servo(
 
 def _description(options: ServoOptions, setup: ServoSetup) -> dict[str, Any]:
     """Return the settings of a run for its recording, as JSON values."""
+    chosen = dataclasses.asdict(options)
+    for name in ("out", "json"):  # they do not change what is recorded
+        chosen.pop(name, None)
     return {
         "task": options.task,
         "object": setup.scene_object.name,
-        "options": json.loads(json.dumps(dataclasses.asdict(options), default=str)),
+        "options": json.loads(json.dumps(chosen, default=str)),
         "design": json.loads(json.dumps(dataclasses.asdict(setup.design))),
         "estimator": type(setup.estimator).__name__,
         "controller": type(setup.controller).__name__,

@@ -22,7 +22,6 @@ from tactip_twin.sim.robot.arm_models import ArmModel, arm_model_named
 from tactip_twin.sim.robot.fast_mounted_tip import FastMountedTip
 from tactip_twin.sim.robot.mounted_tip import MountedTip, TipOnArm, clear_pose
 from tactip_twin.sim.robot.objects import SceneObject, load_object
-from tactip_twin.tactip_model.bounds import require
 from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.errors import TactipError, lookup
 from tactip_twin.tactip_model.presets import load_design
@@ -277,8 +276,14 @@ def _above(scene_object: SceneObject, corner: np.ndarray) -> np.ndarray:
     """Return the point (3,) of the object, in its own frame, below a corner (3,) of the line."""
     T = scene_object.T_base_object
     hit = scene_object.solid.first_hit((inverse(T) @ [*corner[:2], 2.0, 1])[:3], inverse(T)[:3, :3] @ -UP)
-    place = f"{1e3 * corner[0]:.1f}, {1e3 * corner[1]:.1f} mm"
-    require(bool(np.isfinite(hit)), "the start of the route", place, "above the object")
+    if not np.isfinite(hit):
+        ends = scene_object.solid.vertices @ T[:2, :3].T + T[:2, 3]
+        low, high = (1e3 * f(ends, axis=0) for f in (np.min, np.max))
+        raise TactipError(
+            f"the route must begin above the object, got {1e3 * corner[0]:.0f}, {1e3 * corner[1]:.0f} mm: the object lies "
+            f"within x {low[0]:.0f} to {high[0]:.0f}, y {low[1]:.0f} to {high[1]:.0f} mm; choose a smaller "
+            "--route.length-mm and --route.width-mm, or another --route.middle-mm"
+        )
     return (inverse(T) @ [*corner[:2], 2.0 - hit, 1])[:3]
 
 

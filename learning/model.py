@@ -120,6 +120,8 @@ class Model:
             raise TactipError(
                 f"images must be uint8 of shape (n, {self.size}, {self.size}), got {images.dtype} of shape {images.shape}"
             )
+        if images.size and images.max() == 1:
+            raise TactipError("images must have values from 0 to 255, and binary ones 0 and 255, got 0 and 1")
         device, layout = next(self.net.parameters()).device, Layout(self.config, len(self.labels.components))
         self.net.eval()
         out = [torch.zeros((0, layout.size))]

@@ -159,7 +159,7 @@ def _libraries() -> "tuple[ModuleType, Any]":
         import onnx
         import onnxruntime
     except ImportError as error:
-        raise TactipError(f"ONNX files need onnx and onnxruntime ({error}): pip install 'tactip-twin[onnx]'") from error
+        raise TactipError(f"ONNX files need more ({error}): in the clone, .venv/bin/pip install -e '.[onnx]'") from error
     return onnx, onnxruntime
 
 

@@ -57,9 +57,10 @@ class SurfaceGroundTruth:
         """Return the point (3,) of the surface below the apex, its normal (3,), and the apex's height above it, m."""
         apex, axis = T_object_sensor[:3, 3], T_object_sensor[:3, 2]
         at, normal = self._solid.nearest(apex[None]), self._solid.smooth_normal(apex[None])[0]
-        if normal @ axis <= 0 or at.distance[0] >= 0:
+        if normal @ axis <= (0 if at.distance[0] < 0 else _MIN_FACING):
             return at.place[0], normal, float(at.distance[0])
-        # The nearest point is on the far side of a wall. Seen from outside, on the normal that runs through the apex, the
+        # The nearest point is on the far side of a wall, out of which the apex of a deep press comes again if the wall is
+        # thin. Seen from outside, on the normal that runs through the apex, the
         # near side is nearest; that normal is a fixed point.
         normal = -axis
         for _ in range(_FOOT_ROUNDS):
@@ -67,6 +68,10 @@ class SurfaceGroundTruth:
             at, normal = self._solid.nearest(outside), self._solid.smooth_normal(outside)[0]
         return at.place[0], normal, float((apex - at.place[0]) @ normal)
 
+
+_MIN_FACING = 0.5
+"""Cosine between the sensor's axis and the normal at the nearest point from which a surface behind an apex outside is that
+of a wall that was pressed through: the tip is there [?]."""
 
 _OUTSIDE_M = 10e-3
 """Distance from the apex at which a point is outside of a wall that the tip presses, m: more than any depth [?]."""

@@ -22,6 +22,7 @@ from tactip_twin.sim.contact.stimuli import STIMULI, Stimulus, stimulus_named
 from tactip_twin.sim.labels import FidelityName
 from tactip_twin.sim.pose import from_mm_deg, sensor_in_contact
 from tactip_twin.sim.robot.objects import SceneObject, load_object
+from tactip_twin.tactip_model.bounds import require
 from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.pins import neutral_pins
@@ -157,6 +158,7 @@ class TacTip:
             raise TactipError(
                 f"shear_mm must be 2 or 3 numbers and shear_deg 3 numbers, got {tuple(shear_mm)} and {tuple(shear_deg)}"
             )
+        require(depth_mm >= 0, "depth_mm", depth_mm, "at least 0: it is positive into the object")
         pose = from_mm_deg([x_mm, y_mm, -depth_mm, roll_deg, pitch_deg, yaw_deg])
         shear = from_mm_deg([*shear_mm, *[0.0] * (3 - len(shear_mm)), *shear_deg])
         simulator = self._simulator_for(stimulus, at_mm)

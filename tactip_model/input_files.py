@@ -8,6 +8,7 @@ import hashlib
 import io
 import json
 import math
+import re
 import stat
 import tokenize
 import zipfile
@@ -127,7 +128,10 @@ def _items(value: "dict[str, Any] | list[Any]") -> Any:
 
 
 def parse_table(data: bytes, name: str) -> tuple[list[str], list[dict[str, Any]]]:
-    """Return columns and rows of a table of comma-separated values in UTF-8, of at most 4 million cells.
+    """Return columns and rows of a table in UTF-8, of at most 4 million cells.
+
+    Values are separated by commas or, if there is none in the first line, by semicolons or tabs; decimal commas then become
+    points.
 
     Args:
         data: Content of the file.
@@ -141,18 +145,31 @@ def parse_table(data: bytes, name: str) -> tuple[list[str], list[dict[str, Any]]
         raise TactipError(f"{name} must have at most {_MAX_TABLE_BYTES / 2**20:.0f} MiB, got {len(data) / 2**20:.0f} MiB")
     rows, cells = [], 0
     try:
-        reader = csv.DictReader(io.StringIO(data.decode("utf-8-sig"), newline=""))
+        text = data.decode("utf-8-sig")
+        head = text.partition("\n")[0]
+        separator = "," if "," in head else max(";\t", key=head.count)
+        separator = separator if separator in head else ","
+        reader = csv.DictReader(io.StringIO(text, newline=""), delimiter=separator)
         columns = list(reader.fieldnames or [])
         if len(columns) > _MAX_COLUMNS:
             raise TactipError(f"{name} must have at most {_MAX_COLUMNS} columns, got {len(columns)}")
         for row in reader:
-            rows.append(row)
+            rows.append(row if separator == "," else {name: _with_point(cell) for name, cell in row.items()})
             cells += len(columns) + len(row.get(None, ()))
             if cells > _MAX_CELLS:
                 raise TactipError(f"{name} must have at most {_MAX_CELLS} cells")
     except (UnicodeDecodeError, csv.Error) as error:
         raise TactipError(f"{name} cannot be read: {error}") from error
     return columns, rows
+
+
+def _with_point(cell: Any) -> Any:
+    """Return the cell of a table with a point in place of a decimal comma, if it is a number with one."""
+    return cell.replace(",", ".") if isinstance(cell, str) and _DECIMAL_COMMA.fullmatch(cell.strip()) else cell
+
+
+_DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?")
+"""A number with a decimal comma."""
 
 
 _NPZ_ERRORS = (

@@ -11,6 +11,7 @@ import tactip_twin as tt
 from tactip_twin.sim.contact.record import QualityLimits
 from tactip_twin.sim.contact.simulator import ContactSimulator
 from tactip_twin.sim.pose import from_mm_deg
+from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.renderer import renderer_named
 from tactip_twin.tactip_model.tactile_image import tactile_image
 
@@ -55,6 +56,16 @@ def test_untouched_tip_is_where_the_design_has_it(tip):
     assert tip.neutral_image.shape == (128, 128) and set(np.unique(tip.neutral_image)) == {0, 255}
     moved = tip.press(depth_mm=2).pins_mm - tip.neutral_pins_mm
     assert moved.shape == (127, 3) and np.linalg.norm(moved, axis=1).max() > 0.5
+
+
+def test_depth_is_positive_into_the_object(tip):
+    with pytest.raises(TactipError, match="depth_mm must be at least 0: it is positive into the object, got -3"):
+        tip.press("surface", depth_mm=-3)
+
+
+def test_images_of_zeros_and_ones_are_refused():
+    with pytest.raises(TactipError, match="binary ones 0 and 255, got 0 and 1"):
+        tt.load_network("surface-tactip-127").predict(np.eye(128, dtype=np.uint8))
 
 
 def test_press_on_a_mesh_is_that_on_its_shape(tip):

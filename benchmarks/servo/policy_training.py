@@ -105,7 +105,7 @@ def train(
         from stable_baselines3 import SAC  # pyright: ignore[reportMissingImports]
     except ModuleNotFoundError as error:
         raise TactipError(
-            "training needs stable-baselines3: install it with `pip install 'tactip-twin[rl-training]'`"
+            "training needs stable-baselines3: install it in the clone with `.venv/bin/pip install -e '.[rl-training]'`"
         ) from error
     environment = _Vector(gymnasium.make(name, **options))
     layers = {"net_arch": [settings.width, settings.width]}

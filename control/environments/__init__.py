@@ -11,7 +11,7 @@ from tactip_twin.tactip_model.errors import TactipError
 try:
     import gymnasium
 except ModuleNotFoundError as error:
-    raise TactipError("the environments need gymnasium: install it with `pip install 'tactip-twin[rl]'`") from error
+    raise TactipError("the environments need gymnasium: in the clone, .venv/bin/pip install -e '.[rl]'") from error
 
 NAMES = ("EdgeFollow", "SurfaceFollow", "ObjectRoll")
 """Names of the environments, which are registered as tactip_twin/NAME-v0."""

@@ -66,7 +66,9 @@ def pyarrow_modules() -> tuple[Any, Any]:
         import pyarrow
         import pyarrow.parquet
     except ImportError as error:
-        raise TactipError(f"LeRobot data sets need pyarrow ({error}): pip install 'tactip-twin[lerobot]'") from error
+        raise TactipError(
+            f"LeRobot sets need pyarrow ({error}): in the clone, .venv/bin/pip install -e '.[lerobot]'"
+        ) from error
     return pyarrow, pyarrow.parquet
 
 

@@ -27,7 +27,7 @@ def ray_here() -> ModuleType:
     try:
         import ray  # pyright: ignore[reportMissingImports]
     except ImportError as error:
-        raise TactipError(f"a cluster needs Ray ({error}): pip install 'tactip-twin[cluster]'") from error
+        raise TactipError(f"a cluster needs Ray ({error}): in the clone, .venv/bin/pip install -e '.[cluster]'") from error
     return ray
 
 

@@ -21,7 +21,7 @@ from tactip_twin.tactip_model.input_files import read_file
 FORMATS = ("stl", "obj", "ply", "glb")
 """File formats that can be read, by ending."""
 
-UNITS_M = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
+UNITS_M = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 25.4e-3}
 """Units of a file's coordinates, m."""
 
 MIN_SIZE_M, MAX_SIZE_M = 5e-3, 2.0
@@ -83,6 +83,11 @@ _MIDDLES_M = {"bust": (80e-3, 0.0, 55e-3)}
 """Middle of a route, if not the middle of the object, in the object's frame, m: the bust's face."""
 
 
+_MAX_EDGE_DISTANCE_M, _PROBE_M = 1e-3, 0.5e-3
+"""Largest median distance of an edge from its mesh, which may be rounded there, and distance from the edge at which the
+object is looked for beside it, m [?]."""
+
+
 def object_names() -> list[str]:
     """Return the names of the project's own objects."""
     return sorted(path.stem for path in MESHES.glob("*.ply"))
@@ -138,6 +143,8 @@ def load_object(
     if own and name in _MIDDLES_M:
         middle = scale * np.array(_MIDDLES_M[name])
     solid = SignedDistanceMesh(mesh.vertices, mesh.faces)
+    if edge is not None:
+        _check_edge(edge, solid, path.with_suffix(".edge.csv"))
     return SceneObject(path.stem, solid, T, edge, (T @ [*middle, 1])[:3], tuple(notes))
 
 
@@ -156,7 +163,7 @@ def validate_mesh(mesh: trimesh.Trimesh, name: str) -> tuple[trimesh.Trimesh, li
     """
     notes: list[str] = []
     if not len(mesh.faces):
-        raise TactipError(f"{name} has no triangles")
+        raise TactipError(f"{name} has no triangles: the file is empty or truncated")
     if not np.isfinite(mesh.vertices).all():
         raise TactipError(f"{name} has vertices that are not finite")
     if len(mesh.faces) > MAX_TRIANGLES:
@@ -286,3 +293,24 @@ def _read_edge(path: Path, scale: float) -> Edge | None:
     points = scale * rows[:, :3] / 1e3
     closed = bool(np.allclose(points[0], points[-1], atol=1e-6))
     return Edge(points, rows[:, 3:], closed)
+
+
+def _check_edge(edge: Edge, solid: SignedDistanceMesh, path: Path) -> None:
+    """Raise TactipError if an edge is not on its object, or runs round it the other way.
+
+    Half of its points may be elsewhere: an edge may bridge gaps.
+    """
+    away_m = float(np.median(np.abs(solid.distance(edge.points))))
+    if away_m > _MAX_EDGE_DISTANCE_M:
+        raise TactipError(
+            f"the edge in {path} must be on the mesh beside it, got {1e3 * away_m:.1f} mm from it in the median: its points "
+            "must be in mm, in the mesh's axes"
+        )
+    tangents = np.gradient(edge.points, axis=0)
+    off = np.cross(tangents, edge.normals)
+    off *= _PROBE_M / np.maximum(np.linalg.norm(off, axis=1, keepdims=True), 1e-12)
+    below = edge.points - _PROBE_M * edge.normals
+    if np.mean(solid.distance(below + off) > solid.distance(below - off)) < 0.5:
+        raise TactipError(
+            f"the edge in {path} must run anticlockwise as seen from above, with the object on its left: reverse its rows"
+        )

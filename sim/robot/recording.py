@@ -132,14 +132,15 @@ class Recorder:
         """Start a recording.
 
         Args:
-            folder: Folder to write into. An unfinished recording in it is replaced.
+            folder: Folder to write into. An unfinished recording of the same run in it is replaced.
             description: Settings of the run, as JSON values.
             scenery: The scene.
             beside: Names of files that the caller makes of a recording before it completes it: those of an unfinished
                 recording are removed.
 
         Raises:
-            TactipError: If the folder holds anything but an unfinished recording, or another command records into it.
+            TactipError: If the folder holds anything but an unfinished recording of the same run, or another command records
+                into it.
         """
         self.folder = Path(folder)
         if self.folder.exists() and not _unfinished(self.folder, beside):
@@ -148,6 +149,7 @@ class Recorder:
         with contextlib.ExitStack() as stack:
             stack.enter_context(locked(self.folder / _LOCK, f"recording into {folder}"))
             remove_leftovers(self.folder)
+            _check_same_run(self.folder, description)
             for name in beside:
                 (self.folder / name).unlink(missing_ok=True)
             self._description = description
@@ -423,6 +425,18 @@ def _unfinished(folder: Path, beside: tuple[str, ...]) -> bool:
         return False
     # The log is removed last.
     return RECORDING not in names or LOG in names or not _read_record(folder)["complete"]
+
+
+def _check_same_run(folder: Path, description: Mapping[str, Any]) -> None:
+    """Raise TactipError if a folder holds steps of an unfinished run with another description, whatever its versions."""
+    if not (folder / RECORDING).exists() or not (folder / LOG).exists() or not (folder / LOG).stat().st_size:
+        return
+    before, now = _read_record(folder), json.loads(json.dumps(description))
+    if any(before.get(name) != value for name, value in now.items() if name != "versions"):
+        raise TactipError(
+            f"the folder {folder} holds the steps of another run, which was interrupted: choose another folder, or remove "
+            "this one"
+        )
 
 
 def _stacked(rows: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:

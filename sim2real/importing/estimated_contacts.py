@@ -13,9 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tactip_twin.learning.materials_from_pins import most_likely_materials
 from tactip_twin.learning.pose_from_pins import MostLikely, PinModel, most_likely
 from tactip_twin.sim.dataset.sampling import Ranges
-from tactip_twin.sim.fast_tip.fast_tip import PinDecoder, read_fast_tip, shipped_fast_tip
+from tactip_twin.sim.fast_tip.fast_tip import PinDecoder, any_materials, read_fast_tip
 from tactip_twin.sim.fast_tip.materials import material_inputs
 from tactip_twin.sim.labels import Task
 from tactip_twin.sim2real.importing.source import PIN_DETECTION_FRAMES, Recording
@@ -57,6 +58,13 @@ _OUTLIER_PX = 2.0
 _TRIED_AT_REST = 20
 """Number of frames, those whose pins are closest together, that are tried in place of a missing neutral image [?]."""
 
+_MATERIAL_FRAMES, _MATERIAL_ROUNDS = 40, 2
+"""Number of frames that the materials are estimated from, and number of rounds: with better materials, some frames have
+another most likely contact [M]."""
+
+_BAD_FIT = 2.0
+"""Residual of a frame, in medians over all, beyond which it does not count for the materials [?]."""
+
 _RANDOM_CONTACTS, _SECTORS = 4000, 6
 """Number of random contacts of which the nearest is the start of an estimate, and number of ranges of yaw, each with its own
 starts, on an edge."""
@@ -82,6 +90,8 @@ class EstimatedContacts:
     """(n, p, 2) detected pins, px of 256; NaN where one is not detected."""
     simulated_px: np.ndarray
     """(n, p, 2) pins of the estimated contacts, px of 256."""
+    materials: np.ndarray
+    """(5,) inputs of the learned tip (sim/fast_tip/materials.py) with which contacts explain the pins best."""
     touching_at_rest: bool = False
     """Whether the pins at rest are from frames that touch, because there is no neutral image: depths then have no zero."""
     optima: "tuple[EstimatedContacts, ...]" = ()
@@ -121,10 +131,11 @@ def estimate_contacts(
     if neutral is not None:
         design = _with_camera_of(design, reader.with_rim(neutral), frames.with_rim[:PIN_DETECTION_FRAMES])
     rows, pins = _detected(frames.cropped, fit.pins_px)
-    tip = read_fast_tip(shipped_fast_tip(task, layout))
-    materials = None if tip.materials is None else np.clip(material_inputs(design.materials), *tip.materials.T)
-    model = PinModel(tip, PinDecoder(design, tip.modes), _POSES[task], _SHEARS, Lens(design), materials)
+    tip = read_fast_tip(any_materials(task))
+    model = PinModel(tip, PinDecoder(design, tip.modes), _POSES[task], _SHEARS, Lens(design))
+    model = model.with_materials(np.clip(material_inputs(design.materials), *model.material_ranges.T))
     noise = _PIXEL_NOISE * np.sqrt(2 * pins.shape[1] / _INDEPENDENT)
+    model = _with_likely_materials(model, pins, noise, task, rng)
     optima = []
     for found in _optima(model, pins, noise, task, rng):
         values = np.concatenate([found.poses, found.shears], 1)[:, model.free]
@@ -137,6 +148,7 @@ def estimate_contacts(
             at_rest_px=fit.pins_px,
             detected_px=pins,
             simulated_px=model.positions(values).reshape(pins.shape),
+            materials=np.array(model.materials),
             touching_at_rest=neutral is None,
         )
         optima.append(one)
@@ -206,6 +218,21 @@ def _detected(images: dict[int, np.ndarray], at_rest_px: np.ndarray) -> tuple[np
             f"{len(good)} frames, and at least {_MIN_FRAMES} are needed"
         )
     return np.array(list(images))[good], pins[good]
+
+
+def _with_likely_materials(
+    model: PinModel, pins: np.ndarray, noise: float, task: Task, rng: np.random.Generator
+) -> PinModel:
+    """Return a model with the materials that explain pins (n, p, 2), px, of some frames best, whatever their contacts."""
+    some = pins[rng.choice(len(pins), min(_MATERIAL_FRAMES, len(pins)), replace=False)]
+    for _ in range(_MATERIAL_ROUNDS):
+        optima = _optima(model, some, noise, task, rng)
+        best, frames = np.argmin([one.residuals for one in optima], 0), np.arange(len(some))
+        start = np.stack([np.concatenate([one.poses, one.shears], 1) for one in optima])[best, frames]
+        residuals = np.min([one.residuals for one in optima], 0)
+        good = residuals <= _BAD_FIT * np.median(residuals)
+        model = model.with_materials(most_likely_materials(model, some[good], start[good], noise, outlier=_OUTLIER_PX))
+    return model
 
 
 def _optima(model: PinModel, pins: np.ndarray, noise: float, task: Task, rng: np.random.Generator) -> list[MostLikely]:

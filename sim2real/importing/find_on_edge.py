@@ -90,10 +90,8 @@ def on_edge(
     deviations = contacts.pose_deviations[:, 5]
     clear = deviations <= max(_CLEAR_YAW_DEG, float(np.sort(deviations)[min(len(deviations), 30) - 1]))
     estimated = Rotation.from_rotvec(contacts.poses[clear, 3:], degrees=True)
-    sheared = centred(contacts.shears[:, 0] + 1j * contacts.shears[:, 1])
-    found, angles, offset_deg, evidence, left = _edge_rotations(
-        columns, free, estimated, clear, sheared, known, given_angles
-    )
+    others = [centred(contacts.shears[:, 0] + 1j * contacts.shears[:, 1]), centred(contacts.poses[:, 0])]
+    found, angles, offset_deg, evidence, left = _edge_rotations(columns, free, estimated, clear, others, known, given_angles)
     quarter_turns = round(offset_deg / 90)
     wanted = {"pose_x": contacts.poses[:, 0]}
     wanted |= {"shear_x": contacts.shears[:, 0], "shear_y": contacts.shears[:, 1], "shear_Rz": contacts.shears[:, 5]}
@@ -123,7 +121,7 @@ def _edge_rotations(
     free: list[str],
     estimated: Rotation,
     clear: np.ndarray,
-    sheared: np.ndarray,
+    others: list[np.ndarray],
     known: Known,
     given_angles: AnglesChoice,
 ) -> tuple[dict[str, str], Angles, float, list[str], list[str]]:
@@ -135,7 +133,7 @@ def _edge_rotations(
         free: Those that may be taken.
         estimated: Estimated rotations of the frames that show the yaw.
         clear: (n,) bool, which frames these are.
-        sheared: (n,) complex, estimated shears, without their mean.
+        others: Estimates of other things, (n,), without their mean: shear (complex) and offset.
         known: Columns that are given.
         given_angles: Convention of the angles that is given, or auto.
     """
@@ -154,7 +152,7 @@ def _edge_rotations(
     sign, factor = best[1:]
     agreement = scores[name, sign, factor]
     left = [one for one in free if one not in same]
-    tilts, left = _tilts_on_edge(columns, left, estimated, clear, sheared)
+    tilts, left = _tilts_on_edge(columns, left, estimated, clear, others)
     turn, scored = factor * values[name] * sign, []
     for reading in assignments(tilts, ("Rx", "Ry"), known):
         about = {"x": np.zeros(len(turn)), "y": np.zeros(len(turn)), "z": turn}
@@ -191,21 +189,23 @@ def _edge_rotations(
 
 
 def _tilts_on_edge(
-    columns: Columns, free: list[str], estimated: Rotation, clear: np.ndarray, sheared: np.ndarray
+    columns: Columns, free: list[str], estimated: Rotation, clear: np.ndarray, others: list[np.ndarray]
 ) -> tuple[list[str], list[str]]:
     """Return the columns that explain the tilts, and those that are left. A tilt before the yaw turns with the sensor, one
-    after it does not: both are tried. A column that explains the shear better is none, because shear shows as tilt too."""
+    after it does not: both are tried. A column that explains shear or offset better is none, because these show as tilt
+    too."""
     shown = Columns(columns.names, columns.values[clear])
     normals = [turn.apply([0.0, 0.0, 1.0]) for turn in (estimated, estimated.inv())]
     tilted = [180 / np.pi * centred(normal[:, 0] + 1j * normal[:, 1]) for normal in normals]  # degrees, small angles
-    shears = [
+    taken = [
         one
         for one in free
-        if abs(correlation(columns.of(one), sheared)) > max(abs(correlation(shown.of(one), t)) for t in tilted)
+        if max(abs(correlation(columns.of(one), other)) for other in others)
+        > max(abs(correlation(shown.of(one), tilt)) for tilt in tilted)
     ]
-    options = [explaining(shown, [one for one in free if one not in shears], tilt, ("Rx", "Ry")) for tilt in tilted]
+    options = [explaining(shown, [one for one in free if one not in taken], tilt, ("Rx", "Ry")) for tilt in tilted]
     tilts, left = max(options, key=lambda option: len(option[0]))
-    return tilts, [*left, *shears]
+    return tilts, [*left, *taken]
 
 
 def _rotation_fit(

@@ -32,7 +32,29 @@ def report_of(source: Source, kept: np.ndarray, pins: Mapping[int, int], left_ou
         "left_out": left_out,
         "pins": {"least": int(counts.min()), "median": float(np.median(counts)), "most": int(counts.max())},
         "ranges": spans,
+        "repeated": len(kept) - len({source.names[i] for i in kept}),
     }
+
+
+def _unlikely_units(ranges: Mapping[str, list[float]]) -> list[str]:
+    """Return sentences about labels that seem to be in other units than mm and degrees."""
+    depth = max(map(abs, ranges["pose_z"]))
+    turn = max(abs(end) for name, ends in ranges.items() if name.startswith("pose_R") for end in ends)
+    lines = []
+    if 0 < depth < _MIN_DEPTH_MM:
+        lines.append(
+            f"pose_z is at most {depth:g} mm from zero: if the table is in metres, scale it (--columns pose_z=1000*COLUMN)"
+        )
+    if 0 < turn < _MIN_TURN_DEG:
+        lines.append(
+            f"rotations are at most {turn:g}°: if the table is in radians, scale them (--columns pose_Rx=57.29578*COLUMN)"
+        )
+    return lines
+
+
+_MIN_DEPTH_MM, _MIN_TURN_DEG = 0.05, 0.8
+"""Largest depth and rotation of a set below which its units are doubted: a TacTip resolves hardly less, and 0.8 radians are
+45 degrees [?]."""
 
 
 def report_lines(report: Mapping[str, Any]) -> list[str]:
@@ -47,6 +69,9 @@ def report_lines(report: Mapping[str, Any]) -> list[str]:
             lines.append(f"{name}: {low:g} to {high:g} {'°' if '_R' in name else 'mm'}")
     if report["ranges"]["pose_z"][0] + report["ranges"]["pose_z"][1] > 0:
         lines.append("pose_z is mostly positive, but must be negative into the object: check its sign (--columns pose_z=-…)")
+    lines += [*_unlikely_units(report["ranges"])]
+    if report["repeated"]:
+        lines.append(f"{report['repeated']} rows name the frame of another row: training and test may share frames")
     if not report["neutral_image"]:
         low, high = report["stand_in"]["pose_z"]
         many = report["stand_in"]["frames"]

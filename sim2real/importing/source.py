@@ -106,7 +106,7 @@ def read_recording(
         raise TactipError(f"the table {path} has no rows")
     allowed = f"at most {MAX_FRAMES} (divide a larger set)"
     require(len(rows) <= MAX_FRAMES, f"the number of rows of {path}", len(rows), allowed)
-    table = {name: [row[name] for row in rows] for name in rows[0] if name}
+    table = {name.strip(): [(row[name] or "").strip() for row in rows] for name in rows[0] if name and name.strip()}
     names = tuple(name or "" for name in table[image_column(column_map, list(table))])
     if neutral is not None and not Path(neutral).is_file():
         raise TactipError(f"the neutral image {neutral} does not exist")
@@ -147,7 +147,9 @@ def _table_in(folder: Path) -> Path:
 def _frame_path(folder: Path, name: str) -> Path | None:
     """Return the file of a frame named in the table; None if there is none inside the set's folder."""
     name = name.replace("\\", "/")
-    if not name or Path(name).is_absolute() or ".." in Path(name).parts:
+    if Path(name).is_absolute():  # where the set was recorded: the part of it in this folder, or its last part
+        name = name.removeprefix(f"{folder.resolve()}/") if folder.resolve() in Path(name).parents else Path(name).name
+    if not name or ".." in Path(name).parts:
         return None
     for place in FOLDERS:
         for tail in dict.fromkeys((name, Path(name).name)):

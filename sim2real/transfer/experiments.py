@@ -161,7 +161,7 @@ class Experiment:
         """
         self.real, self.out, self.settings = Path(real), Path(out), settings
         self._device: DeviceName = device
-        self._workers, self._log = worker_count(workers), log
+        self._workers, self.log = worker_count(workers), log
         remove_leftovers(self.out)
         self.samples = read_samples(self.real)
         if self.samples.grey:
@@ -232,7 +232,7 @@ class Experiment:
             design = with_camera_drift(self._given_design, camera_of(self.real))
             return replace(design, image=replace(design.image, size_px=self.samples.size))
         if self._fitted is None:
-            self._log("fitting tip and camera to the neutral image")
+            self.log("fitting tip and camera to the neutral image")
             self._fitted, figures = fit_design_to_neutral_image(self.real, self.samples.size)
             self.out.mkdir(parents=True, exist_ok=True)
             write_design(self.out / "design.json", self._fitted, {"neutral_image_of": self.real.name, **figures})
@@ -242,7 +242,7 @@ class Experiment:
         """Return training and validation samples of a variant, simulated if they do not exist."""
         design = self.design() if variant.calibrated else nearest_nominal_design(self._pins(), self.samples.size)
         jobs = [self._job(design, variant, split) for split in ("val", "train")]
-        make(jobs, self._workers, self._log)
+        make(jobs, self._workers, self.log)
         val, trained = (read_samples(job.folder) for job in jobs)
         return trained, val
 
@@ -318,7 +318,7 @@ class Experiment:
         """Return the network trained on simulated samples of a variant only; it is trained if it does not exist."""
         folder, recipe = self.out / f"network-{variant.name}", self.recipe(variant)
         sets = self.simulated(variant)
-        train(*sets, recipe.network, recipe.settings, folder, self._device, self._log, init_from=self._init_from)
+        train(*sets, recipe.network, recipe.settings, folder, self._device, self.log, init_from=self._init_from)
         return load_model(folder)
 
     def real_network(self, count: int) -> Model:
@@ -329,7 +329,7 @@ class Experiment:
         plain = replace(recipe.settings, augmented_fraction=0.0, undeformed_fraction=0.0, seed=self.settings.seed)
         network = replace(recipe.network, quantities=False)  # real frames have no forces
         folder = self.out / f"network-real-{count}"
-        train(known.take(slice(val, None)), known.take(slice(0, val)), network, plain, folder, self._device, self._log)
+        train(known.take(slice(val, None)), known.take(slice(0, val)), network, plain, folder, self._device, self.log)
         return load_model(folder)
 
     def tuned(self, count: int) -> Model:
@@ -344,13 +344,13 @@ class Experiment:
             base, correction = corrected(base, real)
             trained = replace(trained, targets=correction(trained.targets))
         settings = FineTuning(self.settings.seed, self.settings.fine_tuning_steps, optics_ranges=self.optics())
-        fine_tune(base, trained, real, settings, folder, self._device, self._log)
+        fine_tune(base, trained, real, settings, folder, self._device, self.log)
         return load_model(folder)
 
     def corrected(self, count: int) -> Model:
         """Return the network trained on simulation with its output corrected linearly by `count` real frames."""
         folder = self.out / f"network-sim-corrected-by-{count}"
-        write_corrected(self.network(), self.split.known.take(slice(0, count)), folder, self._log)
+        write_corrected(self.network(), self.split.known.take(slice(0, count)), folder, self.log)
         return load_model(folder)
 
     def score(self, model: Estimator) -> dict[str, Any]:
@@ -385,6 +385,8 @@ def few_shot(experiment: Experiment) -> dict[str, Any]:
     trained on these only; and of one trained on all."""
     known = len(experiment.split.known)
     counts = [n for n in experiment.settings.shots if n <= known]
+    for n in sorted(set(experiment.settings.shots) - set(counts)):
+        experiment.log(f"not with {n} real frames: the set has {known} to train on (--real-train-frames)")
     out = {"0": {"fine_tuned": experiment.score(experiment.network())}}
     for n in counts:
         networks = {"corrected": experiment.corrected} if n >= MIN_FRAMES else {}

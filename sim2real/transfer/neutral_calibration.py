@@ -43,11 +43,13 @@ def fit_design_to_neutral_image(folder: Path, size_px: int) -> tuple[Design, dic
     image, tactile = (read_image(folder / name) if (folder / name).exists() else None for name in (NEUTRAL, NEUTRAL_TACTILE))
     if image is None:
         raise TactipError(
-            f"{folder} has no {NEUTRAL} because an earlier version imported it: import the set again, or give a design with "
-            "--design"
+            f"{folder} has no {NEUTRAL}, so it was not made by this version of tactip import: import the set, or give a "
+            "design with --design"
         )
     if tactile is None:
-        raise TactipError(f"{folder} has no {NEUTRAL_TACTILE} because an earlier version imported it: import the set again")
+        raise TactipError(
+            f"{folder} has no {NEUTRAL_TACTILE}, so it was not made by this version of tactip import: import the set"
+        )
     report = read_report(folder)
     if report and not report["neutral_image"] and "press_removed" not in report.get("stand_in", {}):
         raise TactipError(

@@ -175,7 +175,7 @@ def test_servo_ctrl_c_keeps_the_recorded_steps(tmp_path, monkeypatch, capsys):
             ["--task", "surface", "--model", "edge-tactip-127"],
             "was trained for the task edge, but --task is surface: choose another --model",
         ),
-        (["--route.middle-mm", "900", "0"], "must be above the object"),
+        (["--route.middle-mm", "900", "0"], "must begin above the object, got"),
         (["--settings.step-mm", "99"], "step_mm must be a finite number from 0.05 to 10, got 99.0"),
         (["--seed", "-1"], "tactip: seed must be a whole number from 0 to"),
         (

@@ -105,4 +105,4 @@ def test_file_that_differs_from_torch_is_not_written(tmp_path, monkeypatch):
 def test_missing_extra_is_one_sentence(tmp_path, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
     assert tactip.main(["export", "--model", "surface-tactip-127", "--onnx", str(tmp_path / "net.onnx")]) == 1
-    assert "pip install 'tactip-twin[onnx]'" in capsys.readouterr().err
+    assert ".venv/bin/pip install -e '.[onnx]'" in capsys.readouterr().err

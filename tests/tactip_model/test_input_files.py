@@ -82,6 +82,19 @@ def test_json_within_limits_is_read():
     assert parse_json(json.dumps(value), "the file") == value
 
 
+@pytest.mark.parametrize(
+    ("text", "cells"),
+    [
+        ("a,b\n1.5,x;y\n", {"a": "1.5", "b": "x;y"}),
+        ("a;b;c\n-1,5;2;x,y\n", {"a": "-1.5", "b": "2", "c": "x,y"}),
+        ("a\tb\r\n1,5e-3\t,25\r\n", {"a": "1.5e-3", "b": ".25"}),
+        ("a\n7\n", {"a": "7"}),
+    ],
+)
+def test_table_is_read_whatever_separates_its_values(text, cells):
+    assert parse_table(text.encode("utf-8-sig"), "the file") == (list(cells), [cells])
+
+
 @pytest.mark.parametrize("shape", [(), (0,), (0, 3), (2, 3), (3,)])
 @pytest.mark.parametrize("dtype", [np.float32, np.float64, np.int32, np.uint8, bool, "U5"])
 def test_arrays_are_read_as_they_were_written(shape, dtype):

@@ -144,7 +144,7 @@ def test_what_does_not_fit_is_refused(simulated, tmp_path, capsys, monkeypatch):
     assert "must be a LeRobot data set of version v3.0 that" in capsys.readouterr().err
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     assert export(simulated, tmp_path / "other") == 1
-    assert "pip install 'tactip-twin[lerobot]'" in capsys.readouterr().err
+    assert ".venv/bin/pip install -e '.[lerobot]'" in capsys.readouterr().err
 
 
 def test_frames_that_were_changed_are_refused(simulated, run, tmp_path, parquet, capsys):

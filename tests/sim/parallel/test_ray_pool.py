@@ -159,5 +159,5 @@ def test_ray_pool_without_processors_or_ray_gives_one_sentence(tmp_path, capsys,
         make_pool(FakeRay(0), [1])[0].places()
     monkeypatch.setitem(sys.modules, "ray", None)
     assert tactip.main(["dataset", "make", "--cluster", "auto", "--out", str(tmp_path / "set")]) == 1
-    assert "pip install 'tactip-twin[cluster]'" in capsys.readouterr().err
+    assert ".venv/bin/pip install -e '.[cluster]'" in capsys.readouterr().err
     assert not (tmp_path / "set").exists()

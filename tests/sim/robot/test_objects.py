@@ -130,6 +130,29 @@ def test_rim_file_comes_with_its_edge(tmp_path, name):
     assert on.mean() == pytest.approx(1 - (29 / (2 * np.pi * 60) if name == "rim-gap" else 0), abs=0.01)
 
 
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda rows: rows[::-1], "must run anticlockwise as seen from above"),
+        (lambda rows: rows + [0, 0, 30, 0, 0, 0], "must be on the mesh beside it, got .* mm from it"),
+        (lambda rows: rows * [1e-3, 1e-3, 1e-3, 1, 1, 1], "must be on the mesh beside it"),
+    ],
+)
+def test_edge_that_does_not_fit_its_mesh_is_refused(tmp_path, change, message):
+    name = next(iter(HARD_RIMS))
+    write_rim(name, HARD_RIMS[name], tmp_path)
+    path = tmp_path / f"{name}.edge.csv"
+    head = path.read_text().splitlines()[0]
+    np.savetxt(path, change(np.loadtxt(path, delimiter=",", skiprows=1)), delimiter=",", header=head, comments="")
+    with pytest.raises(TactipError, match=message):
+        load_object(tmp_path / f"{name}.ply", unit="m")
+
+
+def test_object_in_inches(tmp_path, ball):
+    ball.copy().apply_scale(1 / 25.4).export(tmp_path / "ball.stl")
+    assert load_object(tmp_path / "ball.stl", unit="in").solid.distance(np.zeros(3)) == pytest.approx(-0.04, abs=5e-4)
+
+
 def test_object_of_flat_triangles_is_refused(tmp_path):
     """Three points on a line: nothing is left after triangles without area are removed."""
     mesh = trimesh.Trimesh([[0, 0, 0], [10, 0, 0], [20, 0, 0]], [[0, 1, 2]], process=False)

@@ -101,6 +101,8 @@ def test_kill_leaves_all_complete_steps(tmp_path):
     assert not record["complete"] and record["steps"] == 4
     assert [e["kind"] for e in record["events"]] == ["force"]
     _check(arrays, 4)
+    with pytest.raises(TactipError, match="holds the steps of another run, which was interrupted"):
+        Recorder(folder, {"task": "surface", "object": "bowl"}, SCENE)
     # The same command starts over in the same folder.
     _record(folder, 2)
     _check(read_recording(folder)[1], 2)

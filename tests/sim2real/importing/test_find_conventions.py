@@ -31,7 +31,7 @@ def contacts_of(task, rng, gain=0.7, noise=1.0):
     deviations = np.full((COUNT, 6), 2.0)
     nothing = np.zeros((COUNT, 1, 2))
     return poses, shears, EstimatedContacts(
-        np.arange(COUNT), estimated, deviations, shown, np.ones(COUNT), nothing[0], nothing, nothing
+        np.arange(COUNT), estimated, deviations, shown, np.ones(COUNT), nothing[0], nothing, nothing, np.zeros(5)
     )  # fmt: skip
 
 
@@ -48,6 +48,20 @@ def test_labels_are_those_of_the_truth(task, seed):
         assert np.corrcoef(labels[:, part], poses[:, part])[0, 1] > 0.98
         assert np.polyfit(poses[:, part], labels[:, part], 1)[0] == pytest.approx(1.0, abs=0.1)
     assert np.abs(labels[:, 2] - poses[:, 2]).mean() < 2.0
+
+
+def test_offset_that_shows_as_tilt_is_no_tilt():
+    """A table without tilts: a tip beside an edge looks a little tilted, in proportion to its offset."""
+    rng = np.random.default_rng(3)
+    poses, _, contacts = contacts_of("edge", rng, noise=0.1)
+    contacts.poses[:, 3], contacts.poses[:, 4] = rng.normal(0, 0.3, COUNT), 0.4 * poses[:, 0] + rng.normal(0, 0.3, COUNT)
+    table = {"across": poses[:, 0], "depth": poses[:, 2], "turn": poses[:, 5]}
+    cells = {name: [f"{x:.6g}" for x in column] for name, column in table.items()}
+    assert find_conventions(cells, contacts, ColumnMap(task="edge")).column_map.columns == (
+        "pose_z=depth",
+        "pose_Rz=turn",
+        "pose_x=across",
+    )
 
 
 def test_evidence_names_every_choice():
@@ -95,7 +109,7 @@ def test_few_noisy_frames_are_refused_with_both_readings():
     shown[:, 0] = 4 * (0.41 * shear + 0.91 * noise)
     nothing = np.zeros((few, 1, 2))
     contacts = EstimatedContacts(
-        np.arange(few), estimated, np.ones((few, 6)), shown, np.ones(few), nothing[0], nothing, nothing
+        np.arange(few), estimated, np.ones((few, 6)), shown, np.ones(few), nothing[0], nothing, nothing, np.zeros(5)
     )
     cells = {name: [f"{x:.6g}" for x in column] for name, column in {"z": depth, "b": tilt, "d": shear}.items()}
     with pytest.raises(TactipError, match="equally well for two readings of the table: pose_Ry=b shear_x=d"):

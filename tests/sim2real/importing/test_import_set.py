@@ -96,6 +96,34 @@ def test_import_uses_only_table_of_any_name(tmp_path):
     assert len(read_dataset(tmp_path / "set").images) == 12
 
 
+def test_import_reads_tables_of_spreadsheets_and_other_machines(tmp_path):
+    """Semicolons, decimal commas, blanks, and absolute paths of where the frames once were: the same labels and images."""
+    rows = write_set(tmp_path / "lab")
+    assert bring(tmp_path / "lab", tmp_path / "one") == 0
+    places = ("C:\\lab\\images\\", f"{tmp_path.resolve()}/lab/images/", "/home/lab/images/")
+    lines = [";".join(rows[0])]
+    for k, row in enumerate(rows):
+        cells = [f"{places[k % 3]}{row['image_name']}", *(f" {value}".replace(".", ",") for value in list(row.values())[1:])]
+        lines.append(";".join(cells))
+    (tmp_path / "lab" / "targets.csv").write_text("\n".join(lines))
+    assert bring(tmp_path / "lab", tmp_path / "other") == 0
+    one, other = (read_dataset(tmp_path / name) for name in ("one", "other"))
+    assert np.array_equal(one.poses, other.poses)
+    assert all(np.array_equal(one.images[k], other.images[k]) for k in range(len(rows)))
+
+
+def test_import_doubts_units_and_repeated_frames(tmp_path, capsys):
+    rows = write_set(tmp_path / "lab")
+    for row in rows:
+        row.update(pose_2=1e-3 * row["pose_2"], pose_6=np.radians(row["pose_6"]))
+    write_table(tmp_path / "lab", [*rows, rows[0]])
+    assert bring(tmp_path / "lab", tmp_path / "set", "--columns", "pose_z=-pose_2-0.005", "pose_Ry=pose_6") == 0
+    output = capsys.readouterr().out
+    assert "if the table is in metres, scale it (--columns pose_z=1000*COLUMN)" in output
+    assert "if the table is in radians, scale them" in output
+    assert "1 rows name the frame of another row" in output
+
+
 def test_import_into_damaged_set_reports_error(tmp_path, capsys):
     write_set(tmp_path / "lab")
     (tmp_path / "set").mkdir()

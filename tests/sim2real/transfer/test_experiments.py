@@ -399,7 +399,7 @@ def test_transfer_unknown_experiment_or_missing_neutral_image(lab, tmp_path, cap
     output = " ".join(capsys.readouterr().err.replace("│", " ").split())
     assert "Expected one of ('zero-shot', 'ablate', 'few-shot', 'gap', 'pseudo-real')" in output
     (tmp_path / "set").mkdir()
-    with pytest.raises(TactipError, match=r"has no neutral\.png because an earlier version imported it"):
+    with pytest.raises(TactipError, match=r"has no neutral\.png, so it was not made by this version"):
         fit_design_to_neutral_image(tmp_path / "set", 128)
 
 
