@@ -130,12 +130,10 @@ def estimate_contacts(
     design, fit = _least_deformed(nominal, candidates) if at_rest is None else fit_neutral(nominal, at_rest)
     if neutral is not None:
         design = _with_camera_of(design, reader.with_rim(neutral), frames.with_rim[:PIN_DETECTION_FRAMES])
-    rows, pins = _detected(frames.cropped, fit.pins_px)
-    tip = read_fast_tip(any_materials(task))
-    model = PinModel(tip, PinDecoder(design, tip.modes), _POSES[task], _SHEARS, Lens(design))
-    model = model.with_materials(np.clip(material_inputs(design.materials), *model.material_ranges.T))
-    noise = _PIXEL_NOISE * np.sqrt(2 * pins.shape[1] / _INDEPENDENT)
-    model = _with_likely_materials(model, pins, noise, task, rng)
+    pins, good = detected_pins(list(frames.cropped.values()), fit.pins_px)
+    rows, pins = np.array(list(frames.cropped))[good], pins[good]
+    model = contact_model(design, pins, task, rng)
+    noise = _noise(pins)
     optima = []
     for found in _optima(model, pins, noise, task, rng):
         values = np.concatenate([found.poses, found.shears], 1)[:, model.free]
@@ -194,37 +192,39 @@ def _with_camera_of(design: Design, neutral: np.ndarray, frames: list[np.ndarray
     return replace(design, optics=replace(design.optics, zoom=zoom, drift=(x, y)))
 
 
-def _detected(images: dict[int, np.ndarray], at_rest_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the rows (n,) of the frames in which enough pins are detected, and their pins (n, p, 2), px of 256; NaN where
-    one is not detected.
+def detected_pins(images: Sequence[np.ndarray], at_rest_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the pins (n, p, 2), px of 256, of images, NaN where one is not detected; and which images show enough of them,
+    (n,) bool.
 
     Args:
-        images: Cropped binary images (h, w) uint8 by row.
+        images: (n) binary images (h, w) uint8 of the pins alone.
         at_rest_px: (p, 2) pins at rest, px of 256; NaN where unknown.
 
     Raises:
-        TactipError: If there are fewer than _MIN_FRAMES such frames.
+        TactipError: If fewer than _MIN_FRAMES images do.
     """
-    width = next(iter(images.values())).shape[1]
+    width = images[0].shape[1]
     known = np.isfinite(at_rest_px[:, 0])
     matcher = PinMatcher((at_rest_px[known] + 0.5) * width / REFERENCE_PX - 0.5)
     pins = np.full((len(images), len(known), 2), np.nan)
-    for k, image in enumerate(images.values()):
+    for k, image in enumerate(images):
         pins[k, known] = reference_pixels(matcher.match(find_blobs(image)), width)
     good = np.isfinite(pins[..., 0]).mean(1) > _MIN_DETECTED
     if good.sum() < _MIN_FRAMES:
         raise TactipError(
-            f"the table's conventions cannot be found: {_MIN_DETECTED:.0%} of the pins were detected in {good.sum()} of "
-            f"{len(good)} frames, and at least {_MIN_FRAMES} are needed"
+            f"contacts cannot be estimated: {_MIN_DETECTED:.0%} of the pins were detected in {good.sum()} of {len(good)} "
+            f"frames, and at least {_MIN_FRAMES} are needed"
         )
-    return np.array(list(images))[good], pins[good]
+    return pins, good
 
 
-def _with_likely_materials(
-    model: PinModel, pins: np.ndarray, noise: float, task: Task, rng: np.random.Generator
-) -> PinModel:
-    """Return a model with the materials that explain pins (n, p, 2), px, of some frames best, whatever their contacts."""
-    some = pins[rng.choice(len(pins), min(_MATERIAL_FRAMES, len(pins)), replace=False)]
+def contact_model(design: Design, pins: np.ndarray, task: Task, rng: np.random.Generator) -> PinModel:
+    """Return a model of the pins of a tip of some design, with the materials that explain pins (n, p, 2), px of 256, of some
+    frames best, whatever their contacts."""
+    tip = read_fast_tip(any_materials(task))
+    model = PinModel(tip, PinDecoder(design, tip.modes), _POSES[task], _SHEARS, Lens(design))
+    model = model.with_materials(np.clip(material_inputs(design.materials), *model.material_ranges.T))
+    some, noise = pins[rng.choice(len(pins), min(_MATERIAL_FRAMES, len(pins)), replace=False)], _noise(pins)
     for _ in range(_MATERIAL_ROUNDS):
         optima = _optima(model, some, noise, task, rng)
         best, frames = np.argmin([one.residuals for one in optima], 0), np.arange(len(some))
@@ -233,6 +233,11 @@ def _with_likely_materials(
         good = residuals <= _BAD_FIT * np.median(residuals)
         model = model.with_materials(most_likely_materials(model, some[good], start[good], noise, outlier=_OUTLIER_PX))
     return model
+
+
+def _noise(pins: np.ndarray) -> float:
+    """Return the noise of each coordinate, px of 256, with which pins (n, p, 2) count as _INDEPENDENT measurements."""
+    return float(_PIXEL_NOISE * np.sqrt(2 * pins.shape[1] / _INDEPENDENT))
 
 
 def _optima(model: PinModel, pins: np.ndarray, noise: float, task: Task, rng: np.random.Generator) -> list[MostLikely]:

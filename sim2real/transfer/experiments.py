@@ -31,6 +31,7 @@ from tactip_twin.sim.fast_tip.fast_tip import any_materials, read_fast_tip
 from tactip_twin.sim.labels import FidelityName
 from tactip_twin.sim.parallel.worker_pool import worker_count
 from tactip_twin.sim2real.importing.import_set import read_report
+from tactip_twin.sim2real.transfer.estimated_materials import with_estimated_materials
 from tactip_twin.sim2real.transfer.fine_tune import FineTuning, fine_tune
 from tactip_twin.sim2real.transfer.linear_correction import MIN_FRAMES, corrected, write_corrected
 from tactip_twin.sim2real.transfer.neutral_calibration import (
@@ -116,7 +117,7 @@ class Variant:
     sheared: bool = True
     """Whether its contacts are sheared."""
     randomize_mechanics: str | None = None
-    """none or real."""
+    """A name of settings.Mechanics."""
     noise: bool = True
     """Whether images have noise: jittered, resized or missing pins, and specks of light."""
     augmented_fraction: float | None = None
@@ -178,6 +179,7 @@ class Experiment:
         self.recipe()  # an unknown name is reported before any work starts
         self._given_design = load_design(settings.design) if settings.design else None
         self._fitted: Design | None = None
+        self._estimated = False
 
     def recipe(self, variant: Variant = Variant()) -> Recipe:
         """Return the recipe of a training on simulated samples of a variant."""
@@ -233,10 +235,41 @@ class Experiment:
             return replace(design, image=replace(design.image, size_px=self.samples.size))
         if self._fitted is None:
             self.log("fitting tip and camera to the neutral image")
-            self._fitted, figures = fit_design_to_neutral_image(self.real, self.samples.size)
+            fitted, figures = fit_design_to_neutral_image(self.real, self.samples.size)
+            self._fitted, materials = self._with_materials(fitted)
+            self._estimated = materials is not None
             self.out.mkdir(parents=True, exist_ok=True)
-            write_design(self.out / "design.json", self._fitted, {"neutral_image_of": self.real.name, **figures})
+            about = {"neutral_image_of": self.real.name, "estimated_materials": materials, **figures}
+            write_design(self.out / "design.json", self._fitted, about)
         return self._fitted
+
+    def _with_materials(self, design: Design) -> tuple[Design, dict[str, float] | None]:
+        """Return a design with the materials that the frames show, and these; the design itself and None if they are not to
+        be estimated, or cannot be."""
+        name = self.settings.randomize_mechanics
+        if name not in (AUTO, "estimated"):
+            return design, None
+        self.log("estimating the materials from the pins of some frames")
+        frames = self.split.known.images
+        try:
+            return with_estimated_materials(
+                design, frames, self.task, MECHANICS_RANDOMIZATIONS["estimated"], self.settings.seed
+            )
+        except TactipError as error:
+            if name == "estimated":
+                raise
+            self.log(f"the materials stay those of {design.name}, and vary more: {error}")
+            return design, None
+
+    def _mechanics(self, variant: Variant) -> str:
+        """Return the name of the randomization of the mechanics of a variant's contacts."""
+        name = variant.randomize_mechanics or self.settings.randomize_mechanics
+        if name != AUTO:
+            return name
+        if self._given_design or not variant.calibrated:
+            return "real"
+        self.design()
+        return "estimated" if self._estimated else "real"
 
     def simulated(self, variant: Variant = Variant()) -> tuple[Samples, Samples]:
         """Return training and validation samples of a variant, simulated if they do not exist."""
@@ -256,7 +289,7 @@ class Experiment:
     def _job(self, design: Design, variant: Variant, split: Split) -> Job:
         s = self.settings
         symmetric = split == "train" and self.task == "surface"
-        randomization = MECHANICS_RANDOMIZATIONS[variant.randomize_mechanics or s.randomize_mechanics]
+        randomization = MECHANICS_RANDOMIZATIONS[self._mechanics(variant)]
         path, digest = self._learned_tip(design, randomized=not randomization.is_identity)
         configuration = Configuration(
             task=self.task,

@@ -9,8 +9,8 @@ from tactip_twin.tactip_model.bounds import check, within
 from tactip_twin.tactip_model.errors import lookup
 
 AUTO = "auto"
-"""Name for optics chosen by the set, for a fidelity chosen by the task and the tip, and for initial weights chosen by the
-sensor."""
+"""Name for optics chosen by the set, for a fidelity chosen by the task and the tip, for initial weights chosen by
+the sensor, and for mechanics chosen by what its frames show."""
 
 NONE = "none"
 """Name for random initial weights."""
@@ -18,8 +18,9 @@ NONE = "none"
 GAP = "gap.png"
 """Figure of the sim-to-real gap."""
 
-Mechanics = Literal["none", "real"]
-"""Names of the randomizations of mechanics (mechanics_randomization.MECHANICS_RANDOMIZATIONS)."""
+Mechanics = Literal["auto", "none", "estimated", "real"]
+"""Names of the randomizations of mechanics (mechanics_randomization.MECHANICS_RANDOMIZATIONS), or `auto`, a choice by the
+set."""
 
 OpticsChoice = Literal["auto", OpticsName]
 """Names of the ranges of optics (optics_ranges.OPTICS), or `auto`, a choice by the set."""
@@ -48,8 +49,10 @@ class TransferSettings:
     or three fifths of a smaller set."""
     shots: tuple[int, ...] = (10, 50, 100, 500)
     """Numbers of real frames to correct by and to fine-tune on."""
-    randomize_mechanics: Mechanics = "real"
-    """Randomization of the mechanics: none or real (sim/dataset/mechanics_randomization.py)."""
+    randomize_mechanics: Mechanics = AUTO
+    """Randomization of the mechanics (sim/dataset/mechanics_randomization.py). estimated: a little, around materials that
+    explain the pins of frames best, whatever their labels; auto: estimated, or real if the frames show too few pins or a
+    design is given."""
     optics_ranges: OpticsChoice = AUTO
     """Ranges of the randomized optics (learning/optics_ranges.py). auto: steady if light at the rim shows how the camera
     moved since the neutral image, else real."""

@@ -13,7 +13,7 @@ RADIUS_M = 0.1
 
 @pytest.mark.parametrize("thickness_mm", [0.5, 1.5, 2.5, 4.0, 50.0])
 def test_label_on_a_thin_wall_is_that_of_its_near_side(thickness_mm):
-    """Pressed 2.2 mm deep, the far side of a thin shell is nearer to the apex, which may be beyond it; the true label does not
+    """Pressed 2.2 mm deep, the far side of a thin shell is nearer to the apex, or even behind it; the true label does not
     depend on it."""
     outer = trimesh.creation.icosphere(5, RADIUS_M)
     inner = trimesh.creation.icosphere(5, RADIUS_M - 1e-3 * thickness_mm)

@@ -331,7 +331,7 @@ def test_transfer_wrong_option_reports_error(lab, tmp_path, capsys, options, wor
     ("option", "value", "choices"),
     [
         ("optics_ranges", "rainbow", "('auto', 'lens', 'lens-jitter', 'real', 'rim', "),
-        ("randomize_mechanics", "stone", "('none', 'real')"),
+        ("randomize_mechanics", "stone", "('auto', 'none', 'estimated', 'real')"),
         ("recipe", "cake", "('laptop', 'paper')"),
         ("fidelity", "exact", "('auto', 'fast', 'draft', 'standard', 'reference')"),
     ],
@@ -350,7 +350,7 @@ def test_settings_unknown_name_is_refused():
         TactipError, match="unknown optics_ranges 'rainbow': choose one of auto, lens, lens-jitter, real, rim, steady"
     ):
         TransferSettings(optics_ranges="rainbow")
-    with pytest.raises(TactipError, match="unknown randomize_mechanics 'stone': choose one of none, real"):
+    with pytest.raises(TactipError, match="unknown randomize_mechanics 'stone': choose one of auto, none, estimated, real"):
         TransferSettings(randomize_mechanics="stone")
     with pytest.raises(TactipError, match="unknown recipe 'cake': choose one of laptop, paper"):
         TransferSettings(recipe="cake")

@@ -1,0 +1,72 @@
+"""Materials of a real tip, estimated from frames whose labels are not used, for its design."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from tactip_twin.learning.pose_from_pins import PinModel
+from tactip_twin.sim.dataset.mechanics_randomization import MechanicsRandomization
+from tactip_twin.sim.fast_tip.materials import INPUTS
+from tactip_twin.sim.labels import Task
+from tactip_twin.sim2real.importing.estimated_contacts import FRAMES, contact_model, detected_pins
+from tactip_twin.tactip_model.design import Design
+from tactip_twin.tactip_model.errors import TactipError
+from tactip_twin.tactip_model.neutral_image import neutral_px
+
+_MARGIN = 1e-3
+"""Distance of the materials from the ends of what the learned tip knows, as a fraction or in logarithms, -."""
+
+
+def with_estimated_materials(
+    design: Design, images: np.ndarray, task: Task, around: MechanicsRandomization, seed: int = 0
+) -> tuple[Design, dict[str, float]]:
+    """Return a design with the materials that explain the pins of some frames best, whatever their poses, and these
+    materials by name (sim/fast_tip/materials.py).
+
+    Args:
+        design: The design, fitted to the sensor's neutral image.
+        images: (n, size, size) uint8, tactile images of presses.
+        task: Their stimulus.
+        around: Randomization that the design will have: all of it lies within what the learned tip knows.
+        seed: Seed of the choice of frames.
+
+    Raises:
+        TactipError: If too few frames show their pins.
+    """
+    rng = np.random.default_rng(seed)
+    chosen = images[rng.choice(len(images), min(FRAMES, len(images)), replace=False)]
+    pins, good = detected_pins(list(chosen), neutral_px(design))
+    model = contact_model(design, pins[good], task, rng)
+    found = dict(zip(INPUTS, (float(value) for value in _within(model, around)), strict=True))
+    gel = design.materials.gel_young_pa
+    materials = replace(
+        design.materials,
+        skin_young_pa=float(np.exp(found["log_modulus_ratio"])) * gel,
+        friction=found["friction"],
+        kinetic_fraction=found["kinetic_fraction"],
+        slip_weakening_m=float(np.exp(found["log_slip_weakening"])),
+        skin_thickness_m=float(np.exp(found["log_thickness"])),
+    )
+    return replace(design, materials=materials), found
+
+
+def _within(model: PinModel, around: MechanicsRandomization) -> np.ndarray:
+    """Return the materials (5,) of a model, moved so that a randomization around them is within what the tip knows."""
+    if model.materials is None:
+        raise TactipError("the learned tip knows the materials of one design only")
+    factors = {
+        "log_modulus_ratio": around.skin_young * around.gel_young,
+        "friction": around.friction,
+        "kinetic_fraction": around.kinetic_fraction,
+        "log_slip_weakening": around.slip_weakening,
+        "log_thickness": around.skin_thickness,
+    }
+    reach = np.log([factors[name] for name in INPUTS]) + _MARGIN
+    low, high = (_logarithms(end) for end in model.material_ranges.T)
+    inside = np.clip(_logarithms(model.materials), low + reach, high - reach)
+    return np.array([x if name.startswith("log_") else np.exp(x) for name, x in zip(INPUTS, inside, strict=True)])
+
+
+def _logarithms(materials: np.ndarray) -> np.ndarray:
+    """Return the natural logarithms (5,) of what materials (5,), some of them logarithms already, stand for."""
+    return np.array([x if name.startswith("log_") else np.log(x) for name, x in zip(INPUTS, materials, strict=True)])
