@@ -4,6 +4,10 @@ init_0.png                neutral image (any name that begins with init or neutr
 images/*.png or *.png     binary frames
 targets.csv               image_name or sensor_image; pose_1 … pose_6 and move_1 … move_6, mm and degrees, in the rig's frame
 meta.json                 tap_move: the tap that makes contact, after the commanded pose, mm and degrees
+
+Or without meta.json, with labels in the project's own conventions, as `tactip protocol` writes them:
+
+targets.csv               image_name or sensor_image; pose_x … pose_Rz, shear_x … shear_Rz, mm and degrees (sim/pose.py)
 """
 
 import contextlib
@@ -11,7 +15,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
+from tactip_twin.sim.labels import LABELS, SHEARS
 from tactip_twin.sim.pose import from_mm_deg
 from tactip_twin.sim2real.importing.source import find_neutral_image
 from tactip_twin.tactip_model.errors import TactipError
@@ -19,6 +25,9 @@ from tactip_twin.tactip_model.input_files import parse_table, read_file, read_js
 from tactip_twin.tactip_model.input_images import read_image
 
 _NAMES = ("image_name", "sensor_image")
+
+_TAP_M = 5e-3
+"""Length of the tap of poses that are labels: any will do, because they hold it already, m."""
 
 
 @dataclass(frozen=True)
@@ -56,12 +65,16 @@ def read_real_set(folder: str | Path) -> RealSet:
         )
     rows = _rows(folder / "targets.csv")
     name = next((n for n in _NAMES if n in rows[0]), None)
-    columns = [[f"{kind}_{k}" for k in range(1, 7)] for kind in ("pose", "move")]
+    labelled = set(LABELS) <= set(rows[0])
+    columns = (
+        [list(LABELS), list(SHEARS)] if labelled else [[f"{kind}_{k}" for k in range(1, 7)] for kind in ("pose", "move")]
+    )
     missing = [c for group in columns for c in group if c not in rows[0]]
     if name is None or missing:
         what = f"none of {', '.join(_NAMES)}" if name is None else f"no {', '.join(missing)}"
         raise TactipError(
-            f"{folder / 'targets.csv'} has {what}: columns must be image_name, pose_1 … pose_6, move_1 … move_6"
+            f"{folder / 'targets.csv'} has {what}: columns must be image_name, pose_1 … pose_6, move_1 … move_6, or those "
+            "of tactip protocol"
         )
     for number, row in enumerate(rows, 1):
         short = [c for c in (name, *columns[0], *columns[1]) if row[c] is None]
@@ -77,9 +90,25 @@ def read_real_set(folder: str | Path) -> RealSet:
     neutral = find_neutral_image(folder, files)
     if neutral is None:
         raise TactipError(f"{folder} has no neutral image: add one named init*.png")
-    return RealSet(
-        folder, files, *(from_mm_deg(n) for n in numbers), tap=_tap(folder / "meta.json"), neutral=read_image(neutral)
+    first, second = (from_mm_deg(n) for n in numbers)
+    poses, moves, tap = _commands(first, second) if labelled else (first, second, _tap(folder / "meta.json"))
+    return RealSet(folder, files, poses, moves, tap, read_image(neutral))
+
+
+def _commands(poses: np.ndarray, shears: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the commands of a rig whose axes are those of the contact frame, as in RealSet, m and rad: poses (n, 6) before
+    the tap, moves (n, 6) and tap (6,).
+
+    Args:
+        poses: (n, 6) labels, m and rad.
+        shears: (n, 6) what they are more than where contact was made, component by component, as in the table.
+    """
+    tap = np.array([0, 0, -_TAP_M, 0, 0, 0])
+    ends, starts = (
+        np.concatenate([one[:, :3], Rotation.from_rotvec(one[:, 3:]).as_euler("xyz")], 1) - tap
+        for one in (poses, poses - shears)
     )
+    return ends, ends - starts, tap
 
 
 def _rows(path: Path) -> list[dict[str, str]]:

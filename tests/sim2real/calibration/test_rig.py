@@ -10,7 +10,11 @@ import pytest
 from tactip_twin.sim.pose import before_shear, from_mm_deg, sensor_in_contact, shear_between
 from tactip_twin.sim2real.calibration.real_set import read_real_set
 from tactip_twin.sim2real.calibration.rig import Rig, RigMotion
+from tactip_twin.sim2real.importing.column_map import ColumnMap
+from tactip_twin.sim2real.importing.convert_labels import convert_labels
+from tactip_twin.sim2real.importing.protocol import Protocol, protocol_table
 from tactip_twin.tactip_model.errors import TactipError
+from tactip_twin.tactip_model.input_files import parse_table
 
 TAP = from_mm_deg([0, 5, 0, 0, 0, 0])
 
@@ -76,6 +80,25 @@ def folder(tmp_path):
             writer.writerow([f"frame_{i}.png", 0, -1 - i, 0, 0, 0, 7, 1, 0, 0, 0, 0, 2])
     (tmp_path / "meta.json").write_text(json.dumps({"tap_move": [0, 5, 0, 0, 0, 0]}))
     return tmp_path
+
+
+def test_table_of_a_protocol_has_the_contacts_of_the_protocol(folder):
+    protocol = Protocol(frames=20, taps=2)
+    (folder / "meta.json").unlink()
+    (folder / "targets.csv").write_bytes(protocol_table(protocol))
+    for k in range(20):
+        cv2.imwrite(str(folder / "images" / f"frame_{k:04d}.png"), np.zeros((64, 64), np.uint8))
+    real, motion = read_real_set(folder), RigMotion(Rig())
+    wanted = convert_labels(ColumnMap(), read_table(folder / "targets.csv"))
+    for k in range(20):
+        for found, label in zip(motion.contact(real.poses[k], real.moves[k], real.tap), wanted, strict=True):
+            assert np.allclose(found, from_mm_deg(label[k]), atol=1e-9)
+
+
+def read_table(path):
+    """Return the cells of a table's columns."""
+    _, rows = parse_table(path.read_bytes(), str(path))
+    return {name: [row[name] for row in rows] for name in rows[0]}
 
 
 def test_read_real_set_returns_frames_and_commands(folder):
