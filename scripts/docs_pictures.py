@@ -20,8 +20,9 @@ from tactip_twin.commands._pose_reader import load_pose_reader
 from tactip_twin.commands.camera import Camera
 from tactip_twin.learning.model import load_network
 from tactip_twin.sim.contact.fidelity import fidelity_named
-from tactip_twin.sim.robot.recording import read_recording
+from tactip_twin.sim.robot.recording import read_recorded_scene, read_recording
 from tactip_twin.sim.view.live_page import LivePage
+from tactip_twin.sim.view.replay_page import ReplayPage
 from tactip_twin.sim2real.sensor.live import LiveSensor
 from tactip_twin.sim2real.sensor.live_page import CameraPage
 from tactip_twin.tactip_model.presets import load_design
@@ -33,8 +34,8 @@ DOCS, WORK = ROOT / "docs", ROOT / "build" / "docs-pictures"
 sys.path.insert(0, str(ROOT / "tests"))
 from helpers.headless_browser import Chromium  # pyright: ignore[reportMissingImports]  # noqa: E402
 
-SIZE_PX = (1400, 900)
-"""Size of a browser's window."""
+SIZE_PX, LAPTOP_PX = (1400, 900), (1280, 720)
+"""Sizes of a browser's window."""
 
 _BITS = 6
 """Bits per color of a picture of a page: files become two thirds as large."""
@@ -57,10 +58,10 @@ def pass_over_the_bust() -> Path:
     return folder
 
 
-def browser_at(address: str) -> Chromium:
-    """Return a browser with a page, without the remark that there is no GPU here."""
-    browser = Chromium(address, SIZE_PX)
-    browser.do("Emulation.setDeviceMetricsOverride", width=SIZE_PX[0], height=SIZE_PX[1], deviceScaleFactor=1, mobile=False)
+def browser_at(address: str, size: tuple[int, int] = SIZE_PX) -> Chromium:
+    """Return a browser with a page, in a window of a size, px."""
+    browser = Chromium(address, size)
+    browser.do("Emulation.setDeviceMetricsOverride", width=size[0], height=size[1], deviceScaleFactor=1, mobile=False)
     return browser
 
 
@@ -83,6 +84,26 @@ def replay_page() -> None:
     browser = browser_at(f"{page.as_uri()}#{round(0.95 * steps)},close")
     browser.until(lambda: f"of {steps - 1}" in browser.text())
     save(browser, "replay_page.png")
+
+
+def served_replay_page() -> None:
+    """Make docs/served_replay_page.png: the page of `tactip replay` on a laptop's screen, from inside the tip."""
+    folder = pass_over_the_bust()
+    record, arrays = read_recording(folder)
+    page = ReplayPage(record, arrays, read_recorded_scene(folder))
+    browser = browser_at(page.address, LAPTOP_PX)
+
+    def shown() -> bool:
+        page.run(seconds=0.1)
+        return f"of {record['steps'] - 1}" in browser.text()
+
+    browser.until(shown, 60)
+    page.playback.go(round(0.7 * record["steps"]))
+    page.show()
+    browser.click("inside")
+    page.run(seconds=2)
+    save(browser, "served_replay_page.png")
+    page.close()
 
 
 def replay_gif() -> None:
@@ -157,6 +178,7 @@ def tutorial() -> None:
 
 PICTURES = {
     "replay-page": replay_page,
+    "served-replay-page": served_replay_page,
     "replay-gif": replay_gif,
     "live-page": live_page,
     "camera-page": camera_page,

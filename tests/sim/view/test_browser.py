@@ -152,7 +152,7 @@ def test_stimulus_follows_the_dragged_handle(live):
     live.text("at rest")
     live.browser.frames()
     camera = next(iter(live.page._server.get_clients().values())).camera
-    handle = live.page._handle
+    handle = next(iter(live.page._handles.values()))
     origin, along = np.array(handle.position), Rotation.from_quat(handle.wxyz, scalar_first=True).as_matrix()[:, 0]
     start, end = (_on_screen(origin + d * along, camera, live.browser) for d in (0.022, 0.026))
     _drag(live.browser, start, end, pieces=12)
