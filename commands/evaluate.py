@@ -86,11 +86,10 @@ def _beside_the_pose(figures: Mapping[str, Any]) -> Iterator[str]:
         yield f"{name}: mean error {error:.3f} {units[name]}".rstrip()
     if "contact" in figures:
         c = figures["contact"]
-        missed, false = 100 * c["missed_fraction"], 100 * c["false_fraction"]
-        yield (
-            f"contact: {missed:.1f} % of {c['samples_in_contact']} contacts missed, {false:.1f} % of {c['samples_without']} "
-            "images without contact taken for one"
-        )
+        line = f"contact: {100 * c['missed_fraction']:.1f} % of {c['samples_in_contact']} contacts missed"
+        if c["samples_without"]:
+            line += f", {100 * c['false_fraction']:.1f} % of {c['samples_without']} images without contact taken for one"
+        yield line
     for row in figures.get("reliability", []):
         if row["level"] in (0.68, 0.95):
             inside = ", ".join(f"{name} {100 * row['coverage'][name]:.0f} %" for name in figures["mae"])

@@ -83,8 +83,10 @@ def _beside_the_pose(record: dict[str, Any]) -> list[str]:
         lines += [f"| {name} | {value:.3f} {units[name]} |" for name, value in record["quantities"].items()]
     if "contact" in record:
         c = record["contact"]
-        lines += ["", f"Contact: {100 * c['missed_fraction']:.1f} % of {c['samples_in_contact']} contacts missed, "]
-        lines[-1] += f"{100 * c['false_fraction']:.1f} % of {c['samples_without']} images without contact taken for one."
+        line = f"Contact: {100 * c['missed_fraction']:.1f} % of {c['samples_in_contact']} contacts missed"
+        if c["samples_without"]:
+            line += f", {100 * c['false_fraction']:.1f} % of {c['samples_without']} images without contact taken for one"
+        lines += ["", f"{line}."]
     return lines
 
 

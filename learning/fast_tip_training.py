@@ -93,7 +93,7 @@ def read_contacts(folders: Sequence[Path]) -> TipContacts:
         TactipError: A set is not simulated, has no meshes, lies on curved surfaces, or differs from the first in task,
             fidelity, shape or materials.
     """
-    require(len(folders) > 0, "the number of training sets", len(folders), "at least one training set")
+    require(len(folders) > 0, "the number of training sets", len(folders), "at least one (name their folders)")
     parts = [_read_set(Path(folder)) for folder in folders]
     first = parts[0].configuration
     for folder, part in zip(folders, parts, strict=True):

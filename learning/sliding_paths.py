@@ -80,7 +80,7 @@ def read_paths(folders: Sequence[Path]) -> SlidingPaths:
         TactipError: A set is not simulated, has no meshes or no sliding paths, or differs from the first in task, fidelity,
             number of images, shape or materials.
     """
-    require(len(folders) > 0, "the number of training sets", len(folders), "at least one training set")
+    require(len(folders) > 0, "the number of training sets", len(folders), "at least one (name their folders)")
     parts = [_read_set(Path(folder)) for folder in folders]
     first = parts[0].configuration
     for folder, part in zip(folders, parts, strict=True):

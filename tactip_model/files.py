@@ -1,5 +1,6 @@
 """Atomic writing of files, and what kills leave of it."""
 
+import contextlib
 import os
 import re
 from pathlib import Path
@@ -27,8 +28,11 @@ def write_file(path: Path, data: bytes, sync: bool = True) -> None:
         os.replace(temporary, path)
         if sync:
             _sync_folder(path.parent)
-    except OSError:
-        temporary.unlink(missing_ok=True)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
+        if error.filename == str(temporary):  # nobody knows that name
+            error.filename = str(path)
         raise
 
 

@@ -67,7 +67,9 @@ def _shards(folder: Path, meta: dict[str, Any]) -> list[str]:
                 counts[key] += own["samples"][key]
             if own.get("configuration") != configuration.as_json():
                 problems.append(f"{name}: has another configuration")
-            problems += [f"{name}/{problem}" for problem in _verify(folder / name)]
+            # A problem that names its file in full needs no folder before it.
+            found = _verify(folder / name)
+            problems += [one if one.startswith(str(folder)) else f"{name}/{one}" for one in found]
         except (TactipError, KeyError) as error:
             problems.append(f"{name}: {error}")
     if counts != meta.get("samples"):

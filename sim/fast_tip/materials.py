@@ -51,7 +51,7 @@ def check_mechanics(learned: dict[str, Any], design: Design) -> None:
             if asked[part].get(name) != value:
                 raise TactipError(
                     f"the learned tip belongs to {part}.{name} {value}, but the design has {asked[part].get(name)}: "
-                    "teach one for this design"
+                    "teach one for this design, or simulate it (--fidelity standard)"
                 )
 
 
@@ -70,5 +70,5 @@ def check_inputs(inputs: np.ndarray, ranges: np.ndarray) -> None:
             allowed = np.exp(numbers) if quantity != name else numbers
             raise TactipError(
                 f"the learned tip knows a {quantity} from {allowed[0]:.4g} to {allowed[1]:.4g}, but the design has "
-                f"{allowed[2]:.4g}: teach one for this design"
+                f"{allowed[2]:.4g}: teach one for this design, or simulate it (--fidelity standard)"
             )

@@ -87,7 +87,7 @@ def test_sets_without_paths_are_refused(sets, tmp_path, capsys):
     assert tactip.main(["sliding-tip", str(plain), "--val", str(plain), "--out", str(tmp_path / "tip")]) == 1
     assert "make it with --snapshots-per-contact of at least 2" in capsys.readouterr().err
     assert tactip.main(["sliding-tip", "--val", str(plain), "--out", str(tmp_path / "tip")]) == 1
-    assert "at least one training set" in capsys.readouterr().err
+    assert "training sets must be at least one (name their folders), got 0" in capsys.readouterr().err
 
 
 def contact_of(path, **changes):
