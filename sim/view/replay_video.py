@@ -10,9 +10,18 @@ import numpy as np
 from tactip_twin.sim.robot.recording import RecordedScene
 from tactip_twin.sim.view.camera_fit import fitted_camera
 from tactip_twin.sim.view.curves import BAND, curves_of, position_errors_mm
+from tactip_twin.sim.view.force_arrow import arrow_meshes, force_arrow, skin_radius_m
 from tactip_twin.sim.view.geometry import SceneGeometry, path_meshes, skin_displacements_mm
 from tactip_twin.sim.view.offscreen import BACKGROUND, SceneRenderer
-from tactip_twin.sim.view.palette import ESTIMATED_COLOR, SKIN_RAMP, TRUE_COLOR, ramp_colors, scale_end
+from tactip_twin.sim.view.palette import (
+    ERROR_RAMP,
+    ESTIMATED_COLOR,
+    FORCE_COLOR,
+    SKIN_RAMP,
+    TRUE_COLOR,
+    ramp_colors,
+    scale_end,
+)
 from tactip_twin.sim.view.plot import pyplot
 from tactip_twin.sim.view.tactile_picture import pin_projection, tactile_picture
 
@@ -32,6 +41,9 @@ _INSET = 230
 _INSET_EYE_M = (0.07, -0.13, 0.05)
 _INSET_FIELD_DEG = 34.0
 """Width of the close view, px, the place of its eye relative to the tip, m, base frame, and its field of view."""
+
+_SCALE_PX = 70
+"""Length of a color scale, px."""
 
 _CURVES = {"surface": ("force", "depth", "Rx", "Ry"), "edge": ("force", "x", "depth", "Rz")}
 """Names of the curves by task."""
@@ -66,16 +78,22 @@ def render_frames(
     eye, target = fitted_camera(
         np.concatenate([mesh.vertices for mesh in extent]), _TOWARDS, np.radians(_FIELD_DEG), _VIEW / HEIGHT, left=0.18
     )
+    radius_m = skin_radius_m(arrays["skin_m"][0])
+    scales = _scales(displacement_end, error_end)
     for k in range(0, len(poses), every):
         colors = ramp_colors(displacements[k], displacement_end, SKIN_RAMP)
         meshes = geometry.moving_meshes(arrays["angles_rad"][k], poses[k], arrays["skin_m"][k], colors)
         meshes += path_meshes(arrays, errors, error_end, k + 1)
+        arrow = force_arrow(arrays["skin_m"][k], arrays["force_n"][k], radius_m)
+        if arrow is not None:
+            meshes += [mesh.transformed(poses[k]) for mesh in arrow_meshes(arrow)]
         frame = np.empty((HEIGHT, WIDTH, 3), np.uint8)
         frame[:] = BACKGROUND
         frame[:, :_VIEW] = renderer.render(meshes, eye, target, _FIELD_DEG)
         tip = poses[k, :3, 3]
         close = renderer.render(meshes, tip + _INSET_EYE_M, tip, _INSET_FIELD_DEG)
         _paste(frame, close[:, (_VIEW - HEIGHT) // 2 :][:, :HEIGHT], 12, 12, _INSET)
+        frame[HEIGHT - len(scales) - 10 : HEIGHT - 10, 12 : 12 + scales.shape[1]] = scales
         if arrays["images"][k].size:
             arrows = None if project is None else np.stack([project(arrays["pin_tips_m"][j]) for j in (0, k)], 1)
             picture = tactile_picture(arrays["images"][k], arrows)
@@ -85,6 +103,25 @@ def render_frames(
         marked[:, now : now + 2] = (120, 120, 120)
         frame[HEIGHT - len(curves) :, _VIEW:] = marked
         yield frame
+
+
+def _scales(displacement_end_mm: float, error_end_mm: float) -> np.ndarray:
+    """Return a picture (h, w, 3) uint8 of what the arrow and the colors of skin and path mean."""
+    rows = (
+        ("skin displacement, mm", displacement_end_mm, SKIN_RAMP),
+        ("position error on the path, mm", error_end_mm, ERROR_RAMP),
+    )
+    out = np.empty((22 * len(rows) + 22, _SCALE_PX + 200, 3), np.uint8)
+    out[:] = BACKGROUND
+    style = (cv2.FONT_HERSHEY_SIMPLEX, 0.36, (35, 38, 46), 1, cv2.LINE_AA)
+    for n, (what, end, ramp) in enumerate(rows):
+        top = 22 * n + 4
+        out[top : top + 12, :_SCALE_PX] = ramp_colors(np.linspace(0, end, _SCALE_PX), end, ramp).round()
+        cv2.putText(out, f"0 to {end:g}: {what}", (_SCALE_PX + 6, top + 10), *style)
+    top = 22 * len(rows) + 4
+    cv2.arrowedLine(out, (0, top + 6), (_SCALE_PX // 2, top + 6), tuple(map(int, FORCE_COLOR)), 2, cv2.LINE_AA, 0, 0.25)
+    cv2.putText(out, "force on the tip; arrows of the pins: x 3", (_SCALE_PX + 6, top + 10), *style)
+    return out
 
 
 def _paste(frame: np.ndarray, picture: np.ndarray, top: int, left: int, width: int) -> None:

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import viser
 
+from tactip_twin.sim.view.force_arrow import HEAD_LENGTH_M, HEAD_M, SHAFT_M, force_arrow, skin_radius_m
 from tactip_twin.sim.view.geometry import ColoredMesh, skin_normals
 from tactip_twin.sim.view.glb import glb
 from tactip_twin.sim.view.palette import FORCE_COLOR, PIN_COLOR, SKIN_COLOR, SKIN_RAMP, ramp_colors
@@ -18,17 +19,6 @@ _PIN_M = 1.1e-3
 
 SEE_THROUGH = 0.45
 """Opacity of what is seen through, and brightness of a skin in front of which white pins can be seen."""
-
-_FORCE_M_PER_N = 0.02
-_MIN_ARROW_M = 1e-3
-"""Length of the force arrow, and below which it is hidden."""
-
-
-_BESIDE_M, _RAISED_M = 8e-3, 12e-3
-"""Distance of the force arrow from the tip along x of the sensor frame, and its height over the apex, m."""
-
-_LEANING = 0.1
-"""Fraction of the force against x beyond which the arrow stands on the other side."""
 
 
 class TipNodes:
@@ -62,25 +52,22 @@ class TipNodes:
         nowhere = np.zeros((1, 2, 3), np.float32)
         self.pins = scene.add_line_segments("/tip/pins", nowhere, rgb(PIN_COLOR), thickness=0.8e-3)
         """The pins, as line segments."""
-        radius = float(np.hypot(*rest_skin[:, :2].T).max())
-        self._beside_m = radius + _BESIDE_M
+        self._radius_m = skin_radius_m(rest_skin)
         # Arrows themselves ignore that they are invisible.
         self._force_frame = scene.add_frame("/tip/force", show_axes=False, visible=False)
         color = line_colors(np.array([FORCE_COLOR]))[0, 0]
         self._force = scene.add_arrows(
-            "/tip/force/arrow", nowhere, color, shaft_radius=0.9e-3, head_radius=2.4e-3, head_length=5e-3
+            "/tip/force/arrow", nowhere, color, shaft_radius=SHAFT_M, head_radius=HEAD_M, head_length=HEAD_LENGTH_M
         )
 
     def show(self, skin: np.ndarray, pin_tips: np.ndarray, directions: np.ndarray, force: np.ndarray) -> None:
         """Show a state of the tip: vertices of the skin (s, 3) m, pins (p, 3), and force (3,) N, sensor frame."""
         self._skin.glb_data = self._skin_glb(skin)
         self.pins.points = np.stack([pin_tips - _PIN_M * directions, pin_tips], 1).astype(np.float32)
-        # At the apex the tip or the object would hide the arrow: it stands beside the tip, so that it leans away from it.
-        self._force_frame.visible = _FORCE_M_PER_N * float(np.linalg.norm(force)) > _MIN_ARROW_M
-        if self._force_frame.visible:
-            side = -1.0 if force[0] < -_LEANING * np.linalg.norm(force) else 1.0
-            start = np.array([side * self._beside_m, 0.0, skin[:, 2].max() - _RAISED_M])
-            self._force.points = np.stack([start, start + _FORCE_M_PER_N * force])[None].astype(np.float32)
+        arrow = force_arrow(skin, force, self._radius_m)
+        self._force_frame.visible = arrow is not None
+        if arrow is not None:
+            self._force.points = arrow[None].astype(np.float32)
 
     def _skin_glb(self, skin: np.ndarray) -> bytes:
         """Return the skin with vertices (s, 3) m as it is shown now."""
