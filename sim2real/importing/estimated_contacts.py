@@ -1,8 +1,9 @@
 """Contacts estimated from the pins of some frames of a set, without its table, which is then compared with them.
 
-The neutral image gives camera and pins, and the learned tip (sim/fast_tip/) says which contact moves pins as those of a
-frame have moved (learning/pose_from_pins.py). The mechanics are not this sensor's, so an estimate may be a third too small
-or too large, but its sign and its axis are right.
+The neutral image gives camera and pins, and the learned tip of any materials (sim/fast_tip/) says which contact moves pins
+as those of a frame have moved (learning/pose_from_pins.py). The materials are estimated from the same pins
+(learning/materials_from_pins.py). Whatever else of the mechanics is not this sensor's may make estimates too small or too
+large, but their signs and axes are right.
 """
 
 import itertools
@@ -39,7 +40,7 @@ _MIN_FRAMES = 20
 """Minimum number of frames with enough pins."""
 
 _PRESET = "tactip-127"
-"""Preset whose mechanics are taken: no image shows those of the sensor at hand."""
+"""Preset whose materials the estimate begins with."""
 
 _POSES = {
     "surface": Ranges(depth_mm=(-6.5, 0.0), roll_deg=(-25, 25), pitch_deg=(-25, 25)),
