@@ -133,7 +133,7 @@ def estimate_contacts(
         design = _with_camera_of(design, reader.with_rim(neutral), frames.with_rim[:PIN_DETECTION_FRAMES])
     pins, good = detected_pins(list(frames.cropped.values()), fit.pins_px)
     rows, pins = np.array(list(frames.cropped))[good], pins[good]
-    model = contact_model(design, pins, task, rng)
+    model = contact_model(design, pins, task, rng).model
     noise = _noise(pins)
     optima = []
     for found in _optima(model, pins, noise, task, rng):
@@ -219,21 +219,40 @@ def detected_pins(images: Sequence[np.ndarray], at_rest_px: np.ndarray) -> tuple
     return pins, good
 
 
-def contact_model(design: Design, pins: np.ndarray, task: Task, rng: np.random.Generator) -> PinModel:
+class ContactModel(NamedTuple):
+    """A model of the pins of a tip whose materials were estimated."""
+
+    model: PinModel
+    """The model."""
+    before_px: float
+    """Median distance of detected and simulated pins with the design's own materials, px of 256."""
+    after_px: float
+    """The same with the estimated ones."""
+
+
+def contact_model(design: Design, pins: np.ndarray, task: Task, rng: np.random.Generator) -> ContactModel:
     """Return a model of the pins of a tip of some design, with the materials that explain pins (n, p, 2), px of 256, of some
     frames best, whatever their contacts."""
     tip = read_fast_tip(any_materials(task))
     model = PinModel(tip, PinDecoder(design, tip.modes), _POSES[task], _SHEARS, Lens(design))
     model = model.with_materials(np.clip(material_inputs(design.materials), *model.material_ranges.T))
     some, noise = pins[rng.choice(len(pins), min(_MATERIAL_FRAMES, len(pins)), replace=False)], _noise(pins)
-    for _ in range(_MATERIAL_ROUNDS):
-        optima = _optima(model, some, noise, task, rng)
-        best, frames = np.argmin([one.residuals for one in optima], 0), np.arange(len(some))
-        start = np.stack([np.concatenate([one.poses, one.shears], 1) for one in optima])[best, frames]
-        residuals = np.min([one.residuals for one in optima], 0)
+    start, residuals = _likeliest(_optima(model, some, noise, task, rng))
+    before_px = float(np.median(residuals))
+    for k in range(_MATERIAL_ROUNDS):
+        if k:
+            start, residuals = _likeliest(_optima(model, some, noise, task, rng))
         good = residuals <= _BAD_FIT * np.median(residuals)
         model = model.with_materials(most_likely_materials(model, some[good], start[good], noise, outlier=_OUTLIER_PX))
-    return model
+    after = most_likely(model, some, start, noise, outlier=_OUTLIER_PX)
+    return ContactModel(model, before_px, float(np.median(after.residuals)))
+
+
+def _likeliest(optima: Sequence[MostLikely]) -> tuple[np.ndarray, np.ndarray]:
+    """Return poses and shears (n, 12), mm and degrees, of the best optimum of each frame, and its residuals (n,)."""
+    residuals = np.stack([one.residuals for one in optima])
+    both = np.stack([np.concatenate([one.poses, one.shears], 1) for one in optima])
+    return both[residuals.argmin(0), np.arange(residuals.shape[1])], residuals.min(0)
 
 
 def _noise(pins: np.ndarray) -> float:

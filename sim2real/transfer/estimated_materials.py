@@ -13,6 +13,9 @@ from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.neutral_image import neutral_px
 
+BEFORE, AFTER = "before_px", "after_px"
+"""Names of the distances of the pins."""
+
 _MARGIN = 1e-3
 """Distance of the materials from the ends of what the learned tip knows, as a fraction or in logarithms, -."""
 
@@ -20,8 +23,8 @@ _MARGIN = 1e-3
 def with_estimated_materials(
     design: Design, images: np.ndarray, task: Task, around: MechanicsRandomization, seed: int = 0
 ) -> tuple[Design, dict[str, float]]:
-    """Return a design with the materials that explain the pins of some frames best, whatever their poses, and these
-    materials by name (sim/fast_tip/materials.py).
+    """Return a design with the materials that explain the pins of some frames best, whatever their poses; and these
+    materials by name (sim/fast_tip/materials.py), with the distance of detected and simulated pins before and with them.
 
     Args:
         design: The design, fitted to the sensor's neutral image.
@@ -36,7 +39,7 @@ def with_estimated_materials(
     rng = np.random.default_rng(seed)
     chosen = images[rng.choice(len(images), min(FRAMES, len(images)), replace=False)]
     pins, good = detected_pins(list(chosen), neutral_px(design))
-    model = contact_model(design, pins[good], task, rng)
+    model, before_px, after_px = contact_model(design, pins[good], task, rng)
     found = dict(zip(INPUTS, (float(value) for value in _within(model, around)), strict=True))
     gel = design.materials.gel_young_pa
     materials = replace(
@@ -47,7 +50,7 @@ def with_estimated_materials(
         slip_weakening_m=float(np.exp(found["log_slip_weakening"])),
         skin_thickness_m=float(np.exp(found["log_thickness"])),
     )
-    return replace(design, materials=materials), found
+    return replace(design, materials=materials), found | {BEFORE: before_px, AFTER: after_px}
 
 
 def _within(model: PinModel, around: MechanicsRandomization) -> np.ndarray:

@@ -51,8 +51,8 @@ class TransferSettings:
     """Numbers of real frames to correct by and to fine-tune on."""
     randomize_mechanics: Mechanics = AUTO
     """Randomization of the mechanics (sim/dataset/mechanics_randomization.py). estimated: a little, around materials that
-    explain the pins of frames best, whatever their labels; auto: estimated, or real if the frames show too few pins or a
-    design is given."""
+    explain the pins of frames best, whatever their labels; auto: estimated where these explain the pins much better than
+    usual ones, else real."""
     optics_ranges: OpticsChoice = AUTO
     """Ranges of the randomized optics (learning/optics_ranges.py). auto: steady if light at the rim shows how the camera
     moved since the neutral image, else real."""

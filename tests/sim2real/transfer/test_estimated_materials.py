@@ -9,7 +9,7 @@ from tactip_twin.learning.pose_from_pins import PinModel
 from tactip_twin.sim.dataset.mechanics_randomization import MECHANICS_RANDOMIZATIONS
 from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES
 from tactip_twin.sim.fast_tip.fast_tip import PinDecoder, any_materials, read_fast_tip
-from tactip_twin.sim.fast_tip.materials import are_learned, material_inputs
+from tactip_twin.sim.fast_tip.materials import INPUTS, are_learned, material_inputs
 from tactip_twin.sim.pose import from_mm_deg
 from tactip_twin.sim2real.transfer.estimated_materials import with_estimated_materials
 from tactip_twin.tactip_model.errors import TactipError
@@ -41,7 +41,8 @@ def test_materials_are_those_that_made_the_frames(friction, stiffness):
     frames = frames_of(replace(DESIGN, materials=true))
     start = replace(DESIGN, materials=replace(m, kinetic_fraction=0.63))
     design, found = with_estimated_materials(start, frames, "surface", AROUND)
-    assert np.allclose(list(found.values()), material_inputs(design.materials))
+    assert np.allclose([found[name] for name in INPUTS], material_inputs(design.materials))
+    assert found["after_px"] < found["before_px"]
     assert design.materials.gel_young_pa == m.gel_young_pa
     assert abs(np.log(design.materials.skin_young_pa / true.skin_young_pa)) < 0.25
     # Static friction and the fraction that is left of it in sliding can stand in for each other.
