@@ -227,7 +227,7 @@ def test_tune_on_cluster_writes_same_files(data, tmp_path):
 def test_tune_on_cluster_without_ray_raises(data, tmp_path, monkeypatch):
     """The error says what to install, and no folder is created."""
     monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(TactipError, match=r"pip install 'tactip-twin\[cluster\]'"):
+    with pytest.raises(TactipError, match=r"pip install -e '\.\[cluster\]'"):
         tune_on_cluster(data, tmp_path / "search", SETTINGS, 1, "auto")
     assert not (tmp_path / "search").exists()
 

@@ -219,7 +219,7 @@ def test_base_install_has_an_error_of_one_sentence(monkeypatch):
     monkeypatch.setitem(sys.modules, "gymnasium", None)
     monkeypatch.delitem(sys.modules, "tactip_twin.control.environments", raising=False)
     with pytest.raises(
-        TactipError, match=r"the environments need gymnasium: install it with `pip install 'tactip-twin\[rl\]'`"
+        TactipError, match=r"the environments need gymnasium: in the clone, .venv/bin/pip install -e '.\[rl\]'"
     ):
         importlib.import_module("tactip_twin.control.environments")
 
