@@ -30,8 +30,8 @@ class Import(Command):
     targets: Path | None = None
     """Table of poses. Default: targets.csv in the folder, or its only table."""
     neutral: Path | None = None
-    """Image of the undeformed tip. Default: init* or neutral* in the folder or beside the frames; without one, the median of
-    the shallowest frames replaces it."""
+    """Image of the undeformed tip. Default: init* or neutral* in the folder or beside the frames; without one, the frames
+    whose pins have moved least replace it."""
     find: bool = False
     """Find which columns are which, their signs, the camera's rotation, the zero of depth and the tool centre by holding the
     frames against simulated contacts. Options that are given are kept and checked. Of an edge, give --task edge."""

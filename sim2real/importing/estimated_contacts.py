@@ -91,8 +91,6 @@ class EstimatedContacts:
     """(n, p, 2) detected pins, px of 256; NaN where one is not detected."""
     simulated_px: np.ndarray
     """(n, p, 2) pins of the estimated contacts, px of 256."""
-    materials: np.ndarray
-    """(5,) inputs of the learned tip (sim/fast_tip/materials.py) with which contacts explain the pins best."""
     touching_at_rest: bool = False
     """Whether the pins at rest are from frames that touch, because there is no neutral image: depths then have no zero."""
     optima: "tuple[EstimatedContacts, ...]" = ()
@@ -147,7 +145,6 @@ def estimate_contacts(
             at_rest_px=fit.pins_px,
             detected_px=pins,
             simulated_px=model.positions(values).reshape(pins.shape),
-            materials=np.array(model.materials),
             touching_at_rest=neutral is None,
         )
         optima.append(one)

@@ -31,7 +31,7 @@ def contacts_of(task, rng, gain=0.7, noise=1.0):
     deviations = np.full((COUNT, 6), 2.0)
     nothing = np.zeros((COUNT, 1, 2))
     return poses, shears, EstimatedContacts(
-        np.arange(COUNT), estimated, deviations, shown, np.ones(COUNT), nothing[0], nothing, nothing, np.zeros(5)
+        np.arange(COUNT), estimated, deviations, shown, np.ones(COUNT), nothing[0], nothing, nothing
     )  # fmt: skip
 
 
@@ -109,7 +109,7 @@ def test_few_noisy_frames_are_refused_with_both_readings():
     shown[:, 0] = 4 * (0.41 * shear + 0.91 * noise)
     nothing = np.zeros((few, 1, 2))
     contacts = EstimatedContacts(
-        np.arange(few), estimated, np.ones((few, 6)), shown, np.ones(few), nothing[0], nothing, nothing, np.zeros(5)
+        np.arange(few), estimated, np.ones((few, 6)), shown, np.ones(few), nothing[0], nothing, nothing
     )
     cells = {name: [f"{x:.6g}" for x in column] for name, column in {"z": depth, "b": tilt, "d": shear}.items()}
     with pytest.raises(TactipError, match="equally well for two readings of the table: pose_Ry=b shear_x=d"):
