@@ -12,9 +12,9 @@ from tactip_twin.sim.contact.limits import exceeds_max_tilt
 from tactip_twin.sim.dataset.configuration import Configuration
 from tactip_twin.sim.dataset.format import EFFECTIVE_SHEARS, FORCES, read_configuration
 from tactip_twin.sim.dataset.sampling import Ranges
-from tactip_twin.sim.fast_tip.fast_tip import FastTip, PinDecoder, read_fast_tip, shipped_fast_tip
+from tactip_twin.sim.fast_tip.fast_tip import FastTip, PinDecoder, Prediction, read_fast_tip, shipped_fast_tip
 from tactip_twin.sim.fast_tip.materials import material_inputs
-from tactip_twin.sim.labels import SHEARS
+from tactip_twin.sim.labels import SHEARS, Task
 from tactip_twin.sim.pose import from_mm_deg, to_mm_deg
 from tactip_twin.tactip_model.errors import TactipError
 
@@ -47,7 +47,7 @@ class ContactSource:
             device: Torch device of the images.
 
         Raises:
-            TactipError: If the set's contacts are not single presses of one sensor on a flat surface or a straight edge, its
+            TactipError: If the set's contacts are not single presses on a flat surface or a straight edge, its
                 images are grey, or the tip belongs to another sensor or task.
         """
         meta, where = samples.dataset.meta, f"the set in {samples.folder}"
@@ -62,9 +62,9 @@ class ContactSource:
             raise TactipError(f"{where} has images of {samples.size} px, but its design makes {design.image.size_px} px")
         if tip.task != task:
             raise TactipError(f"the learned tip that draws contacts must be for {task!r}, got one for {tip.task!r}")
-        tip.check_design(design)
-        self._tip, self._decoder = tip, PinDecoder(design, tip.modes)
-        self._materials = material_inputs(design.materials)
+        self._randomization = configuration.mechanics_randomization
+        tip.check_design(design, randomized=not self._randomization.is_identity)
+        self._design, self._tip, self._decoder = design, tip, PinDecoder(design, tip.modes)
         self._labels, self._pose, self._shear = samples.labels, configuration.pose, configuration.shear
         self.raster = TactileRaster(design, device)
         """Renderer of the sensor's images."""
@@ -84,7 +84,7 @@ class ContactSource:
             if not gentle.any():
                 continue
             poses, shears = poses[gentle], shears[gentle]
-            predicted = self._tip.predict(self._decoder, poses, shears, self._materials)
+            predicted = self._predict(poses, shears, rng)
             good = predicted.trusted
             columns = dict(zip(SHEARS, to_mm_deg(shears).T, strict=True))
             columns |= dict(zip(EFFECTIVE_SHEARS, to_mm_deg(predicted.effective_shears)[:, [0, 1, 5]].T, strict=True))
@@ -98,6 +98,13 @@ class ContactSource:
                 return DrawnContacts(tips, directions, self.raster.render(tips, directions), targets, quantities)
         raise TactipError("contacts cannot be drawn: the learned tip can predict hardly any of those in the set's ranges")
 
+    def _predict(self, poses: np.ndarray, shears: np.ndarray, rng: np.random.Generator) -> Prediction:
+        """Predict contacts (k, 6), (k, 6), with mechanics that are drawn for each where the set's are."""
+        if self._randomization.is_identity:
+            return self._tip.predict(self._decoder, poses, shears, material_inputs(self._design.materials))
+        designs = [self._randomization.sample(self._design, rng) for _ in poses]
+        return self._tip.predict_each(self._decoder, poses, shears, designs)
+
     def _sample(self, ranges: Ranges, count: int, rng: np.random.Generator) -> np.ndarray:
         """Return uniform samples (count, 6), m and rad."""
         low, high = ranges.bounds().T
@@ -110,17 +117,18 @@ _MAX_ROUNDS = 100
 
 def shipped_tip_for(samples: Samples) -> FastTip:
     """Return the shipped learned tip of a set's sensor and task. Raises TactipError if there is none."""
-    design = read_configuration(samples.dataset.meta, samples.folder).design
-    return read_fast_tip(shipped_fast_tip("edge" if samples.labels.task == "edge" else "surface", design.name))
+    configuration = read_configuration(samples.dataset.meta, samples.folder)
+    task: Task = "edge" if samples.labels.task == "edge" else "surface"
+    randomized = not configuration.mechanics_randomization.is_identity
+    return read_fast_tip(shipped_fast_tip(task, configuration.design.name, randomized))
 
 
 def _check(configuration: Configuration, where: str) -> None:
     """Raise TactipError unless the contacts of a set are of the kind that the learned tip of single presses knows."""
     c = configuration
     unfit = {"an object": c.object is not None, "curved surfaces": c.is_curved, "sliding paths": c.snapshots_per_contact > 1}
-    unfit |= {"randomized mechanics": not c.mechanics_randomization.is_identity}
     for what in (name for name, present in unfit.items() if present):
         raise TactipError(
-            f"contacts can be drawn for single presses of one sensor on a flat surface or an edge, but {where} has {what}: "
+            f"contacts can be drawn for single presses on a flat surface or an edge only, but {where} has {what}: "
             "set drawn_contacts to 0"
         )

@@ -16,7 +16,7 @@ import numpy as np
 from tactip_twin.benchmarks.hardware import machine, machine_text
 from tactip_twin.benchmarks.learning.options import LearningOptions
 from tactip_twin.benchmarks.report import read_results, table, write_results
-from tactip_twin.learning.configuration import Recipe
+from tactip_twin.learning.configuration import Recipe, TrainSettings
 from tactip_twin.learning.data import Samples, read_samples, read_splits
 from tactip_twin.learning.evaluate import evaluate
 from tactip_twin.learning.model import load_model, load_network
@@ -26,6 +26,7 @@ from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.dataset.configuration import Configuration
 from tactip_twin.sim.dataset.format import read_meta
 from tactip_twin.sim.dataset.generate import Job, make
+from tactip_twin.sim.dataset.mechanics_randomization import MECHANICS_RANDOMIZATIONS
 from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES, Ranges, Split
 from tactip_twin.sim.dataset.symmetry import SYMMETRIES
 from tactip_twin.sim.fast_tip.fast_tip import read_fast_tip, shipped_fast_tip
@@ -83,6 +84,9 @@ _DRAWN_SET = 500
 WIDE_PX = 256
 """Width of the images of the row `laptop-256px`, whose pins are known to half the noise of 128 px (docs/uncertainty.md)."""
 
+_MORE_PINS_EPOCHS = 120
+"""Number of epochs of the 331-pin tip's networks, which know any materials and cameras [?]."""
+
 _CURVED_EPOCHS = 4
 """Number of epochs on curved surfaces [?]."""
 
@@ -118,6 +122,15 @@ CURVED_SHEARS = replace(SHEAR_RANGES, x_mm=(-8.0, 8.0), y_mm=(-8.0, 8.0))
 
 DESIGN, FIDELITY = "tactip-127", "standard"
 
+MORE_PINS_DESIGN = "tactip-331"
+"""Sensor of the row `laptop-331`."""
+
+_DEEP_MM = (-5.5, -0.2)
+"""Depths of its contacts: all that the learned tip of any materials knows."""
+
+
+_OWN_TESTS = {"256px", "331"}
+"""Kinds of rows (Row.kind) with test sets of their own."""
 
 CROSS_TESTS = {
     "shear": (("laptop-plain", "laptop-taps"), ("sheared", "taps")),
@@ -137,7 +150,7 @@ class Row:
     what: str
     """Description in the tables."""
     kind: str
-    """Training set: plain, symmetric, large, fast, snapshots, taps, curved or 256px."""
+    """Training set: plain, symmetric, large, fast, snapshots, taps, curved, 256px or 331."""
     recipe: Recipe
     """Network and training."""
     init_from: str = ""
@@ -174,12 +187,19 @@ def rows(task: Task, paper: bool) -> list[Row]:
     wide = Recipe(replace(laptop.network, downsample=4, batch_size=64), drawn)
     what = f"recipe `laptop` on images of {WIDE_PX} px, on contacts that the learned tip draws anew at every epoch"
     out.append(Row("laptop-256px", what, "256px", wide))
+    what = f"recipe `laptop` on drawn contacts of `{MORE_PINS_DESIGN}`, any materials, any camera: a start for other tips"
+    out.append(Row("laptop-331", what, "331", Recipe(replace(laptop.network, batch_size=64), _more_pins(drawn))))
     if task == "surface":
         curved = replace(tuned, settings=replace(tuned.settings, epochs=_CURVED_EPOCHS, min_steps=0))
         out.append(Row("laptop-curved", f"`{start}` fine-tuned on curved surfaces", "curved", curved, start))
         what = "`laptop-curved` fine-tuned with images of the undeformed tip"
         out.append(Row("laptop-curved-contact", what, "curved", last, "laptop-curved"))
     return out
+
+
+def _more_pins(drawn: TrainSettings) -> TrainSettings:
+    """Return the settings of the row `laptop-331`, from those for drawn contacts: optics vary as in a transfer."""
+    return replace(drawn, epochs=_MORE_PINS_EPOCHS, augmented_fraction=0.6, augmentation_strength=1.0, optics_ranges="real")
 
 
 def jobs(options: LearningOptions, kinds: Collection[str]) -> list[Job]:
@@ -189,7 +209,8 @@ def jobs(options: LearningOptions, kinds: Collection[str]) -> list[Job]:
     each = len(SYMMETRIES[task])
     usual, light = POSE_RANGES[task], replace(POSE_RANGES[task], depth_mm=_LIGHT_DEPTH_MM)
     wanted: list[_Wanted] = []
-    if set(kinds) != {"256px"}:
+    shared = not set(kinds) <= _OWN_TESTS
+    if shared:
         wanted += [_Wanted("plain", "test", options.test_contacts, usual, SHEAR_RANGES)]
         wanted += [_Wanted("light", "test", options.other_test_contacts, light, SHEAR_RANGES, _LIGHT_SEED)]
         wanted += [_Wanted("taps", "test", options.other_test_contacts, usual, still)]
@@ -205,6 +226,11 @@ def jobs(options: LearningOptions, kinds: Collection[str]) -> list[Job]:
         wanted += [_Wanted("256px", "train", _DRAWN_SET, light, SHEAR_RANGES, _FAST_SEED)]
         wanted += [_Wanted("256px", "val", options.test_contacts, light, SHEAR_RANGES, _FAST_VAL_SEED)]
         wanted += [_Wanted("256px", "test", options.test_contacts, usual, SHEAR_RANGES)]
+    if "331" in kinds:
+        deep = replace(usual, depth_mm=_DEEP_MM)
+        wanted += [_Wanted("331", "train", _DRAWN_SET, deep, SHEAR_RANGES, _FAST_SEED)]
+        wanted += [_Wanted("331", "val", options.other_test_contacts, deep, SHEAR_RANGES, _FAST_VAL_SEED)]
+        wanted += [_Wanted("331", "test", options.test_contacts, usual, SHEAR_RANGES)]
     if {"plain", "symmetric", "large", "snapshots"} & set(kinds):
         wanted += [_Wanted("plain", "val", options.test_contacts, usual, SHEAR_RANGES)]
     if "snapshots" in kinds:
@@ -212,7 +238,7 @@ def jobs(options: LearningOptions, kinds: Collection[str]) -> list[Job]:
     if "taps" in kinds:
         wanted += [_Wanted("taps", "train", options.contacts, usual, still)]
         wanted += [_Wanted("taps", "val", options.other_test_contacts, usual, still)]
-    if task == "surface" and set(kinds) != {"256px"}:
+    if task == "surface" and shared:
         touching, few = replace(usual, depth_mm=_CURVED_DEPTH_MM), options.curved_test_contacts * CURVED_SNAPSHOTS
         wanted += [_Wanted("curved", "test", few, touching, CURVED_SHEARS)]
         if "curved" in kinds:
@@ -246,13 +272,13 @@ def _job(options: LearningOptions, wanted: _Wanted) -> Job:
     augmented = (kind, split) in (("symmetric", "train"), ("fast", "train"), ("curved", "train"))
     tip: Path | None = None
     digest = ""
-    if (kind, split) in (("fast", "train"), ("256px", "train")):
-        tip = shipped_fast_tip(task, DESIGN)
+    if (kind, split) in (("fast", "train"), ("256px", "train"), ("331", "train")):
+        tip = shipped_fast_tip(task, MORE_PINS_DESIGN if kind == "331" else DESIGN)
         digest = read_fast_tip(tip).digest
     elif (kind, split) == ("curved", "train"):
         tip = shipped_sliding_tip(task, DESIGN)
         digest = read_sliding_tip(tip).digest
-    design = load_design(DESIGN)
+    design = load_design(MORE_PINS_DESIGN if kind == "331" else DESIGN)
     if kind == "256px":
         design = replace(design, image=replace(design.image, size_px=WIDE_PX))
     configuration = Configuration(
@@ -261,7 +287,7 @@ def _job(options: LearningOptions, wanted: _Wanted) -> Job:
         samples=wanted.samples,
         seed=wanted.seed,
         # OpenGL takes longer for eight images than the contact itself. Test sets are rendered by it nevertheless.
-        renderer="raster" if augmented or (kind, split) in (("256px", "train"), ("256px", "val")) else "pyrender",
+        renderer="raster" if augmented or (kind in _OWN_TESTS and split != "test") else "pyrender",
         design=design,
         fidelity=fidelity_named(FIDELITY),
         pose=wanted.pose,
@@ -272,6 +298,7 @@ def _job(options: LearningOptions, wanted: _Wanted) -> Job:
         snapshots_per_contact={"snapshots": SNAPSHOTS, "curved": CURVED_SNAPSHOTS}.get(kind, 1),
         # The sets of the networks also teach and test the learned tip.
         keep_mesh=kind in ("symmetric", "plain"),
+        mechanics_randomization=MECHANICS_RANDOMIZATIONS["real" if kind == "331" and split != "test" else "none"],
         fast_tip=digest,
     )
     return Job(configuration, options.data / kind / task / split, tip)
@@ -295,7 +322,7 @@ class Sets:
         Raises:
             TactipError: A set is missing or damaged.
         """
-        if kind in ("taps", "curved", "fast", "256px"):
+        if kind in ("taps", "curved", "fast", *_OWN_TESTS):
             return read_splits(self._folder(kind))
         if kind == "snapshots":
             return read_samples(self._folder(kind) / "train"), read_samples(self._folder("plain") / "val")
@@ -311,7 +338,7 @@ class Sets:
 
     def tests(self, kind: str) -> dict[str, Samples]:
         """Return test samples by kind of contact, for a row of a kind. Raises TactipError if a set is missing or damaged."""
-        if kind == "256px":
+        if kind in _OWN_TESTS:
             return {"sheared": read_samples(self._folder(kind) / "test")}
         kinds = {"sheared": "plain", "light": "light", "taps": "taps"} | (
             {"curved": "curved"} if self._options.task == "surface" else {}

@@ -5,8 +5,9 @@ prediction, and their spread tells whether it can be trusted. A second network p
 """
 
 import hashlib
+from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,14 @@ import numpy as np
 from tactip_twin.assets import FAST_TIPS
 from tactip_twin.sim.fast_tip.archive import check_numbers, pack, unpack
 from tactip_twin.sim.fast_tip.features import COUNT, features
-from tactip_twin.sim.fast_tip.materials import INPUTS, check_inputs, check_mechanics, material_inputs
+from tactip_twin.sim.fast_tip.materials import (
+    INPUTS,
+    are_learned,
+    check_inputs,
+    check_mechanics,
+    material_inputs,
+    nearest_learned,
+)
 from tactip_twin.sim.fast_tip.measures import MEASURES, forces_and_patch
 from tactip_twin.sim.fast_tip.network import Network, network_of
 from tactip_twin.sim.fast_tip.skin_field import RING_ANGLES, Modes
@@ -148,13 +156,47 @@ class FastTip:
             shears: (k, 6) m and rad.
             materials: As of `coefficients`; (5,).
         """
+        return self._predict(decoder, poses, shears, materials, decoder.gel_young_pa, 0.0)
+
+    def predict_each(
+        self, decoder: "PinDecoder", poses: np.ndarray, shears: np.ndarray, designs: Sequence[Design]
+    ) -> Prediction:
+        """Predict contacts of tips whose mechanics differ. Those with mechanics that it has not learned are not trusted.
+
+        Args:
+            decoder: Pins of one of the tips, whose pins differ from those of the others by their length alone.
+            poses: (k, 6) m and rad.
+            shears: (k, 6) m and rad.
+            designs: k designs of the tips, of the shape that it learned.
+
+        Raises:
+            TactipError: If it knows the materials of one tip only.
+        """
+        if self.materials is None:
+            raise TactipError(f"this learned tip knows the materials of one tip only, on the task {self.task!r}")
+        materials = np.array([material_inputs(nearest_learned(d.materials, self.materials)) for d in designs])
+        gel_young_pa = np.array([design.materials.gel_young_pa for design in designs])
+        lengths_m = np.array([design.pins.length_m for design in designs])
+        predicted = self._predict(decoder, poses, shears, materials, gel_young_pa, lengths_m - decoder.length_m)
+        return replace(predicted, trusted=predicted.trusted & are_learned(materials, self.materials).all(-1))
+
+    def _predict(
+        self,
+        decoder: "PinDecoder",
+        poses: np.ndarray,
+        shears: np.ndarray,
+        materials: np.ndarray | None,
+        gel_young_pa: float | np.ndarray,
+        longer_m: float | np.ndarray,
+    ) -> Prediction:
+        """Predict contacts with gels (k,) and pins (k,) longer than the decoder's."""
         poses, shears = np.asarray(poses, float), np.asarray(shears, float)
         coefficients, spread = self.coefficients(poses, shears, materials)
-        tips, directions = decoder(coefficients)
+        tips, directions = decoder(coefficients, longer_m)
         scaled, _ = self._scaled(poses, shears, materials)
         measures = self.measure_network(scaled) * self.measure_scale + self.measure_center
         if self.materials is not None:
-            measures[:, 0] += np.log(decoder.gel_young_pa / REFERENCE_YOUNG_PA)
+            measures[:, 0] += np.log(gel_young_pa / REFERENCE_YOUNG_PA)
         return Prediction(
             pin_tips=tips,
             directions=directions,
@@ -204,6 +246,8 @@ class PinDecoder:
 
     gel_young_pa: float
     """Young's modulus of the design's gel, Pa."""
+    length_m: float
+    """Length of its pins, m."""
 
     def __init__(self, design: Design, modes: Modes) -> None:
         """Evaluate the modes at the design's pins."""
@@ -221,16 +265,24 @@ class PinDecoder:
         return other
 
     def _set_mechanics(self, design: Design) -> None:
-        self.gel_young_pa = design.materials.gel_young_pa
+        self.gel_young_pa, self.length_m = design.materials.gel_young_pa, design.pins.length_m
         self._tips, _ = neutral_pins(design)
         to_tips = self._moved - pin_lever_m(design) * self._turned
         self._to_tips = to_tips.reshape(len(to_tips), -1).astype(np.float32)
 
-    def __call__(self, coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return pin tips (k, p, 3), m, and directions (k, p, 3) for coefficients (k, n) complex; sensor frame."""
+    def __call__(self, coefficients: np.ndarray, longer_m: float | np.ndarray = 0.0) -> tuple[np.ndarray, np.ndarray]:
+        """Return pin tips (k, p, 3), m, and directions (k, p, 3) for coefficients (k, n) complex; sensor frame.
+
+        Args:
+            coefficients: (k, n).
+            longer_m: Length by which the pins of each contact (k,) exceed those of the design, m.
+        """
         parts = np.concatenate([coefficients.real, coefficients.imag], 1).astype(np.float32)
         tips = self._tips + (parts @ self._to_tips).reshape(-1, *self._tips.shape)
         directions = self._directions - (parts @ self._to_turns).reshape(tips.shape)
+        if np.any(longer_m):
+            # A pin's tip moves with its root, plus its length times the change of the normal.
+            tips += np.reshape(longer_m, (-1, 1, 1)) * directions
         directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
         return tips, directions
 

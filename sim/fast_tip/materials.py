@@ -4,7 +4,7 @@ In slow motions, a deformation depends on the two moduli by their ratio alone, a
 """
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -56,8 +56,19 @@ def check_mechanics(learned: dict[str, Any], design: Design) -> None:
 
 
 def are_learned(inputs: np.ndarray, ranges: np.ndarray) -> np.ndarray:
-    """Return for each of INPUTS (5,) whether it lies in the ranges (5, 2) that a tip has learned, (5,) bool."""
+    """Return for each of INPUTS (..., 5) whether it lies in the ranges (5, 2) that a tip has learned, (..., 5) bool."""
     return (inputs >= ranges[:, 0] - _ROUNDING) & (inputs <= ranges[:, 1] + _ROUNDING)
+
+
+def nearest_learned(materials: Materials, ranges: np.ndarray) -> Materials:
+    """Return materials with at most the kinetic fraction that a tip has learned, 1 % below the 1 of Coulomb friction.
+
+    Args:
+        materials: The materials.
+        ranges: (5, 2) low and high of INPUTS that it has learned.
+    """
+    highest = ranges[INPUTS.index("kinetic_fraction"), 1]
+    return replace(materials, kinetic_fraction=min(materials.kinetic_fraction, highest))
 
 
 def check_inputs(inputs: np.ndarray, ranges: np.ndarray) -> None:

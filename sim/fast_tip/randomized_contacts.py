@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from tactip_twin.sim.fast_tip.fast_contacts import FastContacts
 from tactip_twin.sim.fast_tip.fast_tip import FastTip, PinDecoder
-from tactip_twin.sim.fast_tip.materials import INPUTS, are_learned, material_inputs
+from tactip_twin.sim.fast_tip.materials import are_learned, material_inputs, nearest_learned
 from tactip_twin.tactip_model.design import Design
 
 
@@ -29,11 +29,9 @@ class RandomizedContacts:
 
         Coulomb friction becomes the largest ratio of kinetic to static friction that the tip has learned, 1 % below 1.
         """
-        ranges = self._tip.materials
-        if ranges is None:
+        if self._tip.materials is None:
             return None
-        highest = ranges[INPUTS.index("kinetic_fraction"), 1]
-        known = replace(design.materials, kinetic_fraction=min(design.materials.kinetic_fraction, highest))
-        if not are_learned(material_inputs(known), ranges).all():
+        known = nearest_learned(design.materials, self._tip.materials)
+        if not are_learned(material_inputs(known), self._tip.materials).all():
             return None
         return FastContacts(self._tip, replace(design, materials=known), self._decoder.with_mechanics(design))

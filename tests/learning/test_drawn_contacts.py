@@ -1,6 +1,6 @@
 """Contacts drawn in a training: the learned tip's, with the set's images and ranges, reproducible from the seed."""
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -19,9 +19,11 @@ from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.dataset.configuration import Configuration
 from tactip_twin.sim.dataset.format import read_pins
 from tactip_twin.sim.dataset.generate import Job, make
+from tactip_twin.sim.dataset.mechanics_randomization import MECHANICS_RANDOMIZATIONS
 from tactip_twin.sim.dataset.sampling import POSE_RANGES, Ranges
 from tactip_twin.sim.fast_tip.fast_contacts import FastContacts
-from tactip_twin.sim.fast_tip.fast_tip import read_fast_tip, shipped_fast_tip
+from tactip_twin.sim.fast_tip.fast_tip import PinDecoder, any_materials, read_fast_tip, shipped_fast_tip
+from tactip_twin.sim.fast_tip.randomized_contacts import RandomizedContacts
 from tactip_twin.sim.pose import from_mm_deg
 from tactip_twin.tactip_model.errors import Interrupted, TactipError
 from tactip_twin.tactip_model.presets import load_design
@@ -73,6 +75,52 @@ def test_drawn_contacts_are_those_of_the_learned_tip(samples, source):
     np.testing.assert_allclose([c.force_n for c in contacts], forces, atol=1e-6)
     low, high = POSE_RANGES["edge"].bounds()[[0, 2, 3, 4, 5]].T
     assert ((drawn.targets >= low) & (drawn.targets <= high)).all()
+
+
+@pytest.mark.parametrize("task", ["surface", "edge"])
+def test_contacts_with_drawn_mechanics_are_those_of_each_tip(task):
+    """Materials and pin lengths of each contact's own, in one batch as one by one."""
+    design, tip = load_design("tactip-331"), read_fast_tip(any_materials(task))
+    rng = np.random.default_rng(2)
+    low, high = tip.ranges.T
+    contacts = low + (high - low) * rng.random((12, 12))
+    poses, shears = 0.7 * contacts[:, :6], 0.7 * contacts[:, 6:]
+    designs = [MECHANICS_RANDOMIZATIONS["wide"].sample(design, rng) for _ in range(8)]
+    designs += [MECHANICS_RANDOMIZATIONS["real"].sample(design, rng) for _ in range(4)]
+    together = tip.predict_each(PinDecoder(design, tip.modes), poses, shears, designs)
+    known = 0
+    for k, one in enumerate(designs):
+        alone = RandomizedContacts(tip, design).of(one)
+        if alone is None:
+            assert not together.trusted[k]
+            continue
+        known += 1
+        (contact,), trusted = alone.predict(poses[k : k + 1], shears[k : k + 1])
+        np.testing.assert_allclose(together.pin_tips[k], contact.pin_tips, atol=1e-8)
+        np.testing.assert_allclose(together.directions[k], contact.directions, atol=1e-6)
+        np.testing.assert_allclose(together.forces_n[k], contact.force_n, rtol=1e-4, atol=1e-6)
+        assert together.trusted[k] == trusted[0]
+    assert known >= 4
+
+
+def test_draw_takes_the_mechanics_randomization_of_the_set(samples):
+    """Other contacts of the same generator: their forces differ, because their materials do."""
+    meta = samples.dataset.meta
+    configuration = meta["configuration"] | {"mechanics_randomization": asdict(MECHANICS_RANDOMIZATIONS["real"])}
+    dataset = replace(samples.dataset, meta=meta | {"configuration": configuration})
+    randomized = replace(samples, dataset=dataset)
+    source = ContactSource(randomized, shipped_tip_for(randomized))
+    drawn = source.draw(30, np.random.default_rng(5))
+    names = [q.name for q in QUANTITIES]
+    alike = FastContacts(read_fast_tip(any_materials("edge")), load_design("tactip-127"))
+    x, z, roll, pitch, yaw = drawn.targets.T
+    zero = np.zeros(30)
+    shear_x, shear_y, shear_yaw = drawn.quantities[:, :3].T
+    poses = from_mm_deg(np.stack([x, zero, z, roll, pitch, yaw], 1))
+    shears = from_mm_deg(np.stack([shear_x, shear_y, zero, zero, zero, shear_yaw], 1))
+    contacts, _ = alike.predict(poses, shears)
+    ratio = drawn.quantities[:, names.index("force_z_N")] / np.array([c.force_n[2] for c in contacts])
+    assert 1.1 < np.quantile(ratio, 0.9) < 2 and 0.5 < np.quantile(ratio, 0.1) < 0.95
 
 
 def test_draw_follows_its_generator(source):
