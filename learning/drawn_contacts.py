@@ -102,8 +102,8 @@ class ContactSource:
         """Predict contacts (k, 6), (k, 6), with mechanics that are drawn for each where the set's are."""
         if self._randomization.is_identity:
             return self._tip.predict(self._decoder, poses, shears, material_inputs(self._design.materials))
-        designs = [self._randomization.sample(self._design, rng) for _ in poses]
-        return self._tip.predict_each(self._decoder, poses, shears, designs)
+        mechanics = self._randomization.sample_many(self._design, len(poses), rng)
+        return self._tip.predict_each(self._decoder, poses, shears, mechanics)
 
     def _sample(self, ranges: Ranges, count: int, rng: np.random.Generator) -> np.ndarray:
         """Return uniform samples (count, 6), m and rad."""

@@ -84,7 +84,7 @@ _DRAWN_SET = 500
 WIDE_PX = 256
 """Width of the images of the row `laptop-256px`, whose pins are known to half the noise of 128 px (docs/uncertainty.md)."""
 
-_MORE_PINS_EPOCHS = 120
+_MORE_PINS_EPOCHS = 60
 """Number of epochs of the 331-pin tip's networks, which know any materials and cameras [?]."""
 
 _CURVED_EPOCHS = 4

@@ -4,8 +4,9 @@ Two tips of one drawing differ in rubber, gel, thickness and wear, and friction 
 the undeformed tip shows these, so they are sampled for each contact.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -43,17 +44,29 @@ class MechanicsRandomization:
     def sample(self, design: Design, rng: np.random.Generator) -> Design:
         """Return a design with sampled mechanics. Each property takes one number of `rng`."""
         factors = {f.name: getattr(self, f.name) ** rng.uniform(-1, 1) for f in fields(self)}
-        m, pins = design.materials, design.pins
-        materials = replace(
-            m,
-            friction=m.friction * factors["friction"],
-            kinetic_fraction=float(np.clip(m.kinetic_fraction * factors["kinetic_fraction"], 0.1, 1.0)),
-            skin_young_pa=m.skin_young_pa * factors["skin_young"],
-            gel_young_pa=m.gel_young_pa * factors["gel_young"],
-            skin_thickness_m=m.skin_thickness_m * factors["skin_thickness"],
-            slip_weakening_m=m.slip_weakening_m * factors["slip_weakening"],
-        )
-        return replace(design, materials=materials, pins=replace(pins, length_m=pins.length_m * factors["pin_length"]))
+        values = {name: float(value) for name, value in _varied(design, factors).items()}
+        pins = replace(design.pins, length_m=values.pop("length_m"))
+        return replace(design, materials=replace(design.materials, **values), pins=pins)
+
+    def sample_many(self, design: Design, count: int, rng: np.random.Generator) -> dict[str, np.ndarray]:
+        """Return what varies in `count` designs that are sampled as by `sample`: fields (count,) of Materials, and length_m of
+        Pins."""
+        draws = rng.uniform(-1, 1, (count, len(fields(self))))
+        return _varied(design, {f.name: getattr(self, f.name) ** draws[:, k] for k, f in enumerate(fields(self))})
+
+
+def _varied(design: Design, factors: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the fields of Materials, and length_m of Pins, that vary, for numbers or arrays as factors."""
+    m = design.materials
+    return {
+        "friction": m.friction * factors["friction"],
+        "kinetic_fraction": np.clip(m.kinetic_fraction * factors["kinetic_fraction"], 0.1, 1.0),
+        "skin_young_pa": m.skin_young_pa * factors["skin_young"],
+        "gel_young_pa": m.gel_young_pa * factors["gel_young"],
+        "skin_thickness_m": m.skin_thickness_m * factors["skin_thickness"],
+        "slip_weakening_m": m.slip_weakening_m * factors["slip_weakening"],
+        "length_m": design.pins.length_m * factors["pin_length"],
+    }
 
 
 MechanicsName = Literal["none", "estimated", "real", "wide"]

@@ -5,7 +5,7 @@ prediction, and their spread tells whether it can be trusted. A second network p
 """
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -22,6 +22,7 @@ from tactip_twin.sim.fast_tip.materials import (
     are_learned,
     check_inputs,
     check_mechanics,
+    inputs_of,
     material_inputs,
     nearest_learned,
 )
@@ -159,7 +160,7 @@ class FastTip:
         return self._predict(decoder, poses, shears, materials, decoder.gel_young_pa, 0.0)
 
     def predict_each(
-        self, decoder: "PinDecoder", poses: np.ndarray, shears: np.ndarray, designs: Sequence[Design]
+        self, decoder: "PinDecoder", poses: np.ndarray, shears: np.ndarray, mechanics: Mapping[str, np.ndarray]
     ) -> Prediction:
         """Predict contacts of tips whose mechanics differ. Those with mechanics that it has not learned are not trusted.
 
@@ -167,17 +168,16 @@ class FastTip:
             decoder: Pins of one of the tips, whose pins differ from those of the others by their length alone.
             poses: (k, 6) m and rad.
             shears: (k, 6) m and rad.
-            designs: k designs of the tips, of the shape that it learned.
+            mechanics: Fields (k,) of Materials by name, materials.VARIABLE, and length_m, the length of the pins.
 
         Raises:
             TactipError: If it knows the materials of one tip only.
         """
         if self.materials is None:
             raise TactipError(f"this learned tip knows the materials of one tip only, on the task {self.task!r}")
-        materials = np.array([material_inputs(nearest_learned(d.materials, self.materials)) for d in designs])
-        gel_young_pa = np.array([design.materials.gel_young_pa for design in designs])
-        lengths_m = np.array([design.pins.length_m for design in designs])
-        predicted = self._predict(decoder, poses, shears, materials, gel_young_pa, lengths_m - decoder.length_m)
+        materials = nearest_learned(inputs_of(mechanics), self.materials)
+        longer_m = mechanics["length_m"] - decoder.length_m
+        predicted = self._predict(decoder, poses, shears, materials, mechanics["gel_young_pa"], longer_m)
         return replace(predicted, trusted=predicted.trusted & are_learned(materials, self.materials).all(-1))
 
     def _predict(

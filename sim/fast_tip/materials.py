@@ -4,7 +4,8 @@ In slow motions, a deformation depends on the two moduli by their ratio alone, a
 """
 
 import json
-from dataclasses import asdict, replace
+from collections.abc import Mapping
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ INPUTS = ("log_modulus_ratio", "friction", "kinetic_fraction", "log_slip_weakeni
 """Materials as inputs of a network: natural logarithms of skin_young_pa over gel_young_pa, of slip_weakening_m and of
 skin_thickness_m; and as in Materials."""
 
-_VARIABLE = ("skin_young_pa", "gel_young_pa", "friction", "kinetic_fraction", "slip_weakening_m", "skin_thickness_m")
+VARIABLE = ("skin_young_pa", "gel_young_pa", "friction", "kinetic_fraction", "slip_weakening_m", "skin_thickness_m")
 """Fields of Materials that INPUTS and the scale of forces describe."""
 
 _ROUNDING = 1e-9
@@ -25,9 +26,15 @@ _ROUNDING = 1e-9
 
 def material_inputs(materials: Materials) -> np.ndarray:
     """Return INPUTS (5,) of materials."""
-    m = materials
-    logarithms = np.log([m.skin_young_pa / m.gel_young_pa, m.slip_weakening_m, m.skin_thickness_m])
-    return np.array([logarithms[0], m.friction, m.kinetic_fraction, logarithms[1], logarithms[2]])
+    return inputs_of({name: getattr(materials, name) for name in VARIABLE})
+
+
+def inputs_of(values: Mapping[str, Any]) -> np.ndarray:
+    """Return INPUTS (..., 5) of materials whose VARIABLE fields are numbers or arrays (...)."""
+    ratio = np.divide(values["skin_young_pa"], values["gel_young_pa"])
+    logarithms = [np.log(a) for a in (ratio, values["slip_weakening_m"], values["skin_thickness_m"])]
+    inputs = [logarithms[0], values["friction"], values["kinetic_fraction"], logarithms[1], logarithms[2]]
+    return np.stack(np.broadcast_arrays(*inputs), -1)
 
 
 def mechanics_of(design: Design, any_materials: bool = False) -> dict[str, Any]:
@@ -39,7 +46,7 @@ def mechanics_of(design: Design, any_materials: bool = False) -> dict[str, Any]:
     """
     materials = asdict(design.materials)
     if any_materials:
-        materials = {name: value for name, value in materials.items() if name not in _VARIABLE}
+        materials = {name: value for name, value in materials.items() if name not in VARIABLE}
     return json.loads(json.dumps({"shape": asdict(design.shape), "materials": materials}))
 
 
@@ -60,15 +67,15 @@ def are_learned(inputs: np.ndarray, ranges: np.ndarray) -> np.ndarray:
     return (inputs >= ranges[:, 0] - _ROUNDING) & (inputs <= ranges[:, 1] + _ROUNDING)
 
 
-def nearest_learned(materials: Materials, ranges: np.ndarray) -> Materials:
-    """Return materials with at most the kinetic fraction that a tip has learned, 1 % below the 1 of Coulomb friction.
+def nearest_learned(inputs: np.ndarray, ranges: np.ndarray) -> np.ndarray:
+    """Return INPUTS (..., 5) with at most the kinetic fraction that a tip has learned, 1 % below the 1 of Coulomb friction.
 
     Args:
-        materials: The materials.
+        inputs: (..., 5).
         ranges: (5, 2) low and high of INPUTS that it has learned.
     """
-    highest = ranges[INPUTS.index("kinetic_fraction"), 1]
-    return replace(materials, kinetic_fraction=min(materials.kinetic_fraction, highest))
+    index = INPUTS.index("kinetic_fraction")
+    return np.where(np.arange(len(INPUTS)) == index, np.minimum(inputs, ranges[index, 1]), inputs)
 
 
 def check_inputs(inputs: np.ndarray, ranges: np.ndarray) -> None:

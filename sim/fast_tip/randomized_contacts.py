@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from tactip_twin.sim.fast_tip.fast_contacts import FastContacts
 from tactip_twin.sim.fast_tip.fast_tip import FastTip, PinDecoder
-from tactip_twin.sim.fast_tip.materials import are_learned, material_inputs, nearest_learned
+from tactip_twin.sim.fast_tip.materials import INPUTS, are_learned, material_inputs, nearest_learned
 from tactip_twin.tactip_model.design import Design
 
 
@@ -31,7 +31,8 @@ class RandomizedContacts:
         """
         if self._tip.materials is None:
             return None
-        known = nearest_learned(design.materials, self._tip.materials)
-        if not are_learned(material_inputs(known), self._tip.materials).all():
+        inputs = nearest_learned(material_inputs(design.materials), self._tip.materials)
+        if not are_learned(inputs, self._tip.materials).all():
             return None
+        known = replace(design.materials, kinetic_fraction=float(inputs[INPUTS.index("kinetic_fraction")]))
         return FastContacts(self._tip, replace(design, materials=known), self._decoder.with_mechanics(design))

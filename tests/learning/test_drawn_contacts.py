@@ -85,9 +85,10 @@ def test_contacts_with_drawn_mechanics_are_those_of_each_tip(task):
     low, high = tip.ranges.T
     contacts = low + (high - low) * rng.random((12, 12))
     poses, shears = 0.7 * contacts[:, :6], 0.7 * contacts[:, 6:]
-    designs = [MECHANICS_RANDOMIZATIONS["wide"].sample(design, rng) for _ in range(8)]
-    designs += [MECHANICS_RANDOMIZATIONS["real"].sample(design, rng) for _ in range(4)]
-    together = tip.predict_each(PinDecoder(design, tip.modes), poses, shears, designs)
+    mechanics = MECHANICS_RANDOMIZATIONS["real"].sample_many(design, 12, np.random.default_rng(4))
+    again = np.random.default_rng(4)
+    designs = [MECHANICS_RANDOMIZATIONS["real"].sample(design, again) for _ in range(12)]
+    together = tip.predict_each(PinDecoder(design, tip.modes), poses, shears, mechanics)
     known = 0
     for k, one in enumerate(designs):
         alone = RandomizedContacts(tip, design).of(one)
