@@ -49,7 +49,7 @@ class MechanicsRandomization:
         return replace(design, materials=replace(design.materials, **values), pins=pins)
 
     def sample_many(self, design: Design, count: int, rng: np.random.Generator) -> dict[str, np.ndarray]:
-        """Return what varies in `count` designs that are sampled as by `sample`: fields (count,) of Materials, and length_m of
+        """Return what varies in `count` designs sampled as by `sample`: fields (count,) of Materials, and length_m of
         Pins."""
         draws = rng.uniform(-1, 1, (count, len(fields(self))))
         return _varied(design, {f.name: getattr(self, f.name) ** draws[:, k] for k, f in enumerate(fields(self))})
