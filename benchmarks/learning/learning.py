@@ -87,6 +87,12 @@ WIDE_PX = 256
 _MORE_PINS_EPOCHS = 60
 """Number of epochs of the 331-pin tip's networks, which know any materials and cameras [?]."""
 
+BETAS = (0.0, 0.5, 1.0)
+"""Exponents of the weighted likelihood that are compared; recipes have the middle one."""
+
+_BETA_EPOCHS = 10
+"""Number of epochs of these trainings on drawn contacts [?]."""
+
 _CURVED_EPOCHS = 4
 """Number of epochs on curved surfaces [?]."""
 
@@ -129,7 +135,7 @@ _DEEP_MM = (-5.5, -0.2)
 """Depths of its contacts: all that the learned tip of any materials knows."""
 
 
-_OWN_TESTS = {"256px", "331"}
+_OWN_TESTS = {"256px", "331", "drawn"}
 """Kinds of rows (Row.kind) with test sets of their own."""
 
 CROSS_TESTS = {
@@ -150,7 +156,7 @@ class Row:
     what: str
     """Description in the tables."""
     kind: str
-    """Training set: plain, symmetric, large, fast, snapshots, taps, curved, 256px or 331."""
+    """Training set: plain, symmetric, large, fast, snapshots, taps, curved, 256px, 331 or drawn."""
     recipe: Recipe
     """Network and training."""
     init_from: str = ""
@@ -189,6 +195,11 @@ def rows(task: Task, paper: bool) -> list[Row]:
     out.append(Row("laptop-256px", what, "256px", wide))
     what = f"recipe `laptop` on drawn contacts of `{MORE_PINS_DESIGN}`, any materials, any camera: a start for other tips"
     out.append(Row("laptop-331", what, "331", Recipe(replace(laptop.network, batch_size=64), _more_pins(drawn))))
+    for beta in BETAS:
+        weighted = replace(drawn, epochs=_BETA_EPOCHS, beta=beta)
+        what = f"recipe `laptop` on drawn contacts, likelihood weighted by the variance to the power of {beta:g}"
+        recipe = Recipe(replace(laptop.network, batch_size=64), weighted)
+        out.append(Row(f"laptop-beta-{beta:g}", what, "drawn", recipe))
     if task == "surface":
         curved = replace(tuned, settings=replace(tuned.settings, epochs=_CURVED_EPOCHS, min_steps=0))
         out.append(Row("laptop-curved", f"`{start}` fine-tuned on curved surfaces", "curved", curved, start))
@@ -222,10 +233,11 @@ def jobs(options: LearningOptions, kinds: Collection[str]) -> list[Job]:
     if "fast" in kinds:
         wanted += [_Wanted("fast", "train", options.fast_images, light, SHEAR_RANGES, _FAST_SEED)]
         wanted += [_Wanted("fast", "val", options.test_contacts, light, SHEAR_RANGES, _FAST_VAL_SEED)]
-    if "256px" in kinds:
-        wanted += [_Wanted("256px", "train", _DRAWN_SET, light, SHEAR_RANGES, _FAST_SEED)]
-        wanted += [_Wanted("256px", "val", options.test_contacts, light, SHEAR_RANGES, _FAST_VAL_SEED)]
-        wanted += [_Wanted("256px", "test", options.test_contacts, usual, SHEAR_RANGES)]
+    for kind in ("256px", "drawn"):
+        if kind in kinds:
+            wanted += [_Wanted(kind, "train", _DRAWN_SET, light, SHEAR_RANGES, _FAST_SEED)]
+            wanted += [_Wanted(kind, "val", options.test_contacts, light, SHEAR_RANGES, _FAST_VAL_SEED)]
+            wanted += [_Wanted(kind, "test", options.test_contacts, usual, SHEAR_RANGES)]
     if "331" in kinds:
         deep = replace(usual, depth_mm=_DEEP_MM)
         wanted += [_Wanted("331", "train", _DRAWN_SET, deep, SHEAR_RANGES, _FAST_SEED)]
@@ -272,7 +284,7 @@ def _job(options: LearningOptions, wanted: _Wanted) -> Job:
     augmented = (kind, split) in (("symmetric", "train"), ("fast", "train"), ("curved", "train"))
     tip: Path | None = None
     digest = ""
-    if (kind, split) in (("fast", "train"), ("256px", "train"), ("331", "train")):
+    if split == "train" and (kind == "fast" or kind in _OWN_TESTS):
         tip = shipped_fast_tip(task, MORE_PINS_DESIGN if kind == "331" else DESIGN)
         digest = read_fast_tip(tip).digest
     elif (kind, split) == ("curved", "train"):
@@ -387,6 +399,8 @@ def run(options: LearningOptions, log: Callable[[str], None] = print) -> dict[st
             "parameters": figures["sheared"]["parameters"],
             "latency_ms": figures["sheared"]["latency_ms"],
             "mae": {name: f["mae"] for name, f in figures.items()},
+            "nll": figures["sheared"]["nll"],
+            "reliability": figures["sheared"]["reliability"],
         }
         others = [r for r in record["rows"] if r["name"] != row.name and r["name"] in order]
         record["rows"] = sorted([*others, measured], key=lambda r: order.index(r["name"]))
@@ -416,7 +430,24 @@ def tables(whole: Mapping[str, Any]) -> dict[str, str]:
     for name, (trained, tested) in CROSS_TESTS.items():
         found = [_cross_test(task, whole[task]["rows"], trained, tested) for task in PAPER if task in whole]
         out[name] = "\n\n".join(text for text in found if text) or "Not measured in this version."
+    betas = [_betas(task, whole[task]["rows"]) for task in PAPER if task in whole]
+    out["beta"] = "\n\n".join(text for text in betas if text) or "Not measured in this version."
     return out
+
+
+def _betas(task: str, rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return the table of networks by the exponent of the weighted likelihood; empty if none was measured."""
+    names, chosen = list(PAPER[task]), [row for row in rows if row["name"].startswith("laptop-beta-")]
+    if not chosen:
+        return ""
+    lines = []
+    for row in chosen:
+        coverage = {r["level"]: np.mean([r["coverage"][name] for name in names]) for r in row["reliability"]}
+        errors = [f"{row['mae']['sheared'][name]:.3f}" for name in names]
+        nll = f"{np.mean([row['nll'][name] for name in names]):.3f}"
+        lines.append([row["name"].removeprefix("laptop-beta-"), *errors, nll, *(f"{coverage[p]:.0%}" for p in (0.68, 0.95))])
+    head = [f"β, {task}", *names, "negative log likelihood", "inside 68 %", "inside 95 %"]
+    return table(head, lines)
 
 
 def _networks(task: str, rows: Sequence[Mapping[str, Any]]) -> str:
