@@ -177,6 +177,8 @@ class TrainSettings:
     drawn_contacts: int = within(0, 10**6, default=0)
     """Number of contacts per epoch that the learned tip draws anew, beside those of the set, so that none is learned by
     heart; for sets of single presses on a flat surface or an edge; 0 [P]."""
+    drawn_epochs: int = within(1, 1000, default=1)
+    """Number of epochs after which they are drawn anew. On a GPU, drawing them takes longer than an epoch."""
     undeformed_fraction: float = within(0, 0.5, default=0.0)
     """Fraction of the training images that show the undeformed tip, for networks that estimate contact: few contacts of a
     set are as light. They are rendered, so the set needs pins; 0 [P]."""

@@ -120,6 +120,7 @@ class Training:
             if settings.augmented_fraction or undeformed or self._source
             else None
         )
+        self._drawn_in = -1  # epoch in which the drawn contacts were drawn
         self._undeformed = undeformed
         if self._augmentation:
             self._add_undeformed_tip(self._augmentation)
@@ -179,10 +180,13 @@ class Training:
             TrainingDiverged: If a loss is not finite.
         """
         start = time.perf_counter()
-        rng = np.random.Generator(np.random.PCG64(np.random.SeedSequence(self.settings.seed, spawn_key=(self.epoch,))))
+        rng = self._generator(self.epoch)
         choices = np.arange(self._count)
         if self._source and self._augmentation:
-            self._draw(self._source, self._augmentation, rng)
+            first = self.epoch - self.epoch % self.settings.drawn_epochs
+            if self._drawn_in != first:  # after an interruption, those of an earlier epoch are drawn again
+                self._draw(self._source, self._augmentation, rng if first == self.epoch else self._generator(first))
+                self._drawn_in = first
             # The undeformed tip lies between the contacts of the set and the drawn ones.
             choices = np.concatenate([choices, self._count + 1 + np.arange(self.settings.drawn_contacts)])
         order = torch.from_numpy(rng.permutation(choices)).to(self.device)
@@ -202,6 +206,10 @@ class Training:
         self.history.append(figures)
         self.epoch += 1
         return figures
+
+    def _generator(self, epoch: int) -> np.random.Generator:
+        """Return the generator of an epoch."""
+        return np.random.Generator(np.random.PCG64(np.random.SeedSequence(self.settings.seed, spawn_key=(epoch,))))
 
     def _draw(self, source: ContactSource, augmentation: OpticsAugmentation, rng: np.random.Generator) -> None:
         """Replace the drawn contacts by others."""

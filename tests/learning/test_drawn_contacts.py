@@ -150,17 +150,23 @@ def test_projection_agrees_with_renderer(samples):
         np.testing.assert_allclose(ours.numpy(), theirs, atol=1e-9)
 
 
-def test_train_on_drawn_contacts_is_resumable(samples, tmp_path):
-    """Every epoch has contacts of its own, also after an interruption; the model names the tip that drew them."""
+@pytest.mark.parametrize(("drawn_epochs", "draws"), [(1, 4), (3, 2)])
+def test_train_on_drawn_contacts_is_resumable(samples, tmp_path, monkeypatch, drawn_epochs, draws):
+    """Contacts are drawn as often as asked for, also after an interruption; the model names the tip that drew them."""
 
     def stop(history):
         if len(history) == 2:
             raise KeyboardInterrupt
         return False
 
-    settings = TrainSettings(epochs=3, learning_rate=1e-3, augmented_fraction=0.5, drawn_contacts=20)
+    drawn, draw = [], ContactSource.draw
+    monkeypatch.setattr(ContactSource, "draw", lambda *a: drawn.append(1) or draw(*a))
+    settings = TrainSettings(
+        epochs=4, learning_rate=1e-3, augmented_fraction=0.5, drawn_contacts=20, drawn_epochs=drawn_epochs
+    )
     net = replace(NET, quantities=True, deviations=True, downsample=4)
     quiet(samples, samples, net, settings, tmp_path / "whole")
+    assert len(drawn) == draws
     with pytest.raises(Interrupted):
         quiet(samples, samples, net, settings, tmp_path / "cut", should_prune=stop)
     quiet(samples, samples, net, settings, tmp_path / "cut")
