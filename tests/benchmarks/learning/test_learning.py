@@ -131,6 +131,7 @@ def test_page_is_written_and_finished_trainings_are_kept(options):
     page = (options.out / "learning.md").read_text()
     assert "not sheared (`laptop-taps`) | flat, sheared |" in page and "curved, sheared (`laptop-curved`) | flat" in page
     assert f"{first['rows'][0]['mae']['sheared']['pose_z']:.3f}" in page
+    assert "Not measured" in page.split("begin beta")[1]
     assert (options.out / "learning.png").stat().st_size > 5000
     lines = []
     again = learned.run(options, log=lines.append)
@@ -141,6 +142,21 @@ def test_page_is_written_and_finished_trainings_are_kept(options):
     assert [r["name"] for r in one["rows"]] == [r["name"] for r in first["rows"]]
     with pytest.raises(TactipError, match="unknown row 'lap': choose one of paper-16, laptop-plain"):
         learned.run(replace(options, only=("lap",)))
+
+
+def test_networks_are_compared_by_the_exponent_of_the_likelihood():
+    """Means over the pose's components; rows without such an exponent are left out."""
+    names = list(learned.PAPER["surface"])
+    levels = {0.68: (0.6, 0.7, 0.8), 0.95: (0.9, 0.95, 1.0)}
+    row = {
+        "name": "laptop-beta-0.5",
+        "mae": {"sheared": dict(zip(names, (0.03, 0.2, 0.25), strict=True))},
+        "nll": dict(zip(names, (-1.0, 0.5, 1.1), strict=True)) | {"shear_x": 9.0},
+        "reliability": [{"level": p, "coverage": dict(zip(names, c, strict=True))} for p, c in levels.items()],
+    }
+    text = learned._betas("surface", [row, row | {"name": "laptop"}])
+    assert text.splitlines()[2:] == ["| 0.5 | 0.030 | 0.200 | 0.250 | 0.200 | 70% | 95% |"]
+    assert learned._betas("surface", [row | {"name": "laptop"}]) == ""
 
 
 def test_rows_of_other_versions_and_other_test_sets_are_dropped(options, monkeypatch):
