@@ -122,6 +122,9 @@ def load_checkpoint(folder: Path, record: dict[str, Any]) -> dict[str, Any] | Li
     if recorded is not None:
         defaults = {"network": dataclasses.asdict(PoseNetConfig()), "settings": dataclasses.asdict(TrainSettings())}
         recorded = {part: with_new_defaults(recorded.get(part), defaults.get(part)) for part in requested}
+    if recorded is not None and state == "finished":
+        # Nothing is computed any more: a network from another machine, a GPU for example, may be used here.
+        recorded["torch"] = record["torch"]
     check_resumable(folder, "training", recorded, requested, own=(LOCK, TENSORBOARD))
     return state
 

@@ -50,6 +50,22 @@ def test_train_killed_after_last_checkpoint_resumes(splits, tmp_path, monkeypatc
     assert not (tmp_path / "killed" / "checkpoint.pt").exists()
 
 
+def test_finished_training_of_another_torch_is_kept(splits, tmp_path, monkeypatch):
+    """As when a network comes from a machine with a GPU; an unfinished one is not continued with another version."""
+
+    def stop(history):
+        raise KeyboardInterrupt
+
+    settings = TrainSettings(epochs=2, learning_rate=3e-3)
+    history = quiet(*splits, NET, settings, tmp_path / "whole")
+    with pytest.raises(Interrupted):
+        quiet(*splits, NET, settings, tmp_path / "cut", should_prune=stop)
+    monkeypatch.setattr(checkpoint.torch, "__version__", "9.9")
+    assert quiet(*splits, NET, settings, tmp_path / "whole") == history
+    with pytest.raises(TactipError, match="torch is"):
+        quiet(*splits, NET, settings, tmp_path / "cut")
+
+
 def test_train_command_killed_resumes_to_same_weights(data, splits, tmp_path):
     settings = ["--training.epochs", "40", "--training.patience", "40", "--training.learning-rate", "0.003"]
     network = [
