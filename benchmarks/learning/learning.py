@@ -502,8 +502,8 @@ def relative_error(row: Mapping[str, Any], task: str) -> float:
 def plot(whole: Mapping[str, Any], path: Path) -> None:
     """Plot error against latency of the networks, one panel per task, into a PNG file."""
     figure, axes = figure_of(1, len(whole), (6 * len(whole), 4.2))
-    kinds = ("plain", "taps", "symmetric", "large", "curved", "snapshots", "fast", "256px")
-    colors = dict(zip(kinds, (*COLORS, "0.5"), strict=True))
+    kinds = ("plain", "taps", "symmetric", "large", "curved", "snapshots", "fast", "256px", "331", "drawn")
+    colors = dict(zip(kinds, (*COLORS, "0.5", "0.7", "0.2"), strict=True))
     box = {"fc": "white", "ec": "none", "pad": 0.5}
     for axis, (task, record) in zip(axes, whole.items(), strict=True):
         for row in record["rows"]:

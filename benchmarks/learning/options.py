@@ -175,7 +175,7 @@ class ReleaseModelsOptions:
     evaluate_only: bool = False
     """Evaluate the shipped network again, and keep its weights."""
     test_contacts: int = 2000
-    """Number of test contacts of --evaluate-only."""
+    """Number of test contacts, made where they are missing."""
     workers: str = "auto"
     """Number of worker processes that simulate these contacts; auto: one per core."""
 

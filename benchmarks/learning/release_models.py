@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from tactip_twin.benchmarks.hardware import machine, machine_text
-from tactip_twin.benchmarks.learning.learning import DESIGN, PAPER, TARGETS, WIDE_PX, jobs, rows
+from tactip_twin.benchmarks.learning.learning import DESIGN, MORE_PINS_DESIGN, PAPER, TARGETS, WIDE_PX, jobs, rows
 from tactip_twin.benchmarks.learning.options import LearningOptions, ReleaseModelsOptions
 from tactip_twin.learning.data import read_samples
 from tactip_twin.learning.evaluate import evaluate, tables
@@ -57,18 +57,18 @@ def release_model(options: ReleaseModelsOptions, log: Callable[[str], None] = pr
     source = options.runs / options.task / options.row
     if options.evaluate_only:
         kind = {"laptop-curved": "curved-", "laptop-256px": "256px-"}.get(options.row.removesuffix("-contact"), "")
-        source = options.out / f"{options.task}-{kind}{DESIGN}"
+        source = options.out / f"{options.task}-{kind}{MORE_PINS_DESIGN if options.row == 'laptop-331' else DESIGN}"
     size = (source / WEIGHTS).stat().st_size if (source / WEIGHTS).exists() else 0
     model = load_model(source)
     if size >= MAX_BYTES:
         raise TactipError(f"the weights in {source} have {size} bytes: a shipped network must have fewer than {MAX_BYTES}")
     if not model.provenance["outcome"]["finished"]:
         raise TactipError(f"the training in {source} is unfinished: rerun it to the end before shipping the network")
-    where = options.data / (_kind(model).removesuffix("-") or "plain") / options.task / "test"
-    if options.evaluate_only:
+    kind = "331" if _design(model) == MORE_PINS_DESIGN else _kind(model).removesuffix("-") or "plain"
+    where = options.data / kind / options.task / "test"
+    if options.evaluate_only or not where.exists():
         chosen = LearningOptions(task=options.task, data=options.data, test_contacts=options.test_contacts)
-        sets = jobs(chosen, (_kind(model).removesuffix("-"),))
-        make([job for job in sets if job.folder == where], worker_count(options.workers), log)
+        make([job for job in jobs(chosen, (kind,)) if job.folder == where], worker_count(options.workers), log)
     test = read_samples(where)
     evaluation = evaluate(model, test)
     meta = test.dataset.meta
@@ -88,6 +88,11 @@ def release_model(options: ReleaseModelsOptions, log: Callable[[str], None] = pr
     return folder, record
 
 
+def _design(model: Model) -> str:
+    """Return the name of the sensor that a model was trained for."""
+    return model.provenance["train"]["configuration"]["design"]["name"]
+
+
 def _is_curved(model: Model) -> bool:
     """Return whether a model was trained on curved surfaces: its set has a curvature (sim/dataset/configuration.py)."""
     return any(model.provenance["train"]["configuration"].get("curvature_per_m", ()))  # 0.3.0 left it out for flat sets
@@ -95,7 +100,7 @@ def _is_curved(model: Model) -> bool:
 
 def _name(model: Model) -> str:
     """Return the name of a released model."""
-    return f"{model.labels.task}-{_kind(model)}{DESIGN}"
+    return f"{model.labels.task}-{_kind(model)}{_design(model)}"
 
 
 def _kind(model: Model) -> str:
@@ -120,9 +125,9 @@ def _drawn(provenance: Mapping[str, Any]) -> list[str]:
     count = provenance["settings"].get("drawn_contacts", 0)
     if not count:
         return []
-    return [
-        f"- Beside these, at every epoch {count} contacts that the learned tip {provenance['fast_tip'][:16]} draws anew."
-    ]
+    epochs = provenance["settings"].get("drawn_epochs", 1)
+    every = "at every epoch" if epochs == 1 else f"every {epochs} epochs"
+    return [f"- Beside these, {every} {count} contacts that the learned tip {provenance['fast_tip'][:16]} draws anew."]
 
 
 def _earlier_row(options: ReleaseModelsOptions) -> list[str]:
@@ -164,9 +169,9 @@ def card(model: Model, record: Mapping[str, Any], options: ReleaseModelsOptions)
     lines = [
         f"# {_name(model)}",
         "",
-        f"This network predicts the pose of {what} from one binary tactile image, {model.size} px wide, of the 127-pin "
-        f"TacTip (`{DESIGN}`), and is insensitive to shear. It was trained in simulation only; expect larger errors on a "
-        "real sensor. `sim/pose.py` defines frames and signs.",
+        f"This network predicts the pose of {what} from one binary tactile image, {model.size} px wide, of the "
+        f"{_design(model).removeprefix('tactip-')}-pin TacTip (`{_design(model)}`), and is insensitive to shear. It was "
+        "trained in simulation only; expect larger errors on a real sensor. `sim/pose.py` defines frames and signs.",
         "",
         "| component | trained range | mean error | rms | bias | 95 % below |" + "".join(f" {title} |" for title in beside),
         "|" + "---|" * (6 + len(beside)),
