@@ -28,7 +28,8 @@ from tactip_twin.tactip_model.raster_renderer import Raster
 from tactip_twin.tactip_model.tactile_image import tactile_image
 
 CONTACTS = 12
-NAMES = [f"{kind}-tactip-127" for kind in ("edge-256px", "edge", "surface-256px", "surface-curved", "surface")]
+NAMES = ["edge-256px-tactip-127", "edge-tactip-127", "edge-tactip-331", "surface-256px-tactip-127"]
+NAMES += ["surface-curved-tactip-127", "surface-tactip-127", "surface-tactip-331"]
 TINY = Recipe(PoseNetConfig(conv_layers=1, filters=2, dense_units=4, batch_size=8), TrainSettings(epochs=1))
 
 
@@ -64,7 +65,7 @@ def test_card_agrees_with_its_network(name):
 @pytest.mark.parametrize("name", shipped_models())
 def test_shipped_model_predicts_contacts_of_another_seed(name):
     """On a dozen contacts that are simulated here, the mean error is below 2.5 times that of the card."""
-    model, design = load_network(name), load_design("tactip-127")
+    model, design = load_network(name), load_design(re.sub(".*-(tactip-)", r"\1", name))
     design = replace(design, image=replace(design.image, size_px=model.size))
     task = model.labels.task
     simulator = RetryingSimulator(design, task, fidelity_named("standard"), QualityLimits())
@@ -83,8 +84,8 @@ def test_shipped_model_predicts_contacts_of_another_seed(name):
 @pytest.mark.parametrize(
     ("kind", "name", "changes"),
     [
-        ("plain", "surface-tactip-127", {}),
-        ("curved", "surface-curved-tactip-127", {"curvature_per_m": (-20.0, 50.0)}),
+        ("plain", "surface-nominal-127", {}),
+        ("curved", "surface-curved-nominal-127", {"curvature_per_m": (-20.0, 50.0)}),
     ],
 )
 def test_release_copies_and_evaluates_a_finished_training(tmp_path, kind, name, changes):
