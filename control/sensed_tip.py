@@ -4,7 +4,6 @@ It knows the arm's measured pose and what its estimator returns. The force limit
 as robots have.
 """
 
-from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
@@ -52,8 +51,14 @@ class Step:
 _TRANSIT_M = 10e-3
 """Longest motion through the air between two checks of force and clearance, m."""
 
-_BACK_STEPS, _MAX_TRAIL = 5, 50
-"""Number of steps that the tip goes back before the arm tries again to lift it, and their maximum."""
+_BACK_STEPS = 5
+"""Number of steps that the tip goes back before the arm tries again to lift it."""
+
+_MIN_TRAIL = 50
+"""Number of steps that the tip can go back at least, where the arm cannot lift a free tip at a limit of its joints."""
+
+_PULL = 2.0
+"""Force at which the arm stops while it pulls a held tip free, over Settings.max_force_n."""
 
 _FREE = 0.1
 """Fraction of Settings.contact_threshold below which the tip counts as free, -."""
@@ -78,7 +83,8 @@ class SensedTip:
         """Take the parts, as of follow.ContourFollower."""
         self._mounted_tip, self._estimator, self._labels, self._settings = mounted_tip, estimator, labels, settings
         self._record, self._clock, self._filter = record, clock, pose_filter
-        self._trail: deque[np.ndarray] = deque(maxlen=_MAX_TRAIL)
+        self._trail: list[np.ndarray] = []
+        """Poses (4, 4) since the tip was last free, and some before."""
         self._approach: np.ndarray | None = None
         self._highest, self._diverged = -np.inf, 0
         self.phase, self.part = "search", 0
@@ -119,9 +125,14 @@ class SensedTip:
 
     def lift(self) -> None:
         """Lift off. Where the arm cannot, at a limit of its joints, or stops at its limit of force, because an undercut
-        holds the skin, go back the way the tip came until it can. At last, turn to the route's direction of approach on the
-        way up and pull the tip free: otherwise it would stay there for the rest of the run. Raises Obstacle."""
-        trail = list(self._trail)[::-1]
+        holds the skin, go back the way the tip came until it can, past where it was free. At last, turn to the route's
+        direction of approach on the way up and pull, with more force.
+
+        Raises:
+            Obstacle: As of `go`.
+            FollowingFailed: The tip cannot be pulled free.
+        """
+        trail = self._trail[::-1]
         for k in range(0, len(trail), _BACK_STEPS):
             try:
                 if self._rise():
@@ -135,7 +146,10 @@ class SensedTip:
         for pose in self._way_to(tilted_at_most(moved(here, self._approach, -self.height_mm(here)), self._approach, 0.0)):
             self.go(pose)
             if self.touch.moved_back:
-                self.go(pose, max_force_n=np.inf)
+                limit_n = _PULL * self._settings.max_force_n
+                self.go(pose, max_force_n=limit_n)
+                if self.touch.moved_back:
+                    raise FollowingFailed(f"the object holds the tip, and {limit_n:g} N do not free it")
 
     def _rise(self) -> bool:
         """Retract and move to a height that is clear; return False as soon as the arm stops at its limit of force. Raises
@@ -237,6 +251,7 @@ class SensedTip:
         measured = arm.measured_pose()
         if own.touching < _FREE * self._settings.contact_threshold:
             self._T_free, self._wrist_rad = measured, float(np.nan_to_num(arm.angles[5]))
+            del self._trail[:-_MIN_TRAIL]
         elif self._approach is not None:
             self._highest = max(self._highest, -float(measured[:3, 3] @ self._approach))
         self._trail.append(measured)
