@@ -103,7 +103,11 @@ class OpticsAugmentation:
         x, y = cos * x - sin * y + self._drift * right, sin * x + cos * y + self._drift * down
         radii = (self._radii[chosen] + self._radius_correction) * (1 + self._pin_size * size)
         positions, radii, soft = self._add_noise(torch.stack([x, y], -1) + middle, radii)
-        return self._rasterize(positions, radii) if soft is None else self._rasterize_soft(positions, radii, soft)
+        images = self._rasterize(positions, radii) if soft is None else self._rasterize_soft(positions, radii, soft)
+        if self._ranges.salt:
+            white = self._fraction * self._ranges.salt * torch.rand(len(images), 1, 1, device=self._device).square()
+            images[torch.rand(images.shape, device=self._device) < white] = 255
+        return images
 
     def _uniform(self, *shape: int) -> tuple[torch.Tensor, ...]:
         """Return random numbers (shape) from -1 to 1, unpacked along the first axis."""

@@ -27,11 +27,13 @@ DeviceName = Literal["auto", "cpu", "cuda"]
 OpticsName = Literal[
     "lens",
     "lens-jitter",
+    "lens-salt",
     "real",
     "rim",
     "steady",
     "lens-clean",
     "lens-jitter-clean",
+    "lens-salt-clean",
     "real-clean",
     "rim-clean",
     "steady-clean",

@@ -36,6 +36,8 @@ class OpticsRanges:
     """Maximum gap at which two pins merge, px, as with blur or a low threshold; sampled from 0 for each image."""
     speckles: float = within(0, 20, default=0.0)
     """Maximum number of specks of light, 1 to 3 px wide, anywhere; sampled from 0 for each image."""
+    salt: float = within(0, 1, default=0.0)
+    """Maximum fraction of the pixels that the camera's noise makes white, sampled for each image, most often small."""
     rim_lights: float = within(0, 12, default=0.0)
     """Maximum number of arcs of light at the rim, sampled from 0 for each image. For frames whose rim is not masked."""
 
@@ -63,18 +65,19 @@ _STEADY = {"zoom": 0.002, "drift": 0.003, "distortion": 0.0, "stretch": 0.0}
 """Residual ranges where zoom and drift since the neutral image were measured by the light at the rim: one frame determines
 the zoom to 3e-4 [M]. There is no residual distortion, because the design was fitted to the neutral image."""
 
-_NO_NOISE = dict.fromkeys(("pin_each", "jitter_px", "missing", "merged_px", "speckles", "rim_lights"), 0.0)
+_NO_NOISE = dict.fromkeys(("pin_each", "jitter_px", "missing", "merged_px", "speckles", "salt", "rim_lights"), 0.0)
 
 OPTICS: dict[str, OpticsRanges] = {
     "lens": OpticsRanges(),
     "lens-jitter": OpticsRanges(jitter_px=0.5),
+    "lens-salt": OpticsRanges(jitter_px=0.5, salt=0.6),
     "real": _REAL,
     "rim": replace(_REAL, rim_lights=8.0),
     "steady": replace(_REAL, **_STEADY),
 }
 OPTICS |= {f"{name}-clean": replace(ranges, **_NO_NOISE) for name, ranges in OPTICS.items()}
 """Ranges by name: `lens`, day-to-day changes of one sensor; `lens-jitter`, also the chance by which a renderer or a
-threshold makes a pixel white, without which single pixels tell the undeformed tip; `real`, differences between real sensors
+threshold makes a pixel white, without which single pixels tell the undeformed tip; `lens-salt`, also a camera's noise; `real`, differences between real sensors
 of the same design after calibration to a neutral image; `rim`, the same with light at the rim, for frames that are not
 masked; `steady`, as `real`, for a camera whose zoom and drift since the neutral image were measured. Measuring them matters,
 because both zoom and a deeper contact move pins outwards. Each also exists with the suffix `-clean`, without pin noise and

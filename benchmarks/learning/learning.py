@@ -92,6 +92,17 @@ _LONG_TRAINING = {
 }
 """A training for a GPU, of 16,000 steps of 256 images [?]."""
 
+_NOISE_TRAINING = {
+    "epochs": 8,
+    "min_steps": 0,
+    "learning_rate": 7e-4,
+    "muon_learning_rate": 0.007,
+    "optics_ranges": "lens-salt",
+    "augmented_fraction": 0.5,
+    "drawn_contacts": 16384,
+}
+"""The training after it, with images of a noisy camera [?]."""
+
 WIDE_PX = 256
 """Width of the images of the row `laptop-256px`, whose pins are known to half the noise of 128 px (docs/uncertainty.md)."""
 
@@ -209,6 +220,8 @@ def rows(task: Task, paper: bool) -> list[Row]:
     what = f"`{start}` fine-tuned on a million contacts that the learned tip draws, on a GPU"
     long = Recipe(replace(laptop.network, batch_size=256), replace(laptop.settings, **_LONG_TRAINING))
     out.append(Row("laptop-long", what, "drawn", long, start))
+    noisy = Recipe(replace(laptop.network, batch_size=64), replace(laptop.settings, **_NOISE_TRAINING))
+    out.append(Row("laptop-noise", "`laptop-long` fine-tuned with images of a noisy camera", "drawn", noisy, "laptop-long"))
     for beta in BETAS:
         weighted = replace(drawn, epochs=_BETA_EPOCHS, beta=beta)
         what = f"recipe `laptop` on drawn contacts, likelihood weighted by the variance to the power of {beta:g}"

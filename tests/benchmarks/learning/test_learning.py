@@ -114,6 +114,7 @@ def test_fine_tuned_networks_have_the_shape_of_their_initial_weights():
             "laptop-fast",
             "laptop-contact",
             "laptop-long",
+            "laptop-noise",
             *(["laptop-curved", "laptop-curved-contact"] if task == "surface" else []),
         ]
         assert list(starts) == expected
