@@ -79,9 +79,9 @@ OPTICS |= {f"{name}-clean": replace(ranges, **_NO_NOISE) for name, ranges in OPT
 """Ranges by name: `lens`, day-to-day changes of one sensor; `lens-jitter`, also the chance by which a renderer or a
 threshold makes a pixel white, without which single pixels tell the undeformed tip; `lens-salt`, also a camera's noise;
 `real`, differences between real sensors of the same design after calibration to a neutral image; `rim`, the same with light
-at the rim, for frames that are not masked; `steady`, as `real`, for a camera whose zoom and drift since the neutral image were
-measured. Measuring them matters, because both zoom and a deeper contact move pins outwards. Each also exists with the suffix
-`-clean`, without pin noise and lights."""
+at the rim, for frames that are not masked; `steady`, as `real`, for a camera whose zoom and drift since the neutral image
+were measured. Measuring them matters, because both zoom and a deeper contact move pins outwards. Each also exists with the
+suffix `-clean`, without pin noise and lights."""
 
 
 def noiseless(name: str) -> str:
