@@ -16,7 +16,7 @@ import numpy as np
 from tactip_twin.benchmarks.hardware import machine, machine_text
 from tactip_twin.benchmarks.learning.options import LearningOptions
 from tactip_twin.benchmarks.report import read_results, table, write_results
-from tactip_twin.learning.configuration import Recipe, TrainSettings
+from tactip_twin.learning.configuration import Recipe
 from tactip_twin.learning.data import Samples, read_samples, read_splits
 from tactip_twin.learning.evaluate import evaluate
 from tactip_twin.learning.model import load_model, load_network
@@ -106,8 +106,11 @@ _NOISE_TRAINING = {
 WIDE_PX = 256
 """Width of the images of the row `laptop-256px`, whose pins are known to half the noise of 128 px (docs/uncertainty.md)."""
 
-_MORE_PINS_EPOCHS = 60
-"""Number of epochs of the 331-pin tip's networks, which know any materials and cameras [?]."""
+_ANY_TRAINING = {"augmented_fraction": 0.6, "augmentation_strength": 1.0, "optics_ranges": "real"}
+"""Settings of networks that know any materials and cameras, as in a transfer [?]."""
+
+_MORE_PINS_EPOCHS, _ANY_EPOCHS = 60, 16
+"""Numbers of epochs of such networks: from random weights, on a GPU, and from a shipped network [?]."""
 
 BETAS = (0.0, 0.5, 1.0)
 """Exponents of the weighted likelihood that are compared; recipes have the middle one."""
@@ -153,11 +156,14 @@ DESIGN, FIDELITY = "tactip-127", "standard"
 MORE_PINS_DESIGN = "tactip-331"
 """Sensor of the row `laptop-331`."""
 
+ANY_DESIGNS = {"331": MORE_PINS_DESIGN, "any": DESIGN}
+"""Sensors by kind of rows (Row.kind) with any materials."""
+
 _DEEP_MM = (-5.5, -0.2)
-"""Depths of its contacts: all that the learned tip of any materials knows."""
+"""Depths of their contacts: all that the learned tip of any materials knows."""
 
 
-_OWN_TESTS = {"256px", "331", "drawn"}
+_OWN_TESTS = {"256px", *ANY_DESIGNS, "drawn"}
 """Kinds of rows (Row.kind) with test sets of their own."""
 
 CROSS_TESTS = {
@@ -178,7 +184,7 @@ class Row:
     what: str
     """Description in the tables."""
     kind: str
-    """Training set: plain, symmetric, large, fast, snapshots, taps, curved, 256px, 331 or drawn."""
+    """Training set: plain, symmetric, large, fast, snapshots, taps, curved, 256px, 331, any or drawn."""
     recipe: Recipe
     """Network and training."""
     init_from: str = ""
@@ -215,8 +221,12 @@ def rows(task: Task, paper: bool) -> list[Row]:
     wide = Recipe(replace(laptop.network, downsample=4, batch_size=64), drawn)
     what = f"recipe `laptop` on images of {WIDE_PX} px, on contacts that the learned tip draws anew at every epoch"
     out.append(Row("laptop-256px", what, "256px", wide))
-    what = f"recipe `laptop` on drawn contacts of `{MORE_PINS_DESIGN}`, any materials, any camera: a start for other tips"
-    out.append(Row("laptop-331", what, "331", Recipe(replace(laptop.network, batch_size=64), _more_pins(drawn))))
+    known = "any materials, any camera: a start for other tips"
+    many = Recipe(replace(laptop.network, batch_size=64), replace(drawn, epochs=_MORE_PINS_EPOCHS, **_ANY_TRAINING))
+    out.append(Row("laptop-331", f"recipe `laptop` on drawn contacts of `{MORE_PINS_DESIGN}`, {known}", "331", many))
+    rates = {"learning_rate": 1e-3, "muon_learning_rate": 0.01}
+    same = Recipe(many.network, replace(many.settings, epochs=_ANY_EPOCHS, **rates))
+    out.append(Row("laptop-any", f"`{start}` fine-tuned on drawn contacts, {known}", "any", same, start))
     what = f"`{start}` fine-tuned on a million contacts that the learned tip draws, on a GPU"
     long = Recipe(replace(laptop.network, batch_size=256), replace(laptop.settings, **_LONG_TRAINING))
     out.append(Row("laptop-long", what, "drawn", long, start))
@@ -233,11 +243,6 @@ def rows(task: Task, paper: bool) -> list[Row]:
         what = "`laptop-curved` fine-tuned with images of the undeformed tip"
         out.append(Row("laptop-curved-contact", what, "curved", last, "laptop-curved"))
     return out
-
-
-def _more_pins(drawn: TrainSettings) -> TrainSettings:
-    """Return the settings of the row `laptop-331`, from those for drawn contacts: optics vary as in a transfer."""
-    return replace(drawn, epochs=_MORE_PINS_EPOCHS, augmented_fraction=0.6, augmentation_strength=1.0, optics_ranges="real")
 
 
 def jobs(options: LearningOptions, kinds: Collection[str]) -> list[Job]:
@@ -265,11 +270,12 @@ def jobs(options: LearningOptions, kinds: Collection[str]) -> list[Job]:
             wanted += [_Wanted(kind, "train", _DRAWN_SET, light, SHEAR_RANGES, _FAST_SEED)]
             wanted += [_Wanted(kind, "val", options.test_contacts, light, SHEAR_RANGES, _FAST_VAL_SEED)]
             wanted += [_Wanted(kind, "test", options.test_contacts, usual, SHEAR_RANGES)]
-    if "331" in kinds:
-        deep = replace(usual, depth_mm=_DEEP_MM)
-        wanted += [_Wanted("331", "train", _DRAWN_SET, deep, SHEAR_RANGES, _FAST_SEED)]
-        wanted += [_Wanted("331", "val", options.other_test_contacts, deep, SHEAR_RANGES, _FAST_VAL_SEED)]
-        wanted += [_Wanted("331", "test", options.test_contacts, usual, SHEAR_RANGES)]
+    for kind in ANY_DESIGNS:
+        if kind in kinds:
+            deep = replace(usual, depth_mm=_DEEP_MM)
+            wanted += [_Wanted(kind, "train", _DRAWN_SET, deep, SHEAR_RANGES, _FAST_SEED)]
+            wanted += [_Wanted(kind, "val", options.other_test_contacts, deep, SHEAR_RANGES, _FAST_VAL_SEED)]
+            wanted += [_Wanted(kind, "test", options.test_contacts, usual, SHEAR_RANGES)]
     if {"plain", "symmetric", "large", "snapshots"} & set(kinds):
         wanted += [_Wanted("plain", "val", options.test_contacts, usual, SHEAR_RANGES)]
     if "snapshots" in kinds:
@@ -312,12 +318,12 @@ def _job(options: LearningOptions, wanted: _Wanted) -> Job:
     tip: Path | None = None
     digest = ""
     if split == "train" and (kind == "fast" or kind in _OWN_TESTS):
-        tip = shipped_fast_tip(task, MORE_PINS_DESIGN if kind == "331" else DESIGN)
+        tip = shipped_fast_tip(task, ANY_DESIGNS.get(kind, DESIGN), randomized=kind in ANY_DESIGNS)
         digest = read_fast_tip(tip).digest
     elif (kind, split) == ("curved", "train"):
         tip = shipped_sliding_tip(task, DESIGN)
         digest = read_sliding_tip(tip).digest
-    design = load_design(MORE_PINS_DESIGN if kind == "331" else DESIGN)
+    design = load_design(ANY_DESIGNS.get(kind, DESIGN))
     if kind == "256px":
         design = replace(design, image=replace(design.image, size_px=WIDE_PX))
     configuration = Configuration(
@@ -337,7 +343,7 @@ def _job(options: LearningOptions, wanted: _Wanted) -> Job:
         snapshots_per_contact={"snapshots": SNAPSHOTS, "curved": CURVED_SNAPSHOTS}.get(kind, 1),
         # The sets of the networks also teach and test the learned tip.
         keep_mesh=kind in ("symmetric", "plain"),
-        mechanics_randomization=MECHANICS_RANDOMIZATIONS["real" if kind == "331" and split != "test" else "none"],
+        mechanics_randomization=MECHANICS_RANDOMIZATIONS["real" if kind in ANY_DESIGNS and split != "test" else "none"],
         fast_tip=digest,
     )
     return Job(configuration, options.data / kind / task / split, tip)
@@ -515,8 +521,8 @@ def relative_error(row: Mapping[str, Any], task: str) -> float:
 def plot(whole: Mapping[str, Any], path: Path) -> None:
     """Plot error against latency of the networks, one panel per task, into a PNG file."""
     figure, axes = figure_of(1, len(whole), (6 * len(whole), 4.2))
-    kinds = ("plain", "taps", "symmetric", "large", "curved", "snapshots", "fast", "256px", "331", "drawn")
-    colors = dict(zip(kinds, (*COLORS, "0.5", "0.7", "0.2"), strict=True))
+    kinds = ("plain", "taps", "symmetric", "large", "curved", "snapshots", "fast", "256px", *ANY_DESIGNS, "drawn")
+    colors = dict(zip(kinds, (*COLORS, "0.5", "0.7", "0.8", "0.2"), strict=True))
     box = {"fc": "white", "ec": "none", "pad": 0.5}
     for axis, (task, record) in zip(axes, whole.items(), strict=True):
         for row in record["rows"]:

@@ -56,7 +56,8 @@ def release_model(options: ReleaseModelsOptions, log: Callable[[str], None] = pr
     """
     source = options.runs / options.task / options.row
     if options.evaluate_only:
-        kind = {"laptop-curved": "curved-", "laptop-256px": "256px-"}.get(options.row.removesuffix("-contact"), "")
+        kinds = {"laptop-curved": "curved-", "laptop-256px": "256px-", "laptop-any": "any-"}
+        kind = kinds.get(options.row.removesuffix("-contact"), "")
         source = options.out / f"{options.task}-{kind}{MORE_PINS_DESIGN if options.row == 'laptop-331' else DESIGN}"
     size = (source / WEIGHTS).stat().st_size if (source / WEIGHTS).exists() else 0
     model = load_model(source)
@@ -105,7 +106,12 @@ def _name(model: Model) -> str:
 
 def _kind(model: Model) -> str:
     """Return what the name of a released model has between task and design."""
-    return "curved-" if _is_curved(model) else f"{WIDE_PX}px-" if model.size == WIDE_PX else ""
+    if _is_curved(model):
+        return "curved-"
+    if model.size == WIDE_PX:
+        return f"{WIDE_PX}px-"
+    factors = model.provenance["train"]["configuration"].get("mechanics_randomization", {}).values()
+    return "any-" if any(factor != 1 for factor in factors) and _design(model) == DESIGN else ""
 
 
 def _initial_weights(model: Model, options: ReleaseModelsOptions) -> list[str]:

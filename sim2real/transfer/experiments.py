@@ -214,7 +214,7 @@ class Experiment:
             return None
         config = recipe_named(self.settings.recipe, self.task).network
         for name in shipped_models():
-            found = re.fullmatch(rf"{self.task}(?:-\d+px)?-(tactip-\d+)", name)
+            found = re.fullmatch(rf"{self.task}(?:-\d+px|-any)?-(tactip-\d+)", name)
             if not found or abs(len(neutral_pins(load_design(found[1]))[0]) / self._pins() - 1) > _MAX_PIN_DIFFERENCE:
                 continue
             network = load_network(name)

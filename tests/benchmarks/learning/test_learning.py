@@ -113,6 +113,7 @@ def test_fine_tuned_networks_have_the_shape_of_their_initial_weights():
             "laptop-fine-tuned",
             "laptop-fast",
             "laptop-contact",
+            "laptop-any",
             "laptop-long",
             "laptop-noise",
             *(["laptop-curved", "laptop-curved-contact"] if task == "surface" else []),
