@@ -43,7 +43,7 @@ def test_choices_match_table_names(choices, table):
         (lambda: TrainSettings(schedule="linear"), "unknown schedule 'linear': choose one of paper, cosine"),
         (
             lambda: TrainSettings(optics_ranges="bright"),
-            "unknown optics_ranges 'bright': choose one of lens, lens-jitter, real, rim, steady, lens-clean",
+            "unknown optics_ranges 'bright': choose one of lens, lens-jitter, lens-salt, real, rim, steady, lens-clean",
         ),
         (lambda: TrainSettings(precision="half"), "unknown precision 'half': choose one of auto, float32, bfloat16"),
         (lambda: SearchSpace(max_filters=1), "max_filters must be a whole number from 2 to 1024, got 1"),

@@ -147,9 +147,10 @@ def test_training_starts_from_the_shipped_network_for_as_many_pins(lab, tmp_path
     other = tmp_path / "other"
     shutil.copytree(lab, other)
     report = json.loads((other / "import.json").read_text())
-    report["pins"]["median"] = 331.0
-    (other / "import.json").write_text(json.dumps(report))
-    assert steps(other) == random
+    for pins, expected in ((331.0, started), (200.0, random)):
+        report["pins"]["median"] = pins
+        (other / "import.json").write_text(json.dumps(report))
+        assert steps(other) == expected
     assert steps(lab, recipe="paper") == RECIPES["paper"]["surface"].settings.min_steps
 
 
@@ -330,7 +331,7 @@ def test_transfer_wrong_option_reports_error(lab, tmp_path, capsys, options, wor
 @pytest.mark.parametrize(
     ("option", "value", "choices"),
     [
-        ("optics_ranges", "rainbow", "('auto', 'lens', 'lens-jitter', 'real', 'rim', "),
+        ("optics_ranges", "rainbow", "('auto', 'lens', 'lens-jitter', 'lens-salt', 'real', 'rim', "),
         ("randomize_mechanics", "stone", "('auto', 'none', 'estimated', 'real')"),
         ("recipe", "cake", "('laptop', 'paper')"),
         ("fidelity", "exact", "('auto', 'fast', 'draft', 'standard', 'reference')"),
@@ -347,7 +348,8 @@ def test_transfer_unknown_choice_lists_choices(tmp_path, capsys, option, value, 
 
 def test_settings_unknown_name_is_refused():
     with pytest.raises(
-        TactipError, match="unknown optics_ranges 'rainbow': choose one of auto, lens, lens-jitter, real, rim, steady"
+        TactipError,
+        match="unknown optics_ranges 'rainbow': choose one of auto, lens, lens-jitter, lens-salt, real, rim, steady",
     ):
         TransferSettings(optics_ranges="rainbow")
     with pytest.raises(TactipError, match="unknown randomize_mechanics 'stone': choose one of auto, none, estimated, real"):
