@@ -81,7 +81,7 @@ def calibrate(
     """
     state_path = Path(state_path)
     remove_leftovers(state_path.parent)
-    real = read_real_set(real_dir)
+    real = read_real_set(real_dir, settings.angles)
     fitted_design, neutral = fit_neutral(design, real.neutral)
     log(
         f"neutral image: {neutral.before_px:.2f} px rms before the fit, {neutral.lattice_px:.2f} px with lens, camera and "

@@ -12,6 +12,7 @@ targets.csv               image_name or sensor_image; pose_x … pose_Rz, shear_
 
 import contextlib
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from tactip_twin.sim.labels import LABELS, SHEARS
 from tactip_twin.sim.pose import from_mm_deg
+from tactip_twin.sim2real.importing.column_map import Angles
 from tactip_twin.sim2real.importing.source import find_neutral_image
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.input_files import parse_table, read_file, read_json
@@ -56,8 +58,13 @@ class RealSet:
         return frame
 
 
-def read_real_set(folder: str | Path) -> RealSet:
-    """Return the RealSet in a folder. Raises TactipError that names what is missing or does not fit."""
+def read_real_set(folder: str | Path, angles: Angles = "vector") -> RealSet:
+    """Return the RealSet in a folder. Raises TactipError that names what is missing or does not fit.
+
+    Args:
+        folder: The folder.
+        angles: Convention of the angles in a table of `tactip protocol`, as it was given there.
+    """
     folder = Path(folder)
     if not folder.is_dir():
         raise TactipError(
@@ -91,22 +98,23 @@ def read_real_set(folder: str | Path) -> RealSet:
     if neutral is None:
         raise TactipError(f"{folder} has no neutral image: add one named init*.png")
     first, second = (from_mm_deg(n) for n in numbers)
-    poses, moves, tap = _commands(first, second) if labelled else (first, second, _tap(folder / "meta.json"))
+    poses, moves, tap = _commands(first, second, angles) if labelled else (first, second, _tap(folder / "meta.json"))
     return RealSet(folder, files, poses, moves, tap, read_image(neutral))
 
 
-def _commands(poses: np.ndarray, shears: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _commands(poses: np.ndarray, shears: np.ndarray, angles: Angles) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the commands of a rig whose axes are those of the contact frame, as in RealSet, m and rad: poses (n, 6) before
     the tap, moves (n, 6) and tap (6,).
 
     Args:
         poses: (n, 6) labels, m and rad.
         shears: (n, 6) what they are more than where contact was made, component by component, as in the table.
+        angles: Convention of the angles of both.
     """
     tap = np.array([0, 0, -_TAP_M, 0, 0, 0])
+    read = Rotation.from_rotvec if angles == "vector" else partial(Rotation.from_euler, angles)
     ends, starts = (
-        np.concatenate([one[:, :3], Rotation.from_rotvec(one[:, 3:]).as_euler("xyz")], 1) - tap
-        for one in (poses, poses - shears)
+        np.concatenate([one[:, :3], read(one[:, 3:]).as_euler("xyz")], 1) - tap for one in (poses, poses - shears)
     )
     return ends, ends - starts, tap
 

@@ -1,6 +1,10 @@
 """Settings of a calibration. Light to import, for the command line."""
 
 from dataclasses import dataclass
+from typing import get_args
+
+from tactip_twin.sim2real.importing.column_map import Angles
+from tactip_twin.tactip_model.bounds import require
 
 
 @dataclass(frozen=True)
@@ -13,6 +17,11 @@ class FrameSelection:
     """Number of frames to test the fit on, sampled from the other half (rows 1, 3, 5 …); at least 10."""
     seed: int = 0
     """Seed of the selection of frames."""
+    angles: Angles = "vector"
+    """Convention of the angles in a table that `tactip protocol` wrote, as --angles was there."""
+
+    def __post_init__(self) -> None:
+        require(self.angles in get_args(Angles), "angles", repr(self.angles), ", ".join(get_args(Angles)))
 
 
 @dataclass(frozen=True)

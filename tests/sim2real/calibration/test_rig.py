@@ -82,14 +82,15 @@ def folder(tmp_path):
     return tmp_path
 
 
-def test_table_of_a_protocol_has_the_contacts_of_the_protocol(folder):
-    protocol = Protocol(frames=20, taps=2)
+@pytest.mark.parametrize("angles", ["vector", "xyz", "ZYX"])
+def test_table_of_a_protocol_has_the_contacts_of_the_protocol(folder, angles):
+    protocol = Protocol(frames=20, taps=2, angles=angles)
     (folder / "meta.json").unlink()
     (folder / "targets.csv").write_bytes(protocol_table(protocol))
     for k in range(20):
         cv2.imwrite(str(folder / "images" / f"frame_{k:04d}.png"), np.zeros((64, 64), np.uint8))
-    real, motion = read_real_set(folder), RigMotion(Rig())
-    wanted = convert_labels(ColumnMap(), read_table(folder / "targets.csv"))
+    real, motion = read_real_set(folder, angles), RigMotion(Rig())
+    wanted = convert_labels(ColumnMap(angles=angles), read_table(folder / "targets.csv"))
     for k in range(20):
         for found, label in zip(motion.contact(real.poses[k], real.moves[k], real.tap), wanted, strict=True):
             assert np.allclose(found, from_mm_deg(label[k]), atol=1e-9)
