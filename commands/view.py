@@ -73,6 +73,8 @@ class View(Command):
         from tactip_twin.sim.dataset.pressed_object import PressedObject, PressPlaces
 
         if not self.object.object:
+            if self.object != ObjectOptions():
+                raise TactipError("--unit, --scale, --rotation-deg and --at-mm need an --object")
             return None
         places = PressPlaces(PressedObject(self.object.object, "", self.object.at_mm), self.object.solid())
         return SolidStimulus(places.sample(np.random.default_rng(0)))

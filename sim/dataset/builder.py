@@ -168,6 +168,13 @@ class DatasetBuilder:
                     f"the {'finished' if finished else 'unfinished'} set in {self._path} has {old} samples: samples must be "
                     f"{allowed}, got {new}; or choose another folder"
                 )
+        if difference and difference[0] in ("configuration.fast_tip", "configuration.corrected"):
+            old, new = (_fidelity(one["configuration"]) for one in (recorded, requested))
+            if old != new:
+                raise TactipError(
+                    f"the folder {self._path} holds a {_KIND} with the fidelity {old}, got {new}: choose another folder, or "
+                    "remove this one"
+                )
         check_resumable(self._path, _KIND, recorded, requested)
 
     def plan(self) -> tuple[int, int]:
@@ -329,3 +336,10 @@ def _with_size_of(identity: dict[str, Any], meta: dict[str, Any]) -> dict[str, A
 def _with_samples(identity: dict[str, Any], samples: int) -> dict[str, Any]:
     """Return an identity with another number of samples."""
     return {**identity, "configuration": {**identity["configuration"], "samples": samples}}
+
+
+def _fidelity(configuration: dict[str, Any]) -> str:
+    """Return the name of the fidelity of a set's configuration, as JSON."""
+    if configuration.get("fast_tip"):
+        return "corrected" if configuration.get("corrected") else "fast"
+    return str(configuration["fidelity"]["name"])

@@ -213,7 +213,9 @@ def read_meta(folder: str | Path) -> dict[str, Any]:
     if not path.exists():
         if (Path(folder) / PARTIAL).exists():
             raise TactipError(f"the set in {folder} is unfinished: run the command that makes it again to resume it")
-        raise TactipError(f"there is no data set in {folder}: it has no meta.json")
+        inside = sorted(one.parent.name for one in Path(folder).glob("*/meta.json"))
+        sets = f", but it has the sets {', '.join(inside[:5])}: name one of these" if inside else ""
+        raise TactipError(f"there is no data set in {folder}: it has no meta.json{sets}")
     return parse_meta(read_file(path, MAX_JSON_BYTES), path)
 
 

@@ -76,13 +76,14 @@ def on_surface(columns: Columns, free: list[str], contacts: EstimatedContacts, k
     degrees = float((np.degrees(turn) + 180) % 360 - 180)
     evidence.append(
         f"camera-rotation-deg {degrees:.1f}, by tilts and shears together; "
-        + (
-            f"the next reading is {np.exp(min(margin, 700)):.0e} times less likely"
-            if np.isfinite(margin)
-            else "no other fits"
-        )
+        + (f"the next reading is {_times(float(margin))} less likely" if np.isfinite(margin) else "no other fits")
     )
     return _SurfaceReading(found, degrees, evidence)
+
+
+def _times(margin: float) -> str:
+    """Return by how much another reading is less likely, from the logarithm of that factor."""
+    return "more than a million times" if margin > np.log(1e6) else f"{np.exp(margin):,.0f} times"
 
 
 def _as_complex(columns: Columns, parts: Mapping[str, tuple[str, float]]) -> np.ndarray:

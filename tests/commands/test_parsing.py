@@ -140,6 +140,11 @@ def test_view_choices_are_the_stimuli(capsys):
     assert View().task in STIMULI
 
 
+def test_view_of_no_object_refuses_its_options(capsys):
+    assert tactip.main(["view", "--at-mm", "1", "2"]) == 1
+    assert "--at-mm need an --object" in capsys.readouterr().err
+
+
 def test_bench_without_benchmarks_says_how_to_get_them(capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "tactip_twin.benchmarks.measurements", None)
     assert tactip.main(["bench", "fidelity"]) == 1

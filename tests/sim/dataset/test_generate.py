@@ -186,6 +186,12 @@ def test_make_folder_of_another_configuration_is_refused_and_unchanged(copy, cap
     assert contents(copy) == before
 
 
+def test_make_folder_of_another_fidelity_names_both(copy, capsys):
+    options = ["--task", "edge", "--samples", "6", "--fidelity", "fast", "--renderer", "raster", "--design", "tactip-127"]
+    assert tactip.main(["dataset", "make", "--out", str(copy), *options]) == 1
+    assert f"the folder {copy} holds a data set with the fidelity draft, got fast" in capsys.readouterr().err
+
+
 def test_make_folder_of_something_else_is_refused_and_unchanged(tmp_path, capsys):
     (tmp_path / "thesis.tex").write_text("years of work")
     assert tactip.main(["dataset", "make", "--out", str(tmp_path)]) == 1

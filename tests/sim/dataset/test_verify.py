@@ -129,6 +129,14 @@ def test_verify_and_show_refuse_an_empty_folder(tmp_path, capsys):
         assert "no data set" in capsys.readouterr().err
 
 
+def test_verify_of_a_folder_of_sets_names_these(tmp_path, capsys):
+    for split in ("train", "val"):
+        (tmp_path / split).mkdir()
+        (tmp_path / split / "meta.json").write_text("{}")
+    assert tactip.main(["dataset", "verify", str(tmp_path)]) == 1
+    assert "it has the sets train, val: name one of these" in capsys.readouterr().err
+
+
 def test_foreign_meta_is_refused(tmp_path, capsys):
     (tmp_path / "meta.json").write_text('{"num_poses": 5000}')
     assert tactip.main(["dataset", "verify", str(tmp_path)]) == 1

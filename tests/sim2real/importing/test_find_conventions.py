@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from tactip_twin.benchmarks.learning.conventions import TAP_MM, mislabel_table
 from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES
 from tactip_twin.sim.pose import to_mm_deg
-from tactip_twin.sim2real.importing import find_on_edge
+from tactip_twin.sim2real.importing import find_on_edge, find_on_surface
 from tactip_twin.sim2real.importing.column_map import ColumnMap
 from tactip_twin.sim2real.importing.convert_labels import convert_labels
 from tactip_twin.sim2real.importing.estimated_contacts import EstimatedContacts
@@ -73,6 +73,11 @@ def test_evidence_names_every_choice():
     for spec in found.column_map.columns:
         assert spec in told or spec.startswith("shear_R")
     assert "camera-rotation-deg" in told and "tcp-behind-apex-mm" in told and "angles" in told
+
+
+@pytest.mark.parametrize(("margin", "text"), [(3, "20 times"), (13, "442,413 times"), (800, "more than a million times")])
+def test_evidence_says_by_how_much_another_reading_is_less_likely(margin, text):
+    assert find_on_surface._times(margin) == text
 
 
 @pytest.mark.parametrize("task", ["surface", "edge"])
