@@ -187,7 +187,7 @@ def test_make_folder_of_another_configuration_is_refused_and_unchanged(copy, cap
 
 
 def test_make_folder_of_another_fidelity_names_both(copy, capsys):
-    options = ["--task", "edge", "--samples", "6", "--fidelity", "fast", "--renderer", "raster", "--design", "tactip-127"]
+    options = ["--task", "edge", "--samples", "6", "--fidelity", "fast", "--renderer", "raster", "--design", "nominal-127"]
     assert tactip.main(["dataset", "make", "--out", str(copy), *options]) == 1
     assert f"the folder {copy} holds a data set with the fidelity draft, got fast" in capsys.readouterr().err
 
