@@ -24,6 +24,10 @@ _STRAIGHT = 1 - 1e-9
 _CREASE_DEG = 25.0
 """Angle between neighbouring triangles from which their edge is a crease, degrees."""
 
+_LONG = 8.0
+"""Longest side of a triangle in the tree, in median lengths: boxes around long thin triangles, as of the walls of a CAD
+model, overlap, and a query takes up to eight times as long [M]."""
+
 _CORNER = 1e-7
 """Barycentric coordinate below which a point of a triangle counts as on its border, -."""
 
@@ -66,8 +70,8 @@ class SignedDistanceMesh:
         """
         self.vertices = np.ascontiguousarray(vertices, float)
         self.triangles = np.ascontiguousarray(triangles, np.int64)
-        self._tree = igl.AABB()
-        self._tree.init(self.vertices, self.triangles)
+        self._tree, self._parts = igl.AABB(), _parts(self.vertices, self.triangles)
+        self._tree.init(*self._parts[:2])
         self._faces = np.asarray(igl.per_face_normals(self.vertices, self.triangles), float)
         angle = igl.PER_VERTEX_NORMALS_WEIGHTING_TYPE_ANGLE
         self._corners = np.asarray(igl.per_vertex_normals(self.vertices, self.triangles, angle), float)
@@ -79,8 +83,7 @@ class SignedDistanceMesh:
     def nearest(self, points: ArrayLike) -> Nearest:
         """Return the nearest surface points of points (n, 3) m."""
         points = np.ascontiguousarray(points, float)
-        squared, which, place = self._tree.squared_distance(self.vertices, self.triangles, points)
-        which, place = np.atleast_1d(which), np.asarray(place, float)
+        squared, which, place = self._place(points)
         away = points - place
         distance = np.sqrt(squared)
         outward = self._faces[which]
@@ -108,9 +111,7 @@ class SignedDistanceMesh:
 
         Corner normals are interpolated; triangles on the two sides of a crease do not share them.
         """
-        points = np.ascontiguousarray(points, float)
-        _, which, place = self._tree.squared_distance(self.vertices, self.triangles, points)
-        which, place = np.atleast_1d(which), np.asarray(place, float)
+        _, which, place = self._place(np.ascontiguousarray(points, float))
         weights = self._barycentric(which, place)
         normal = np.einsum("nc,nck->nk", weights, self.corner_normals[which])
         return normal / np.linalg.norm(normal, axis=1, keepdims=True)
@@ -131,6 +132,12 @@ class SignedDistanceMesh:
                 return travelled + gap
             travelled += gap
         return np.inf
+
+    def _place(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return squared distances (n,), m², nearest triangles (n,) and places (n, 3), m, of points (n, 3), m."""
+        vertices, triangles, origin = self._parts
+        squared, which, place = self._tree.squared_distance(vertices, triangles, points)
+        return squared, origin[np.atleast_1d(which)], np.asarray(place, float)
 
     def _barycentric(self, which: np.ndarray, place: np.ndarray) -> np.ndarray:
         """Return the barycentric coordinates (n, 3) of places (n, 3) on triangles `which` (n,)."""
@@ -153,6 +160,28 @@ class SignedDistanceMesh:
         corner = zero.sum(1) >= 2
         out[corner] = self._corners[self.triangles[which[corner], weights[corner].argmax(1)]]
         return out
+
+
+def _parts(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return vertices (m, 3) and triangles (j, 3) of the same surface with long triangles halved, and the triangles (j,)
+    that they are parts of. The halves need not meet those of their neighbours."""
+    origin = np.arange(len(triangles))
+    sides = np.linalg.norm(vertices[triangles[:, [1, 2, 0]]] - vertices[triangles[:, [2, 0, 1]]], axis=2)
+    limit = _LONG * float(np.median(sides))
+    if sides.max() <= limit:
+        return vertices, triangles, origin
+    corners, done = vertices[triangles], []
+    while len(corners):
+        sides = np.linalg.norm(corners[:, [1, 2, 0]] - corners[:, [2, 0, 1]], axis=2)
+        short = sides.max(1) <= limit
+        done.append((corners[short], origin[short]))
+        corners, origin, longest = corners[~short], origin[~short], sides[~short].argmax(1)
+        top, left, right = (np.take_along_axis(corners, ((longest + k) % 3)[:, None, None], 1)[:, 0] for k in range(3))
+        middle = (left + right) / 2
+        corners = np.concatenate([np.stack([top, left, middle], 1), np.stack([top, middle, right], 1)])
+        origin = np.tile(origin, 2)
+    corners, origin = (np.concatenate(arrays) for arrays in zip(*done, strict=True))
+    return np.ascontiguousarray(corners.reshape(-1, 3)), np.arange(3 * len(corners)).reshape(-1, 3), origin
 
 
 def _edge_normals(triangles: np.ndarray, normals: np.ndarray) -> np.ndarray:

@@ -1,5 +1,6 @@
 """Distances to surfaces against closed forms, and the project's objects against the solids they are cut from."""
 
+import igl
 import numpy as np
 import pytest
 import trimesh
@@ -7,7 +8,7 @@ import trimesh
 from tactip_twin.assets.meshes.make import HOLLOW_MM, RIDGE_MM, SPHERE_MM
 from tactip_twin.assets.meshes.rims import RIMS
 from tactip_twin.assets.meshes.solids import bust, saddle
-from tactip_twin.sim.contact.signed_distance import SignedDistanceMesh
+from tactip_twin.sim.contact.signed_distance import SignedDistanceMesh, _parts
 from tactip_twin.sim.robot.objects import load_object, object_names
 
 
@@ -115,3 +116,26 @@ def test_first_hit_does_not_pass_between_triangles():
         normals = solid.smooth_normal(target)
         far = [solid.first_hit(p + 1e-3 * n, -n) for p, n in zip(target, normals, strict=True)]
         assert np.allclose(far, 1e-3, atol=5e-6)
+
+
+def test_long_triangles_are_measured_in_parts():
+    """A plate with a fine rim: distances, places and normals are those of the tree of whole triangles."""
+    solid = load_object("rim-round").solid
+    vertices, triangles, origin = _parts(solid.vertices, solid.triangles)
+    assert len(triangles) > len(solid.triangles) and set(origin) == set(range(len(solid.triangles)))
+    longest, whole = (
+        np.linalg.norm(v[t] - v[np.roll(t, 1, 1)], axis=2).max()
+        for v, t in ((vertices, triangles), (solid.vertices, solid.triangles))
+    )
+    assert longest < 0.2 * whole
+    area = np.linalg.norm(np.cross(*(vertices[triangles[:, k]] - vertices[triangles[:, 0]] for k in (1, 2))), axis=1)
+    corners = solid.vertices[solid.triangles]
+    whole = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    assert np.allclose(np.bincount(origin, area), whole, rtol=1e-9, atol=1e-18)
+    points = solid.vertices[::400] + np.random.default_rng(0).normal(0, 5e-3, solid.vertices[::400].shape)
+    tree = igl.AABB()
+    tree.init(solid.vertices, solid.triangles)
+    squared, _, place = tree.squared_distance(solid.vertices, solid.triangles, points)
+    found = solid.nearest(points)
+    assert np.allclose(np.abs(found.distance), np.sqrt(squared), atol=1e-12)
+    assert np.allclose(found.place, place, atol=1e-9)
