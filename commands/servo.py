@@ -52,5 +52,5 @@ class Servo(ServoOptions, Command):
             print(dumps(score))
             return status
         print("\n".join(summary(score)))
-        print(f"{self.out / SCORE}{f' and {self.out / FIGURE}' if self.renderer == 'pyrender' else ''} written")
+        print(f"{self.out / SCORE}{f' and {self.out / FIGURE}' if self.renderer != 'raster' else ''} written")
         return status

@@ -97,7 +97,7 @@ def run_servo(
             radius_m = setup.design.shape.radius_m
             figures |= surface_score(arrays, setup.scene_object, setup.targets, setup.depth_mm, radius_m)
         write_file(options.out / SCORE, (json.dumps(figures, indent=1) + "\n").encode())
-        if options.renderer == "pyrender":
+        if options.renderer != "raster":
             left_out = [np.array(stretch.places_m) for stretch in follower.left_out]
             reference = reference_mm_deg(setup.depth_mm)
             write_figure(options.out / FIGURE, scenery, arrays, options.task, reference, left_out=left_out)

@@ -25,6 +25,7 @@ from tactip_twin.sim.robot.objects import SceneObject, load_object
 from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.errors import TactipError, lookup
 from tactip_twin.tactip_model.presets import load_design
+from tactip_twin.tactip_model.renderer import RendererName
 
 UP = np.array([0.0, 0, 1])
 """Direction from which routes over a surface are projected: from above the table."""
@@ -92,8 +93,8 @@ def prepare(
         TactipError: The options are invalid or contradict each other.
     """
     lookup("task", options.task, dict.fromkeys(DEPTHS_MM))
-    if options.video and options.renderer != "pyrender":
-        raise TactipError(f"--video needs --renderer pyrender, got {options.renderer}")
+    if options.video and options.renderer == "raster":
+        raise TactipError("--video needs OpenGL, but --renderer raster works without: leave one of them out")
     scene_object = load_object(options.object, options.unit, options.scale, options.position_mm, options.rotation_deg)
     for repair in scene_object.notes:
         log(f"{options.object}: {repair}")
@@ -168,11 +169,11 @@ def _estimator(
     if isinstance(given, Estimator):
         return given
     if given is not None:
-        return ImageEstimator(given, model.labels.components, design, options.renderer, options.noise_grey)
+        return ImageEstimator(given, model.labels.components, design, _renderer(options), options.noise_grey)
     if options.model == "oracle":
         return Oracle(truth, scene_object.T_base_object)
     image = dataclasses.replace(design.image, size_px=model.size)
-    return NetworkEstimator(model, dataclasses.replace(design, image=image), options.renderer, options.noise_grey)
+    return NetworkEstimator(model, dataclasses.replace(design, image=image), _renderer(options), options.noise_grey)
 
 
 def _network_name(options: ServoOptions, needed: bool) -> str:
@@ -299,3 +300,10 @@ def _start(
         rng = np.random.default_rng(options.seed)
         off = off + rng.uniform([-3, -3, 0, -8, -8, -8], [3, 3, 3, 8, 8, 8])
     return scene_object.T_base_object @ truth.frame(T_object_sensor) @ sensor_in_contact(from_mm_deg(off))
+
+
+def _renderer(options: ServoOptions) -> RendererName:
+    """Return the renderer of the pins."""
+    if options.renderer == "auto":
+        return "raster" if options.fidelity == "fast" else "pyrender"
+    return options.renderer
