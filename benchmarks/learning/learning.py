@@ -24,7 +24,7 @@ from tactip_twin.learning.recipes import recipe_named
 from tactip_twin.learning.train import train
 from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.dataset.configuration import Configuration
-from tactip_twin.sim.dataset.format import read_meta
+from tactip_twin.sim.dataset.format import read_configuration, read_meta, read_pins
 from tactip_twin.sim.dataset.generate import Job, make
 from tactip_twin.sim.dataset.mechanics_randomization import MECHANICS_RANDOMIZATIONS
 from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES, Ranges, Split
@@ -36,6 +36,8 @@ from tactip_twin.sim.parallel.worker_pool import worker_count
 from tactip_twin.sim.view.plot import COLORS, figure_of, log_axis, save_figure
 from tactip_twin.tactip_model.errors import TactipError, lookup
 from tactip_twin.tactip_model.presets import load_design
+from tactip_twin.tactip_model.raster_renderer import Raster
+from tactip_twin.tactip_model.tactile_image import tactile_image
 
 PAPER = {
     "surface": {"pose_z": 0.1, "pose_Rx": 0.3, "pose_Ry": 0.3},
@@ -111,6 +113,9 @@ _ANY_TRAINING = {"augmented_fraction": 0.6, "augmentation_strength": 1.0, "optic
 
 _MORE_PINS_EPOCHS, _ANY_EPOCHS = 60, 16
 """Numbers of epochs of such networks: from random weights, on a GPU, and from a shipped network [?]."""
+
+NOISES_GREY = (5, 15, 30)
+"""Standard deviations of the noise of frames that networks are tested with, grey levels of 255."""
 
 BETAS = (0.0, 0.5, 1.0)
 """Exponents of the weighted likelihood that are compared; recipes have the middle one."""
@@ -384,7 +389,9 @@ class Sets:
     def tests(self, kind: str) -> dict[str, Samples]:
         """Return test samples by kind of contact, for a row of a kind. Raises TactipError if a set is missing or damaged."""
         if kind in _OWN_TESTS:
-            return {"sheared": read_samples(self._folder(kind) / "test")}
+            test = read_samples(self._folder(kind) / "test")
+            noisy = {_NOISY.format(grey): with_noise(test, grey) for grey in NOISES_GREY} if kind == "drawn" else {}
+            return {"sheared": test} | noisy
         kinds = {"sheared": "plain", "light": "light", "taps": "taps"} | (
             {"curved": "curved"} if self._options.task == "surface" else {}
         )
@@ -392,6 +399,24 @@ class Sets:
 
     def _folder(self, kind: str) -> Path:
         return self._options.data / kind / self._options.task
+
+
+_NOISY = "noise {:g}"
+"""Name of the test with noise of a standard deviation."""
+
+
+def with_noise(samples: Samples, grey: float) -> Samples:
+    """Return samples of a simulated set with the images that a camera with normal noise takes, whose standard deviation is in
+    grey levels of 255."""
+    design = read_configuration(samples.dataset.meta, samples.folder).design
+    raster, rng = Raster(design), np.random.default_rng(0)
+    tips, directions = (array[samples.rows] for array in read_pins(samples.folder, samples.dataset.meta))
+    images = []
+    for pins in zip(tips, directions, strict=True):
+        frame = raster.render(*pins)
+        noisy = np.clip(np.rint(frame + rng.normal(0, grey, frame.shape)), 0, 255).astype(np.uint8)
+        images.append(tactile_image(noisy, design.image))
+    return replace(samples, images=np.stack(images))
 
 
 def run(options: LearningOptions, log: Callable[[str], None] = print) -> dict[str, Any]:
@@ -465,6 +490,8 @@ def tables(whole: Mapping[str, Any]) -> dict[str, str]:
         found = [_cross_test(task, whole[task]["rows"], trained, tested) for task in PAPER if task in whole]
         out[name] = "\n\n".join(text for text in found if text) or "Not measured in this version."
     betas = [_betas(task, whole[task]["rows"]) for task in PAPER if task in whole]
+    noises = [_noises(task, whole[task]["rows"]) for task in PAPER if task in whole]
+    out["noise"] = "\n\n".join(text for text in noises if text) or "Not measured in this version."
     out["beta"] = "\n\n".join(text for text in betas if text) or "Not measured in this version."
     return out
 
@@ -482,6 +509,18 @@ def _betas(task: str, rows: Sequence[Mapping[str, Any]]) -> str:
         lines.append([row["name"].removeprefix("laptop-beta-"), *errors, nll, *(f"{coverage[p]:.0%}" for p in (0.68, 0.95))])
     head = [f"β, {task}", *names, "negative log likelihood", "inside 68 %", "inside 95 %"]
     return table(head, lines)
+
+
+def _noises(task: str, rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return the table of errors by the noise of frames, with components separated by spaces; empty if none was measured."""
+    names, tests = list(PAPER[task]), ["sheared", *(_NOISY.format(grey) for grey in NOISES_GREY)]
+    lines = [
+        [f"`{row['name']}`", *(" ".join(f"{row['mae'][test][name]:.2f}" for name in names) for test in tests)]
+        for row in rows
+        if not row["name"].startswith("laptop-beta-") and set(tests) <= set(row["mae"])
+    ]
+    head = [f"{task}: {', '.join(names)}", "no noise", *(f"{grey:g} grey levels" for grey in NOISES_GREY)]
+    return table(head, lines) if lines else ""
 
 
 def _networks(task: str, rows: Sequence[Mapping[str, Any]]) -> str:

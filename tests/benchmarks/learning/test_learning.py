@@ -3,13 +3,16 @@
 import json
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from helpers.learning_sets import write_fake_set
 from tactip_twin.benchmarks.learning import learning as learned
 from tactip_twin.benchmarks.learning.options import LearningOptions
 from tactip_twin.learning.configuration import PoseNetConfig, Recipe, TrainSettings
+from tactip_twin.learning.data import read_samples
 from tactip_twin.learning.model import load_network
+from tactip_twin.sim.dataset.generate import Job, make
 from tactip_twin.sim.dataset.sampling import Ranges
 from tactip_twin.sim.fast_tip.fast_tip import read_fast_tip, shipped_fast_tip
 from tactip_twin.tactip_model.errors import TactipError
@@ -159,6 +162,19 @@ def test_networks_are_compared_by_the_exponent_of_the_likelihood():
     text = learned._betas("surface", [row, row | {"name": "laptop"}])
     assert text.splitlines()[2:] == ["| 0.5 | 0.030 | 0.200 | 0.250 | 0.200 | 70% | 95% |"]
     assert learned._betas("surface", [row | {"name": "laptop"}]) == ""
+
+
+def test_noise_makes_pixels_white_and_keeps_labels(tmp_path):
+    path = shipped_fast_tip("surface", "tactip-127")
+    (job,) = (j for j in learned.jobs(LearningOptions(data=tmp_path), ("drawn",)) if j.configuration.split == "train")
+    few = replace(job.configuration, samples=3, fast_tip=read_fast_tip(path).digest)
+    make([Job(few, tmp_path / "set", path)], 1, log=lambda line: None)
+    samples = read_samples(tmp_path / "set")
+    assert np.array_equal(learned.with_noise(samples, 0).images, samples.images)
+    noisy = learned.with_noise(samples, 15)
+    assert (noisy.images > 0).sum() > 2 * (samples.images > 0).sum()
+    assert np.array_equal(noisy.targets, samples.targets)
+    assert np.array_equal(learned.with_noise(samples.take(slice(2, 3)), 0).images, samples.images[2:])
 
 
 def test_rows_of_other_versions_and_other_test_sets_are_dropped(options, monkeypatch):
