@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from tactip_twin.benchmarks.hardware import machine, machine_text
-from tactip_twin.benchmarks.learning.learning import DESIGN, jobs
+from tactip_twin.benchmarks.learning.learning_sets import DESIGN, jobs
 from tactip_twin.benchmarks.learning.options import FastTipOptions, LearningOptions
 from tactip_twin.benchmarks.report import read_results, table, write_results
 from tactip_twin.learning.fast_tip_settings import FastTipSettings

@@ -5,7 +5,7 @@ learning.json, learning.md and learning.png. Rerun it after an interruption to r
 used if there is one.
 """
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -14,30 +14,29 @@ from typing import Any
 import numpy as np
 
 from tactip_twin.benchmarks.hardware import machine, machine_text
+from tactip_twin.benchmarks.learning.learning_sets import (
+    ANY_DESIGNS,
+    DESIGN,
+    MORE_PINS_DESIGN,
+    NOISES_GREY,
+    NOISY,
+    SNAPSHOTS,
+    WIDE_PX,
+    Sets,
+    jobs,
+)
 from tactip_twin.benchmarks.learning.options import LearningOptions
 from tactip_twin.benchmarks.report import read_results, table, write_results
 from tactip_twin.learning.configuration import Recipe
-from tactip_twin.learning.data import Samples, read_samples, read_splits
 from tactip_twin.learning.evaluate import evaluate
 from tactip_twin.learning.model import load_model, load_network
 from tactip_twin.learning.recipes import recipe_named
 from tactip_twin.learning.train import train
-from tactip_twin.sim.contact.fidelity import fidelity_named
-from tactip_twin.sim.dataset.configuration import Configuration
-from tactip_twin.sim.dataset.format import read_configuration, read_meta, read_pins
-from tactip_twin.sim.dataset.generate import Job, make
-from tactip_twin.sim.dataset.mechanics_randomization import MECHANICS_RANDOMIZATIONS
-from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES, Ranges, Split
-from tactip_twin.sim.dataset.symmetry import SYMMETRIES
-from tactip_twin.sim.fast_tip.fast_tip import read_fast_tip, shipped_fast_tip
-from tactip_twin.sim.fast_tip.sliding_tip import read_sliding_tip, shipped_sliding_tip
+from tactip_twin.sim.dataset.generate import make
 from tactip_twin.sim.labels import Task
 from tactip_twin.sim.parallel.worker_pool import worker_count
 from tactip_twin.sim.view.plot import COLORS, figure_of, log_axis, save_figure
 from tactip_twin.tactip_model.errors import TactipError, lookup
-from tactip_twin.tactip_model.presets import load_design
-from tactip_twin.tactip_model.raster_renderer import Raster
-from tactip_twin.tactip_model.tactile_image import tactile_image
 
 PAPER = {
     "surface": {"pose_z": 0.1, "pose_Rx": 0.3, "pose_Ry": 0.3},
@@ -80,9 +79,6 @@ _DRAWN_TRAINING = {
 _DRAWN_EPOCHS: dict[Task, int] = {"surface": 20, "edge": 30}
 """Numbers of epochs on drawn contacts; surfaces need fewer [?]."""
 
-_DRAWN_SET = 500
-"""Number of contacts of the set that names the ranges of drawn ones."""
-
 _LONG_TRAINING = {
     "epochs": 64,
     "min_steps": 0,
@@ -105,17 +101,11 @@ _NOISE_TRAINING = {
 }
 """The training after it, with images of a noisy camera [?]."""
 
-WIDE_PX = 256
-"""Width of the images of the row `laptop-256px`, whose pins are known to half the noise of 128 px (docs/uncertainty.md)."""
-
 _ANY_TRAINING = {"augmented_fraction": 0.6, "augmentation_strength": 1.0, "optics_ranges": "real"}
 """Settings of networks that know any materials and cameras, as in a transfer [?]."""
 
 _MORE_PINS_EPOCHS, _ANY_EPOCHS = 60, 16
 """Numbers of epochs of such networks: from random weights, on a GPU, and from a shipped network [?]."""
-
-NOISES_GREY = (5, 15, 30)
-"""Standard deviations of the noise of frames that networks are tested with, grey levels of 255."""
 
 BETAS = (0.0, 0.5, 1.0)
 """Exponents of the weighted likelihood that are compared; recipes have the middle one."""
@@ -126,50 +116,8 @@ _BETA_EPOCHS = 10
 _CURVED_EPOCHS = 4
 """Number of epochs on curved surfaces [?]."""
 
-CURVED_SNAPSHOTS = 15
-"""Number of images per contact on curved surfaces. The learned tip predicts the slides between them, as in a servo run; the
-first contact is mostly simulated and takes seconds."""
-
-_FAST_SEED, _FAST_VAL_SEED, _LIGHT_SEED = 11, 12, 13
-"""Seeds of predicted contacts, of their validation contacts, and of the test contacts with light ones. The learned tip was
-taught on contacts of seed 0."""
-
-_LIGHT_DEPTH_MM = (-5.0, 0.0)
-"""Depths of contacts from none at all: the paper's begin at 1 mm, where a servo has long touched."""
-
 FILTERS = (4, 8, 16)
 """Numbers of filters of the first layer of smaller networks."""
-
-CURVATURES_PER_M = (-28.0, 80.0)
-"""Principal curvatures of curved surfaces, 1/m, as on the bust: concave with 36 mm radius to convex with 12.5 mm."""
-
-VARYING_FRACTION = 0.5
-"""Fraction of curved surfaces with varying curvature: a network trained without them errs by 2 degrees of tilt near a nose,
-and one trained on these alone errs by 0.2 mm of depth on a sphere [M]."""
-
-SNAPSHOTS = 20
-"""Number of images per contact of the row `laptop-snapshots`."""
-
-_CURVED_DEPTH_MM = (-5.0, -0.5)
-"""Depths of contacts on curved surfaces: shallower ones may miss a surface that bends away."""
-
-CURVED_SHEARS = replace(SHEAR_RANGES, x_mm=(-8.0, 8.0), y_mm=(-8.0, 8.0))
-"""Shears on curved surfaces. The paper's are too short for deep contacts to slide, as they always do in servoing."""
-
-DESIGN, FIDELITY = "tactip-127", "standard"
-
-MORE_PINS_DESIGN = "tactip-331"
-"""Sensor of the row `laptop-331`."""
-
-ANY_DESIGNS = {"331": MORE_PINS_DESIGN, "any": DESIGN}
-"""Sensors by kind of rows (Row.kind) with any materials."""
-
-_DEEP_MM = (-5.5, -0.2)
-"""Depths of their contacts: all that the learned tip of any materials knows."""
-
-
-_OWN_TESTS = {"256px", *ANY_DESIGNS, "drawn"}
-"""Kinds of rows (Row.kind) with test sets of their own."""
 
 CROSS_TESTS = {
     "shear": (("laptop-plain", "laptop-taps"), ("sheared", "taps")),
@@ -248,175 +196,6 @@ def rows(task: Task, paper: bool) -> list[Row]:
         what = "`laptop-curved` fine-tuned with images of the undeformed tip"
         out.append(Row("laptop-curved-contact", what, "curved", last, "laptop-curved"))
     return out
-
-
-def jobs(options: LearningOptions, kinds: Collection[str]) -> list[Job]:
-    """Return the sets that are needed, whether they exist or not: the test sets of rows, and the training and validation
-    sets of rows of some kinds (Row.kind). Rows on wide images have a test set of their own."""
-    task, still = options.task, Ranges()
-    each = len(SYMMETRIES[task])
-    usual, light = POSE_RANGES[task], replace(POSE_RANGES[task], depth_mm=_LIGHT_DEPTH_MM)
-    wanted: list[_Wanted] = []
-    shared = not set(kinds) <= _OWN_TESTS
-    if shared:
-        wanted += [_Wanted("plain", "test", options.test_contacts, usual, SHEAR_RANGES)]
-        wanted += [_Wanted("light", "test", options.other_test_contacts, light, SHEAR_RANGES, _LIGHT_SEED)]
-        wanted += [_Wanted("taps", "test", options.other_test_contacts, usual, still)]
-    if {"plain", "symmetric", "large"} & set(kinds):
-        # The other rows use a part of the set of `laptop-large` if it exists.
-        large = "large" in kinds or _holds(options.data / "symmetric" / task / "train", options.large_contacts * each)
-        contacts = options.large_contacts if large else options.contacts
-        wanted += [_Wanted("symmetric", "train", contacts * each, usual, SHEAR_RANGES)]
-    if "fast" in kinds:
-        wanted += [_Wanted("fast", "train", options.fast_images, light, SHEAR_RANGES, _FAST_SEED)]
-        wanted += [_Wanted("fast", "val", options.test_contacts, light, SHEAR_RANGES, _FAST_VAL_SEED)]
-    for kind in ("256px", "drawn"):
-        if kind in kinds:
-            wanted += [_Wanted(kind, "train", _DRAWN_SET, light, SHEAR_RANGES, _FAST_SEED)]
-            wanted += [_Wanted(kind, "val", options.test_contacts, light, SHEAR_RANGES, _FAST_VAL_SEED)]
-            wanted += [_Wanted(kind, "test", options.test_contacts, usual, SHEAR_RANGES)]
-    for kind in ANY_DESIGNS:
-        if kind in kinds:
-            deep = replace(usual, depth_mm=_DEEP_MM)
-            wanted += [_Wanted(kind, "train", _DRAWN_SET, deep, SHEAR_RANGES, _FAST_SEED)]
-            wanted += [_Wanted(kind, "val", options.other_test_contacts, deep, SHEAR_RANGES, _FAST_VAL_SEED)]
-            wanted += [_Wanted(kind, "test", options.test_contacts, usual, SHEAR_RANGES)]
-    if {"plain", "symmetric", "large", "snapshots"} & set(kinds):
-        wanted += [_Wanted("plain", "val", options.test_contacts, usual, SHEAR_RANGES)]
-    if "snapshots" in kinds:
-        wanted += [_Wanted("snapshots", "train", options.snapshot_contacts * SNAPSHOTS, usual, SHEAR_RANGES)]
-    if "taps" in kinds:
-        wanted += [_Wanted("taps", "train", options.contacts, usual, still)]
-        wanted += [_Wanted("taps", "val", options.other_test_contacts, usual, still)]
-    if task == "surface" and shared:
-        touching, few = replace(usual, depth_mm=_CURVED_DEPTH_MM), options.curved_test_contacts * CURVED_SNAPSHOTS
-        wanted += [_Wanted("curved", "test", few, touching, CURVED_SHEARS)]
-        if "curved" in kinds:
-            images = options.curved_contacts * CURVED_SNAPSHOTS * each
-            wanted += [_Wanted("curved", "train", images, touching, CURVED_SHEARS, _FAST_SEED)]
-            wanted += [_Wanted("curved", "val", few, touching, CURVED_SHEARS)]
-    return [_job(options, one) for one in wanted]
-
-
-@dataclass(frozen=True)
-class _Wanted:
-    """A set of the benchmark."""
-
-    kind: str
-    """Kind of contacts (Row.kind, or light)."""
-    split: Split
-    """Its split."""
-    samples: int
-    """Number of samples."""
-    pose: Ranges
-    """Ranges of the poses."""
-    shear: Ranges
-    """Ranges of the shears."""
-    seed: int = 0
-    """Seed."""
-
-
-def _job(options: LearningOptions, wanted: _Wanted) -> Job:
-    """Return the set of a task, with the learned tip that predicts its contacts if one does."""
-    task, kind, split = options.task, wanted.kind, wanted.split
-    augmented = (kind, split) in (("symmetric", "train"), ("fast", "train"), ("curved", "train"))
-    tip: Path | None = None
-    digest = ""
-    if split == "train" and (kind == "fast" or kind in _OWN_TESTS):
-        tip = shipped_fast_tip(task, ANY_DESIGNS.get(kind, DESIGN), randomized=kind in ANY_DESIGNS)
-        digest = read_fast_tip(tip).digest
-    elif (kind, split) == ("curved", "train"):
-        tip = shipped_sliding_tip(task, DESIGN)
-        digest = read_sliding_tip(tip).digest
-    design = load_design(ANY_DESIGNS.get(kind, DESIGN))
-    if kind == "256px":
-        design = replace(design, image=replace(design.image, size_px=WIDE_PX))
-    configuration = Configuration(
-        task=task,
-        split=split,
-        samples=wanted.samples,
-        seed=wanted.seed,
-        # OpenGL takes longer for eight images than the contact itself. Test sets are rendered by it nevertheless.
-        renderer="raster" if augmented or (kind in _OWN_TESTS and split != "test") else "pyrender",
-        design=design,
-        fidelity=fidelity_named(FIDELITY),
-        pose=wanted.pose,
-        shear=wanted.shear,
-        augment_symmetry=augmented,
-        curvature_per_m=CURVATURES_PER_M if kind == "curved" else (0.0, 0.0),
-        varying_curvature_fraction=VARYING_FRACTION if kind == "curved" else 0.0,
-        snapshots_per_contact={"snapshots": SNAPSHOTS, "curved": CURVED_SNAPSHOTS}.get(kind, 1),
-        # The sets of the networks also teach and test the learned tip.
-        keep_mesh=kind in ("symmetric", "plain"),
-        mechanics_randomization=MECHANICS_RANDOMIZATIONS["real" if kind in ANY_DESIGNS and split != "test" else "none"],
-        fast_tip=digest,
-    )
-    return Job(configuration, options.data / kind / task / split, tip)
-
-
-def _holds(folder: Path, samples: int) -> bool:
-    """Return whether a folder has a finished set of this number of samples."""
-    return (folder / "meta.json").exists() and read_meta(folder)["configuration"]["samples"] == samples
-
-
-class Sets:
-    """The sets of a task, read on demand."""
-
-    def __init__(self, options: LearningOptions) -> None:
-        self._options, self._each = options, len(SYMMETRIES[options.task])
-        self._large: Samples | None = None
-
-    def training(self, kind: str) -> tuple[Samples, Samples]:
-        """Return training and validation samples of a kind (Row.kind).
-
-        Raises:
-            TactipError: A set is missing or damaged.
-        """
-        if kind in ("taps", "curved", "fast", *_OWN_TESTS):
-            return read_splits(self._folder(kind))
-        if kind == "snapshots":
-            return read_samples(self._folder(kind) / "train"), read_samples(self._folder("plain") / "val")
-        if self._large is None:
-            self._large = read_samples(self._folder("symmetric") / "train")
-        chosen = {
-            # The first sample of a contact is the contact as simulated, before its symmetric copies.
-            "plain": slice(0, self._options.contacts * self._each, self._each),
-            "symmetric": slice(0, self._options.contacts * self._each),
-            "large": slice(None),
-        }[kind]
-        return self._large.take(chosen), read_samples(self._folder("plain") / "val")
-
-    def tests(self, kind: str) -> dict[str, Samples]:
-        """Return test samples by kind of contact, for a row of a kind. Raises TactipError if a set is missing or damaged."""
-        if kind in _OWN_TESTS:
-            test = read_samples(self._folder(kind) / "test")
-            noisy = {_NOISY.format(grey): with_noise(test, grey) for grey in NOISES_GREY} if kind == "drawn" else {}
-            return {"sheared": test} | noisy
-        kinds = {"sheared": "plain", "light": "light", "taps": "taps"} | (
-            {"curved": "curved"} if self._options.task == "surface" else {}
-        )
-        return {name: read_samples(self._folder(kind) / "test") for name, kind in kinds.items()}
-
-    def _folder(self, kind: str) -> Path:
-        return self._options.data / kind / self._options.task
-
-
-_NOISY = "noise {:g}"
-"""Name of the test with noise of a standard deviation."""
-
-
-def with_noise(samples: Samples, grey: float) -> Samples:
-    """Return samples of a simulated set with the images that a camera with normal noise takes, whose standard deviation is in
-    grey levels of 255."""
-    design = read_configuration(samples.dataset.meta, samples.folder).design
-    raster, rng = Raster(design), np.random.default_rng(0)
-    tips, directions = (array[samples.rows] for array in read_pins(samples.folder, samples.dataset.meta))
-    images = []
-    for pins in zip(tips, directions, strict=True):
-        frame = raster.render(*pins)
-        noisy = np.clip(np.rint(frame + rng.normal(0, grey, frame.shape)), 0, 255).astype(np.uint8)
-        images.append(tactile_image(noisy, design.image))
-    return replace(samples, images=np.stack(images))
 
 
 def run(options: LearningOptions, log: Callable[[str], None] = print) -> dict[str, Any]:
@@ -513,7 +292,7 @@ def _betas(task: str, rows: Sequence[Mapping[str, Any]]) -> str:
 
 def _noises(task: str, rows: Sequence[Mapping[str, Any]]) -> str:
     """Return the table of errors by the noise of frames, with components separated by spaces; empty if none was measured."""
-    names, tests = list(PAPER[task]), ["sheared", *(_NOISY.format(grey) for grey in NOISES_GREY)]
+    names, tests = list(PAPER[task]), ["sheared", *(NOISY.format(grey) for grey in NOISES_GREY)]
     lines = [
         [f"`{row['name']}`", *(" ".join(f"{row['mae'][test][name]:.2f}" for name in names) for test in tests)]
         for row in rows

@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from tactip_twin.benchmarks.hardware import machine, machine_text
-from tactip_twin.benchmarks.learning.learning import DESIGN, MORE_PINS_DESIGN, PAPER, TARGETS, WIDE_PX, jobs, rows
+from tactip_twin.benchmarks.learning.learning import PAPER, TARGETS, rows
+from tactip_twin.benchmarks.learning.learning_sets import DESIGN, MORE_PINS_DESIGN, WIDE_PX, jobs
 from tactip_twin.benchmarks.learning.options import LearningOptions, ReleaseModelsOptions
 from tactip_twin.learning.data import read_samples
 from tactip_twin.learning.evaluate import evaluate, tables

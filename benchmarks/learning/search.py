@@ -19,7 +19,7 @@ import torch
 from scipy.stats import spearmanr
 
 from tactip_twin.benchmarks.hardware import machine, machine_text
-from tactip_twin.benchmarks.learning import learning
+from tactip_twin.benchmarks.learning import learning, learning_sets
 from tactip_twin.benchmarks.learning.options import SearchBudget, SearchOptions
 from tactip_twin.benchmarks.report import read_results, table, write_results
 from tactip_twin.learning.checkpoint import METRICS, read_metrics, with_new_defaults
@@ -76,7 +76,7 @@ def folder_of(options: SearchOptions, name: str) -> Path:
 
 def jobs(options: SearchOptions) -> list[Job]:
     """Return the sets that are needed, whether they exist or not."""
-    tip = shipped_fast_tip(options.task, learning.DESIGN)
+    tip = shipped_fast_tip(options.task, learning_sets.DESIGN)
     digest = read_fast_tip(tip).digest
 
     def job(name: str, split: Split, samples: int) -> Job:
@@ -87,8 +87,8 @@ def jobs(options: SearchOptions) -> list[Job]:
             samples=samples,
             seed=_SEED,
             renderer="raster",
-            design=load_design(learning.DESIGN),
-            fidelity=fidelity_named(learning.FIDELITY),
+            design=load_design(learning_sets.DESIGN),
+            fidelity=fidelity_named(learning_sets.FIDELITY),
             pose=POSE_RANGES[options.task],
             fast_tip="" if split == "test" else digest,
         )

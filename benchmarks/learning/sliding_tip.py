@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from tactip_twin.benchmarks.hardware import machine, machine_text
-from tactip_twin.benchmarks.learning.learning import CURVATURES_PER_M, DESIGN
+from tactip_twin.benchmarks.learning.learning_sets import CURVATURES_PER_M, DESIGN
 from tactip_twin.benchmarks.learning.options import SlidingTipOptions
 from tactip_twin.benchmarks.report import read_results, table, write_results
 from tactip_twin.control.options import RouteOptions, ServoOptions

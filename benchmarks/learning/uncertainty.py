@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from tactip_twin.benchmarks.hardware import machine, machine_text
-from tactip_twin.benchmarks.learning.learning import DESIGN, jobs
+from tactip_twin.benchmarks.learning.learning_sets import DESIGN, jobs
 from tactip_twin.benchmarks.learning.options import LearningOptions, UncertaintyOptions
 from tactip_twin.benchmarks.report import table, write_results
 from tactip_twin.learning.data import Samples, read_samples

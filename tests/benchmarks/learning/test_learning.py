@@ -8,6 +8,7 @@ import pytest
 
 from helpers.learning_sets import write_fake_set
 from tactip_twin.benchmarks.learning import learning as learned
+from tactip_twin.benchmarks.learning import learning_sets
 from tactip_twin.benchmarks.learning.options import LearningOptions
 from tactip_twin.learning.configuration import PoseNetConfig, Recipe, TrainSettings
 from tactip_twin.learning.data import read_samples
@@ -28,7 +29,7 @@ def options(tmp_path, monkeypatch):
     """Small options, with made-up sets and tiny networks."""
     monkeypatch.setattr(learned, "make", lambda jobs, workers, log: None)
     monkeypatch.setattr(learned, "rows", _tiny)
-    monkeypatch.setattr(learned, "_DRAWN_SET", 8)
+    monkeypatch.setattr(learning_sets, "_DRAWN_SET", 8)
     folders = {name: tmp_path / name for name in ("data", "runs", "out")}
     options = LearningOptions(
         **folders,
@@ -41,7 +42,7 @@ def options(tmp_path, monkeypatch):
         test_contacts=8,
         other_test_contacts=8,
     )
-    for job in learned.jobs(options, KINDS):
+    for job in learning_sets.jobs(options, KINDS):
         c = job.configuration
         write_fake_set(job.folder, c.task, c.split, c.samples, shear=c.shear)
     return options
@@ -56,7 +57,8 @@ def _tiny(task, paper):
 
 def test_sets_have_the_sizes_and_ranges_of_the_options():
     jobs = {
-        (j.folder.parts[-3], j.folder.parts[-1]): j.configuration for j in learned.jobs(LearningOptions(task="edge"), KINDS)
+        (j.folder.parts[-3], j.folder.parts[-1]): j.configuration
+        for j in learning_sets.jobs(LearningOptions(task="edge"), KINDS)
     }
     tests = {(kind, split) for kind in ("plain", "taps", "256px") for split in ("val", "test")}
     tests |= {("light", "test"), ("fast", "val")}
@@ -82,28 +84,28 @@ def test_sets_have_the_sizes_and_ranges_of_the_options():
 
 
 def test_only_the_sets_of_the_chosen_rows_are_made():
-    sets = [(j.folder.parts[-3], j.folder.parts[-1]) for j in learned.jobs(LearningOptions(), ("taps",))]
+    sets = [(j.folder.parts[-3], j.folder.parts[-1]) for j in learning_sets.jobs(LearningOptions(), ("taps",))]
     tests = [("plain", "test"), ("light", "test"), ("taps", "test"), ("curved", "test")]
     assert sorted(sets) == sorted([*tests, ("taps", "train"), ("taps", "val")])
-    sets = [(j.folder.parts[-3], j.folder.parts[-1]) for j in learned.jobs(LearningOptions(), ("256px",))]
+    sets = [(j.folder.parts[-3], j.folder.parts[-1]) for j in learning_sets.jobs(LearningOptions(), ("256px",))]
     assert sets == [("256px", split) for split in ("train", "val", "test")]
 
 
 def test_existing_larger_set_is_used_in_part(options):
     """The fixture's set is that of the row `laptop-large`; other rows use its first contacts."""
     for kinds in (("plain",), ("plain", "large")):
-        (train,) = (j for j in learned.jobs(options, kinds) if j.folder.parts[-3] == "symmetric")
+        (train,) = (j for j in learning_sets.jobs(options, kinds) if j.folder.parts[-3] == "symmetric")
         assert train.configuration.samples == options.large_contacts * 8
     larger = replace(options, large_contacts=4)
-    (fewer,) = (j for j in learned.jobs(larger, ("plain",)) if j.folder.parts[-3] == "symmetric")
+    (fewer,) = (j for j in learning_sets.jobs(larger, ("plain",)) if j.folder.parts[-3] == "symmetric")
     assert fewer.configuration.samples == options.contacts * 8
 
 
 def test_curved_surfaces_belong_to_the_surface_task():
-    jobs = [j.configuration for j in learned.jobs(LearningOptions(), KINDS) if j.folder.parts[-3] == "curved"]
+    jobs = [j.configuration for j in learning_sets.jobs(LearningOptions(), KINDS) if j.folder.parts[-3] == "curved"]
     sets = {c.split: (c.samples, c.augment_symmetry) for c in jobs}
     assert sets == {"train": (48000, True), "val": (600, False), "test": (600, False)}
-    assert {c.curvature_per_m for c in jobs} == {learned.CURVATURES_PER_M}
+    assert {c.curvature_per_m for c in jobs} == {learning_sets.CURVATURES_PER_M}
     assert all(any(r.kind == "curved" for r in learned.rows(task, False)) == (task == "surface") for task in learned.PAPER)
 
 
@@ -166,15 +168,15 @@ def test_networks_are_compared_by_the_exponent_of_the_likelihood():
 
 def test_noise_makes_pixels_white_and_keeps_labels(tmp_path):
     path = shipped_fast_tip("surface", "tactip-127")
-    (job,) = (j for j in learned.jobs(LearningOptions(data=tmp_path), ("drawn",)) if j.configuration.split == "train")
+    (job,) = (j for j in learning_sets.jobs(LearningOptions(data=tmp_path), ("drawn",)) if j.configuration.split == "train")
     few = replace(job.configuration, samples=3, fast_tip=read_fast_tip(path).digest)
     make([Job(few, tmp_path / "set", path)], 1, log=lambda line: None)
     samples = read_samples(tmp_path / "set")
-    assert np.array_equal(learned.with_noise(samples, 0).images, samples.images)
-    noisy = learned.with_noise(samples, 15)
+    assert np.array_equal(learning_sets.with_noise(samples, 0).images, samples.images)
+    noisy = learning_sets.with_noise(samples, 15)
     assert (noisy.images > 0).sum() > 2 * (samples.images > 0).sum()
     assert np.array_equal(noisy.targets, samples.targets)
-    assert np.array_equal(learned.with_noise(samples.take(slice(2, 3)), 0).images, samples.images[2:])
+    assert np.array_equal(learning_sets.with_noise(samples.take(slice(2, 3)), 0).images, samples.images[2:])
 
 
 def test_rows_of_other_versions_and_other_test_sets_are_dropped(options, monkeypatch):
