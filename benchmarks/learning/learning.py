@@ -338,7 +338,7 @@ def relative_error(row: Mapping[str, Any], task: str) -> float:
 
 def plot(whole: Mapping[str, Any], path: Path) -> None:
     """Plot error against latency of the networks, one panel per task, into a PNG file."""
-    figure, axes = figure_of(1, len(whole), (6 * len(whole), 4.2))
+    figure, axes = figure_of(1, len(whole), (6 * len(whole), 5.5))
     kinds = ("plain", "taps", "symmetric", "large", "curved", "snapshots", "fast", "256px", *ANY_DESIGNS, "drawn")
     colors = dict(zip(kinds, (*COLORS, "0.5", "0.7", "0.8", "0.2"), strict=True))
     box = {"fc": "white", "ec": "none", "pad": 0.5}
@@ -346,17 +346,27 @@ def plot(whole: Mapping[str, Any], path: Path) -> None:
         rows = [row for row in record["rows"] if not row["name"].startswith("laptop-beta-")]
         # Networks of as many parameters are the same, and take as long: what is longer is the load of the machine.
         fastest = {row["parameters"] // 10_000: row["latency_ms"] for row in sorted(rows, key=lambda r: -r["latency_ms"])}
-        for row in rows:
+        for k, row in enumerate(sorted(rows, key=lambda r: relative_error(r, task))):
             x, y = fastest[row["parameters"] // 10_000], relative_error(row, task)
             axis.plot(x, y, "o", color=colors[row["set"]])
+            # Names beside each other: networks that take as long err alike.
+            side, where = (7, "left") if k % 2 else (-7, "right")
             axis.annotate(
-                row["name"], (x, y), xytext=(7, 0), textcoords="offset points", va="center", fontsize=8, bbox=box, zorder=3
+                row["name"],
+                (x, y),
+                xytext=(side, 0),
+                textcoords="offset points",
+                va="center",
+                ha=where,
+                fontsize=8,
+                bbox=box,
+                zorder=3,
             )
         axis.axhline(1, color="0.4", lw=0.8)
         for name in "xy":
             log_axis(axis, name)
         axis.margins(0.15)
         (low, high), (fast, slow) = axis.get_ylim(), axis.get_xlim()
-        axis.set(ylim=(min(low, 0.5), max(high, 5)), xlim=(min(fast, 1), max(slow, 10)))
+        axis.set(ylim=(min(low, 0.7), max(high, 2)), xlim=(min(fast, 1), max(slow, 10)))
         axis.set(xlabel="time per image on one core, ms", ylabel="mean error / target", title=task)
     save_figure(figure, path)
