@@ -80,7 +80,7 @@ def jobs(options: LearningOptions, kinds: Collection[str]) -> list[Job]:
     each = len(SYMMETRIES[task])
     usual, light = POSE_RANGES[task], replace(POSE_RANGES[task], depth_mm=_LIGHT_DEPTH_MM)
     wanted: list[_Wanted] = []
-    shared = not set(kinds) <= _OWN_TESTS
+    shared = not (kinds and set(kinds) <= _OWN_TESTS)
     if shared:
         wanted += [_Wanted("plain", "test", options.test_contacts, usual, SHEAR_RANGES)]
         wanted += [_Wanted("light", "test", options.other_test_contacts, light, SHEAR_RANGES, _LIGHT_SEED)]

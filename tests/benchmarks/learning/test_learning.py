@@ -87,6 +87,7 @@ def test_only_the_sets_of_the_chosen_rows_are_made():
     sets = [(j.folder.parts[-3], j.folder.parts[-1]) for j in learning_sets.jobs(LearningOptions(), ("taps",))]
     tests = [("plain", "test"), ("light", "test"), ("taps", "test"), ("curved", "test")]
     assert sorted(sets) == sorted([*tests, ("taps", "train"), ("taps", "val")])
+    assert [j.folder.parts[-3] for j in learning_sets.jobs(LearningOptions(), ())] == ["plain", "light", "taps", "curved"]
     sets = [(j.folder.parts[-3], j.folder.parts[-1]) for j in learning_sets.jobs(LearningOptions(), ("256px",))]
     assert sets == [("256px", split) for split in ("train", "val", "test")]
 
