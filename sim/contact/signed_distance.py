@@ -137,7 +137,7 @@ class SignedDistanceMesh:
         """Return squared distances (n,), m², nearest triangles (n,) and places (n, 3), m, of points (n, 3), m."""
         vertices, triangles, origin = self._parts
         squared, which, place = self._tree.squared_distance(vertices, triangles, points)
-        return squared, origin[np.atleast_1d(which)], np.asarray(place, float)
+        return np.asarray(squared, float), origin[np.atleast_1d(which)], np.asarray(place, float)
 
     def _barycentric(self, which: np.ndarray, place: np.ndarray) -> np.ndarray:
         """Return the barycentric coordinates (n, 3) of places (n, 3) on triangles `which` (n,)."""
