@@ -95,6 +95,11 @@ def _design(model: Model) -> str:
     return model.provenance["train"]["configuration"]["design"]["name"]
 
 
+def _is_of_any_materials(model: Model) -> bool:
+    """Return whether a model was trained on contacts whose mechanics vary."""
+    return any(f != 1 for f in model.provenance["train"]["configuration"].get("mechanics_randomization", {}).values())
+
+
 def _is_curved(model: Model) -> bool:
     """Return whether a model was trained on curved surfaces: its set has a curvature (sim/dataset/configuration.py)."""
     return any(model.provenance["train"]["configuration"].get("curvature_per_m", ()))  # 0.3.0 left it out for flat sets
@@ -111,8 +116,7 @@ def _kind(model: Model) -> str:
         return "curved-"
     if model.size == WIDE_PX:
         return f"{WIDE_PX}px-"
-    factors = model.provenance["train"]["configuration"].get("mechanics_randomization", {}).values()
-    return "any-" if any(factor != 1 for factor in factors) and _design(model) == DESIGN else ""
+    return "any-" if _is_of_any_materials(model) and _design(model) == DESIGN else ""
 
 
 def _initial_weights(model: Model, options: ReleaseModelsOptions) -> list[str]:
@@ -171,6 +175,8 @@ def card(model: Model, record: Mapping[str, Any], options: ReleaseModelsOptions)
     if _is_curved(model):
         varying = " (varying on half of them)" if made.get("varying_curvature_fraction") else ""
         what = "surfaces with curvatures of {:g} to {:g} /m{}".format(*made["curvature_per_m"], varying)
+    known = "It knows tips of other materials and cameras, too, and starts transfers to other sensors. "
+    known = known if _is_of_any_materials(model) else ""
     # The paper's results and the targets are for flat surfaces and straight edges.
     beside = {} if _is_curved(model) else {"the paper, real sensor": PAPER, "target": TARGETS}
     lines = [
@@ -178,7 +184,7 @@ def card(model: Model, record: Mapping[str, Any], options: ReleaseModelsOptions)
         "",
         f"This network predicts the pose of {what} from one binary tactile image, {model.size} px wide, of the "
         f"{_design(model).removeprefix('tactip-')}-pin TacTip (`{_design(model)}`), and is insensitive to shear. It was "
-        "trained in simulation only; expect larger errors on a real sensor. `sim/pose.py` defines frames and signs.",
+        f"trained in simulation only; expect larger errors on a real sensor. {known}`sim/pose.py` defines frames and signs.",
         "",
         "| component | trained range | mean error | rms | bias | 95 % below |" + "".join(f" {title} |" for title in beside),
         "|" + "---|" * (6 + len(beside)),
