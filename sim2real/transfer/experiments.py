@@ -67,6 +67,10 @@ _MAX_PIN_DIFFERENCE = 0.05
 """Largest difference of the numbers of pins, as a fraction, of a sensor and of a shipped network that its training starts
 from. On 331 pins, weights for 127 pins made the tilt 0.5° worse than random ones [M]."""
 
+_NO_START = ("surface-tactip-331",)
+"""Shipped networks that no training starts from: on real-331, depth was 0.165 mm off in place of 0.120 with random weights,
+because its gain became 0.85 in place of 0.91 [M]. On a hidden simulated sensor it made the tilt 0.1° better."""
+
 _CONTACTS = {"surface": 700, "edge": 2000}
 """Default number of simulated contacts to train on, by task. On a surface, 2000 took three times as long, and the errors on
 real-331 were the same [M] (docs/transfer.md)."""
@@ -215,7 +219,10 @@ class Experiment:
         config = recipe_named(self.settings.recipe, self.task).network
         for name in shipped_models():
             found = re.fullmatch(rf"{self.task}(?:-\d+px|-any)?-(tactip-\d+)", name)
-            if not found or abs(len(neutral_pins(load_design(found[1]))[0]) / self._pins() - 1) > _MAX_PIN_DIFFERENCE:
+            if not found or name in _NO_START:
+                continue
+            pins = len(neutral_pins(load_design(found[1]))[0])
+            if abs(pins / self._pins() - 1) > _MAX_PIN_DIFFERENCE:
                 continue
             network = load_network(name)
             try:
