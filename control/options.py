@@ -128,8 +128,8 @@ class ServoOptions:
     arm: ArmName = "dynamic"
     """Arm model: none (the sensor moves exactly), kinematic (inverse kinematics), dynamic (with masses and motors)."""
     renderer: RendererName | Literal["auto"] = "auto"
-    """Renderer of the pins. auto: raster, which is ten times as fast, with --fidelity fast, else pyrender; raster: without
-    OpenGL, and without pictures of the run."""
+    """Renderer of the pins. auto: raster with --fidelity fast, because it is several times as fast, else pyrender; raster:
+    without OpenGL, and without pictures of the run."""
     gains: GainsName = "paper"
     """Controller gains: of the paper, or of the authors' later Tactile Servo Control."""
     depth_mm: float | None = within(0.2, 8, default=None)

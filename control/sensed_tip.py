@@ -58,7 +58,7 @@ _MIN_TRAIL = 50
 """Number of steps that the tip can go back at least, where the arm cannot lift a free tip at a limit of its joints."""
 
 _PULL = 2.0
-"""Force at which the arm stops while it pulls a held tip free, over Settings.max_force_n."""
+"""Force at which the arm stops while it pulls a held tip free, over Settings.max_force_n [?]."""
 
 _FREE = 0.1
 """Fraction of Settings.contact_threshold below which the tip counts as free, -."""

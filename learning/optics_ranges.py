@@ -37,7 +37,7 @@ class OpticsRanges:
     speckles: float = within(0, 20, default=0.0)
     """Maximum number of specks of light, 1 to 3 px wide, anywhere; sampled from 0 for each image."""
     salt: float = within(0, 1, default=0.0)
-    """Maximum fraction of the pixels that the camera's noise makes white, sampled for each image, most often small."""
+    """Maximum fraction of the pixels that the camera's noise makes white, sampled for each image, most often small [?]."""
     rim_lights: float = within(0, 12, default=0.0)
     """Maximum number of arcs of light at the rim, sampled from 0 for each image. For frames whose rim is not masked."""
 

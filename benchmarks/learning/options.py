@@ -26,7 +26,7 @@ class LearningOptions:
     contacts: int = 2000
     """Number of training contacts of most rows, as in the paper."""
     large_contacts: int = 8000
-    """Number of training contacts of the row `laptop-large`, whose network is shipped."""
+    """Number of training contacts of the row `laptop-large`."""
     curved_contacts: int = 400
     """Number of training contacts of the row `laptop-curved`, on curved surfaces, with 15 images and 8 symmetries each."""
     curved_test_contacts: int = 40

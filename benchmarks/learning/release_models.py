@@ -175,8 +175,7 @@ def card(model: Model, record: Mapping[str, Any], options: ReleaseModelsOptions)
     if _is_curved(model):
         varying = " (varying on half of them)" if made.get("varying_curvature_fraction") else ""
         what = "surfaces with curvatures of {:g} to {:g} /m{}".format(*made["curvature_per_m"], varying)
-    known = "It knows tips of other materials and cameras, too, and starts transfers to other sensors. "
-    known = known if _is_of_any_materials(model) else ""
+    known = "It knows tips of other materials and cameras, too. " if _is_of_any_materials(model) else ""
     # The paper's results and the targets are for flat surfaces and straight edges.
     beside = {} if _is_curved(model) else {"the paper, real sensor": PAPER, "target": TARGETS}
     lines = [

@@ -9,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 
 _MANY = 2
-"""Number of points that may matter, over that of the groups, from which the groups' centers are measured first."""
+"""Number of points that may matter, over that of the groups, from which the groups' centers are measured first [?]."""
 
 
 class RigidPoints:
