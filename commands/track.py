@@ -9,7 +9,7 @@ from tactip_twin.control.track_options import TrackOptions
 
 @dataclass(frozen=True)
 class Track(TrackOptions, Command):
-    """Follow a flat object that moves in all axes at once, by touch. Writes a score and a figure."""
+    """Follow a flat object that moves in all axes at once, by touch. Writes a recording, a score and a figure."""
 
     common = ("out", "object", "model", "fidelity", "arm", "seconds", "motion.amplitude_mm", "motion.amplitude_deg")
     example = "tactip track --fidelity fast --out runs/track"
@@ -32,5 +32,5 @@ class Track(TrackOptions, Command):
             score = track(self, progress)
         print(f"error relative to the object, root mean square: {score['rms_mm']:.2f} mm, {score['rms_deg']:.2f}°")
         print(f"largest: {score['max_mm']:.2f} mm, {score['max_deg']:.2f}°; {score['stopped_because']}")
-        print(f"{self.out / SCORE} and {self.out / FIGURE} written")
+        print(f"{self.out / SCORE} and {self.out / FIGURE} written; tactip replay {self.out} shows the run")
         return 0 if score["stopped_because"] == "completed" else 1

@@ -124,9 +124,9 @@ class SensedTip:
         return self._settings.clearance_mm + 1e3 * max(0.0, self._highest + float(T[:3, 3] @ self._approach))
 
     def lift(self) -> None:
-        """Lift off. Where the arm cannot, at a limit of its joints, or stops at its limit of force, because an undercut
-        holds the skin, go back the way the tip came until it can, past where it was free. At last, turn to the route's
-        direction of approach on the way up and pull, with more force.
+        """Lift off. Where the arm cannot, at a limit of its joints, or stops, because an undercut holds skin or housing, go
+        back the way the tip came until it can, past where it was free. At last, turn to the route's direction of approach on
+        the way up and pull, with more force.
 
         Raises:
             Obstacle: As of `go`.
@@ -149,11 +149,12 @@ class SensedTip:
                 limit_n = _PULL * self._settings.max_force_n
                 self.go(pose, max_force_n=limit_n)
                 if self.touch.moved_back:
-                    raise FollowingFailed(f"the object holds the tip, and {limit_n:g} N do not free it")
+                    held = self.touch.peak_force_n > limit_n
+                    why = f"{limit_n:g} N do not free it" if held else "the sensor's housing runs against it on the way up"
+                    raise FollowingFailed(f"the object holds the tip, and {why}")
 
     def _rise(self) -> bool:
-        """Retract and move to a height that is clear; return False as soon as the arm stops at its limit of force. Raises
-        Obstacle."""
+        """Retract and move to a height that is clear; return False as soon as the arm stops. Raises Obstacle."""
         retracted = moved(self.pose, None, -self._settings.retract_mm)
         for T in (retracted, moved(retracted, self._approach, -self.height_mm(retracted))):
             for pose in self._way_to(T):
@@ -183,8 +184,8 @@ class SensedTip:
         force = touch.peak_force_n if touch.moved_back else float(np.linalg.norm(touch.force))
         if force > limit:
             return "force", f"{force:.1f} N on the tip (at most {limit:g} N)"
-        if self.touch.clearance_m < 0:
-            return "collision", f"the sensor's housing overlaps the object by {-1e3 * self.touch.clearance_m:.1f} mm"
+        if touch.clearance_m < 0 or touch.moved_back:
+            return "collision", f"the sensor's housing runs against the object (distance {1e3 * touch.clearance_m:.1f} mm)"
         return None
 
     def search(self, max_mm: float, step_mm: float | None = None, direction: np.ndarray | None = None) -> Estimate:

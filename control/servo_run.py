@@ -59,7 +59,8 @@ def run_servo(
     to_object = inverse(setup.scene_object.T_base_object)
 
     def record(step: Step) -> None:
-        recorder.add(_row(step, setup.truth.label(to_object @ step.T_base_tcp)))
+        label = setup.truth.label(to_object @ step.T_base_tcp)
+        recorder.add(_row(step, label, setup.scene_object.T_base_object))
         progress(step)
 
     def note(event: Event) -> None:
@@ -140,11 +141,12 @@ def _scenery(options: ServoOptions, setup: ServoSetup) -> RecordedScene:
     )
 
 
-def _row(step: Step, label: np.ndarray) -> dict[str, Any]:
-    """Return a row of recording.ARRAYS from a step and its true label (6,), m and rad."""
+def _row(step: Step, label: np.ndarray, T_base_object: np.ndarray) -> dict[str, Any]:
+    """Return a row of recording.ARRAYS from a step, its true label (6,), m and rad, and the object's pose (4, 4)."""
     return {
         "T_base_tcp": step.T_base_tcp,
         "T_base_tcp_measured": step.T_base_tcp_measured,
+        "T_base_object": T_base_object,
         "angles_rad": step.angles,
         "pin_tips_m": step.touch.pin_tips,
         "directions": step.touch.directions,

@@ -7,6 +7,7 @@ control law follows motions in all axes. The score is the pose relative to the o
 
 import dataclasses
 import json
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ import numpy as np
 from tactip_twin.control.estimator import Estimate, Estimator, NetworkEstimator
 from tactip_twin.control.servo import Servo, gains_named, pose_error, reference_mm_deg
 from tactip_twin.control.track_options import TrackOptions
+from tactip_twin.control.track_recording import TrackRecorder
 from tactip_twin.learning.model import Model, load_network
 from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.contact.simulator import Diverged
@@ -28,6 +30,7 @@ from tactip_twin.sim.robot.arm_models import arm_model_named
 from tactip_twin.sim.robot.irb120 import Unreachable
 from tactip_twin.sim.robot.moving_object import MovingFastTip, MovingMountedTip, TipOnMovingObject, moved_object
 from tactip_twin.sim.robot.objects import SceneObject, load_object
+from tactip_twin.sim.robot.recording import RecordingFullError
 from tactip_twin.sim.view.plot import COLORS, figure_of, save_figure
 from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.errors import Interrupted, TactipError
@@ -36,6 +39,7 @@ from tactip_twin.tactip_model.presets import load_design
 from tactip_twin.tactip_model.renderer import RendererName
 
 SCORE, FIGURE = "score.json", "tracking.png"
+"""Files beside the recording."""
 
 _SHEAR_COMPONENTS = (0, 1, 5)
 """Components of the label that the shear stands for: x, y and Rz."""
@@ -86,7 +90,7 @@ class RelativePoseOracle:
 
 
 def track(options: TrackOptions, progress: Callable[[int, int], None] = lambda done, count: None) -> dict[str, Any]:
-    """Track a moving object, and write score and figure to `options.out`.
+    """Track a moving object, and write recording, score and figure to `options.out`.
 
     Args:
         options: Options.
@@ -97,59 +101,100 @@ def track(options: TrackOptions, progress: Callable[[int, int], None] = lambda d
 
     Raises:
         TactipError: The options are invalid, the object is not flat, or the folder is not empty.
-        Interrupted: On Ctrl-C; the steps so far are scored.
+        Interrupted: On Ctrl-C; the steps so far are recorded and scored.
     """
-    if options.out.exists() and any(options.out.iterdir()):
-        raise TactipError(f"the folder {options.out} is not empty: choose another folder, or remove this one")
-    scene_object = load_object(options.object, position_mm=options.position_mm)
-    design = load_design(options.design)
-    pivot = _flat_top(scene_object)
-    tip = _tip(options, design, scene_object)
-    T_start, reference = scene_object.T_base_object, from_mm_deg(reference_mm_deg(options.depth_mm))
-    T_base_contact = np.eye(4)
-    T_base_contact[:3, :3], T_base_contact[:3, 3] = np.diag([-1.0, -1, 1]), pivot
-    estimator = _estimator(options, design, tip, inverse(T_start) @ T_base_contact)
-    tip.reset_to(T_base_contact @ sensor_in_contact(from_mm_deg([0, 0, _GAP_MM, 0, 0, 0])))
-    touch = tip.go(T_base_contact @ sensor_in_contact(reference))
-    servo, period = Servo(gains_named(options.gains, "surface"), options.depth_mm), 1 / options.rate_hz
-    count, stopped, errors, estimates = round(options.seconds * options.rate_hz), "completed", [], []
-    to_contact, shears, offset = inverse(inverse(T_start) @ T_base_contact), [], np.zeros(3)
-    shear_rows = list(_SHEAR_COMPONENTS)
+    run, count, stopped = _Tracking(options), round(options.seconds * options.rate_hz), "completed"
     try:
         for k in range(-_ALIGNMENT_STEPS, count):
-            label = estimator.estimate(touch, tip.arm_model.pose).label.copy()
-            if k < 0:
-                # The shear is zero where the tip has just touched down, so any other estimate is the network's offset.
-                shears.append(label[shear_rows])
-                label[shear_rows] = 0.0
-            else:
-                label[shear_rows] -= offset
-            true = label_of(to_contact @ inverse(tip.T_base_object) @ tip.arm_model.pose)
+            touched = run.step(k)
             if k >= 0:
-                errors.append(to_mm_deg(pose_error(true, reference)))
-                estimates.append(to_mm_deg(label - true))
                 progress(k + 1, count)
-            if not np.linalg.norm(touch.force) > 0:
+            if not touched:
                 stopped = "contact lost"
                 break
-            offset = np.mean(shears, axis=0)
-            # The object moves on while the arm moves to where the object was.
-            tip.move_object(moved_object(T_start, pivot, options.motion, max(0, k + 1) * period))
-            touch = tip.go(tip.arm_model.measured_pose() @ servo.move(label))
-    except (Unreachable, Diverged) as error:
+    except (Unreachable, Diverged, RecordingFullError) as error:
         stopped = str(error)
     except KeyboardInterrupt:
-        if not errors:
+        if not run.errors:
             raise
         stopped = "interrupted"
-    result = _score(np.array(errors).reshape(-1, 6), np.array(estimates).reshape(-1, 6), stopped, options)
-    result |= {"options": json.loads(json.dumps(dataclasses.asdict(options), default=str))}
-    options.out.mkdir(parents=True, exist_ok=True)
-    _plot(np.array(errors).reshape(-1, 6), period, options.out / FIGURE)
-    write_file(options.out / SCORE, (json.dumps(result, indent=1) + "\n").encode())
+    errors, estimates = (np.array(rows).reshape(-1, 6) for rows in (run.errors, run.estimates))
+    try:
+        result = _score(errors, estimates, stopped, options)
+        result |= {"options": json.loads(json.dumps(dataclasses.asdict(options), default=str))}
+        _plot(errors, run.period_s, options.out / FIGURE)
+        write_file(options.out / SCORE, (json.dumps(result, indent=1) + "\n").encode())
+    finally:
+        # Last, so after a kill the same command works; but an error or Ctrl-C completes it.
+        run.recorder.finish(stopped)
     if stopped == "interrupted":
-        raise Interrupted(f"the score of the steps so far is in {options.out}")
+        raise Interrupted(f"recording and score of the steps so far are in {options.out}")
     return result
+
+
+class _Tracking:
+    """A tracking run, step by step."""
+
+    def __init__(self, options: TrackOptions) -> None:
+        """Load everything, and place the sensor above the object. Raises TactipError."""
+        scene_object, design = load_object(options.object, position_mm=options.position_mm), load_design(options.design)
+        self._pivot = _flat_top(scene_object)
+        self._tip = tip = _tip(options, design, scene_object)
+        self._motion, self._T_start = options.motion, scene_object.T_base_object
+        T_base_contact = np.eye(4)
+        T_base_contact[:3, :3], T_base_contact[:3, 3] = np.diag([-1.0, -1, 1]), self._pivot
+        T_object_contact = inverse(self._T_start) @ T_base_contact
+        self._to_contact = inverse(T_object_contact)
+        self._estimator = _estimator(options, design, tip, T_object_contact)
+        self.recorder = TrackRecorder(options, design, scene_object, tip, (SCORE, FIGURE))
+        self.period_s = 1 / options.rate_hz
+        """Time of a control step, s."""
+        self._servo = Servo(gains_named(options.gains, "surface"), options.depth_mm)
+        self._reference = from_mm_deg(reference_mm_deg(options.depth_mm))
+        self._shears: list[np.ndarray] = []
+        self.errors: list[np.ndarray] = []
+        """Errors (6,), mm and degrees, of the pose relative to the object, since it moves."""
+        self.estimates: list[np.ndarray] = []
+        """Errors (6,), mm and degrees, of its estimates."""
+        tip.reset_to(T_base_contact @ sensor_in_contact(from_mm_deg([0, 0, _GAP_MM, 0, 0, 0])))
+        touch = tip.tip_state()
+        estimate = self._estimator.estimate(touch, tip.arm_model.pose)
+        self.recorder.add("search", touch, estimate, self._true_label(), 0.0)
+        self._target = T_base_contact @ sensor_in_contact(self._reference)
+
+    def step(self, k: int) -> bool:
+        """Make control step k, counted from when the object begins to move, and return whether there is contact then.
+
+        Raises:
+            Unreachable: The arm cannot take the pose.
+            Diverged: The simulation diverges.
+            RecordingFullError: The recording cannot have more steps.
+        """
+        tip, began, rows = self._tip, time.perf_counter(), list(_SHEAR_COMPONENTS)
+        touch = tip.go(self._target)
+        simulation_s = time.perf_counter() - began
+        estimate = self._estimator.estimate(touch, tip.arm_model.pose)
+        label = estimate.label.copy()
+        if k < 0:
+            # The shear is zero where the tip has just touched down, so any other estimate is the network's offset.
+            self._shears.append(label[rows])
+            label[rows] = 0.0
+        else:
+            label[rows] -= np.mean(self._shears, axis=0)
+        true = self._true_label()
+        estimate = dataclasses.replace(estimate, label=label)
+        self.recorder.add("centre" if k < 0 else "follow", touch, estimate, true, simulation_s)
+        if k >= 0:
+            self.errors.append(to_mm_deg(pose_error(true, self._reference)))
+            self.estimates.append(to_mm_deg(label - true))
+        # The object moves on while the arm moves to where the object was.
+        tip.move_object(moved_object(self._T_start, self._pivot, self._motion, max(0, k + 1) * self.period_s))
+        self._target = tip.arm_model.measured_pose() @ self._servo.move(label)
+        return bool(np.linalg.norm(touch.force) > 0)
+
+    def _true_label(self) -> np.ndarray:
+        """Return the pose of the sensor relative to the place that it touches first, as a label (6,), m and rad."""
+        return label_of(self._to_contact @ inverse(self._tip.T_base_object) @ self._tip.arm_model.pose)
 
 
 def _flat_top(scene_object: SceneObject) -> np.ndarray:

@@ -223,7 +223,7 @@ class TouchEnvironment(gymnasium.Env[Observation, np.ndarray], ABC):
         if force > o.max_force_n:
             raise Failure(f"the force on the tip is {force:.1f} N (at most {o.max_force_n:g} N)")
         if self._touch.clearance_m < 0:
-            raise Failure("the sensor's housing overlaps the object")
+            raise Failure("the sensor's housing runs against the object")
 
     @property
     def touch(self) -> TipState:

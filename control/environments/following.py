@@ -78,6 +78,7 @@ class _Follow(TouchEnvironment):
         self._learned: SlidingTip | None = None
         self._network: NetworkEstimator | None = None
         self._geometry: SceneGeometry | None = None
+        self._static: list[ColoredMesh] = []
 
     @property
     def tip(self) -> TipOnArm:
@@ -203,9 +204,10 @@ class _Follow(TouchEnvironment):
                     solid.vertices, solid.triangles, scene_object.T_base_object, tip.mesh.triangles, radius, with_arm
                 )
             )
+            self._static = [self._geometry.object.transformed(scene_object.T_base_object), self._geometry.table]
         pose = tip.arm_model.pose
         moving = self._geometry.moving_meshes(tip.arm_model.angles, pose, self.touch.skin)
-        return self._geometry.static, moving, pose[:3, 3]
+        return self._static, moving, pose[:3, 3]
 
 
 class EdgeFollow(_Follow):

@@ -154,7 +154,7 @@ class ObjectRoll(TouchEnvironment):
         moving = self._geometry.moving_meshes(tip.arm_model.angles, pose, self.touch.skin)
         moving += [_sphere(tip.ball.radius_m, _BALL_COLOR).transformed(tip.T_base_object)]
         moving += [_sphere(_GOAL_M, _GOAL_COLOR).transformed(goal)]
-        return self._geometry.static[1:], moving, pose[:3, 3]
+        return [self._geometry.table], moving, pose[:3, 3]
 
 
 def _sphere(radius_m: float, color: Color) -> ColoredMesh:

@@ -31,7 +31,7 @@ class TipState:
     peak_force_n: float = 0.0
     """Maximum force on the tip during the motion that led here, N; 0 without a motion."""
     moved_back: bool = False
-    """Whether the arm moved back on that motion, because the force was too high."""
+    """Whether the arm moved back on that motion, because of a high force or of the housing."""
 
 
 def read_tip_state(scene: Scene, reader: PinReader, steps: int = 0, clearance_m: float = np.inf) -> TipState:

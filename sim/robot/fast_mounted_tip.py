@@ -19,11 +19,12 @@ from tactip_twin.sim.fast_tip.sliding_tip import SlidingTip
 from tactip_twin.sim.ground_truth import GroundTruth
 from tactip_twin.sim.pose import inverse
 from tactip_twin.sim.robot.arm_models import ArmModel
-from tactip_twin.sim.robot.mounted_tip import TipOnArm, check_force
+from tactip_twin.sim.robot.mounted_tip import GIVE_M, TipOnArm, check_force
 from tactip_twin.tactip_model.design import Design
 
 _BACK_OFF = (0.75, 0.5, 0.25, 0.0)
-"""Fractions of a motion to which the arm moves back, one after the other, while the force is too high."""
+"""Fractions of a motion to which the arm moves back, one after the other, while the force is too high or the housing in the
+object."""
 
 
 class FastMountedTip(TipOnArm):
@@ -68,19 +69,20 @@ class FastMountedTip(TipOnArm):
 
     def go(self, T_base_tcp: np.ndarray, max_force_n: float = np.inf) -> TipState:
         """Move to a pose and settle there: see TipOnArm. Forces on the way are unknown, so the arm moves back from the end
-        of its path where the force there is too high."""
-        motion, limit = self._motion, max(max_force_n, self._force_n())
+        of its path where the force there is too high, or the housing in the object."""
+        motion, limit, give = self._motion, max(max_force_n, self._force_n()), max(GIVE_M, self._overlap())
         fractions = self._set_target(T_base_tcp, motion.shear_step_m, 1.0)
         with counted_warnings() as messages:
             self._move(fractions)
-            peak_n = self._force_n()
+            peak_n, moved_back = self._force_n(), False
             for back in _BACK_OFF:
-                if self._force_n() <= limit:
+                if self._force_n() <= limit and self._overlap() <= give:
                     break
+                moved_back = True
                 self._move(fractions[: 1 + int(back * (len(fractions) - 1))][-1:])
         check_force(self.sliding.contact.force_n)
         self.warnings += len(messages)
-        return replace(self.tip_state(), peak_force_n=peak_n, moved_back=peak_n > limit)
+        return replace(self.tip_state(), peak_force_n=peak_n, moved_back=moved_back)
 
     def _force_n(self) -> float:
         """Return the magnitude of the contact force, N."""

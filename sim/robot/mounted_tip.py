@@ -46,6 +46,9 @@ _SLOW_FORCE, _SLOW_PACE = 0.5, 4
 """Force, as a fraction of its limit, above which the arm moves at a fraction of its pace, and the inverse of that one [?].
 The last rise of the force is added to it, because in a narrow hollow it doubles from one time step to the next [M]."""
 
+GIVE_M = 0.1e-3
+"""Overlap of the housing with the object at which the arm stops, m: both are rigid [?]."""
+
 _HOUSING_GROUPS = 12
 """Number of groups of the points on the housing [M]."""
 
@@ -96,7 +99,8 @@ class TipOnArm(ABC):
 
         Args:
             T_base_tcp: (4, 4).
-            max_force_n: Force on the tip at which the arm stops on its way, N, unless the force has only fallen.
+            max_force_n: Force on the tip at which the arm stops on its way, N, unless the force has only fallen. It also
+                stops where the housing runs against the object.
 
         Returns:
             The tip's state at rest.
@@ -118,6 +122,10 @@ class TipOnArm(ABC):
         """Return the distance, m, from the object to the nearest of the points on the housing."""
         T = inverse(self.T_base_object) @ self.arm_model.pose
         return float(self._housing.distances(self._solid.distance, T, -np.inf).min())
+
+    def _overlap(self) -> float:
+        """Return how far the housing is in the object, m."""
+        return max(0.0, -self._clearance())
 
     def _set_target(self, T_base_tcp: np.ndarray, step_m: float, pace: float) -> np.ndarray:
         """Set the arm model's target (4, 4), and return the fractions (n,) of the path at the time steps to it.
@@ -226,32 +234,40 @@ class MountedTip(SimulatedTip[Scene]):
 
     def go(self, T_base_tcp: np.ndarray, max_force_n: float = np.inf) -> TipState:
         """Move to a pose and settle there: see TipOnArm. Where it stops, the arm moves back along its path until the force
-        is below the limit, as industrial arms do after a collision."""
+        is below the limit and the housing is free, as industrial arms do after a collision."""
         motion, limit = self._motion, max(max_force_n, self._force_n())
+        overlap = self._overlap()
+        give = max(GIVE_M, overlap)
         near = self.scene.data.ncon or self.gap(T_base_tcp) < _CLEAR_M
         fractions = self._set_target(T_base_tcp, motion.shear_step_m if near else motion.press_step_m, self._pace)
         path, reached, slow, moved_back = np.append(0.0, fractions), 0, False, False
         force_n, rise_n, peak_n = self._force_n(), 0.0, 0.0
         with counted_warnings() as messages:
             self.scene.stiffen(resting=False)
-            while reached + 1 < len(path) and peak_n <= limit:
+            while reached + 1 < len(path) and peak_n <= limit and overlap <= give:
                 if force_n + rise_n > _SLOW_FORCE * limit and not slow:
                     path, slow = np.append(path[:reached], _finer(path[reached:])), True
                 reached += 1
                 before_n, force_n = force_n, self._step(path[reached])
-                rise_n, peak_n = max(0.0, force_n - before_n), max(peak_n, force_n)
-            # At the stiffness of a tip at rest, a contact that is this deep would throw the tip off.
-            while force_n > limit and reached > 0:
+                rise_n, peak_n, overlap = max(0.0, force_n - before_n), max(peak_n, force_n), self._overlap()
+            # At the stiffness of a tip at rest, a contact that is this deep would throw the tip off, and so would skin that
+            # still moves back meet the object.
+            while (force_n > limit or overlap > give) and reached > 0:
                 reached, moved_back = reached - 1, True
-                force_n = self._step(path[reached])
-            self.scene.stiffen(resting=True)
-            for k in range(self._settle_steps + _MAX_EXTRA_STEPS):
-                if k >= self._settle_steps and force_n <= limit and self.scene.penetration() <= _MAX_PENETRATION_M:
-                    break
-                if force_n > limit:
-                    reached, moved_back = max(reached - 1, 0), True
+                force_n, overlap = self._step(path[reached]), self._overlap()
+            for _ in range(self._settle_steps if moved_back else 0):
                 force_n = self._step(path[reached])
                 peak_n = max(peak_n, force_n)
+            for k in range(self._settle_steps + _MAX_EXTRA_STEPS):
+                above = force_n > limit
+                if k >= self._settle_steps and not above and self.scene.penetration() <= _MAX_PENETRATION_M:
+                    break
+                if above:
+                    reached, moved_back = max(reached - 1, 0), True
+                self.scene.stiffen(resting=not above)
+                force_n = self._step(path[reached])
+                peak_n = max(peak_n, force_n)
+            self.scene.stiffen(resting=True)
         self.warnings += len(messages)
         return replace(self.tip_state(), peak_force_n=peak_n, moved_back=moved_back)
 

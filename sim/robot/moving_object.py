@@ -15,6 +15,7 @@ from tactip_twin.sim.robot.arm_models import ArmModel
 from tactip_twin.sim.robot.fast_mounted_tip import FastMountedTip
 from tactip_twin.sim.robot.mounted_tip import MountedTip
 from tactip_twin.sim.robot.object_motion import ObjectMotion
+from tactip_twin.tactip_model.mesh import Mesh
 
 _PHASES_RAD = np.radians([0.0, 90.0, 180.0, 45.0, 135.0, 270.0])
 """Phases of the axes, rad [?]: with different ones, the object also turns while it is far away."""
@@ -41,6 +42,11 @@ class TipOnMovingObject(Protocol):
 
     arm_model: ArmModel
     T_base_object: np.ndarray
+    mesh: Mesh
+
+    def tip_state(self) -> TipState:
+        """See TipOnArm."""
+        ...
 
     def reset_to(self, T_base_tcp: np.ndarray, wrist_rad: float = 0.0) -> None:
         """See TipOnArm."""

@@ -36,7 +36,7 @@ from tactip_twin.tactip_model.input_files import (
     with_checksum,
 )
 
-FORMAT, VERSION = "tactip-twin recording", 5
+FORMAT, VERSION = "tactip-twin recording", 6
 
 RECORDING, SCENERY, STEPS, LOG = "recording.json", "scenery.npz", "steps.npz", "steps.log"
 
@@ -54,6 +54,7 @@ _MAX_FRAME_BYTES = 2**28
 ARRAYS: dict[str, tuple[int | None, ...]] = {
     "T_base_tcp": (4, 4),
     "T_base_tcp_measured": (4, 4),
+    "T_base_object": (4, 4),
     "angles_rad": (6,),
     "pin_tips_m": (None, 3),
     "directions": (None, 3),
@@ -75,6 +76,7 @@ ARRAYS: dict[str, tuple[int | None, ...]] = {
 
 T_base_tcp       the sensor's true pose
 T_base_tcp_measured           the sensor's pose as measured by the joints
+T_base_object    the object's pose
 angles_rad       joint angles, rad; NaN without an arm
 pin_tips_m           pin tips, sensor frame, m
 directions       directions of the pins, sensor frame
@@ -106,7 +108,7 @@ class RecordedScene:
     object_triangles: np.ndarray
     """(k, 3) int."""
     T_base_object: np.ndarray
-    """(4, 4)."""
+    """(4, 4), at the start."""
     skin_triangles: np.ndarray
     """(t, 3) int, indices into the rows of skin_m."""
     tip_radius_m: float
@@ -332,7 +334,7 @@ def _checked(arrays: dict[str, np.ndarray], name: str, rows: tuple[int, ...] = (
             raise TactipError(f"{name} is damaged: {key} is missing, or has another type or shape")
     if (arrays["phase"] >= len(PHASES)).any():
         raise TactipError(f"{name} is damaged: phase must be an index of {', '.join(PHASES)}")
-    for key in ("T_base_tcp", "T_base_tcp_measured", "pin_tips_m", "directions", "skin_m", "force_n"):
+    for key in ("T_base_tcp", "T_base_tcp_measured", "T_base_object", "pin_tips_m", "directions", "skin_m", "force_n"):
         if not np.isfinite(arrays[key]).all():
             raise TactipError(f"{name} is damaged: {key} must be finite")
     return {key: arrays[key] for key in ARRAYS}

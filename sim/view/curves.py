@@ -15,8 +15,8 @@ BAND = 2.0
 MIN_CONTACT_N = 0.02
 """Force above which there is contact, N."""
 
-COMPONENT_NAMES = {"x": "x", "z": "depth", "Rx": "Rx", "Ry": "Ry", "Rz": "Rz"}
-"""Names on a page of the components that networks predict, by their names in a label."""
+COMPONENT_NAMES = {"x": "x", "y": "y", "z": "depth", "Rx": "Rx", "Ry": "Ry", "Rz": "Rz"}
+"""Names on a page of the components of a label."""
 
 
 @dataclass(frozen=True)
@@ -56,9 +56,16 @@ def in_contact(arrays: Mapping[str, np.ndarray]) -> np.ndarray:
     return (arrays["phase"] != PHASES.index("search")) & (force > MIN_CONTACT_N)
 
 
+def _estimated(arrays: Mapping[str, np.ndarray], task: str) -> tuple[str, ...]:
+    """Return the components that a recording's estimates have: those of the task, and others that are not zero, such as the
+    shear while a moving object is tracked."""
+    others = np.count_nonzero(np.nan_to_num(arrays["predicted"]), axis=0)
+    return tuple(c for k, c in enumerate(COMPONENTS) if c in LEARNED[task] or others[k])
+
+
 def position_errors_mm(arrays: Mapping[str, np.ndarray], task: str) -> np.ndarray:
-    """Return the distances (n,), mm, of the estimated from the true contact along the learned translations."""
-    rows = [k for k, name in enumerate(COMPONENTS[:3]) if name in LEARNED[task]]
+    """Return the distances (n,), mm, of the estimated from the true contact along the estimated translations."""
+    rows = [k for k, name in enumerate(COMPONENTS[:3]) if name in _estimated(arrays, task)]
     difference = 1e3 * (arrays["predicted"] - arrays["true"])[:, rows]
     return np.where(in_contact(arrays), np.linalg.norm(difference, axis=1), np.nan)
 
@@ -69,8 +76,9 @@ def curves_of(arrays: Mapping[str, np.ndarray], task: str) -> list[Curve]:
     true, predicted, deviations = (to_mm_deg(arrays[name]) for name in ("true", "predicted", "deviations"))
     out = [Curve("force", "N", np.linalg.norm(arrays["force_n"], axis=1))]
     out += [Curve("position error", "mm", position_errors_mm(arrays, task))]
+    shown = _estimated(arrays, task)
     for component, name in COMPONENT_NAMES.items():
-        if component in LEARNED[task]:
+        if component in shown:
             k, unit = COMPONENTS.index(component), "°" if component.startswith("R") else "mm"
             estimated = np.where(contact, predicted[:, k], np.nan)
             spread = np.where(contact, deviations[:, k], np.nan)

@@ -57,11 +57,17 @@ class ColoredMesh:
 class SceneGeometry:
     """The meshes of a recording, each in the frame that it is fixed to."""
 
-    def __init__(self, scenery: RecordedScene) -> None:
-        """Build the meshes of a recorded scene."""
-        recorded_object = object_mesh(scenery)
-        self.static = [recorded_object, _table(recorded_object)]
-        """Meshes of the object and the table, base frame."""
+    def __init__(self, scenery: RecordedScene, held: bool = False) -> None:
+        """Build the meshes of a recorded scene.
+
+        Args:
+            scenery: The scene.
+            held: Whether something that is not shown holds the object, and moves it, so it has no pedestal.
+        """
+        self.object = solid_mesh(SignedDistanceMesh(scenery.object_vertices, scenery.object_triangles))
+        """Mesh of the object, in its own frame."""
+        self.table = _table(None if held else self.object.transformed(scenery.T_base_object))
+        """Mesh of the table, base frame."""
         self.skin_triangles = scenery.skin_triangles
         """(t, 3) int."""
         self._model = arm_spec(scenery.tip_radius_m).compile()
@@ -109,8 +115,13 @@ def _pose(rotation: np.ndarray, position: np.ndarray) -> np.ndarray:
     return T
 
 
+def object_moves(arrays: Mapping[str, np.ndarray]) -> bool:
+    """Return whether the object of a recording (tactip_twin.sim.robot.recording.ARRAYS) moves."""
+    return bool(np.ptp(arrays["T_base_object"], axis=0).any()) if len(arrays["T_base_object"]) else False
+
+
 def object_mesh(scenery: RecordedScene) -> ColoredMesh:
-    """Return the mesh of a recorded scene's object, base frame."""
+    """Return the mesh of a recorded scene's object, base frame, at the start."""
     solid = SignedDistanceMesh(scenery.object_vertices, scenery.object_triangles)
     return solid_mesh(solid).transformed(scenery.T_base_object)
 
@@ -228,10 +239,12 @@ def tube(points: np.ndarray, radius_m: float, colors: np.ndarray, sides: int = 8
     )
 
 
-def _table(placed: ColoredMesh) -> ColoredMesh:
-    """Return the table, with a pedestal under an object (base frame) that is above it."""
+def _table(placed: ColoredMesh | None) -> ColoredMesh:
+    """Return the table, with a pedestal under an object (base frame) that is above it; None: without one."""
     table = trimesh.creation.box([*_TABLE_M, 0.02])
     table.apply_translation([0.3, 0, -0.0101])
+    if placed is None:
+        return _shaded(table, TABLE_COLOR)
     low, high = placed.vertices.min(0), placed.vertices.max(0)
     if low[2] > 1e-3:
         pedestal = trimesh.creation.box([*(_PEDESTAL * (high - low)[:2]), low[2]])

@@ -131,6 +131,7 @@ class _Rows:
         self._tries.setdefault(simulator, []).append({
             "T_base_tcp": T,
             "T_base_tcp_measured": T,
+            "T_base_object": self._T_base_object,
             "angles_rad": np.full(6, np.nan),
             "pin_tips_m": tips,
             "directions": directions,

@@ -15,7 +15,7 @@ import numpy as np
 
 from tactip_twin.sim.robot.recording import RecordedScene
 from tactip_twin.sim.view.curves import BAND, Curve, curves_of, position_errors_mm
-from tactip_twin.sim.view.geometry import ColoredMesh, SceneGeometry, path_lines, skin_displacements_mm
+from tactip_twin.sim.view.geometry import ColoredMesh, SceneGeometry, object_moves, path_lines, skin_displacements_mm
 from tactip_twin.sim.view.palette import (
     ERROR_RAMP,
     ESTIMATED_COLOR,
@@ -68,18 +68,18 @@ def replay_html(record: Mapping[str, Any], arrays: Mapping[str, np.ndarray], sce
     if not record["steps"]:
         raise TactipError("the recording has no steps to show")
     steps = np.unique([*range(0, record["steps"], stride), record["steps"] - 1])
-    geometry, pack = SceneGeometry(scenery), _Pack()
+    geometry, pack = SceneGeometry(scenery, object_moves(arrays)), _Pack()
     task, curves = record["task"], curves_of(arrays, record["task"])
     errors, displacements = position_errors_mm(arrays, task), skin_displacements_mm(arrays)
     bodies = [*geometry.links]
-    meshes = [(-1, mesh) for mesh in geometry.static]
+    meshes = [(len(bodies), geometry.object), (-1, geometry.table)]
     meshes += [(n, mesh) for n, body in enumerate(bodies) for mesh in geometry.links[body]]
-    meshes += [(len(bodies), mesh) for mesh in geometry.sensor]
+    meshes += [(len(bodies) + 1, mesh) for mesh in geometry.sensor]
     description = {
         "title": f"{record['object']}, {task}",
         "steps": steps.tolist(),
         "meshes": [pack.add_mesh(f"mesh{n}", body, mesh) for n, (body, mesh) in enumerate(meshes)],
-        "bodies": len(bodies) + 1,
+        "bodies": len(bodies) + 2,
         "status": [status_lines(record, arrays, int(k)) for k in steps],
         "events": sorted({int(np.searchsorted(steps, min(e["step"], steps[-1]))) for e in record["events"]}),
         "curves": [_curve(curve, steps) for curve in curves],
@@ -151,12 +151,13 @@ class _Pack:
 
 
 def _poses(geometry: SceneGeometry, bodies: list[str], arrays: Mapping[str, np.ndarray], steps: np.ndarray) -> np.ndarray:
-    """Return the poses (n, b + 1, 3, 4) of the arm's bodies and of the tip at steps, base frame."""
+    """Return the poses (n, b + 2, 3, 4) of the arm's bodies, the object and the tip at steps, base frame."""
     out = []
     for k in steps:
         angles = arrays["angles_rad"][k]
         links = geometry.body_poses(angles) if bodies and np.isfinite(angles).all() else {}
-        poses = [*(links.get(body, np.eye(4)) for body in bodies), arrays["T_base_tcp"][k]]
+        poses = [links.get(body, np.eye(4)) for body in bodies]
+        poses += [arrays["T_base_object"][k], arrays["T_base_tcp"][k]]
         out.append(np.stack(poses)[:, :3])
     return np.stack(out)
 

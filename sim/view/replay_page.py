@@ -14,7 +14,7 @@ from tactip_twin.sim.robot.recording import RecordedScene
 from tactip_twin.sim.view.camera_fit import beside, fitted_camera
 from tactip_twin.sim.view.curves import BAND, Curve, curves_of, position_errors_mm
 from tactip_twin.sim.view.follow_camera import FollowCamera
-from tactip_twin.sim.view.geometry import SceneGeometry, path_lines, skin_displacements_mm
+from tactip_twin.sim.view.geometry import SceneGeometry, object_moves, path_lines, skin_displacements_mm
 from tactip_twin.sim.view.palette import ERROR_RAMP, ESTIMATED_COLOR, SKIN_RAMP, TRUE_COLOR, scale_end
 from tactip_twin.sim.view.playback import SPEEDS, Playback
 from tactip_twin.sim.view.status import status_lines
@@ -100,7 +100,8 @@ class ReplayPage:
         """
         if not record["steps"]:
             raise TactipError("the recording has no steps to show")
-        self._record, self._arrays, self._geometry = record, arrays, SceneGeometry(scenery)
+        self._record, self._arrays = record, arrays
+        self._geometry = SceneGeometry(scenery, object_moves(arrays))
         self._skin_end_mm = scale_end(skin_displacements_mm(arrays))
         errors = position_errors_mm(arrays, record["task"])
         self._error_end_mm = scale_end(errors)
@@ -150,6 +151,7 @@ class ReplayPage:
             self._shown, self.pictures = k, self.pictures + 1
             self._slider.value = k
             set_pose(self._tip.frame, a["T_base_tcp"][k])
+            set_pose(self._object_frame, a["T_base_object"][k])
             self._show_tip()
             if np.isfinite(a["angles_rad"][k]).all():
                 poses = self._geometry.body_poses(a["angles_rad"][k])
@@ -189,9 +191,9 @@ class ReplayPage:
     def _build_scene(self) -> None:
         scene, geometry, skin = self._server.scene, self._geometry, self._arrays["skin_m"][0]
         scene.set_up_direction("+z")
-        self._object, _ = (
-            add_mesh(scene, f"/{n}", mesh) for n, mesh in zip(("object", "table"), geometry.static, strict=True)
-        )
+        add_mesh(scene, "/table", geometry.table)
+        self._object_frame = scene.add_frame("/object", show_axes=False)
+        self._object = add_mesh(scene, "/object/mesh", geometry.object)
         self._links = {}
         for body, meshes in geometry.links.items():
             self._links[body] = scene.add_frame(f"/arm/{body}", show_axes=False)
@@ -333,10 +335,10 @@ class ReplayPage:
             viewer.camera.start(eye, target, T[:3, 3])
 
     def _extent(self) -> np.ndarray:
-        """Return points (n, 3) m that the overview shows: the object, and the arm at the step that is shown."""
-        angles = self._arrays["angles_rad"][max(0, self._shown)]
-        T, skin = self._arrays["T_base_tcp"][max(0, self._shown)], self._arrays["skin_m"][0]
-        meshes = [self._geometry.static[0], *self._geometry.moving_meshes(angles, T, skin)]
+        """Return points (n, 3) m that the overview shows: the object and the arm at the step that is shown."""
+        k, a, geometry = max(0, self._shown), self._arrays, self._geometry
+        meshes = geometry.moving_meshes(a["angles_rad"][k], a["T_base_tcp"][k], a["skin_m"][0])
+        meshes += [geometry.object.transformed(a["T_base_object"][k])]
         return np.concatenate([mesh.vertices for mesh in meshes])
 
     def _follow(self) -> None:

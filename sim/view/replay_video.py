@@ -11,7 +11,7 @@ from tactip_twin.sim.robot.recording import RecordedScene
 from tactip_twin.sim.view.camera_fit import fitted_camera
 from tactip_twin.sim.view.curves import BAND, curves_of, position_errors_mm
 from tactip_twin.sim.view.force_arrow import arrow_meshes, force_arrow, skin_radius_m
-from tactip_twin.sim.view.geometry import SceneGeometry, path_meshes, skin_displacements_mm
+from tactip_twin.sim.view.geometry import ColoredMesh, SceneGeometry, object_moves, path_meshes, skin_displacements_mm
 from tactip_twin.sim.view.offscreen import BACKGROUND, SceneRenderer
 from tactip_twin.sim.view.palette import (
     ERROR_RAMP,
@@ -36,6 +36,9 @@ _TOWARDS = (0.5, -0.75, 0.45)
 """Direction from the scene to the eye, base frame."""
 
 _FIELD_DEG = 36.0
+
+_FITTED = 12
+"""Number of steps that the view shows as a whole, where the object moves."""
 
 _INSET = 230
 _INSET_EYE_M = (0.07, -0.13, 0.05)
@@ -69,12 +72,17 @@ def render_frames(
     if not record["steps"]:
         return
     task, poses = record["task"], arrays["T_base_tcp"]
-    geometry, project = SceneGeometry(scenery), pin_projection(record)
-    renderer = SceneRenderer(_VIEW, HEIGHT, geometry.static)
+    moves, project = object_moves(arrays), pin_projection(record)
+    geometry = SceneGeometry(scenery, moves)
+    fixed = [] if moves else [geometry.object.transformed(scenery.T_base_object)]
+    renderer = SceneRenderer(_VIEW, HEIGHT, [geometry.table, *fixed])
     curves, left, right = _curves(arrays, task)
     errors, displacements = position_errors_mm(arrays, task), skin_displacements_mm(arrays)
     error_end, displacement_end = scale_end(errors), scale_end(displacements)
-    extent = [geometry.static[0], *geometry.moving_meshes(arrays["angles_rad"][-1], poses[-1], arrays["skin_m"][-1])]
+    extent: list[ColoredMesh] = []
+    for k in np.linspace(0, len(poses) - 1, _FITTED).astype(int) if moves else [-1]:
+        extent += geometry.moving_meshes(arrays["angles_rad"][k], poses[k], arrays["skin_m"][k])
+        extent += [geometry.object.transformed(arrays["T_base_object"][k])]
     eye, target = fitted_camera(
         np.concatenate([mesh.vertices for mesh in extent]), _TOWARDS, np.radians(_FIELD_DEG), _VIEW / HEIGHT, left=0.18
     )
@@ -83,6 +91,8 @@ def render_frames(
     for k in range(0, len(poses), every):
         colors = ramp_colors(displacements[k], displacement_end, SKIN_RAMP)
         meshes = geometry.moving_meshes(arrays["angles_rad"][k], poses[k], arrays["skin_m"][k], colors)
+        if moves:
+            meshes += [geometry.object.transformed(arrays["T_base_object"][k])]
         meshes += path_meshes(arrays, errors, error_end, k + 1)
         arrow = force_arrow(arrays["skin_m"][k], arrays["force_n"][k], radius_m)
         if arrow is not None:

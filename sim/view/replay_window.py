@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from tactip_twin.sim.robot.recording import PHASES, RecordedScene
 from tactip_twin.sim.view.curves import position_errors_mm
-from tactip_twin.sim.view.geometry import ColoredMesh, SceneGeometry, path_lines
+from tactip_twin.sim.view.geometry import ColoredMesh, SceneGeometry, object_moves, path_lines
 from tactip_twin.sim.view.palette import SKIN_COLOR, scale_end
 from tactip_twin.sim.view.playback import Playback
 from tactip_twin.tactip_model.errors import TactipError
@@ -57,7 +57,8 @@ class ReplayWindow:
             raise TactipError("the recording has no steps to show")
         if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
             raise TactipError("MuJoCo's window needs a display: leave --window out to use a browser page instead")
-        self._record, self._arrays, self._geometry = record, arrays, SceneGeometry(scenery)
+        self._record, self._arrays = record, arrays
+        self._geometry = SceneGeometry(scenery, object_moves(arrays))
         self.playback = Playback(record["steps"], [event["step"] for event in record["events"]])
         """State of the replay."""
         self.model = self._compile()
@@ -109,7 +110,7 @@ class ReplayWindow:
         if k == self._shown:
             return False
         self._shown = k
-        poses = {"tip": a["T_base_tcp"][k]}
+        poses = {"tip": a["T_base_tcp"][k], "object": a["T_base_object"][k]}
         if self._geometry.links:
             poses |= self._geometry.body_poses(a["angles_rad"][k])
         for name, mocap in self._bodies.items():
@@ -138,17 +139,16 @@ class ReplayWindow:
         spec.worldbody.add_light(pos=[0.5, -0.8, 1.5], dir=[-0.2, 0.4, -1], type=sun, diffuse=[0.4] * 3, specular=[0.1] * 3)
         sky, gradient = mujoco.mjtTexture.mjTEXTURE_SKYBOX, mujoco.mjtBuiltin.mjBUILTIN_GRADIENT
         spec.add_texture(type=sky, builtin=gradient, width=64, height=384, rgb1=[1, 1, 1], rgb2=[0.8, 0.82, 0.86])
-        for n, mesh in enumerate(geometry.static):
-            _add(spec, spec.worldbody, f"static/{n}", mesh)
-        names = [*geometry.links, "tip"]
-        for name in names:
+        _add(spec, spec.worldbody, "table", geometry.table)
+        moving = {**geometry.links, "tip": geometry.sensor, "object": [geometry.object]}
+        for name, meshes in moving.items():
             body = spec.worldbody.add_body(name=name, mocap=True)
-            for n, mesh in enumerate(geometry.links.get(name, geometry.sensor)):
+            for n, mesh in enumerate(meshes):
                 _add(spec, body, f"{name}/{n}", mesh)
         skin = np.asarray(self._arrays["skin_m"][0], float)
         _add(spec, spec.body("tip"), "skin", ColoredMesh(skin, geometry.skin_triangles, np.zeros_like(skin), SKIN_COLOR))
         model = spec.compile()
-        self._bodies = {name: int(model.body(name).mocapid[0]) for name in names}
+        self._bodies = {name: int(model.body(name).mocapid[0]) for name in moving}
         mesh = model.mesh("skin")
         self._skin = mesh.id
         self._vertices = slice(int(mesh.vertadr[0]), int(mesh.vertadr[0] + mesh.vertnum[0]))

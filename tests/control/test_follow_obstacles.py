@@ -252,7 +252,7 @@ def test_follower_frees_a_held_tip(from_mm, needed_n, pulled, monkeypatch):
         if lifts:
             limits_n.append(max_force_n)
         if lifts and max_force_n < needed_n:
-            return replace(world.mounted_tip.tip_state(), peak_force_n=9.0, moved_back=True)
+            return replace(world.mounted_tip.tip_state(), peak_force_n=needed_n, moved_back=True)
         return go(T, max_force_n)
 
     monkeypatch.setattr(world.mounted_tip, "go", held)
@@ -294,7 +294,8 @@ def test_follower_overlap_of_the_housing_is_a_collision(monkeypatch):
         assert world.mounted_tip.tip_state().clearance_m == pytest.approx(height, abs=1e-7)
     once = iter([1.0] * 10 + [-1e-3])
     monkeypatch.setattr(world.mounted_tip, "_clearance", lambda: next(once, 1.0))
+    monkeypatch.setattr(world.mounted_tip, "_overlap", lambda: 0.0)
     follower = world.follow(world.start([0, 0, 0]), over(world), alignment_steps=5)
     assert [(e.kind, e.what) for e in follower.events] == [
-        ("collision", "the sensor's housing overlaps the object by 1.0 mm")
+        ("collision", "the sensor's housing runs against the object (distance -1.0 mm)")
     ]

@@ -15,6 +15,9 @@ from tactip_twin.sim.robot.arm_models import arm_model_named
 from tactip_twin.sim.robot.moving_object import MovingMountedTip, moved_object
 from tactip_twin.sim.robot.object_motion import ObjectMotion
 from tactip_twin.sim.robot.objects import load_object
+from tactip_twin.sim.robot.recording import PHASES, read_recorded_scene, read_recording
+from tactip_twin.sim.view.curves import curves_of
+from tactip_twin.sim.view.geometry import object_moves
 from tactip_twin.tactip_model.errors import Interrupted, TactipError
 
 
@@ -58,6 +61,22 @@ def test_tip_and_object_that_move_together_stay_as_they_are(design):
     assert np.abs(ends[0] - ends[1]).max() < 1e-6
 
 
+def check_recording(folder, score):
+    """Check that a replay has the object's motion, and the errors of the score."""
+    (record, arrays), scene = read_recording(folder), read_recorded_scene(folder)
+    following = arrays["phase"] == PHASES.index("follow")
+    assert record["steps"] == 31 and following.sum() == 15
+    assert np.array_equal(arrays["T_base_object"][0], scene.T_base_object)
+    pivot = scene.T_base_object[:3, 3] + [0, 0, scene.object_vertices[:, 2].max()]
+    moved = moved_object(scene.T_base_object, pivot, ObjectMotion(ramp_s=3.0), 14 / 30)
+    assert np.allclose(arrays["T_base_object"][-1], moved, atol=1e-6)
+    # The pose relative to the place that was touched is the label, whose reference is 4 mm deep and upright.
+    errors_mm = 1e3 * (arrays["true"][following, :3] + [0, 0, 4e-3])
+    assert np.sqrt((errors_mm**2).sum(1).mean()) == pytest.approx(score["rms_mm"], rel=0.02)
+    assert [c.name for c in curves_of(arrays, "surface")] == ["force", "position error", "x", "y", "depth", "Rx", "Ry", "Rz"]
+    assert object_moves(arrays)
+
+
 def test_servo_with_true_poses_tracks_all_axes(tmp_path, capsys):
     words = ["track", "--model", "oracle", "--fidelity", "fast", "--arm", "none", "--seconds", "0.5", "--ramp-s", "3"]
     assert tactip.main([*words, "--out", str(tmp_path / "run")]) == 0
@@ -68,6 +87,7 @@ def test_servo_with_true_poses_tracks_all_axes(tmp_path, capsys):
     assert score["rms_mm"] < 0.3 and score["rms_deg"] < 0.2
     assert score["estimate_rms_by_axis"] == [0] * 6
     assert (tmp_path / "run" / "tracking.png").stat().st_size > 5000
+    check_recording(tmp_path / "run", score)
     assert tactip.main([*words, "--out", str(tmp_path / "run")]) == 1
     assert "is not empty" in capsys.readouterr().err
 
@@ -88,7 +108,7 @@ def test_interrupted_run_is_scored(tmp_path):
             raise KeyboardInterrupt
 
     options = TrackOptions(tmp_path / "run", model="oracle", fidelity="fast", arm="none", seconds=1.0)
-    with pytest.raises(Interrupted, match="the score of the steps so far is in"):
+    with pytest.raises(Interrupted, match="recording and score of the steps so far are in"):
         track(options, interrupt)
     score = json.loads((tmp_path / "run" / "score.json").read_text())
     assert score["stopped_because"] == "interrupted" and score["seconds"] == pytest.approx(0.1)

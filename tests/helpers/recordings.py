@@ -27,14 +27,17 @@ STEPS = 12
 
 
 def arrays_of(task="edge"):
-    """Return the arrays of a recording in which the tip moves along x by a millimetre per step."""
+    """Return the arrays of a recording in which the tip moves along x by a millimetre per step, and the object along y."""
     mesh, T = tip_mesh(), Arm().forward(READY_RAD)
     poses = np.repeat(T[None], STEPS, 0)
     poses[:, 0, 3] += 1e-3 * np.arange(STEPS)
+    object_poses = np.repeat(load_object("sphere").T_base_object[None], STEPS, 0)
+    object_poses[:, 1, 3] += 1e-3 * np.arange(STEPS)
     rng = np.random.default_rng(0)
     skin = np.repeat(mesh.vertices[None, : mesh.surface_count], STEPS, 0) + 1e-4 * np.arange(STEPS)[:, None, None]
     return {
         "T_base_tcp": poses,
+        "T_base_object": object_poses,
         "angles_rad": READY_RAD + 0.01 * np.arange(STEPS)[:, None],
         "skin_m": skin.astype(np.float32),
         "pin_tips_m": rng.normal(size=(STEPS, 5, 3)),

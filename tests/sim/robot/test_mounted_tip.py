@@ -1,13 +1,17 @@
 """A simulated tip on an arm."""
 
 import numpy as np
+import pytest
 import trimesh
 
 from tactip_twin.sim.contact.fidelity import fidelity_named
+from tactip_twin.sim.fast_tip.sliding_tip import read_sliding_tip, shipped_sliding_tip
+from tactip_twin.sim.ground_truth import SurfaceGroundTruth
 from tactip_twin.sim.robot.arm_models import arm_model_named
+from tactip_twin.sim.robot.fast_mounted_tip import FastMountedTip
 from tactip_twin.sim.robot.mounted_tip import MountedTip
 from tactip_twin.sim.robot.objects import load_object
-from tactip_twin.tactip_model.presets import design_named
+from tactip_twin.tactip_model.presets import design_named, load_design
 
 
 def test_edge_beside_the_clamped_rim_presses_the_skin_and_not_the_housing(tmp_path):
@@ -28,3 +32,30 @@ def test_edge_beside_the_clamped_rim_presses_the_skin_and_not_the_housing(tmp_pa
             state = tip.go(T)
         assert 0.3 < np.linalg.norm(state.force) < 3.0
         assert state.peak_force_n < 3.0
+
+
+@pytest.mark.parametrize("fidelity", ["draft", "fast"])
+def test_arm_stops_where_the_housing_runs_against_the_object(fidelity, tmp_path):
+    """The sensor moves sideways in the air towards a wall that is as high as its housing alone: 22 mm from the axis."""
+    trimesh.creation.box((60, 60, 60)).export(tmp_path / "box.stl")
+    box, design = load_object(str(tmp_path / "box.stl"), "mm", position_mm=(400.0, 0.0, 100.0)), load_design("tactip-127")
+    arm = arm_model_named("none")
+    if fidelity == "fast":
+        sliding, truth = read_sliding_tip(shipped_sliding_tip("surface", "tactip-127")), SurfaceGroundTruth(box.solid)
+        tip = FastMountedTip(sliding, design, box.solid, fidelity_named("standard"), arm, box.T_base_object, truth)
+    else:
+        tip = MountedTip(design, box.solid, fidelity_named(fidelity), arm, box.T_base_object)
+    T = np.eye(4)
+    # The wall is at x = 430 mm, up to z = 160 mm; the housing begins 20 mm behind the apex.
+    T[:3, :3], T[:3, 3] = np.diag([1.0, -1, -1]), [456e-3, 0, 100e-3]
+    tip.reset_to(T)
+    T[0, 3] = 453e-3
+    free = tip.go(T)
+    assert free.clearance_m == pytest.approx(1e-3, abs=0.02e-3) and not free.moved_back
+    T[0, 3] = 449e-3
+    stopped = tip.go(T, 4.5)
+    assert stopped.moved_back and stopped.clearance_m > -0.1e-3
+    assert tip.arm_model.pose[0, 3] > 451.8e-3
+    # It can move away from there.
+    T[0, 3] = 455e-3
+    assert not tip.go(T, 4.5).moved_back and tip.arm_model.pose[0, 3] == pytest.approx(455e-3)

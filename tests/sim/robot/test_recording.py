@@ -144,10 +144,10 @@ def test_two_commands_do_not_record_into_one_folder(tmp_path):
         (
             RECORDING,
             json.dumps({"format": "tactip-twin recording", "version": 9}).encode(),
-            "version 9, but this program reads version 5",
+            "version 9, but this program reads version 6",
         ),
-        (RECORDING, json.dumps({"format": "tactip-twin recording", "version": 5}).encode(), "was altered"),
-        (RECORDING, json.dumps(with_checksum({"format": "tactip-twin recording", "version": 5})).encode(), "is damaged"),
+        (RECORDING, json.dumps({"format": "tactip-twin recording", "version": 6}).encode(), "was altered"),
+        (RECORDING, json.dumps(with_checksum({"format": "tactip-twin recording", "version": 6})).encode(), "is damaged"),
         (STEPS, b"PK nothing", "was altered"),
         (STEPS, b"", "was altered"),
     ],

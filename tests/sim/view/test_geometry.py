@@ -1,5 +1,7 @@
 """Display of a run: meshes are placed at arm and sensor, images show what is in front, videos contain every frame."""
 
+from dataclasses import replace
+
 import av
 import numpy as np
 import pytest
@@ -52,9 +54,17 @@ def test_without_an_arm_there_is_none(geometry):
     assert len(geometry.moving_meshes(np.full(6, np.nan), T, skin)) == 3
 
 
+def test_object_that_is_held_has_no_pedestal():
+    T = scenery().T_base_object.copy()
+    T[2, 3] += 0.1
+    lifted = replace(scenery(), T_base_object=T)
+    heights = [SceneGeometry(lifted, held).table.vertices[:, 2].max() for held in (False, True)]
+    assert heights[0] == pytest.approx(0.1, abs=1e-3) and heights[1] < 0
+
+
 def test_meshes_are_moved_whole(geometry):
     T = Arm().forward(READY_RAD)
-    for mesh in geometry.static + geometry.moving_meshes(READY_RAD, T, _skin()):
+    for mesh in [geometry.object, geometry.table] + geometry.moving_meshes(READY_RAD, T, _skin()):
         assert np.allclose(np.linalg.norm(mesh.normals, axis=1), 1, atol=1e-6)
         corners = mesh.vertices[mesh.triangles]
         faces = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

@@ -69,8 +69,10 @@ def test_meshes_are_at_their_places(page):
     scene = scenery()
     first = description["meshes"][0]
     places = first["low"] + first["unit"] * packed["mesh0/places"].reshape(-1, 3)
-    corners = scene.object_vertices[scene.object_triangles] @ scene.T_base_object[:3, :3].T + scene.T_base_object[:3, 3]
+    corners = scene.object_vertices[scene.object_triangles]
     assert np.allclose(places[packed["mesh0/triangles"].reshape(-1, 3)], corners, atol=2e-6)
+    poses = packed["poses"].reshape(STEPS, description["bodies"], 3, 4)[:, first["body"]]
+    assert np.allclose(poses, arrays_of()["T_base_object"][:, :3], atol=1e-6)
 
 
 def test_stride_keeps_the_last_step():

@@ -39,6 +39,7 @@ def test_step_is_shown_as_recorded(page):
         page.playback.go(step)
         page.show()
         assert np.allclose(page._tip.frame.position, arrays["T_base_tcp"][step, :3, 3])
+        assert np.allclose(page._object_frame.position, arrays["T_base_object"][step, :3, 3])
         assert np.allclose(shown_skin(page).vertices, arrays["skin_m"][step], atol=1e-7)
         assert np.allclose(page._tip.pins.points[:, 1], arrays["pin_tips_m"][step])
         poses = page._geometry.body_poses(arrays["angles_rad"][step])

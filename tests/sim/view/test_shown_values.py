@@ -81,11 +81,16 @@ def test_curves_leave_out_estimates_without_contact():
     assert np.allclose(components[1].deviations[2:], 0.2)
 
 
-def test_position_error_is_of_the_learned_translations():
+def test_position_error_is_of_the_estimated_translations():
     arrays = arrays_of("surface")
-    arrays["predicted"][:, 0] = 5e-3  # not learned on surfaces
+    arrays["true"][:, 0] = -5e-3  # which no estimate on a surface tells
     assert np.allclose(position_errors_mm(arrays, "surface")[2:], 0.1)
     assert np.allclose(position_errors_mm(arrays, "edge")[2:], np.hypot(5, 0.1))
+    assert [c.name for c in curves_of(arrays, "surface")][2:] == ["depth", "Rx", "Ry"]
+    arrays["predicted"][5:, 1] = 1e-3  # as where a moving object is tracked
+    assert np.allclose(position_errors_mm(arrays, "surface")[2:5], 0.1)
+    assert np.allclose(position_errors_mm(arrays, "surface")[5:], np.hypot(1, 0.1))
+    assert [c.name for c in curves_of(arrays, "surface")][2:] == ["y", "depth", "Rx", "Ry"]
 
 
 def test_projected_pins_are_where_the_image_shows_them():
