@@ -28,6 +28,25 @@ class RigidPoints:
         self._group = to_centers.argmin(1)
         self._to_center = to_centers[np.arange(len(points)), self._group]
         self._of: Callable[[np.ndarray], np.ndarray] | None = None
+        self._reach = float(np.linalg.norm(points, axis=1).max())
+        self._nearest: tuple[Callable[[np.ndarray], np.ndarray], np.ndarray, float] | None = None
+
+    def nearest(self, distance: Callable[[np.ndarray], np.ndarray], T: np.ndarray, far_m: float) -> float:
+        """Return the distance of the nearest point, m: exact, or a lower bound above `far_m`.
+
+        Args:
+            distance: As of `distances`.
+            T: As of `distances`.
+            far_m: Distance above which a bound is enough, m.
+        """
+        if self._nearest is not None and self._nearest[0] == distance:
+            _, before, nearest = self._nearest
+            change = T - before
+            bound = nearest - np.linalg.norm(change[:3, 3]) - self._reach * np.linalg.norm(change[:3, :3])
+            if bound > far_m:
+                return float(bound)
+        self._nearest = distance, T, float(self.distances(distance, T, -np.inf).min())
+        return self._nearest[2]
 
     def distances(self, distance: Callable[[np.ndarray], np.ndarray], T: np.ndarray, near_m: float) -> np.ndarray:
         """Return distances (k,), m: exact up to `near_m` and for the nearest point, otherwise a lower bound above `near_m`.

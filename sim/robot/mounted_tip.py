@@ -125,7 +125,8 @@ class TipOnArm(ABC):
 
     def _overlap(self) -> float:
         """Return how far the housing is in the object, m."""
-        return max(0.0, -self._clearance())
+        T = inverse(self.T_base_object) @ self.arm_model.pose
+        return max(0.0, -self._housing.nearest(self._solid.distance, T, 0.0))
 
     def _set_target(self, T_base_tcp: np.ndarray, step_m: float, pace: float) -> np.ndarray:
         """Set the arm model's target (4, 4), and return the fractions (n,) of the path at the time steps to it.

@@ -55,3 +55,23 @@ def test_small_motions_need_few_new_distances(near_m):
     assert remembered < 0.9 * anew
     found = rigid.distances(other.distance, T, near_m)
     assert found.min() == pytest.approx(other.distance(points @ T[:3, :3].T + T[:3, 3]).min(), abs=1e-15)
+
+
+def test_nearest_point_is_exact_or_bounded():
+    """On a walk through the air and into the object, most places need no distance at all."""
+    solid, points, asked, rng = load_object("bust").solid, dome_points(20e-3), [], np.random.default_rng(5)
+
+    def distance(places):
+        asked.append(len(places))
+        return solid.distance(places)
+
+    rigid, T = RigidPoints(points, 20), matrix(solid.vertices[:, :].max(0) + [0, 0, 10e-3], Rotation.random(rng=rng))
+    towards, exact, found = solid.vertices.mean(0) - T[:3, 3], [], []
+    for _ in range(300):
+        T = T @ matrix([0, 0, 0], Rotation.from_rotvec(rng.normal(0, 5e-3, 3)))
+        T[:3, 3] += towards / 400
+        exact.append(solid.distance(points @ T[:3, :3].T + T[:3, 3]).min())
+        found.append(rigid.nearest(distance, T, 1e-3))
+    exact, found = np.array(exact), np.array(found)
+    assert (found <= exact + 1e-12).all() and ((found > 1e-3) | (abs(found - exact) < 1e-12)).all()
+    assert min(exact) < -1e-3 and len(asked) < 200
