@@ -183,7 +183,8 @@ class SurfaceContactProxies:
 
         The distance over a facet is predicted from its corners. Where the prediction holds in the middle, the surface is
         smooth, and only the deepest predicted point is computed. Where it does not, or the normals at the corners differ
-        much, there may be an edge, and the whole facet is searched.
+        much, there may be an edge, and the whole facet is searched, but for points that are too far from the surface
+        whatever its shape.
 
         Args:
             skin: (s, 3) m, vertices of the skin in the solid's frame.
@@ -202,21 +203,26 @@ class SurfaceContactProxies:
             ~odd & (least < low - _MIN_PROBE_GAIN_M / 2) & (least < self._near + _MAX_PREDICTION_ERROR_M)
         )
         odd = np.flatnonzero(odd)
-        if not len(smooth) + len(odd):
-            return np.zeros((0, 3)), np.zeros((0, 3))
         corners = skin[triangles[facets]]
-        points = [
-            np.einsum("fc,fck->fk", self._inside[deepest[smooth]], corners[smooth]),
-            np.einsum("gc,fck->fgk", self._inside, corners[odd]).reshape(-1, 3),
-        ]
+        searched = np.einsum("gc,fck->fgk", self._inside, corners[odd])
+        # Beyond this distance a point is worth no probe.
+        enough = np.minimum(self._near, low - _MIN_PROBE_GAIN_M)
+        known = np.column_stack([at.distance[triangles[facets[odd]]], middle[odd]])
+        bound = _lower_bounds(searched, np.concatenate([corners[odd], corners[odd].mean(1, keepdims=True)], 1), known)
+        where = np.nonzero((bound < enough[odd, None]) & ~self._held[facets[odd]])
+        points = [np.einsum("fc,fck->fk", self._inside[deepest[smooth]], corners[smooth]), searched[where]]
+        if not len(smooth) + len(where[0]):
+            return np.zeros((0, 3)), np.zeros((0, 3))
         close = self._stimulus.solid.nearest(np.concatenate(points))
         # The deepest point of each facet that is searched.
-        every = close.distance[len(smooth) :].reshape(len(odd), len(self._inside))
-        every = np.where(self._held[facets[odd]], np.inf, every)
-        rows = len(smooth) + len(self._inside) * np.arange(len(odd)) + every.argmin(1)
-        rows = np.concatenate([np.arange(len(smooth)), rows])
-        depth, low = close.distance[rows], low[np.concatenate([smooth, odd])]
-        worth = np.flatnonzero((depth < self._near) & (depth < low - _MIN_PROBE_GAIN_M))
+        row = np.full(bound.shape, -1)
+        row[where] = len(smooth) + np.arange(len(where[0]))
+        every = np.where(row < 0, np.inf, close.distance[row])
+        rows = row[np.arange(len(odd)), every.argmin(1)]
+        found = rows >= 0
+        rows = np.concatenate([np.arange(len(smooth)), rows[found]])
+        depth = close.distance[rows]
+        worth = np.flatnonzero(depth < enough[np.concatenate([smooth, odd[found]])])
         chosen = rows[worth[np.argsort(depth[worth], kind="stable")[:_PROBES]]]
         return close.place[chosen], close.normal[chosen]
 
@@ -243,6 +249,21 @@ class SurfaceContactProxies:
             if not len(left):
                 break
         return out
+
+
+def _lower_bounds(points: np.ndarray, places: np.ndarray, distances: np.ndarray) -> np.ndarray:
+    """Return lower bounds (f, g) m of distances at points (f, g, 3): a distance differs by no more than the way to a place.
+
+    Args:
+        points: m.
+        places: (f, c, 3) m, places with known distances.
+        distances: (f, c) m.
+    """
+    out = np.full(points.shape[:2], -np.inf)
+    for place, distance in zip(places.swapaxes(0, 1), distances.T, strict=True):
+        away = points - place[:, None]
+        np.maximum(out, distance[:, None] - np.sqrt(np.einsum("fgk,fgk->fg", away, away)), out=out)
+    return out
 
 
 def _inside(n: int) -> np.ndarray:

@@ -5,6 +5,7 @@ import pytest
 import trimesh
 
 from tactip_twin.assets.meshes.rims import block
+from tactip_twin.sim.contact import solid_stimulus
 from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.contact.record import QualityLimits
 from tactip_twin.sim.contact.signed_distance import SignedDistanceMesh
@@ -77,6 +78,25 @@ def test_rounded_solid_equals_named_stimulus(simulate, name, mesh, fidelity, max
 def test_contact_does_not_depend_on_triangle_size(simulate):
     coarse, fine = simulate(SolidStimulus(solid(edge()))), simulate(SolidStimulus(solid(edge(), 2.0)))
     assert distance_mm(coarse, fine) < 0.02
+
+
+def test_points_of_facets_that_are_left_out_change_nothing(simulate, monkeypatch):
+    """A search of whole facets finds the same probes, so the contact is the same to the last bit."""
+    stimulus, counts = SolidStimulus(solid(edge(), 2.0)), []
+    nearest = stimulus.solid.nearest
+
+    def counted(points):
+        counts.append(len(points))
+        return nearest(points)
+
+    monkeypatch.setattr(stimulus.solid, "nearest", counted)
+    some = simulate(stimulus)
+    searched = sum(counts)
+    counts.clear()
+    monkeypatch.setattr(solid_stimulus, "_lower_bounds", lambda points, *_: np.full(points.shape[:2], -np.inf))
+    every = simulate(stimulus)
+    assert np.array_equal(some.pin_tips, every.pin_tips)
+    assert searched < 0.9 * sum(counts)
 
 
 def test_contact_with_solid_does_not_depend_on_earlier_one():
