@@ -9,19 +9,22 @@ import numpy as np
 from tactip_twin.sim.view.plot import COLORS, figure_of, log_axis, save_figure
 from tactip_twin.tactip_model.errors import TactipError
 
-PARAMETERS = (
-    ("conv_layers", False),
-    ("filters", True),
-    ("dense_layers", False),
-    ("dense_units", True),
-    ("activation", False),
-    ("batch_norm", False),
-    ("dropout", False),
-    ("l1", True),
-    ("l2", True),
-    ("batch_size", True),
-)
-"""Parameters in the figure, each with whether its axis is logarithmic."""
+PARAMETERS = {
+    "conv_layers": ("convolutional layers", False),
+    "filters": ("filters", True),
+    "dense_layers": ("dense layers", False),
+    "dense_units": ("units per dense layer", True),
+    "activation": ("activation", False),
+    "batch_norm": ("batch normalization", False),
+    "dropout": ("dropout", False),
+    "l1": ("L1 penalty", True),
+    "l2": ("L2 penalty", True),
+    "batch_size": ("batch size", True),
+}
+"""Titles of the parameters in the figure, and whether their axes are logarithmic."""
+
+_WORDS = {"True": "yes", "False": "no", "relu": "ReLU", "elu": "ELU"}
+"""Titles of values."""
 
 
 def plot_search(results: Sequence[dict[str, Any]], path: Path, random_trials: int) -> None:
@@ -50,7 +53,7 @@ def plot_search(results: Sequence[dict[str, Any]], path: Path, random_trials: in
     axis.axvline(random_trials - 0.5, color="0.6", lw=0.8)
     log_axis(axis, "y")
     axis.set(xlabel="trial", ylabel="validation loss", title=f"best {losses[best]:.4g}, trial {trials[best]}")
-    for axis, (name, logarithmic) in zip(axes[1:], PARAMETERS, strict=False):
+    for axis, (name, (title, logarithmic)) in zip(axes[1:], PARAMETERS.items(), strict=False):
         values = [r["network"][name] for r in good]
         named = isinstance(values[0], str | bool)
         ticks = sorted(set(values)) if named or isinstance(values[0], int) else None
@@ -60,9 +63,9 @@ def plot_search(results: Sequence[dict[str, Any]], path: Path, random_trials: in
         if logarithmic:
             axis.set_yscale("log")
         if ticks:
-            axis.set_yticks(range(len(ticks)) if named else ticks, [str(t) for t in ticks])
+            axis.set_yticks(range(len(ticks)) if named else ticks, [_WORDS.get(str(t), str(t)) for t in ticks])
             axis.minorticks_off()
-        axis.set(xlabel="rank of the loss", ylabel=name)
+        axis.set(xlabel="rank of the loss", ylabel=title)
     for axis in axes[1 + len(PARAMETERS) :]:
         axis.axis("off")
     save_figure(figure, path)

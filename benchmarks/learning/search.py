@@ -180,7 +180,7 @@ def importance(results: Sequence[Mapping[str, Any]]) -> dict[str, float]:
     if len(seen) < 2:
         return {}
     rank, out = np.argsort(np.argsort([loss for _, loss in seen])).astype(float), {}
-    for name, _ in PARAMETERS:
+    for name in PARAMETERS:
         values = [network[name] for network, _ in seen]
         if isinstance(values[0], float):
             values = np.argsort(np.argsort(values)) * _BINS // len(values)
@@ -201,13 +201,13 @@ def tables(whole: Mapping[str, Any]) -> dict[str, str]:
 
 def _trials(record: Mapping[str, Any]) -> str:
     """Return the table of the best trials."""
-    names = [name for name, _ in PARAMETERS]
+    names = list(PARAMETERS)
     good = sorted((t for t in record["trials"] if t["status"] == "ok"), key=lambda t: t["loss"])
     rows = [
         [t["trial"], f"{t['loss']:.4g}", *(f"{v:.2g}" if isinstance(v, float) else v for v in map(t["network"].get, names))]
         for t in good[:BEST]
     ]
-    return table(["trial", "loss", *names], rows)
+    return table(["trial", "loss", *(title for title, _ in PARAMETERS.values())], rows)
 
 
 def _long(task: str, record: Mapping[str, Any]) -> str:
@@ -230,7 +230,8 @@ def _long(task: str, record: Mapping[str, Any]) -> str:
 def _importance(record: Mapping[str, Any]) -> str:
     """Return the table of the importance of the parameters, most important first."""
     found = sorted(record["importance"].items(), key=lambda item: -item[1])
-    return table(["parameter", "share of the variance of the loss's rank"], [[name, f"{v:.0%}"] for name, v in found])
+    rows = [[PARAMETERS[name][0], f"{value:.0%}"] for name, value in found]
+    return table(["parameter", "share of the variance of the loss's rank"], rows)
 
 
 def _made(record: Mapping[str, Any]) -> str:
