@@ -243,11 +243,10 @@ class ContourFollower:
         Raises:
             Obstacle: There is no way, or no contact.
         """
-        s = self._settings
         self._tip.lift()
         height_mm = self._tip.height_mm(T)
         self._tip.travel(moved(T, self._direction, -height_mm))
-        return self._tip.search(height_mm + s.clearance_mm, 3 * s.search_step_mm, self._direction)
+        return self._tip.search(height_mm + self._tip.depth_mm(T), 3 * self._settings.search_step_mm, self._direction)
 
     def _step_fraction(self, estimate: Estimate) -> float:
         """Return the fraction of the tangential step to take: smaller where the sensor tilts, because it lags behind the

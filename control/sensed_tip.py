@@ -86,7 +86,7 @@ class SensedTip:
         self._trail: list[np.ndarray] = []
         """Poses (4, 4) since the tip was last free, and some before."""
         self._approach: np.ndarray | None = None
-        self._highest, self._diverged = -np.inf, 0
+        self._highest, self._lowest, self._diverged = -np.inf, np.inf, 0
         self.phase, self.part = "search", 0
         """Phase and part of the next steps (Step)."""
         self.steps = 0
@@ -122,6 +122,12 @@ class SensedTip:
         if self._approach is None:
             return self._settings.clearance_mm
         return self._settings.clearance_mm + 1e3 * max(0.0, self._highest + float(T[:3, 3] @ self._approach))
+
+    def depth_mm(self, T: np.ndarray) -> float:
+        """Return how far below a pose (4, 4) the object may still be, mm: to the lowest place touched so far, and some."""
+        if self._approach is None:
+            return self._settings.clearance_mm
+        return self._settings.clearance_mm + 1e3 * max(0.0, -self._lowest - float(T[:3, 3] @ self._approach))
 
     def lift(self) -> None:
         """Lift off. Where the arm cannot, at a limit of its joints, or stops, because an undercut holds skin or housing, go
@@ -185,7 +191,9 @@ class SensedTip:
         if force > limit:
             return "force", f"{force:.1f} N on the tip (at most {limit:g} N)"
         if touch.clearance_m < 0 or touch.moved_back:
-            return "collision", f"the sensor's housing runs against the object (distance {1e3 * touch.clearance_m:.1f} mm)"
+            gap_mm = 1e3 * touch.clearance_m
+            now = f"{-gap_mm:.1f} mm in it" if gap_mm < 0 else f"{gap_mm:.1f} mm from it"
+            return "collision", f"the sensor's housing ran against the object, and is {now} now"
         return None
 
     def search(self, max_mm: float, step_mm: float | None = None, direction: np.ndarray | None = None) -> Estimate:
@@ -254,7 +262,8 @@ class SensedTip:
             self._T_free, self._wrist_rad = measured, float(np.nan_to_num(arm.angles[5]))
             del self._trail[:-_MIN_TRAIL]
         elif self._approach is not None:
-            self._highest = max(self._highest, -float(measured[:3, 3] @ self._approach))
+            height_m = -float(measured[:3, 3] @ self._approach)
+            self._highest, self._lowest = max(self._highest, height_m), min(self._lowest, height_m)
         self._trail.append(measured)
         estimate = self._filtered(own, measured)
         seconds = {

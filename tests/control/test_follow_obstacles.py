@@ -297,5 +297,5 @@ def test_follower_overlap_of_the_housing_is_a_collision(monkeypatch):
     monkeypatch.setattr(world.mounted_tip, "_overlap", lambda: 0.0)
     follower = world.follow(world.start([0, 0, 0]), over(world), alignment_steps=5)
     assert [(e.kind, e.what) for e in follower.events] == [
-        ("collision", "the sensor's housing runs against the object (distance -1.0 mm)")
+        ("collision", "the sensor's housing ran against the object, and is 1.0 mm in it now")
     ]
