@@ -16,7 +16,7 @@ from tactip_twin.control.options import Settings
 from tactip_twin.control.press import press_room_m
 from tactip_twin.control.routes import Route
 from tactip_twin.control.sensed_tip import SensedTip, Step
-from tactip_twin.control.sensor_poses import moved, tilt_rad, tilted_at_most
+from tactip_twin.control.sensor_poses import moved, tilt_rad, tilted_at_most, turned_away
 from tactip_twin.control.servo import Controller, pose_error
 from tactip_twin.learning.labels import Labels
 from tactip_twin.learning.pose_filter import PoseFilter
@@ -44,9 +44,17 @@ _SLOW_DEG = {"surface": 2.0, "edge": 0.0}
 _EVASION_MM = 1.0
 """Motion back along the sensor's axis after a stop of the arm at its limit of force or a collision, mm [?]."""
 
-_UPRIGHT_RAD, _UPRIGHT_M = np.radians(5.0), 6e-3
-"""Angle by which the sensor turns closer to the route's direction of approach after a collision, rad, and the travel along
-the route over which it does not tilt farther, m [?]."""
+_AWAY_RAD, _AWAY_M = np.radians(5.0), 6e-3
+"""Angle by which the housing turns away from an obstacle after a collision, rad, and the travel along the route over which
+it does not turn back, m [?]."""
+
+_BEHIND_M, _MIN_ATTEMPT_M = 30e-3, 0.2e-3
+"""Distance behind the apex of the middle of the housing's front part, m, and the least motion of it, m, that tells on which
+side an obstacle is [?]."""
+
+_LEANING_RAD = np.radians(30.0)
+"""Angle to the route's direction of approach from which a leaning sensor turns towards that direction after a collision,
+where its motion tells nothing, rad [?]."""
 
 _MAX_APPROACH_RAD = np.radians(60.0)
 """Largest tilt from the route's direction of approach with which the sensor touches down, rad: leaning farther, it passes
@@ -97,7 +105,9 @@ class ContourFollower:
         self._controller, self._labels, self._settings = controller, labels, settings
         self._clock, self._on_event = clock, note
         self._followed_to_m, self._centred = 0.0, 0
-        self._max_tilt_rad, self._upright_to_m = np.pi, 0.0
+        self._attempted = np.zeros(3)
+        self._barred: tuple[np.ndarray, float] | None = None
+        self._barred_to_m = 0.0
         self.left_out: list[LeftOut] = []
         """Stretches of the route that were not followed."""
         self.events: list[Event] = []
@@ -171,23 +181,44 @@ class ContourFollower:
         room_m = press_room_m(estimate.force_n, self._settings.ease_force_n)
         motion = self._limited(self._controller.move(self._in_range(estimate.label), along, room_m))
         motion[2, 3] = min(motion[2, 3], room_m)
-        if route.travelled_m > self._upright_to_m:
-            self._max_tilt_rad = np.pi
-        return self._tip.go(tilted_at_most(measured @ motion, self._direction, self._max_tilt_rad), self._clock() - start)
+        if route.travelled_m > self._barred_to_m:
+            self._barred = None
+        return self._go(measured @ motion, self._clock() - start)
+
+    def _go(self, T: np.ndarray, control_s: float = 0.0) -> Estimate:
+        """Move to a pose (4, 4), or to the nearest whose housing is turned far enough from an obstacle, and estimate there.
+        Raises Obstacle."""
+        T = T if self._barred is None else turned_away(T, *self._barred)
+        here, behind = self._tip.pose, np.array([0.0, 0.0, -_BEHIND_M, 1.0])
+        self._attempted = ((T - here) @ behind)[:3]
+        return self._tip.go(T, control_s)
 
     def _evade(self, kind: str, route: Route) -> Estimate:
-        """Move back a little after a stop of the arm or a collision; after a collision, also turn closer to the route's
-        direction of approach, and stay so for a while."""
+        """Move back a little after a stop of the arm or a collision; after a collision, also turn the housing away from the
+        obstacle, and stay so for a while."""
         back = moved(self._tip.pose, None, -_EVASION_MM)
-        if kind == "collision" and self._direction is not None:
-            tilt = min(self._max_tilt_rad, tilt_rad(back, self._direction))
-            self._max_tilt_rad, self._upright_to_m = max(0.0, tilt - _UPRIGHT_RAD), route.travelled_m + _UPRIGHT_M
-        return self._tip.go(tilted_at_most(back, self._direction, self._max_tilt_rad))
+        side = self._obstacle_side(back) if kind == "collision" else None
+        if side is not None:
+            away_rad = np.pi - tilt_rad(back, side) + _AWAY_RAD
+            self._barred, self._barred_to_m = (side, min(away_rad, np.pi)), route.travelled_m + _AWAY_M
+        return self._go(back)
+
+    def _obstacle_side(self, T: np.ndarray) -> np.ndarray | None:
+        """Return the direction (3,), unit, square to the axis of a pose (4, 4), in which the housing has run against an
+        obstacle: where it was to go. Where that tells nothing, a leaning sensor turns back to the route's direction of
+        approach. None: unknown."""
+        axis = T[:3, 2]
+        side = self._attempted - (self._attempted @ axis) * axis
+        if np.linalg.norm(side) < _MIN_ATTEMPT_M:
+            if self._direction is None or tilt_rad(T, self._direction) < _LEANING_RAD:
+                return None
+            side = self._direction - (self._direction @ axis) * axis
+        return side / np.linalg.norm(side)
 
     def _is_aligning(self, estimate: Estimate) -> bool:
         """Return whether the tip still turns in place after contact: longer where it is far from the normal."""
-        steps, upright = self._settings.alignment_steps, self._max_tilt_rad < np.pi
-        return self._centred < steps or (self._centred < 2 * steps and _angle_deg(estimate) > _ALIGNED_DEG and not upright)
+        steps, free = self._settings.alignment_steps, self._barred is None
+        return self._centred < steps or (self._centred < 2 * steps and _angle_deg(estimate) > _ALIGNED_DEG and free)
 
     def _limited(self, motion: np.ndarray) -> np.ndarray:
         """Return a motion (4, 4) of the sensor, shortened to what is safe in contact."""
@@ -211,7 +242,7 @@ class ContourFollower:
             self._tip.phase, self._centred = "search", 0
             self._controller.reset()
             self._tip.forget()
-            self._max_tilt_rad = np.pi
+            self._barred = None
             what = self._tries.next(obstacle.kind)
             try:
                 if what.skip_mm is None:
@@ -254,7 +285,7 @@ class ContourFollower:
         slow = (
             _SLOW_DEG[self._labels.task] if self._settings.slowdown_angle_deg is None else self._settings.slowdown_angle_deg
         )
-        if self._max_tilt_rad < np.pi:  # it leans because of an obstacle
+        if self._barred is not None:  # it leans because of an obstacle
             return 1.0
         return max(_MIN_STEP_FRACTION, 1 - _angle_deg(estimate) / slow) if slow else 1.0
 

@@ -1,4 +1,4 @@
-"""Poses of the sensor that are moved, or turned towards a direction."""
+"""Poses of the sensor that are moved, or turned towards a direction or away from it."""
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -25,4 +25,14 @@ def tilted_at_most(T: np.ndarray, direction: np.ndarray | None, max_rad: float) 
     if direction is None or tilt <= max_rad:
         return T
     turn = shortest_turn(T[:3, 2], direction).as_rotvec() * (1 - max_rad / tilt)
+    return matrix(T[:3, 3], Rotation.from_rotvec(turn) * Rotation.from_matrix(T[:3, :3]))
+
+
+def turned_away(T: np.ndarray, direction: np.ndarray, min_rad: float) -> np.ndarray:
+    """Return a pose (4, 4), turned about its apex by the smallest angle, so that its housing, which is behind the apex, is
+    at least at an angle, rad, to a direction (3,)."""
+    angle = np.pi - tilt_rad(T, direction)
+    if angle >= min_rad:
+        return T
+    turn = shortest_turn(-T[:3, 2], -direction).as_rotvec() * (min_rad - angle) / (np.pi - angle)
     return matrix(T[:3, 3], Rotation.from_rotvec(turn) * Rotation.from_matrix(T[:3, :3]))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tactip_twin.control.sensor_poses import moved, tilt_rad, tilted_at_most
+from tactip_twin.control.sensor_poses import moved, tilt_rad, tilted_at_most, turned_away
 from tactip_twin.sim.pose import matrix
 
 DOWN = np.array([0.0, 0.0, -1.0])
@@ -37,3 +37,21 @@ def test_moved_along_a_direction_or_the_axis():
     assert moved(T, DOWN, 2.0)[:3, 3] == pytest.approx(T[:3, 3] + [0, 0, -2e-3])
     assert moved(T, None, 2.0)[:3, 3] == pytest.approx(T[:3, 3] + 2e-3 * T[:3, 2])
     assert np.array_equal(moved(T, None, 2.0)[:3, :3], T[:3, :3])
+
+
+def test_housing_is_turned_away_by_the_smallest_angle():
+    rng = np.random.default_rng(3)
+    for _ in range(50):
+        T, direction, least = (
+            matrix(rng.normal(0, 0.1, 3), Rotation.random(rng=rng)),
+            rng.normal(size=3),
+            rng.uniform(0, np.pi),
+        )
+        direction /= np.linalg.norm(direction)
+        before = np.arccos(np.clip(-T[:3, 2] @ direction, -1, 1))
+        out = turned_away(T, direction, least)
+        after = np.arccos(np.clip(-out[:3, 2] @ direction, -1, 1))
+        turned = Rotation.from_matrix(out[:3, :3] @ T[:3, :3].T).magnitude()
+        assert np.array_equal(out[:3, 3], T[:3, 3])
+        assert after == pytest.approx(max(before, least), abs=1e-6)
+        assert turned == pytest.approx(max(0.0, least - before), abs=1e-6)
