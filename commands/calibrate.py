@@ -19,8 +19,8 @@ class Calibrate(Command):
     example = "tactip calibrate lab/set --design nominal-127 --out mine.json"
 
     real: tyro.conf.Positional[Path]
-    """Folder of the real set: a neutral image init*.png, frames, targets.csv and meta.json
-    (sim2real/calibration/real_set.py)."""
+    """Folder of the real set: frames, targets.csv and a neutral image init* or neutral*; also meta.json with the tap, unless
+    `tactip protocol` wrote the table (sim2real/calibration/real_set.py)."""
     design: str = "nominal-127"
     """Design to start from: nominal-127, nominal-331, another preset, or a design file (.json)."""
     out: Path = Path("design.json")

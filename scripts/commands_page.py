@@ -12,7 +12,7 @@ from tactip_twin.commands import main as tactip
 _WIDE = "100"
 """Terminal columns for the help texts; in a wider terminal the boxes stand side by side."""
 
-_ENTRY = re.compile(r"(?P<name>(-|[A-Z]).*?)(\s{2,}(?P<rest>\S.*))?$")
+_ENTRY = re.compile(r"(?P<name>[-A-Z{[].*?)(\s{2,}(?P<rest>\S.*))?$")
 _ENDS = re.compile(r"\s*\((default: (?P<default>.*)|(?P<required>required)|(?P<repeat>repeatable))\)$")
 
 
@@ -54,7 +54,11 @@ def parse_help(text: str) -> tuple[str, list[str], dict[str, list[list[str]]]]:
             elif not content.startswith(" " * 3) and (entry := _ENTRY.match(content.strip())):
                 groups[group].append([entry["name"], entry["rest"] or ""])
             elif groups[group]:
-                groups[group][-1][1] += " " + content.strip()
+                entry, text = groups[group][-1], content.strip()
+                while text and entry[0].count("{") > entry[0].count("}"):  # the choices go on in this line
+                    more, end, text = text.partition("}")
+                    entry[0] += more + end
+                entry[1] += " " + text
     groups.pop("subcommands", None)
     words = " ".join(line for line in description if not line.startswith("usage:")).split()
     return " ".join(words), subcommands, groups

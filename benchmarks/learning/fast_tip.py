@@ -170,6 +170,11 @@ def _rate(work: Callable[[], int]) -> float:
     return float(np.median(rates))
 
 
+def _short(value: float) -> str:
+    """Return a number with two significant digits, and all its digits before the point."""
+    return f"{value:.0f}" if value >= 100 else f"{value:.2g}"
+
+
 def tables(result: dict[str, Any]) -> dict[str, str]:
     """Return the tables of docs/fast_tip.md from fast_tip.json."""
     head = [
@@ -204,8 +209,8 @@ def tables(result: dict[str, Any]) -> dict[str, str]:
         [
             task,
             row["way"],
-            f"{1e3 * row['seconds']:.2g}",
-            f"{row['cost']:.2g}",
+            _short(1e3 * row["seconds"]),
+            _short(row["cost"]),
             f"{row['made']}",
             *(f"{row[truth]['pins_mm']:.3f}" for truth in ("standard", "reference")),
             f"{row['standard']['worst_contact_mm']:.2f}",
@@ -214,7 +219,7 @@ def tables(result: dict[str, Any]) -> dict[str, str]:
         for task, found in result.items()
         for row in found.get("ways", [])
     ]
-    way_head = ["task", "way", "CPU time, ms", "relative to standard", "contacts", "pins from standard, mm"]
+    way_head = ["task", "method", "CPU time, ms", "relative to standard", "contacts", "pins from standard, mm"]
     way_head += ["pins from reference, mm", "worst contact from standard, mm", "force from standard"]
     machines = sorted({machine_text(found["machine"]) for found in result.values()})
     return {

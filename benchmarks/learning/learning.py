@@ -27,7 +27,7 @@ from tactip_twin.benchmarks.learning.learning_sets import (
 )
 from tactip_twin.benchmarks.learning.options import LearningOptions
 from tactip_twin.benchmarks.report import read_results, table, write_results
-from tactip_twin.learning.configuration import Recipe
+from tactip_twin.learning.configuration import Recipe, TrainSettings
 from tactip_twin.learning.evaluate import evaluate
 from tactip_twin.learning.model import load_model, load_network
 from tactip_twin.learning.recipes import recipe_named
@@ -120,10 +120,10 @@ FILTERS = (4, 8, 16)
 """Numbers of filters of the first layer of smaller networks."""
 
 CROSS_TESTS = {
-    "shear": (("laptop-plain", "laptop-taps"), ("sheared", "taps")),
-    "curvature": (("laptop", "laptop-curved"), ("sheared", "curved")),
+    "Shear in the training set": (("laptop-plain", "laptop-taps"), ("sheared", "taps")),
+    "Curvature in the training set": (("laptop", "laptop-curved"), ("sheared", "curved")),
 }
-"""Tables of networks trained on one kind of contact and tested on another: names of rows and of tests."""
+"""Tables of networks trained on one kind of contact and tested on another, by heading: names of rows and of tests."""
 
 _KINDS = {"sheared": "flat, sheared", "taps": "flat, not sheared", "curved": "curved, sheared"}
 
@@ -265,9 +265,11 @@ def _write(options: LearningOptions, record: dict[str, Any]) -> None:
 def tables(whole: Mapping[str, Any]) -> dict[str, str]:
     """Return the tables of docs/learning.md from learning.json."""
     out = {task: _networks(task, whole[task]["rows"]) if task in whole else "Not measured." for task in PAPER}
-    for name, (trained, tested) in CROSS_TESTS.items():
+    texts = []
+    for heading, (trained, tested) in CROSS_TESTS.items():
         found = [_cross_test(task, whole[task]["rows"], trained, tested) for task in PAPER if task in whole]
-        out[name] = "\n\n".join(text for text in found if text) or "Not measured in this version."
+        texts += [f"## {heading}", *(text for text in found if text)] if any(found) else []
+    out["cross-tests"] = "\n\n".join(texts)
     betas = [_betas(task, whole[task]["rows"]) for task in PAPER if task in whole]
     noises = [_noises(task, whole[task]["rows"]) for task in PAPER if task in whole]
     out["noise"] = "\n\n".join(text for text in noises if text) or "Not measured in this version."
@@ -302,13 +304,21 @@ def _noises(task: str, rows: Sequence[Mapping[str, Any]]) -> str:
     return table(head, lines) if lines else ""
 
 
-def _networks(task: str, rows: Sequence[Mapping[str, Any]]) -> str:
-    names, machines = list(PAPER[task]), dict.fromkeys(machine_text(row["machine"]) for row in rows)
-    head = ["network", "images", "epochs", "minutes", "parameters", "ms per image", *names]
+def _drawn(settings: TrainSettings, epochs: int) -> int:
+    """Return the number of contacts that a training has drawn anew over its epochs."""
+    return settings.drawn_contacts * -(-epochs // settings.drawn_epochs)
+
+
+def _networks(task: Task, measured: Sequence[Mapping[str, Any]]) -> str:
+    """Return the table of networks."""
+    names, machines = list(PAPER[task]), dict.fromkeys(machine_text(row["machine"]) for row in measured)
+    head = ["network", "images seen", "epochs", "minutes", "parameters", "ms per image", *names]
+    settings = {row.name: row.recipe.settings for row in rows(task, True)}
     lines = [["*the paper, real sensor*", 2000, "", "", "", "", *(f"{PAPER[task][n]:g}" for n in names)]]
     lines += [["*target*", "", "", "", "", 5, *(f"{TARGETS[task][n]:g}" for n in names)]]
-    for row in rows:
-        cells = [f"`{row['name']}`: {row['what']}", row["images"], row["epochs"], f"{row['seconds'] / 60:.0f}"]
+    for row in measured:
+        images = row["images"] + _drawn(settings[row["name"]], row["epochs"])
+        cells = [f"`{row['name']}`: {row['what']}", images, row["epochs"], f"{row['seconds'] / 60:.0f}"]
         cells += [row["parameters"], f"{row['latency_ms']:.2f}"]
         lines.append([*cells, *(f"{row['mae']['sheared'][n]:.3f}" for n in names)])
     return "\n".join([table(head, lines), "", *(f"Machine: {text}." for text in machines)])

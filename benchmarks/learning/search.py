@@ -231,7 +231,7 @@ def _importance(record: Mapping[str, Any]) -> str:
     """Return the table of the importance of the parameters, most important first."""
     found = sorted(record["importance"].items(), key=lambda item: -item[1])
     rows = [[PARAMETERS[name][0], f"{value:.0%}"] for name, value in found]
-    return table(["parameter", "share of the variance of the loss's rank"], rows)
+    return table(["parameter", "variance of the loss's rank that the parameter alone explains"], rows)
 
 
 def _made(record: Mapping[str, Any]) -> str:

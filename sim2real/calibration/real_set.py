@@ -68,7 +68,7 @@ def read_real_set(folder: str | Path, angles: Angles = "vector") -> RealSet:
     folder = Path(folder)
     if not folder.is_dir():
         raise TactipError(
-            f"{folder} is not a folder: it must hold targets.csv, meta.json, a neutral image init*.png and frames"
+            f"{folder} is not a folder: it must hold targets.csv, frames and a neutral image init* or neutral*"
         )
     rows = _rows(folder / "targets.csv")
     name = next((n for n in _NAMES if n in rows[0]), None)
@@ -96,7 +96,7 @@ def read_real_set(folder: str | Path, angles: Angles = "vector") -> RealSet:
     files = tuple(_found(folder, row[name]) for row in rows)
     neutral = find_neutral_image(folder, files)
     if neutral is None:
-        raise TactipError(f"{folder} has no neutral image: add one named init*.png")
+        raise TactipError(f"{folder} has no neutral image: add one named init* or neutral*, such as neutral.png")
     first, second = (from_mm_deg(n) for n in numbers)
     poses, moves, tap = _commands(first, second, angles) if labelled else (first, second, _tap(folder / "meta.json"))
     return RealSet(folder, files, poses, moves, tap, read_image(neutral))

@@ -68,7 +68,7 @@ class TransferSettings:
     (effect: docs/transfer.md); of the recipe paper, its own."""
     init_from: str = AUTO
     """Initial weights of the training on simulated contacts: a shipped network, the folder of a training, or none for random
-    weights. auto: the shipped network for as many pins and images of the same size, else none."""
+    weights. auto: the shipped network for as many pins, which on edges knows any materials; none on surfaces of 331 pins."""
     gap_frames: int = within(8, 10**5, default=150)
     """Number of real frames to compare with simulated ones."""
     fine_tuning_steps: int = within(1, 10**6, default=800)
