@@ -27,11 +27,11 @@ class Ranges:
     """A uniform range (low, high) for each component of a pose or shear; mm and degrees, axes of sim/pose.py."""
 
     x_mm: tuple[float, float] = (0.0, 0.0)
-    """Horizontal position perpendicular to the edge, mm; positive off the object."""
+    """Along x, mm: on edges perpendicular to the edge, positive off the object."""
     y_mm: tuple[float, float] = (0.0, 0.0)
-    """Horizontal position along the edge, mm."""
+    """Along y, mm: on edges along the edge."""
     depth_mm: tuple[float, float] = (0.0, 0.0)
-    """Position along the outward normal, mm; negative into the object."""
+    """Along the outward normal, mm; negative into the object."""
     roll_deg: tuple[float, float] = (0.0, 0.0)
     """Rotation vector's x component, degrees."""
     pitch_deg: tuple[float, float] = (0.0, 0.0)
