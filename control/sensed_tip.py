@@ -51,6 +51,9 @@ class Step:
 _TRANSIT_M = 10e-3
 """Longest motion through the air between two checks of force and clearance, m."""
 
+_DROP_MM = 40.0
+"""Depth below a place on the route at which the object is still sought, mm: a neck below a chin [?]."""
+
 _BACK_STEPS = 5
 """Number of steps that the tip goes back before the arm tries again to lift it."""
 
@@ -124,10 +127,11 @@ class SensedTip:
         return self._settings.clearance_mm + 1e3 * max(0.0, self._highest + float(T[:3, 3] @ self._approach))
 
     def depth_mm(self, T: np.ndarray) -> float:
-        """Return how far below a pose (4, 4) the object may still be, mm: to the lowest place touched so far, and some."""
+        """Return how far below a pose (4, 4) the object may still be, mm: at least to the lowest place touched so far."""
         if self._approach is None:
             return self._settings.clearance_mm
-        return self._settings.clearance_mm + 1e3 * max(0.0, -self._lowest - float(T[:3, 3] @ self._approach))
+        to_lowest_mm = -1e3 * (self._lowest + float(T[:3, 3] @ self._approach))
+        return max(_DROP_MM, to_lowest_mm + self._settings.clearance_mm)
 
     def lift(self) -> None:
         """Lift off. Where the arm cannot, at a limit of its joints, or stops, because an undercut holds skin or housing, go

@@ -59,6 +59,17 @@ def test_arm_moves_back_where_the_force_is_too_high(fidelity, monkeypatch):
 
 
 @pytest.mark.slow
+def test_follower_continues_on_a_lower_terrace():
+    """Beyond a step of 30 mm, where the tip has touched nothing so deep before, it finds the lower part from above."""
+    world = World(profiled_block([(-60, 30), (0, 30), (0.1, 0), (60, 0)], -30, 60))
+    follower = world.follow(world.start([-0.006, 0, 0.05]), beside(world, -0.006, 0.043), alignment_steps=3)
+    assert follower.stopped_because == "route completed"
+    to_object = inverse(world.scene_object.T_base_object)
+    heights = [(to_object @ s.T_base_tcp)[2, 3] for s in world.steps if s.phase == "follow"]
+    assert max(heights) > 25e-3 and np.count_nonzero(np.array(heights) < 2e-3) > 4
+
+
+@pytest.mark.slow
 def test_follower_lifts_over_a_wall_and_continues_behind_it():
     """A wall 16 mm high and 6 mm thick stands across the route on a plate."""
     world = World(profiled_block([(-60, 0), (-3.1, 0), (-3, 16), (3, 16), (3.1, 0), (60, 0)], -20, 80))
