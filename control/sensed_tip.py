@@ -155,11 +155,11 @@ class SensedTip:
         here = self.pose
         for pose in self._way_to(tilted_at_most(moved(here, self._approach, -self.height_mm(here)), self._approach, 0.0)):
             self.go(pose)
-            if self.touch.moved_back:
+            if self.touch.stopped_by:
                 limit_n = _PULL * self._settings.max_force_n
                 self.go(pose, max_force_n=limit_n)
-                if self.touch.moved_back:
-                    held = self.touch.peak_force_n > limit_n
+                if self.touch.stopped_by:
+                    held = self.touch.stopped_by == "force"
                     why = f"{limit_n:g} N do not free it" if held else "the sensor's housing runs against it on the way up"
                     raise FollowingFailed(f"the object holds the tip, and {why}")
 
@@ -169,7 +169,7 @@ class SensedTip:
         for T in (retracted, moved(retracted, self._approach, -self.height_mm(retracted))):
             for pose in self._way_to(T):
                 self.go(pose)
-                if self.touch.moved_back:
+                if self.touch.stopped_by:
                     return False
         return True
 
@@ -191,10 +191,10 @@ class SensedTip:
     def danger(self) -> tuple[str, str] | None:
         """Return kind and description of a failure that could cause damage, whatever the estimate, or None."""
         touch, limit = self.touch, self._settings.max_force_n
-        force = touch.peak_force_n if touch.moved_back else float(np.linalg.norm(touch.force))
+        force = touch.peak_force_n if touch.stopped_by == "force" else float(np.linalg.norm(touch.force))
         if force > limit:
             return "force", f"{force:.1f} N on the tip (at most {limit:g} N)"
-        if touch.clearance_m < 0 or touch.moved_back:
+        if touch.clearance_m < 0 or touch.stopped_by == "housing":
             gap_mm = 1e3 * touch.clearance_m
             now = f"{-gap_mm:.1f} mm in it" if gap_mm < 0 else f"{gap_mm:.1f} mm from it"
             return "collision", f"the sensor's housing ran against the object, and is {now} now"

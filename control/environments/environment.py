@@ -222,7 +222,7 @@ class TouchEnvironment(gymnasium.Env[Observation, np.ndarray], ABC):
         force = float(np.linalg.norm(self._touch.force))
         if force > o.max_force_n:
             raise Failure(f"the force on the tip is {force:.1f} N (at most {o.max_force_n:g} N)")
-        if self._touch.clearance_m < 0 or self._touch.moved_back:
+        if self._touch.clearance_m < 0 or self._touch.stopped_by == "housing":
             raise Failure("the sensor's housing runs against the object")
 
     @property

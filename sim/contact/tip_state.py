@@ -1,11 +1,15 @@
 """State of the tip at one moment, moving or at rest."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
 from tactip_twin.sim.contact.scene import Scene
 from tactip_twin.tactip_model.pins import PinReader
+
+StoppedBy = Literal["", "force", "housing"]
+"""What stops an arm on its way: too much force on the tip, or the sensor's housing that runs against the object."""
 
 
 @dataclass(frozen=True)
@@ -30,8 +34,8 @@ class TipState:
     """Distance from the sensor's rigid housing to the object, m; negative inside."""
     peak_force_n: float = 0.0
     """Maximum force on the tip during the motion that led here, N; 0 without a motion."""
-    moved_back: bool = False
-    """Whether the arm moved back on that motion, because of a high force or of the housing."""
+    stopped_by: StoppedBy = ""
+    """What stopped the arm on that motion, so that it moved back; empty if nothing did."""
 
 
 def read_tip_state(scene: Scene, reader: PinReader, steps: int = 0, clearance_m: float = np.inf) -> TipState:

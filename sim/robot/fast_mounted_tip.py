@@ -13,7 +13,7 @@ from tactip_twin.sim.contact.fidelity import Fidelity
 from tactip_twin.sim.contact.mujoco_warnings import counted_warnings
 from tactip_twin.sim.contact.signed_distance import SignedDistanceMesh
 from tactip_twin.sim.contact.solid_stimulus import SolidStimulus
-from tactip_twin.sim.contact.tip_state import TipState
+from tactip_twin.sim.contact.tip_state import StoppedBy, TipState
 from tactip_twin.sim.fast_tip.sliding_contact import SlidingContact, TouchedObject
 from tactip_twin.sim.fast_tip.sliding_tip import SlidingTip
 from tactip_twin.sim.ground_truth import GroundTruth
@@ -74,15 +74,19 @@ class FastMountedTip(TipOnArm):
         fractions = self._set_target(T_base_tcp, motion.shear_step_m, 1.0)
         with counted_warnings() as messages:
             self._move(fractions)
-            peak_n, moved_back = self._force_n(), False
+            peak_n = self._force_n()
+            stopped_by: StoppedBy = ""
             for back in _BACK_OFF:
-                if self._force_n() <= limit and self._overlap() <= give:
+                if self._force_n() > limit:
+                    stopped_by = "force"
+                elif self._overlap() > give:
+                    stopped_by = stopped_by or "housing"
+                else:
                     break
-                moved_back = True
                 self._move(fractions[: 1 + int(back * (len(fractions) - 1))][-1:])
         check_force(self.sliding.contact.force_n)
         self.warnings += len(messages)
-        return replace(self.tip_state(), peak_force_n=peak_n, moved_back=moved_back)
+        return replace(self.tip_state(), peak_force_n=peak_n, stopped_by=stopped_by)
 
     def _force_n(self) -> float:
         """Return the magnitude of the contact force, N."""

@@ -20,7 +20,7 @@ from tactip_twin.sim.contact.scene import Scene
 from tactip_twin.sim.contact.signed_distance import SignedDistanceMesh
 from tactip_twin.sim.contact.simulator import LEVER_M, Diverged, motion_fractions
 from tactip_twin.sim.contact.solid_stimulus import SolidStimulus
-from tactip_twin.sim.contact.tip_state import TipState, read_tip_state
+from tactip_twin.sim.contact.tip_state import StoppedBy, TipState, read_tip_state
 from tactip_twin.sim.pose import angle_between, inverse
 from tactip_twin.sim.robot.arm_models import ArmModel
 from tactip_twin.sim.robot.irb120 import housing_points
@@ -241,22 +241,28 @@ class MountedTip(SimulatedTip[Scene]):
         give = max(GIVE_M, overlap)
         near = self.scene.data.ncon or self.gap(T_base_tcp) < _CLEAR_M
         fractions = self._set_target(T_base_tcp, motion.shear_step_m if near else motion.press_step_m, self._pace)
-        path, reached, slow, moved_back = np.append(0.0, fractions), 0, False, False
+        path, reached, slow = np.append(0.0, fractions), 0, False
+        stopped_by: StoppedBy = ""
         force_n, rise_n, peak_n = self._force_n(), 0.0, 0.0
         with counted_warnings() as messages:
             self.scene.stiffen(resting=False)
-            while reached + 1 < len(path) and peak_n <= limit and overlap <= give:
+            while reached + 1 < len(path) and not stopped_by:
                 if force_n + rise_n > _SLOW_FORCE * limit and not slow:
                     path, slow = np.append(path[:reached], _finer(path[reached:])), True
                 reached += 1
                 before_n, force_n = force_n, self._step(path[reached])
                 rise_n, peak_n, overlap = max(0.0, force_n - before_n), max(peak_n, force_n), self._overlap()
+                if force_n > limit:
+                    stopped_by = "force"
+                elif overlap > give:
+                    stopped_by = "housing"
             # At the stiffness of a tip at rest, a contact that is this deep would throw the tip off, and so would skin that
             # still moves back meet the object.
             while (force_n > limit or overlap > give) and reached > 0:
-                reached, moved_back = reached - 1, True
+                reached -= 1
                 force_n, overlap = self._step(path[reached]), self._overlap()
-            for _ in range(self._settle_steps if moved_back else 0):
+                peak_n = max(peak_n, force_n)
+            for _ in range(self._settle_steps if stopped_by else 0):
                 force_n = self._step(path[reached])
                 peak_n = max(peak_n, force_n)
             for k in range(self._settle_steps + _MAX_EXTRA_STEPS):
@@ -264,13 +270,13 @@ class MountedTip(SimulatedTip[Scene]):
                 if k >= self._settle_steps and not above and self.scene.penetration() <= _MAX_PENETRATION_M:
                     break
                 if above:
-                    reached, moved_back = max(reached - 1, 0), True
+                    reached, stopped_by = max(reached - 1, 0), "force"
                 self.scene.stiffen(resting=not above)
                 force_n = self._step(path[reached])
                 peak_n = max(peak_n, force_n)
             self.scene.stiffen(resting=True)
         self.warnings += len(messages)
-        return replace(self.tip_state(), peak_force_n=peak_n, moved_back=moved_back)
+        return replace(self.tip_state(), peak_force_n=peak_n, stopped_by=stopped_by)
 
     def _force_n(self) -> float:
         """Return the magnitude of the contact force, N."""

@@ -47,8 +47,8 @@ def test_arm_moves_back_where_the_force_is_too_high(fidelity, monkeypatch):
         state = tip.go(world.start([0, 0, 0], -depth_mm), limit_n)
         force = np.linalg.norm(state.force)
         assert state.peak_force_n >= force - 1e-9
-        assert state.moved_back == (depth_mm == 5)
-        if state.moved_back:
+        assert state.stopped_by == ("force" if depth_mm == 5 else "")
+        if state.stopped_by:
             assert 0.5 < force <= 1.05 * limit_n < state.peak_force_n
             if fidelity != "fast":  # which only knows the force at the end of a motion
                 assert state.peak_force_n < 1.3 * limit_n
@@ -263,7 +263,7 @@ def test_follower_frees_a_held_tip(from_mm, needed_n, pulled, monkeypatch):
         if lifts:
             limits_n.append(max_force_n)
         if lifts and max_force_n < needed_n:
-            return replace(world.mounted_tip.tip_state(), peak_force_n=needed_n, moved_back=True)
+            return replace(world.mounted_tip.tip_state(), peak_force_n=needed_n, stopped_by="force")
         return go(T, max_force_n)
 
     monkeypatch.setattr(world.mounted_tip, "go", held)

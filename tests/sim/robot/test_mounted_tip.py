@@ -51,11 +51,11 @@ def test_arm_stops_where_the_housing_runs_against_the_object(fidelity, tmp_path)
     tip.reset_to(T)
     T[0, 3] = 453e-3
     free = tip.go(T)
-    assert free.clearance_m == pytest.approx(1e-3, abs=0.02e-3) and not free.moved_back
+    assert free.clearance_m == pytest.approx(1e-3, abs=0.02e-3) and not free.stopped_by
     T[0, 3] = 449e-3
     stopped = tip.go(T, 4.5)
-    assert stopped.moved_back and stopped.clearance_m > -0.1e-3
+    assert stopped.stopped_by == "housing" and stopped.clearance_m > -0.1e-3
     assert tip.arm_model.pose[0, 3] > 451.8e-3
     # It can move away from there.
     T[0, 3] = 455e-3
-    assert not tip.go(T, 4.5).moved_back and tip.arm_model.pose[0, 3] == pytest.approx(455e-3)
+    assert not tip.go(T, 4.5).stopped_by and tip.arm_model.pose[0, 3] == pytest.approx(455e-3)
