@@ -105,6 +105,7 @@ class ContourFollower:
         self._controller, self._labels, self._settings = controller, labels, settings
         self._clock, self._on_event = clock, note
         self._followed_to_m, self._centred = 0.0, 0
+        # Where the housing was to go in the last step, and the direction from which it keeps an angle, after a collision.
         self._attempted = np.zeros(3)
         self._barred: tuple[np.ndarray, float] | None = None
         self._barred_to_m = 0.0
@@ -242,7 +243,7 @@ class ContourFollower:
             self._tip.phase, self._centred = "search", 0
             self._controller.reset()
             self._tip.forget()
-            self._barred = None
+            self._barred, self._attempted = None, np.zeros(3)
             what = self._tries.next(obstacle.kind)
             try:
                 if what.skip_mm is None:
