@@ -207,11 +207,13 @@ class ContourFollower:
     def _obstacle_side(self, T: np.ndarray) -> np.ndarray | None:
         """Return the direction (3,), unit, square to the axis of a pose (4, 4), in which the housing has run against an
         obstacle: where it was to go. Where that tells nothing, a leaning sensor turns back to the route's direction of
-        approach. None: unknown."""
+        approach. None: unknown, as along an edge, from which a turn would lead the tip away [M]."""
+        if self._direction is None:
+            return None
         axis = T[:3, 2]
         side = self._attempted - (self._attempted @ axis) * axis
         if np.linalg.norm(side) < _MIN_ATTEMPT_M:
-            if self._direction is None or tilt_rad(T, self._direction) < _LEANING_RAD:
+            if tilt_rad(T, self._direction) < _LEANING_RAD:
                 return None
             side = self._direction - (self._direction @ axis) * axis
         return side / np.linalg.norm(side)
