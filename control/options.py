@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Literal, get_args
 
 from tactip_twin.learning.filter_settings import FilterSettings
+from tactip_twin.sim.dataset.object_options import UnitName
 from tactip_twin.sim.labels import FidelityName, Task
 from tactip_twin.sim.robot.arm_names import ArmName
 from tactip_twin.tactip_model.bounds import check, within
@@ -16,9 +17,6 @@ GainsName = Literal["paper", "tactile-servo-control"]
 
 RouteKind = Literal["serpentine", "straight", "geodesic"]
 """Kinds of routes over a surface."""
-
-UnitName = Literal["mm", "cm", "m", "in"]
-"""Units of mesh files."""
 
 
 @dataclass(frozen=True)

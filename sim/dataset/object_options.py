@@ -1,10 +1,14 @@
 """Options of a mesh to press on. Light to import, for the command line."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
     from tactip_twin.sim.contact.signed_distance import SignedDistanceMesh
+
+
+UnitName = Literal["mm", "cm", "m", "in"]
+"""Units of mesh files."""
 
 
 @dataclass(frozen=True)
@@ -13,8 +17,8 @@ class ObjectOptions:
 
     object: str = ""
     """Mesh file, or one of the project's objects such as bust, to press on instead of the flat surface."""
-    unit: str | None = None
-    """Unit of the mesh file: mm (default), cm or m."""
+    unit: UnitName | None = None
+    """Unit of the mesh file. Default: mm."""
     scale: float = 1.0
     """Scale factor of the object."""
     rotation_deg: tuple[float, float, float] | None = None
