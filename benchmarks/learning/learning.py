@@ -33,7 +33,7 @@ from tactip_twin.learning.model import load_model, load_network
 from tactip_twin.learning.recipes import recipe_named
 from tactip_twin.learning.train import train
 from tactip_twin.sim.dataset.generate import make
-from tactip_twin.sim.labels import Task
+from tactip_twin.sim.labels import TASKS, Task
 from tactip_twin.sim.parallel.worker_pool import worker_count
 from tactip_twin.sim.view.plot import COLORS, figure_of, log_axis, save_figure
 from tactip_twin.tactip_model.errors import TactipError, lookup
@@ -264,7 +264,8 @@ def _write(options: LearningOptions, record: dict[str, Any]) -> None:
 
 def tables(whole: Mapping[str, Any]) -> dict[str, str]:
     """Return the tables of docs/learning.md from learning.json."""
-    out = {task: _networks(task, whole[task]["rows"]) if task in whole else "Not measured." for task in PAPER}
+    networks = {task: _networks(task, whole[task]["rows"]) if task in whole else "Not measured." for task in TASKS}
+    out: dict[str, str] = {**networks}
     texts = []
     for heading, (trained, tested) in CROSS_TESTS.items():
         found = [_cross_test(task, whole[task]["rows"], trained, tested) for task in PAPER if task in whole]
