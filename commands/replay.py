@@ -25,7 +25,7 @@ class Replay(Command):
     example = "tactip replay runs/servo-bust --video bust.mp4"
 
     run_: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(name="run")]
-    """Folder of a servo run."""
+    """Folder of a run of `tactip servo` or `tactip track`, or of a recorded contact."""
     video: Path | None = None
     """Video file to write (.mp4)."""
     gif: Path | None = None
