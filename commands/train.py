@@ -43,7 +43,8 @@ class Train(Command):
     """Initial weights: a shipped network or the folder of a training, whose layers then replace the recipe's. Default:
     random weights."""
     fast_tip: Path | None = None
-    """File of the learned tip for --training.drawn-contacts. Default: the shipped one of the set's sensor and task."""
+    """Learned tip for --training.drawn-contacts, a file of `tactip fast-tip`; for sets of sliding paths and curved surfaces,
+    of `tactip sliding-tip`. Default: the shipped one of the set's sensor and task."""
     device: DeviceName = "auto"
     """Device of the network; auto: the GPU if there is one."""
     threads: int | None = None
@@ -68,24 +69,25 @@ class Train(Command):
 
     def run(self) -> int:
         with DelayedStatus("reading the sets"):
+            from tactip_twin.learning.contact_sources import drawing_tips
             from tactip_twin.learning.data import read_splits
             from tactip_twin.learning.device import device_named, set_threads
             from tactip_twin.learning.model import load_network
             from tactip_twin.learning.train import train
-            from tactip_twin.sim.fast_tip.fast_tip import read_fast_tip
 
             device_named(self.device)
             set_threads(self.threads)
             start = load_network(self.init_from) if self.init_from else None
-            tip = read_fast_tip(self.fast_tip) if self.fast_tip else None
             train_samples, val_samples = read_splits(self.data)
+            draws = self.fast_tip and self.training.drawn_contacts
+            tips = drawing_tips(train_samples, self.fast_tip) if draws else ()
         recipe = read_recipe(self.config) if self.config else RECIPES[self.recipe][train_samples.labels.task]
         folder = train_samples.folder
         if recipe.settings.augmented_fraction and not self.training.augmented_fraction and not _can_be_rendered(folder):
             why = "grey images" if train_samples.grey else "no pins"
             to_stderr(f"{folder} has {why}: its images are taken as they are, without randomized optics")
         settings = self.network, self.training, self.out, self.device, to_stderr
-        train(train_samples, val_samples, *settings, init_from=start, tip=tip)
+        train(train_samples, val_samples, *settings, init_from=start, tips=tips)
         print(f"{self.out / 'model.json'} written")
         return 0
 

@@ -7,12 +7,14 @@ checkpoint.pt         the state after the last epoch, while the training is unfi
 
 import dataclasses
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
 
 import torch
 
 from tactip_twin.learning.configuration import PoseNetConfig, TrainSettings
+from tactip_twin.learning.contact_sources import DrawingTip, digest_of
 from tactip_twin.learning.data import Samples
 from tactip_twin.learning.model import (
     DESCRIPTION,
@@ -25,7 +27,6 @@ from tactip_twin.learning.model import (
 )
 from tactip_twin.learning.training import Training
 from tactip_twin.sim.dataset.format import labels_sha256
-from tactip_twin.sim.fast_tip.fast_tip import FastTip
 from tactip_twin.sim.parallel.resume import check_resumable
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.files import write_file
@@ -40,10 +41,10 @@ def provenance(
     config: PoseNetConfig,
     settings: TrainSettings,
     init_from: Model | None = None,
-    tip: FastTip | None = None,
+    tips: Sequence[DrawingTip] = (),
 ) -> dict[str, Any]:
     """Return everything a training depends on, as JSON: data, network, settings, and checksums of the initial network and of
-    the learned tip that draws contacts."""
+    the learned tips that draw contacts."""
 
     def data(samples: Samples) -> dict[str, Any]:
         """Return the JSON that identifies a set."""
@@ -65,8 +66,8 @@ def provenance(
     }
     if init_from is not None:
         record["initial_weights"] = net_sha256(init_from.net)
-    if tip is not None:
-        record["fast_tip"] = tip.digest
+    if tips:
+        record["fast_tip"] = digest_of(tips)
     return json.loads(json.dumps(record))
 
 

@@ -177,8 +177,8 @@ class TrainSettings:
     optics_ranges: OpticsName = "lens"
     """Ranges of the randomized optics (learning/optics_ranges.py); `-clean` leaves image noise out."""
     drawn_contacts: int = within(0, 10**6, default=0)
-    """Number of contacts per epoch that the learned tip draws anew, beside those of the set, so that none is learned by
-    heart; for sets of single presses on a flat surface or an edge; 0 [P]."""
+    """Number of images per epoch that learned tips draw anew, beside those of the set and in its ranges, so that none is
+    learned by heart: single contacts, or sliding paths if the set has them; 0 [P]."""
     drawn_epochs: int = within(1, 1000, default=1)
     """Number of epochs after which they are drawn anew. On a GPU, drawing them takes longer than an epoch."""
     undeformed_fraction: float = within(0, 0.5, default=0.0)

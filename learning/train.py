@@ -1,7 +1,7 @@
 """Training of a PoseNet in a folder: deterministic for a seed, and resumable after a kill at any time."""
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,12 +18,11 @@ from tactip_twin.learning.checkpoint import (
     save_checkpoint,
 )
 from tactip_twin.learning.configuration import DeviceName, PoseNetConfig, TrainSettings
+from tactip_twin.learning.contact_sources import DrawingTip, drawing_tips
 from tactip_twin.learning.data import Samples
-from tactip_twin.learning.drawn_contacts import shipped_tip_for
 from tactip_twin.learning.model import Model
 from tactip_twin.learning.posenet import parameter_count
 from tactip_twin.learning.training import Training, initial_state
-from tactip_twin.sim.fast_tip.fast_tip import FastTip
 from tactip_twin.sim.parallel.file_lock import locked
 from tactip_twin.tactip_model.errors import Interrupted, TactipError
 from tactip_twin.tactip_model.files import remove_leftovers
@@ -50,7 +49,7 @@ def train(
     should_prune: ShouldPrune | None = None,
     quiet: bool = False,
     init_from: Model | None = None,
-    tip: FastTip | None = None,
+    tips: Sequence[DrawingTip] = (),
 ) -> list[dict[str, float]]:
     """Train a network in a folder, or resume an interrupted training; return the figures of each epoch.
 
@@ -68,7 +67,7 @@ def train(
         should_prune: Callback that decides after each epoch whether to end the training.
         quiet: Whether to hide the progress bar.
         init_from: Model with the initial weights and the same layers; random weights if None.
-        tip: Learned tip that draws contacts, if the settings ask for any; None for the shipped one of the set's sensor.
+        tips: Learned tips that draw contacts, if the settings ask for any; empty for the shipped ones of the set's sensor.
 
     Raises:
         TactipError: If the folder holds something else, memory runs out or the loss diverges.
@@ -76,9 +75,9 @@ def train(
         Interrupted: On Ctrl-C.
     """
     folder = Path(folder)
-    if settings.drawn_contacts and tip is None:
-        tip = shipped_tip_for(train_samples)
-    record = provenance(train_samples, val_samples, config, settings, init_from, tip if settings.drawn_contacts else None)
+    if settings.drawn_contacts and not tips:
+        tips = drawing_tips(train_samples)
+    record = provenance(train_samples, val_samples, config, settings, init_from, tips if settings.drawn_contacts else ())
     if load_checkpoint(folder, record) is None:
         # Checked before the folder is created, so a network that cannot be trained leaves none behind.
         if init_from is not None:
@@ -92,7 +91,7 @@ def train(
             log(f"this training is already finished in {folder}")
             return read_metrics(folder)
         try:
-            training = Training(train_samples, val_samples, config, settings, device, init_from, tip)
+            training = Training(train_samples, val_samples, config, settings, device, init_from, tips)
             if state:
                 training.restore(state)
                 log(f"resuming after epoch {training.epoch}")

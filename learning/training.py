@@ -11,7 +11,7 @@ The order and dropout of each epoch are sampled from (seed, epoch), so an epoch 
 import json
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -19,10 +19,12 @@ import torch
 
 from tactip_twin.learning.augmentation import OpticsAugmentation
 from tactip_twin.learning.configuration import DeviceName, PoseNetConfig, ScheduleName, TrainSettings
+from tactip_twin.learning.contact_sources import DrawingTip, contact_source, drawing_tips
 from tactip_twin.learning.data import Samples, kind_of
 from tactip_twin.learning.deviation_scale import DeviationScale
 from tactip_twin.learning.device import device_named, is_half
-from tactip_twin.learning.drawn_contacts import ContactSource, DrawnContacts, shipped_tip_for
+from tactip_twin.learning.drawn_contacts import ContactSource, DrawnContacts
+from tactip_twin.learning.drawn_slides import SlideSource
 from tactip_twin.learning.labels import Labels
 from tactip_twin.learning.model import Model, to_device, to_input
 from tactip_twin.learning.muon import Muon, inner_weights
@@ -31,7 +33,6 @@ from tactip_twin.learning.outputs import Layout, losses, scaled_loss
 from tactip_twin.learning.posenet import PoseNet
 from tactip_twin.learning.quantities import QUANTITIES
 from tactip_twin.sim.dataset.format import EFFECTIVE_SHEARS, FORCES
-from tactip_twin.sim.fast_tip.fast_tip import FastTip
 from tactip_twin.tactip_model.errors import TactipError
 
 
@@ -76,7 +77,7 @@ class Training:
         settings: TrainSettings,
         device: DeviceName = "cpu",
         init_from: Model | None = None,
-        tip: FastTip | None = None,
+        tips: Sequence[DrawingTip] = (),
     ) -> None:
         """Build the network and move the data to the device.
 
@@ -87,7 +88,8 @@ class Training:
             settings: Settings of the training.
             device: Device to train on.
             init_from: Model with the initial weights; random weights if None.
-            tip: Learned tip that draws contacts; None for the shipped one of the set's sensor.
+            tips: Learned tips that draw contacts (contact_sources.drawing_tips); empty for the shipped ones of the set's
+                sensor.
 
         Raises:
             TactipError: If the network or the initial network does not match the images, or no learned tip can draw contacts
@@ -114,7 +116,7 @@ class Training:
         self._images, self._targets = self._to_device(train)
         self._count = len(train)
         undeformed = settings.undeformed_fraction if config.quantities else 0.0
-        self._source = ContactSource(train, tip or shipped_tip_for(train), self.device) if settings.drawn_contacts else None
+        self._source = contact_source(train, tips or drawing_tips(train), self.device) if settings.drawn_contacts else None
         self._augmentation = (
             OpticsAugmentation(train, settings.augmentation_strength, OPTICS[settings.optics_ranges], self.device)
             if settings.augmented_fraction or undeformed or self._source
@@ -211,7 +213,7 @@ class Training:
         """Return the generator of an epoch."""
         return np.random.Generator(np.random.PCG64(np.random.SeedSequence(self.settings.seed, spawn_key=(epoch,))))
 
-    def _draw(self, source: ContactSource, augmentation: OpticsAugmentation, rng: np.random.Generator) -> None:
+    def _draw(self, source: ContactSource | SlideSource, augmentation: OpticsAugmentation, rng: np.random.Generator) -> None:
         """Replace the drawn contacts by others."""
         drawn, own = source.draw(self.settings.drawn_contacts, rng), self._count + 1
         targets = scaled_targets(drawn, self.labels, self.config).astype(np.float32)

@@ -17,6 +17,7 @@ from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES, Ranges, 
 from tactip_twin.sim.dataset.symmetry import SYMMETRIES
 from tactip_twin.sim.fast_tip.fast_tip import read_fast_tip, shipped_fast_tip
 from tactip_twin.sim.fast_tip.sliding_tip import read_sliding_tip, shipped_sliding_tip
+from tactip_twin.sim.labels import Task
 from tactip_twin.tactip_model.presets import load_design
 from tactip_twin.tactip_model.raster_renderer import Raster
 from tactip_twin.tactip_model.tactile_image import tactile_image
@@ -24,15 +25,21 @@ from tactip_twin.tactip_model.tactile_image import tactile_image
 _DRAWN_SET = 500
 """Number of contacts of the set that names the ranges of drawn ones."""
 
+_DRAWN_VAL = 3000
+"""Number of validation contacts of the rows `laptop-long`, `laptop-noise` and `laptop-256px`: the factors on deviations at
+light touch need hundreds of light ones."""
+
 WIDE_PX = 256
 """Width of the images of the row `laptop-256px`, whose pins are known to half the noise of 128 px (docs/uncertainty.md)."""
 
 NOISES_GREY = (5, 15, 30)
 """Standard deviations of the noise of frames that networks are tested with, grey levels of 255."""
 
-CURVED_SNAPSHOTS = 15
-"""Number of images per contact on curved surfaces. The learned tip predicts the slides between them, as in a servo run; the
-first contact is mostly simulated and takes seconds."""
+SLIDE_SNAPSHOTS = 15
+"""Number of images per sliding path."""
+
+_SLIDE_SET = 100 * SLIDE_SNAPSHOTS
+"""Number of images of the set that names the ranges of drawn slides."""
 
 _FAST_SEED, _FAST_VAL_SEED, _LIGHT_SEED = 11, 12, 13
 """Seeds of predicted contacts, of their validation contacts, and of the test contacts with light ones. The learned tip was
@@ -51,11 +58,11 @@ and one trained on these alone errs by 0.2 mm of depth on a sphere [M]."""
 SNAPSHOTS = 20
 """Number of images per contact of the row `laptop-snapshots`."""
 
-_CURVED_DEPTH_MM = (-5.0, -0.5)
-"""Depths of contacts on curved surfaces: shallower ones may miss a surface that bends away."""
+_SLIDE_DEPTHS_MM: dict[Task, tuple[float, float]] = {"surface": (-5.0, -0.5), "edge": (-5.0, -0.2)}
+"""Depths of sliding contacts: shallower ones may miss a surface that bends away."""
 
-CURVED_SHEARS = replace(SHEAR_RANGES, x_mm=(-8.0, 8.0), y_mm=(-8.0, 8.0))
-"""Shears on curved surfaces. The paper's are too short for deep contacts to slide, as they always do in servoing."""
+_SLIDE_SHEARS = replace(SHEAR_RANGES, x_mm=(-3.0, 3.0), y_mm=(-3.0, 3.0))
+"""Shears before a path slides on: after longer ones on a curved surface, the first contact is rarely trusted."""
 
 DESIGN, FIDELITY = "tactip-127", "standard"
 
@@ -69,7 +76,7 @@ _DEEP_MM = (-5.5, -0.2)
 """Depths of their contacts: all that the learned tip of any materials knows."""
 
 
-_OWN_TESTS = {"256px", *ANY_DESIGNS, "drawn"}
+_OWN_TESTS = {"256px", *ANY_DESIGNS, "drawn", "slides"}
 """Kinds of rows (Row.kind) with test sets of their own."""
 
 
@@ -96,7 +103,7 @@ def jobs(options: LearningOptions, kinds: Collection[str]) -> list[Job]:
     for kind in ("256px", "drawn"):
         if kind in kinds:
             wanted += [_Wanted(kind, "train", _DRAWN_SET, light, SHEAR_RANGES, _FAST_SEED)]
-            wanted += [_Wanted(kind, "val", options.test_contacts, light, SHEAR_RANGES, _FAST_VAL_SEED)]
+            wanted += [_Wanted(kind, "val", _DRAWN_VAL, light, SHEAR_RANGES, _FAST_VAL_SEED)]
             wanted += [_Wanted(kind, "test", options.test_contacts, usual, SHEAR_RANGES)]
     for kind in ANY_DESIGNS:
         if kind in kinds:
@@ -111,14 +118,23 @@ def jobs(options: LearningOptions, kinds: Collection[str]) -> list[Job]:
     if "taps" in kinds:
         wanted += [_Wanted("taps", "train", options.contacts, usual, still)]
         wanted += [_Wanted("taps", "val", options.other_test_contacts, usual, still)]
-    if task == "surface" and shared:
-        touching, few = replace(usual, depth_mm=_CURVED_DEPTH_MM), options.curved_test_contacts * CURVED_SNAPSHOTS
-        wanted += [_Wanted("curved", "test", few, touching, CURVED_SHEARS)]
-        if "curved" in kinds:
-            images = options.curved_contacts * CURVED_SNAPSHOTS * each
-            wanted += [_Wanted("curved", "train", images, touching, CURVED_SHEARS, _FAST_SEED)]
-            wanted += [_Wanted("curved", "val", few, touching, CURVED_SHEARS)]
+    wanted += _slides(options, kinds)
     return [_job(options, one) for one in wanted]
+
+
+def _slides(options: LearningOptions, kinds: Collection[str]) -> "list[_Wanted]":
+    """Return the sets of sliding paths that rows of some kinds (Row.kind) need, and of single contacts to test them with."""
+    task, images = options.task, options.slides * SLIDE_SNAPSHOTS
+    usual, wanted = POSE_RANGES[task], []
+    touching = replace(usual, depth_mm=_SLIDE_DEPTHS_MM[task])
+    if {"drawn", "slides"} & set(kinds):
+        wanted.append(_Wanted("slides", "test", images, touching, _SLIDE_SHEARS))
+    if "slides" in kinds:
+        wanted.append(_Wanted("slides", "train", _SLIDE_SET, touching, _SLIDE_SHEARS, _FAST_SEED))
+        wanted.append(_Wanted("slides", "val", images, touching, _SLIDE_SHEARS))
+    if "slides" in kinds and "drawn" not in kinds:
+        wanted.append(_Wanted("drawn", "test", options.test_contacts, usual, SHEAR_RANGES))
+    return wanted
 
 
 @dataclass(frozen=True)
@@ -142,16 +158,16 @@ class _Wanted:
 def _job(options: LearningOptions, wanted: _Wanted) -> Job:
     """Return the set of a task, with the learned tip that predicts its contacts if one does."""
     task, kind, split = options.task, wanted.kind, wanted.split
-    augmented = (kind, split) in (("symmetric", "train"), ("fast", "train"), ("curved", "train"))
+    augmented = (kind, split) in (("symmetric", "train"), ("fast", "train"))
     tip: Path | None = None
     digest = ""
-    if split == "train" and (kind == "fast" or kind in _OWN_TESTS):
-        tip = shipped_fast_tip(task, ANY_DESIGNS.get(kind, DESIGN), randomized=kind in ANY_DESIGNS)
-        digest = read_fast_tip(tip).digest
-    elif (kind, split) == ("curved", "train"):
+    if (kind, split) == ("slides", "train"):
         tip = shipped_sliding_tip(task, DESIGN)
         digest = read_sliding_tip(tip).digest
-    design = load_design(ANY_DESIGNS.get(kind, DESIGN))
+    elif split == "train" and (kind == "fast" or kind in _OWN_TESTS):
+        tip = shipped_fast_tip(task, ANY_DESIGNS.get(kind, DESIGN), randomized=kind in ANY_DESIGNS)
+        digest = read_fast_tip(tip).digest
+    design, curved = load_design(ANY_DESIGNS.get(kind, DESIGN)), (kind, task) == ("slides", "surface")
     if kind == "256px":
         design = replace(design, image=replace(design.image, size_px=WIDE_PX))
     configuration = Configuration(
@@ -166,9 +182,9 @@ def _job(options: LearningOptions, wanted: _Wanted) -> Job:
         pose=wanted.pose,
         shear=wanted.shear,
         augment_symmetry=augmented,
-        curvature_per_m=CURVATURES_PER_M if kind == "curved" else (0.0, 0.0),
-        varying_curvature_fraction=VARYING_FRACTION if kind == "curved" else 0.0,
-        snapshots_per_contact={"snapshots": SNAPSHOTS, "curved": CURVED_SNAPSHOTS}.get(kind, 1),
+        curvature_per_m=CURVATURES_PER_M if curved else (0.0, 0.0),
+        varying_curvature_fraction=VARYING_FRACTION if curved else 0.0,
+        snapshots_per_contact={"snapshots": SNAPSHOTS, "slides": SLIDE_SNAPSHOTS}.get(kind, 1),
         # The sets of the networks also teach and test the learned tip.
         keep_mesh=kind in ("symmetric", "plain"),
         mechanics_randomization=MECHANICS_RANDOMIZATIONS["real" if kind in ANY_DESIGNS and split != "test" else "none"],
@@ -195,7 +211,7 @@ class Sets:
         Raises:
             TactipError: A set is missing or damaged.
         """
-        if kind in ("taps", "curved", "fast", *_OWN_TESTS):
+        if kind in ("taps", "fast", *_OWN_TESTS):
             return read_splits(self._folder(kind))
         if kind == "snapshots":
             return read_samples(self._folder(kind) / "train"), read_samples(self._folder("plain") / "val")
@@ -211,13 +227,13 @@ class Sets:
 
     def tests(self, kind: str) -> dict[str, Samples]:
         """Return test samples by kind of contact, for a row of a kind. Raises TactipError if a set is missing or damaged."""
+        if kind in ("drawn", "slides"):
+            test = read_samples(self._folder("drawn") / "test")
+            noisy = {NOISY.format(grey): with_noise(test, grey) for grey in NOISES_GREY}
+            return {"sheared": test, "slides": read_samples(self._folder("slides") / "test")} | noisy
         if kind in _OWN_TESTS:
-            test = read_samples(self._folder(kind) / "test")
-            noisy = {NOISY.format(grey): with_noise(test, grey) for grey in NOISES_GREY} if kind == "drawn" else {}
-            return {"sheared": test} | noisy
-        kinds = {"sheared": "plain", "light": "light", "taps": "taps"} | (
-            {"curved": "curved"} if self._options.task == "surface" else {}
-        )
+            return {"sheared": read_samples(self._folder(kind) / "test")}
+        kinds = {"sheared": "plain", "light": "light", "taps": "taps"}
         return {name: read_samples(self._folder(kind) / "test") for name, kind in kinds.items()}
 
     def _folder(self, kind: str) -> Path:

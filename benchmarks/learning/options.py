@@ -27,10 +27,8 @@ class LearningOptions:
     """Number of training contacts of most rows, as in the paper."""
     large_contacts: int = 8000
     """Number of training contacts of the row `laptop-large`."""
-    curved_contacts: int = 400
-    """Number of training contacts of the row `laptop-curved`, on curved surfaces, with 15 images and 8 symmetries each."""
-    curved_test_contacts: int = 40
-    """Number of curved contacts for validation, and as many for testing, with 15 images each."""
+    slides: int = 40
+    """Number of sliding paths for validation, and as many for testing, with 15 images each."""
     fast_images: int = 48000
     """Number of training images of the rows `laptop-fast` and `laptop-contact`, whose contacts the learned tip predicts."""
     snapshot_contacts: int = 350
@@ -61,7 +59,7 @@ class UncertaintyOptions:
     """Folder of the data sets of `tactip bench learning`."""
     test_contacts: int = 1000
     """Number of test contacts of each task."""
-    light_test_contacts: int = 500
+    light_test_contacts: int = 2000
     """Number of test contacts with light ones."""
     out: Path = Path("docs")
     """Folder for uncertainty.json, uncertainty.md and uncertainty.png."""

@@ -32,8 +32,6 @@ MAX_BYTES = 5_000_000
 _COUNT_OPTIONS = {
     "laptop-large": "large_contacts",
     "laptop-fine-tuned": "large_contacts",
-    "laptop-curved": "curved_contacts",
-    "laptop-curved-contact": "curved_contacts",
     "laptop-fast": "fast_images",
     "laptop-contact": "fast_images",
 }
@@ -57,8 +55,8 @@ def release_model(options: ReleaseModelsOptions, log: Callable[[str], None] = pr
     """
     source = options.runs / options.task / options.row
     if options.evaluate_only:
-        kinds = {"laptop-curved": "curved-", "laptop-256px": "256px-", "laptop-any": "any-"}
-        kind = kinds.get(options.row.removesuffix("-contact"), "")
+        kinds = {"laptop-256px": "256px-", "laptop-any": "any-"}
+        kind = kinds.get(options.row, "curved-" if (options.row, options.task) == ("laptop-slides", "surface") else "")
         source = options.out / f"{options.task}-{kind}{MORE_PINS_DESIGN if options.row == 'laptop-331' else DESIGN}"
     size = (source / WEIGHTS).stat().st_size if (source / WEIGHTS).exists() else 0
     model = load_model(source)
@@ -67,6 +65,7 @@ def release_model(options: ReleaseModelsOptions, log: Callable[[str], None] = pr
     if not model.provenance["outcome"]["finished"]:
         raise TactipError(f"the training in {source} is unfinished: rerun it to the end before shipping the network")
     kind = "331" if _design(model) == MORE_PINS_DESIGN else _kind(model).removesuffix("-") or "plain"
+    kind = "slides" if kind == "curved" else kind
     where = options.data / kind / options.task / "test"
     if options.evaluate_only or not where.exists():
         chosen = LearningOptions(task=options.task, data=options.data, test_contacts=options.test_contacts)
@@ -138,14 +137,20 @@ def _drawn(provenance: Mapping[str, Any]) -> list[str]:
         return []
     epochs = provenance["settings"].get("drawn_epochs", 1)
     every = "at every epoch" if epochs == 1 else f"every {epochs} epochs"
-    return [f"- Beside these, {every} {count} contacts that the learned tip {provenance['fast_tip'][:16]} draws anew."]
+    tips = [digest[:16] for digest in provenance["fast_tip"].split("+")]
+    those = f"the learned tip{'s' if len(tips) > 1 else ''} {' and '.join(tips)} draw{'s' if len(tips) == 1 else ''} anew"
+    return [f"- Beside these, {every} {count} contacts that {those}."]
 
 
-def _earlier_row(options: ReleaseModelsOptions) -> list[str]:
-    """Return the row whose network is the start of the released one, in a list; empty if it starts from a shipped one."""
+def _earlier_rows(options: ReleaseModelsOptions) -> list[str]:
+    """Return the rows that the released one starts from, the first one first, back to one that starts from a shipped network
+    or from random weights."""
     table = {row.name: row for row in rows(options.task, False)}
-    start = table[options.row].init_from
-    return [start] if start in table else []
+    chain, start = [], table[options.row].init_from
+    while start in table:
+        chain.insert(0, start)
+        start = table[start].init_from
+    return chain
 
 
 def _by_force(record: Mapping[str, Any], units: Mapping[str, str]) -> list[str]:
@@ -197,7 +202,9 @@ def card(model: Model, record: Mapping[str, Any], options: ReleaseModelsOptions)
     number = samples if count == "fast-images" else contacts
     sized = f" --{count} {number}"
     if settings.get("drawn_contacts"):
-        sized = f" --test-contacts {p['val']['configuration']['samples']}"
+        sized = f" --test-contacts {options.test_contacts}"
+        if made.get("snapshots_per_contact", 1) > 1:
+            sized = f" --slides {p['val']['configuration']['samples'] // samples_per_contact(made)}"
     network = ", ".join(f"{key} {value}" for key, value in p["network"].items())
     training = ", ".join(f"{key} {value}" for key, value in settings.items())
     lines += _by_force(record, dict(zip(labels.names, labels.units, strict=True)))
@@ -216,7 +223,7 @@ def card(model: Model, record: Mapping[str, Any], options: ReleaseModelsOptions)
         "Commands that make it again:",
         "",
         "```",
-        f"tactip bench learning --task {task}{sized} --only {' '.join([*_earlier_row(options), options.row])}",
+        f"tactip bench learning --task {task}{sized} --only {' '.join([*_earlier_rows(options), options.row])}",
         f"tactip bench release-models --task {task} --row {options.row}",
         "```",
     ]

@@ -236,7 +236,10 @@ def tables(result: Mapping[str, Any]) -> dict[str, str]:
             [
                 band_text(row),
                 row["samples"],
-                *(f"{100 * row['coverage_68'][n]:.0f} %, {100 * row['coverage_95'][n]:.0f} %" for n in names),
+                *(
+                    f"{row['mae'][n]:.2f} ({100 * row['coverage_68'][n]:.0f} %, {100 * row['coverage_95'][n]:.0f} %)"
+                    for n in names
+                ),
             ]
             for row in values["light"]["by_force"]
         ]

@@ -28,10 +28,28 @@ STRETCHES_M = (4e-3, 40e-3)
 """Minimum and maximum length of a stretch of constant curvature, m: from barely noticeable to twice the tip's radius [?]."""
 
 
-def sample_curved_surface(
+@dataclass(frozen=True)
+class Curvatures:
+    """Curvatures of a surface, level at the origin, in its axes u and v."""
+
+    first_per_m: float
+    """Principal curvature along u, 1/m; positive where the surface bulges out."""
+    second_per_m: float
+    """Principal curvature along v, 1/m."""
+    turn_rad: float
+    """Angle from x to u, rad."""
+    profiles: "tuple[()] | tuple[Profile, Profile]" = ()
+    """Curvatures along u and along v that are added, if they vary; the first two numbers are then 0."""
+
+    def solid(self) -> SignedDistanceMesh:
+        """Return the surface as the top of a closed mesh."""
+        return curved_surface(self.first_per_m, self.second_per_m, self.turn_rad, self.profiles)
+
+
+def sample_curvatures(
     rng: np.random.Generator, low_per_m: float, high_per_m: float, varying_curvature_fraction: float
-) -> SignedDistanceMesh:
-    """Return a curved surface with random principal curvatures and a random rotation about the normal.
+) -> Curvatures:
+    """Return random principal curvatures with a random rotation about the normal.
 
     Args:
         rng: Random generator.
@@ -44,9 +62,9 @@ def sample_curved_surface(
     # Without varying curvature no number is sampled for it, so sets made before that option keep their bytes.
     if not (varying_curvature_fraction and rng.uniform() < varying_curvature_fraction):
         first_per_m, second_per_m = rng.uniform(low_per_m, high_per_m, 2)
-        return curved_surface(first_per_m, second_per_m, rng.uniform(0, np.pi))
-    profiles = [_sample_profile(rng, low_per_m, high_per_m) for _ in range(2)]
-    return curved_surface(0.0, 0.0, rng.uniform(0, np.pi), profiles)
+        return Curvatures(first_per_m, second_per_m, rng.uniform(0, np.pi))
+    first, second = (_sample_profile(rng, low_per_m, high_per_m) for _ in range(2))
+    return Curvatures(0.0, 0.0, rng.uniform(0, np.pi), (first, second))
 
 
 def _sample_profile(rng: np.random.Generator, low_per_m: float, high_per_m: float) -> "Profile":

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tactip_twin.sim.contact.curved_surface import MAX_CURVATURE_PER_M, curved_surface, sample_curved_surface
+from tactip_twin.sim.contact.curved_surface import MAX_CURVATURE_PER_M, curved_surface, sample_curvatures
 from tactip_twin.sim.contact.limits import MAX_TILT_RAD, exceeds_max_tilt
 from tactip_twin.sim.contact.rough_surface import sample_rough_surface
 from tactip_twin.sim.contact.signed_distance import SignedDistanceMesh
@@ -74,7 +74,9 @@ def _sample_surface(configuration: Configuration, rng: np.random.Generator) -> S
     # Without rough surfaces no number is sampled for them, so sets made before that option keep their bytes.
     if c.rough_fraction and rng.uniform() < c.rough_fraction:
         return sample_rough_surface(rng, *c.curvature_per_m)
-    return sample_curved_surface(rng, *c.curvature_per_m, c.varying_curvature_fraction) if c.is_curved else None
+    if not c.is_curved:
+        return None
+    return sample_curvatures(rng, *c.curvature_per_m, c.varying_curvature_fraction).solid()
 
 
 def simulator_for(configuration: Configuration, design: Design) -> RetryingSimulator:

@@ -26,16 +26,13 @@ from tactip_twin.sim.fast_tip.fast_tip import read_fast_tip
 from tactip_twin.sim.fast_tip.randomized_contacts import RandomizedContacts
 from tactip_twin.sim.fast_tip.sliding_contact import SlidingContact, TouchedObject
 from tactip_twin.sim.fast_tip.sliding_tip import read_sliding_tip
-from tactip_twin.sim.pose import before_shear, sensor_in_contact, to_mm_deg
+from tactip_twin.sim.pose import before_shear, sensor_in_contact
 from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.errors import TactipError, lookup
 from tactip_twin.tactip_model.files import write_file
 from tactip_twin.tactip_model.mesh import Mesh
 from tactip_twin.tactip_model.renderer import RENDERERS
 from tactip_twin.tactip_model.tactile_image import tactile_image
-
-_ROUNDING = 1e-9
-"""Distance that a label may lie outside its range, because of rounding, mm or degrees."""
 
 
 class _MeshAfterApproach:
@@ -209,13 +206,12 @@ class SampleMaker:
             sliding.take_over(contact, skin)
         # The label of a set is the pose that was drawn, also where the surface is not quite level.
         contact = replace(contact, pose=sample.pose, shear=sample.shear)
-        each, low, high = len(c.symmetries), *c.pose.bounds().T
+        each = len(c.symmetries)
         for k in range(c.snapshots_per_contact):
             own = made.indices[k * each : (k + 1) * each]
             simulated = k > 0 and np.isfinite(contact.penetration_m)
             violations = contact.violations(c.bounds.while_sliding()) if simulated else []
-            label = to_mm_deg(contact.pose)
-            if not ((label > low - _ROUNDING) & (label < high + _ROUNDING)).all():
+            if not c.pose.contain(contact.pose):
                 violations = [*violations, "its label on the curved surface is outside the ranges"]
             if violations:
                 made.missed += [{"index": index, "seed": made.seed, "tries": [violations]} for index in own]
@@ -251,11 +247,10 @@ class SampleMaker:
         if c.snapshots_per_contact == 1:
             return
         path = SlidingPath(c.task, sample.solid, c.pose, sample.pose, sample.rng)
-        low, high = c.pose.bounds().T
         for _ in range(c.snapshots_per_contact - 1):
             contact = simulator.slide(path.stride(), path.label())
-            label, violations = to_mm_deg(contact.pose), contact.violations(c.bounds.while_sliding())
-            if not ((label > low - _ROUNDING) & (label < high + _ROUNDING)).all():
+            violations = contact.violations(c.bounds.while_sliding())
+            if not c.pose.contain(contact.pose):
                 violations = [*violations, "its label on the curved surface is outside the ranges"]
             yield contact, violations
 

@@ -22,6 +22,10 @@ SPLITS: tuple[Split, ...] = ("train", "val", "test")
 """The three independent sets of a task. Their order is part of what a seed means."""
 
 
+_ROUNDING = 1e-9
+"""Distance that a label may lie outside its range, because of rounding, mm or degrees."""
+
+
 @dataclass(frozen=True)
 class Ranges:
     """A uniform range (low, high) for each component of a pose or shear; mm and degrees, axes of sim/pose.py."""
@@ -42,6 +46,14 @@ class Ranges:
     def bounds(self) -> np.ndarray:
         """Return the low and high of each component, (6, 2), mm and degrees."""
         return np.array([self.x_mm, self.y_mm, self.depth_mm, self.roll_deg, self.pitch_deg, self.yaw_deg], float)
+
+    def contain(self, pose: np.ndarray) -> bool:
+        """Return whether a pose (6,), m and rad, lies in the ranges, but for rounding."""
+        from tactip_twin.sim.pose import to_mm_deg
+
+        low, high = self.bounds().T
+        label = to_mm_deg(pose)
+        return bool(((label > low - _ROUNDING) & (label < high + _ROUNDING)).all())
 
     def check(self, name: str) -> None:
         """Raise TactipError if a low is above its high or not finite. name: name of the ranges in messages."""

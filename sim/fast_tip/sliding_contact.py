@@ -32,8 +32,29 @@ _MAX_TRAVEL_M, _MAX_TURN_RAD = 1.5e-3, np.radians(6.0)
 """Longest motion that is predicted in one step, m and rad: longer ones are divided. Most strides of the training sets are
 shorter (sim/dataset/sliding.py)."""
 
-_DOME_GROUPS = 48
+
+def parts_of(start: np.ndarray, end: np.ndarray) -> list[np.ndarray]:
+    """Return the poses (4, 4) after each step of a straight motion between two poses (4, 4); the last is the end."""
+    parts = np.linalg.norm(end[:3, 3] - start[:3, 3]) / _MAX_TRAVEL_M, angle_between(start, end) / _MAX_TURN_RAD
+    count = max(1, int(np.ceil(max(parts))))
+    return [*(interpolate(start, end, k / count) for k in range(1, count)), end]
+
+
+DOME_GROUPS = 48
 """Number of groups of the dome's points: more of them leave out more points, and cost a query each [M]."""
+
+
+def motion_below(motion: np.ndarray, old_gap_m: float, gap_m: float) -> np.ndarray:
+    """Return the part of a motion (6,) below the surface, without the approach itself: the shear of a tip that touches down.
+
+    Args:
+        motion: The whole motion, m and rad.
+        old_gap_m: Distance of the undeformed tip to the object before, m; infinite for a tip that is pressed in place.
+        gap_m: That after the motion, m, negative.
+    """
+    sheared = motion * (-gap_m / max(old_gap_m - gap_m, 1e-12))
+    sheared[2] = 0.0
+    return sheared
 
 
 @dataclass(frozen=True)
@@ -71,7 +92,7 @@ class SlidingContact:
         self._fidelity, self._corrected = fidelity, corrected
         self.mesh = build_mesh(design.shape, fidelity.mesh)
         """Undeformed mesh of the tip."""
-        self._dome = RigidPoints(dome_points(design.shape.radius_m), _DOME_GROUPS)
+        self._dome = RigidPoints(dome_points(design.shape.radius_m), DOME_GROUPS)
         self._pins = PinDecoder(design, tip.modes)
         self._meshes = MeshDecoder(self.mesh, fidelity.mesh.poisson_limit, tip.modes)
         self._undeformed = _undeformed(design)
@@ -111,12 +132,9 @@ class SlidingContact:
         Raises:
             Diverged: A simulated motion diverged.
         """
-        start, end = self._T, np.array(T_object_sensor, float)
-        parts = np.linalg.norm(end[:3, 3] - start[:3, 3]) / _MAX_TRAVEL_M, angle_between(start, end) / _MAX_TURN_RAD
-        count = max(1, int(np.ceil(max(parts))))
-        steps = 0
-        for k in range(1, count + 1):
-            self._advance(end if k == count else interpolate(start, end, k / count), last=k == count)
+        steps, parts = 0, parts_of(self._T, np.array(T_object_sensor, float))
+        for k, T in enumerate(parts):
+            self._advance(T, last=k == len(parts) - 1)
             steps += self.contact.steps
         self.contact = replace(self.contact, steps=steps)
         return self.contact
@@ -135,10 +153,7 @@ class SlidingContact:
             return
         self.motions += 1
         motion = motion_between(before, T, self.touched.truth.frame(T))
-        if not touched:
-            # The shear is the part of the motion below the surface, without the approach itself.
-            motion *= -self._gap / max(old_gap - self._gap, 1e-12)
-            motion[2] = 0.0
+        motion = motion if touched else motion_below(motion, old_gap, self._gap)
         coefficients = self._coefficients
         stepped, pose = self._predict(distances, T, motion, touched)
         if stepped is None or not self._accept(stepped, pose, T, last):

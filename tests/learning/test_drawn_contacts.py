@@ -6,23 +6,27 @@ import numpy as np
 import pytest
 import torch
 
-from helpers.learning_sets import add_pins, write_fake_set
+from helpers.learning_sets import write_fake_set
 from helpers.trainings import NET, quiet
 from tactip_twin.learning.checkpoint import read_metrics
 from tactip_twin.learning.configuration import TrainSettings
+from tactip_twin.learning.contact_sources import drawing_tips
 from tactip_twin.learning.data import read_samples
-from tactip_twin.learning.drawn_contacts import ContactSource, shipped_tip_for
+from tactip_twin.learning.drawn_contacts import ContactSource
 from tactip_twin.learning.model import load_model
 from tactip_twin.learning.pin_projection import PinProjection
 from tactip_twin.learning.quantities import QUANTITIES
 from tactip_twin.sim.contact.fidelity import fidelity_named
+from tactip_twin.sim.contact.record import QualityLimits
+from tactip_twin.sim.contact.simulator import RetryingSimulator
 from tactip_twin.sim.dataset.configuration import Configuration
 from tactip_twin.sim.dataset.format import read_pins
 from tactip_twin.sim.dataset.generate import Job, make
 from tactip_twin.sim.dataset.mechanics_randomization import MECHANICS_RANDOMIZATIONS
-from tactip_twin.sim.dataset.sampling import POSE_RANGES, Ranges
+from tactip_twin.sim.dataset.sampling import POSE_RANGES, Ranges, generator
 from tactip_twin.sim.fast_tip.fast_contacts import FastContacts
-from tactip_twin.sim.fast_tip.fast_tip import PinDecoder, any_materials, read_fast_tip, shipped_fast_tip
+from tactip_twin.sim.fast_tip.fast_tip import FastTip, PinDecoder, any_materials, read_fast_tip, shipped_fast_tip
+from tactip_twin.sim.fast_tip.materials import material_inputs
 from tactip_twin.sim.fast_tip.randomized_contacts import RandomizedContacts
 from tactip_twin.sim.pose import from_mm_deg
 from tactip_twin.tactip_model.errors import Interrupted, TactipError
@@ -31,6 +35,11 @@ from tactip_twin.tactip_model.raster_renderer import Raster
 
 SHEAR = Ranges(x_mm=(-5, 5), y_mm=(-5, 5), yaw_deg=(-5, 5))
 """Without tilts, so that the learned quantities name the whole motion."""
+
+
+def press_tips(samples) -> list[FastTip]:
+    """Return the learned tips that draw contacts like those of a set of single presses."""
+    return [tip for tip in drawing_tips(samples) if isinstance(tip, FastTip)]
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +65,7 @@ def samples(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def source(samples):
-    return ContactSource(samples, shipped_tip_for(samples))
+    return ContactSource(samples, press_tips(samples))
 
 
 def test_drawn_contacts_are_those_of_the_learned_tip(samples, source):
@@ -68,7 +77,7 @@ def test_drawn_contacts_are_those_of_the_learned_tip(samples, source):
     shear_x, shear_y, shear_yaw = drawn.quantities[:, :3].T
     poses = from_mm_deg(np.stack([x, zero, z, roll, pitch, yaw], 1))
     shears = from_mm_deg(np.stack([shear_x, shear_y, zero, zero, zero, shear_yaw], 1))
-    contacts, trusted = FastContacts(shipped_tip_for(samples), load_design("tactip-127")).predict(poses, shears)
+    contacts, trusted = FastContacts(press_tips(samples)[0], load_design("tactip-127")).predict(poses, shears)
     assert trusted.all()
     np.testing.assert_allclose([c.pin_tips for c in contacts], drawn.pin_tips, atol=1e-9)
     forces = drawn.quantities[:, names.index("force_x_N") : names.index("force_z_N") + 1]
@@ -110,7 +119,7 @@ def test_draw_takes_the_mechanics_randomization_of_the_set(samples):
     configuration = meta["configuration"] | {"mechanics_randomization": asdict(MECHANICS_RANDOMIZATIONS["real"])}
     dataset = replace(samples.dataset, meta=meta | {"configuration": configuration})
     randomized = replace(samples, dataset=dataset)
-    source = ContactSource(randomized, shipped_tip_for(randomized))
+    source = ContactSource(randomized, press_tips(randomized))
     drawn = source.draw(30, np.random.default_rng(5))
     names = [q.name for q in QUANTITIES]
     alike = FastContacts(read_fast_tip(any_materials("edge")), load_design("tactip-127"))
@@ -122,6 +131,47 @@ def test_draw_takes_the_mechanics_randomization_of_the_set(samples):
     contacts, _ = alike.predict(poses, shears)
     ratio = drawn.quantities[:, names.index("force_z_N")] / np.array([c.force_n[2] for c in contacts])
     assert 1.1 < np.quantile(ratio, 0.9) < 2 and 0.5 < np.quantile(ratio, 0.1) < 0.95
+
+
+def test_light_contacts_are_drawn_by_the_tip_of_any_materials(samples):
+    """The tip of the sensor itself knows depths from 1 mm. Together they draw as many light contacts as the ranges have."""
+    meta = samples.dataset.meta
+    pose = meta["configuration"]["pose"] | {"depth_mm": [-5.0, 0.0]}
+    lighter = replace(
+        samples, dataset=replace(samples.dataset, meta=meta | {"configuration": meta["configuration"] | {"pose": pose}})
+    )
+    own, other = press_tips(lighter)
+    assert press_tips(samples)[0].digest == own.digest and len(press_tips(samples)) == 1
+    drawn = ContactSource(lighter, (own, other)).draw(2000, np.random.default_rng(6))
+    x, z, roll, pitch, yaw = drawn.targets.T
+    light = z > -1
+    assert light.mean() == pytest.approx(1 / 5, abs=0.03)
+    assert (z > -0.2).mean() == pytest.approx(0.2 / 5, abs=0.015)
+    zero = np.zeros(light.sum())
+    shear_x, shear_y, shear_yaw = drawn.quantities[light, :3].T
+    poses = from_mm_deg(np.stack([x[light], zero, z[light], roll[light], pitch[light], yaw[light]], 1))
+    shears = from_mm_deg(np.stack([shear_x, shear_y, zero, zero, zero, shear_yaw], 1))
+    contacts, _ = FastContacts(other, load_design("tactip-127")).predict(poses, shears)
+    np.testing.assert_allclose([c.pin_tips for c in contacts], drawn.pin_tips[light], atol=1e-8)
+
+
+@pytest.mark.parametrize("task", ["surface", "edge"])
+def test_tip_of_any_materials_knows_contacts_lighter_than_it_learned(task):
+    """Between no touch and 0.2 mm, where it is trusted to draw, its pins are 0.02 mm from simulated ones in the mean."""
+    design, tip = load_design("tactip-127"), read_fast_tip(any_materials(task))
+    decoder, simulator = (
+        PinDecoder(design, tip.modes),
+        RetryingSimulator(design, task, fidelity_named("standard"), QualityLimits()),
+    )
+    pose = replace(POSE_RANGES[task], depth_mm=(-0.2, 0.0))
+    errors = []
+    for number in range(8):
+        rng = generator(5, task, "test", number)
+        motion = pose.sample(rng), SHEAR.sample(rng)
+        contact, _ = simulator.simulate(*motion)
+        predicted = tip.predict(decoder, *(m[None] for m in motion), material_inputs(design.materials))
+        errors.append(np.linalg.norm(predicted.pin_tips[0] - contact.pin_tips, axis=1).mean())
+    assert np.mean(errors) < 0.03e-3
 
 
 def test_draw_follows_its_generator(source):
@@ -174,23 +224,23 @@ def test_train_on_drawn_contacts_is_resumable(samples, tmp_path, monkeypatch, dr
     losses = [[h["loss"] for h in read_metrics(tmp_path / name)] for name in ("whole", "cut", "plain")]
     assert losses[0] == losses[1]
     assert losses[0] != losses[2]
-    assert load_model(tmp_path / "whole").provenance["fast_tip"] == shipped_tip_for(samples).digest
-    other = replace(shipped_tip_for(samples), max_spread_m=1e-4)
+    assert load_model(tmp_path / "whole").provenance["fast_tip"] == press_tips(samples)[0].digest
+    other = replace(press_tips(samples)[0], max_spread_m=1e-4)
     with pytest.raises(TactipError, match="fast_tip"):
-        quiet(samples, samples, net, settings, tmp_path / "whole", tip=other)
+        quiet(samples, samples, net, settings, tmp_path / "whole", tips=[other])
 
 
 def test_contacts_that_no_tip_can_draw_raise(samples, tmp_path):
     imported = read_samples(write_fake_set(tmp_path / "imported", samples=2))
     with pytest.raises(TactipError, match="has no pins: set drawn_contacts to 0"):
-        ContactSource(imported, shipped_tip_for(samples))
-    folder = write_fake_set(tmp_path / "curved", samples=2, size=128, curvature_per_m=(-10.0, 10.0))
-    add_pins(folder, np.zeros((2, 127, 3)), np.zeros((2, 127, 3)))
-    with pytest.raises(TactipError, match=r"but the set in .* has curved surfaces: set drawn_contacts to 0"):
-        ContactSource(read_samples(folder), shipped_tip_for(samples))
+        ContactSource(imported, press_tips(samples))
+    meta = samples.dataset.meta
+    dataset = replace(samples.dataset, meta=meta | {"configuration": meta["configuration"] | {"snapshots_per_contact": 2}})
+    with pytest.raises(TactipError, match="a sliding tip must draw contacts like those in"):
+        ContactSource(replace(samples, dataset=dataset), press_tips(samples))
     surface = read_fast_tip(shipped_fast_tip("surface", "tactip-127"))
     with pytest.raises(TactipError, match="must be for 'edge', got one for 'surface'"):
-        ContactSource(samples, surface)
-    impossible = replace(shipped_tip_for(samples), max_spread_m=0.0)
+        ContactSource(samples, [surface])
+    impossible = replace(press_tips(samples)[0], max_spread_m=0.0)
     with pytest.raises(TactipError, match="hardly any of those in the set's ranges"):
-        ContactSource(samples, impossible).draw(2, np.random.default_rng(0))
+        ContactSource(samples, [impossible]).draw(2, np.random.default_rng(0))

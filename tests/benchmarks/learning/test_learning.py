@@ -21,7 +21,7 @@ from tactip_twin.tactip_model.errors import TactipError
 TINY = Recipe(PoseNetConfig(conv_layers=1, filters=2, dense_units=4, batch_size=8), TrainSettings(epochs=1))
 
 
-KINDS = ("plain", "symmetric", "large", "fast", "snapshots", "taps", "curved", "256px")
+KINDS = ("plain", "symmetric", "large", "fast", "snapshots", "taps", "drawn", "slides", "256px")
 
 
 @pytest.fixture
@@ -30,14 +30,16 @@ def options(tmp_path, monkeypatch):
     monkeypatch.setattr(learned, "make", lambda jobs, workers, log: None)
     monkeypatch.setattr(learned, "rows", _tiny)
     monkeypatch.setattr(learning_sets, "_DRAWN_SET", 8)
+    monkeypatch.setattr(learning_sets, "_SLIDE_SET", 8)
+    monkeypatch.setattr(learning_sets, "_DRAWN_VAL", 8)
+    monkeypatch.setattr(learning_sets, "with_noise", lambda samples, grey: samples)  # made-up sets have no pins
     folders = {name: tmp_path / name for name in ("data", "runs", "out")}
     options = LearningOptions(
         **folders,
         contacts=2,
         large_contacts=3,
         fast_images=4,
-        curved_contacts=1,
-        curved_test_contacts=1,
+        slides=1,
         snapshot_contacts=1,
         test_contacts=8,
         other_test_contacts=8,
@@ -60,9 +62,11 @@ def test_sets_have_the_sizes_and_ranges_of_the_options():
         (j.folder.parts[-3], j.folder.parts[-1]): j.configuration
         for j in learning_sets.jobs(LearningOptions(task="edge"), KINDS)
     }
-    tests = {(kind, split) for kind in ("plain", "taps", "256px") for split in ("val", "test")}
+    tests = {(kind, split) for kind in ("plain", "taps", "256px", "drawn", "slides") for split in ("val", "test")}
     tests |= {("light", "test"), ("fast", "val")}
-    assert set(jobs) == tests | {(kind, "train") for kind in ("taps", "symmetric", "fast", "snapshots", "256px")}
+    assert set(jobs) == tests | {
+        (kind, "train") for kind in ("taps", "symmetric", "fast", "snapshots", "256px", "drawn", "slides")
+    }
     wide = jobs["256px", "train"]
     assert (wide.design.image.size_px, jobs["256px", "test"].design.image.size_px) == (256, 256)
     assert (wide.samples, wide.fast_tip, wide.pose) == (500, jobs["fast", "train"].fast_tip, jobs["fast", "train"].pose)
@@ -85,9 +89,9 @@ def test_sets_have_the_sizes_and_ranges_of_the_options():
 
 def test_only_the_sets_of_the_chosen_rows_are_made():
     sets = [(j.folder.parts[-3], j.folder.parts[-1]) for j in learning_sets.jobs(LearningOptions(), ("taps",))]
-    tests = [("plain", "test"), ("light", "test"), ("taps", "test"), ("curved", "test")]
+    tests = [("plain", "test"), ("light", "test"), ("taps", "test")]
     assert sorted(sets) == sorted([*tests, ("taps", "train"), ("taps", "val")])
-    assert [j.folder.parts[-3] for j in learning_sets.jobs(LearningOptions(), ())] == ["plain", "light", "taps", "curved"]
+    assert [j.folder.parts[-3] for j in learning_sets.jobs(LearningOptions(), ())] == ["plain", "light", "taps"]
     sets = [(j.folder.parts[-3], j.folder.parts[-1]) for j in learning_sets.jobs(LearningOptions(), ("256px",))]
     assert sets == [("256px", split) for split in ("train", "val", "test")]
 
@@ -102,12 +106,14 @@ def test_existing_larger_set_is_used_in_part(options):
     assert fewer.configuration.samples == options.contacts * 8
 
 
-def test_curved_surfaces_belong_to_the_surface_task():
-    jobs = [j.configuration for j in learning_sets.jobs(LearningOptions(), KINDS) if j.folder.parts[-3] == "curved"]
-    sets = {c.split: (c.samples, c.augment_symmetry) for c in jobs}
-    assert sets == {"train": (48000, True), "val": (600, False), "test": (600, False)}
-    assert {c.curvature_per_m for c in jobs} == {learning_sets.CURVATURES_PER_M}
-    assert all(any(r.kind == "curved" for r in learned.rows(task, False)) == (task == "surface") for task in learned.PAPER)
+@pytest.mark.parametrize("task", ["surface", "edge"])
+def test_slides_on_surfaces_are_curved(task):
+    options = LearningOptions(task=task)
+    jobs = [j.configuration for j in learning_sets.jobs(options, ("slides",)) if j.folder.parts[-3] == "slides"]
+    assert {c.split: c.samples for c in jobs} == {"train": 1500, "val": 600, "test": 600}
+    assert {c.snapshots_per_contact for c in jobs} == {15}
+    assert {c.curvature_per_m for c in jobs} == {learning_sets.CURVATURES_PER_M if task == "surface" else (0.0, 0.0)}
+    assert [bool(c.fast_tip) for c in jobs] == [c.split == "train" for c in jobs]
 
 
 def test_fine_tuned_networks_have_the_shape_of_their_initial_weights():
@@ -122,7 +128,7 @@ def test_fine_tuned_networks_have_the_shape_of_their_initial_weights():
             "laptop-any",
             "laptop-long",
             "laptop-noise",
-            *(["laptop-curved", "laptop-curved-contact"] if task == "surface" else []),
+            "laptop-slides",
         ]
         assert list(starts) == expected
         for name, start in starts.items():
@@ -132,12 +138,13 @@ def test_fine_tuned_networks_have_the_shape_of_their_initial_weights():
 
 
 def test_page_is_written_and_finished_trainings_are_kept(options):
-    kinds = ("laptop-plain", "laptop-taps", "laptop", "laptop-256px", "laptop-curved")
+    kinds = ("laptop-plain", "laptop-taps", "laptop", "laptop-256px", "laptop-noise", "laptop-slides")
     options = replace(options, only=kinds)
     first = learned.run(options, log=lambda line: None)
     assert [r["name"] for r in first["rows"]] == list(kinds)
     page = (options.out / "learning.md").read_text()
-    assert "not sheared (`laptop-taps`) | flat, sheared |" in page and "curved, sheared (`laptop-curved`) | flat" in page
+    assert "not sheared (`laptop-taps`) | single, sheared |" in page
+    assert "sliding (on surfaces: curved ones) (`laptop-slides`)" in page
     assert f"{first['rows'][0]['mae']['sheared']['pose_z']:.3f}" in page
     assert "Not measured" in page.split("begin beta")[1]
     assert (options.out / "learning.png").stat().st_size > 5000
@@ -146,6 +153,9 @@ def test_page_is_written_and_finished_trainings_are_kept(options):
     assert sum("already finished" in line for line in lines) == len(first["rows"])
     assert [r["mae"] for r in again["rows"]] == [r["mae"] for r in first["rows"]]
     assert list(json.loads((options.out / "learning.json").read_text())) == ["surface"]
+    results = json.loads((options.out / "learning.json").read_text())
+    results["surface"]["rows"].append(results["surface"]["rows"][0] | {"name": "laptop-gone"})
+    (options.out / "learning.json").write_text(json.dumps(results))
     one = learned.run(replace(options, only=("laptop",)), log=lambda line: None)
     assert [r["name"] for r in one["rows"]] == [r["name"] for r in first["rows"]]
     with pytest.raises(TactipError, match="unknown row 'lap': choose one of paper-16, laptop-plain"):

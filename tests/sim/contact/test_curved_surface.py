@@ -123,17 +123,16 @@ def test_varying_curvature_is_that_of_profiles():
     assert np.allclose(solid.smooth_normal(np.zeros((1, 3))), [0, 0, 1], atol=0.02)
 
 
-def test_sampled_curvatures_stay_in_range(monkeypatch):
+def test_sampled_curvatures_stay_in_range():
     """They are often at a limit of the range, and change after stretches of the documented length."""
     low, high = -28.0, 80.0
     sampled = []
-    monkeypatch.setattr(curved_surface_module, "curved_surface", lambda *given: sampled.append(given))
     for seed in range(200):
-        curved_surface_module.sample_curved_surface(np.random.default_rng(seed), low, high, 1.0)
+        sampled.append(curved_surface_module.sample_curvatures(np.random.default_rng(seed), low, high, 1.0))
     lengths, values = [], []
-    for first, second, _, profiles in sampled:
-        assert first == second == 0
-        for profile in profiles:
+    for curvatures in sampled:
+        assert curvatures.first_per_m == curvatures.second_per_m == 0
+        for profile in curvatures.profiles:
             assert len(profile.per_m) == len(profile.changes_m) + 1
             assert profile.changes_m[0] < 0.05 and np.abs(
                 profile.changes_m
@@ -148,12 +147,11 @@ def test_sampled_curvatures_stay_in_range(monkeypatch):
     assert np.mean(values == high) == pytest.approx(0.25, abs=0.03)
 
 
-def test_fraction_of_varying_curvature_is_as_configured(monkeypatch):
+def test_fraction_of_varying_curvature_is_as_configured():
     sampled = []
-    monkeypatch.setattr(curved_surface_module, "curved_surface", lambda *given: sampled.append(given))
     for seed in range(400):
-        curved_surface_module.sample_curved_surface(np.random.default_rng(seed), -28.0, 80.0, 0.3)
-    even = np.array([given[:2] for given in sampled if len(given) == 3])
+        sampled.append(curved_surface_module.sample_curvatures(np.random.default_rng(seed), -28.0, 80.0, 0.3))
+    even = np.array([(c.first_per_m, c.second_per_m) for c in sampled if not c.profiles])
     assert len(even) == pytest.approx(280, abs=30)
     assert even.mean() == pytest.approx(26.0, abs=4.0) and even.min() < -20 and even.max() > 70
 
