@@ -16,6 +16,10 @@ _STRETCH_M, _FOUND_M, _AT_OBSTACLE_M = 60e-3, 15e-3, 5e-3
 """Longest stretch of an edge from which its arc is estimated, the shortest after which an obstacle counts as past, and the
 end before an obstacle that is not used, m [?]."""
 
+_MAX_LEAN_RAD = np.radians(30.0)
+"""Angle to the sensor before an obstacle beyond which what was found behind it is no continuation of the edge, rad: the end
+of a wall, felt by the flank of a tip that hangs in a gap [?]."""
+
 _LEANING_RAD = np.radians(4.0)
 """Angle of the sensor's axis to its mean over a stretch from which it counts as leaning into an obstacle, rad [?]."""
 
@@ -208,6 +212,8 @@ class EdgePath(Route):
         if stretch:
             self.travelled_m += float(np.linalg.norm(place - stretch[-1][:3, 3]))
         stretch.append(T_base_tcp.copy())
+        if self._skipped:
+            self._check_lean(T_base_tcp)
         if self._skipped and _length(self._new) > _FOUND_M:  # the obstacle is behind
             self._stretch, self._new, self._skipped, self._cornering = self._new, [], 0.0, False
         while _length(self._stretch) > _STRETCH_M:
@@ -225,6 +231,13 @@ class EdgePath(Route):
         heading = heading - (heading @ axis) * axis
         self._heading = heading / np.linalg.norm(heading)
         return self._heading
+
+    def _check_lean(self, T_base_tcp: np.ndarray) -> None:
+        """Raise Obstacle if a sensor that found an edge behind an obstacle leans far from how it leaned before."""
+        cosine = float(T_base_tcp[:3, 2] @ self._last_stretch(T_base_tcp)[0][:3, 2])
+        if cosine < np.cos(_MAX_LEAN_RAD):
+            lean = np.degrees(np.arccos(cosine))
+            raise Obstacle("too steep", f"what was found leans {lean:.0f} degrees from the edge before the obstacle")
 
     def skip(self, distance_m: float, T_base_tcp: np.ndarray) -> np.ndarray | None:
         """Skip a piece, from where the edge was last followed for some time; see Route."""

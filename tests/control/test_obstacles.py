@@ -115,3 +115,23 @@ def test_edge_skips_along_the_arc_before_the_sensor_leaned(backward):
         expected = pose(0.069 + skipped)[1]
         assert found[:3, :3] == pytest.approx(expected[:3, :3], abs=0.01)
         assert found[:3, 3] == pytest.approx(expected[:3, 3], abs=1e-3)
+
+
+def test_edge_found_behind_an_obstacle_does_not_lean_far():
+    """A tip that hangs in a gap may take the end of the wall for the edge; the route refuses it, and a moderate lean not."""
+    edge = EdgePath()
+
+    def pose(y, lean_deg):
+        frame = matrix(np.array([0.0, y, 0.0]), Rotation.identity())
+        return frame @ sensor_in_contact(from_mm_deg([0, 0, -3, lean_deg, 0, 0])), frame
+
+    for y in np.arange(0.0, 0.04, 1e-3):
+        edge.direction(*pose(y, 0.0))
+    edge.skip(0.004, pose(0.04, 0.0)[0])
+    assert edge.direction(*pose(0.044, 20.0)) is not None
+    with pytest.raises(Obstacle, match="what was found leans 40 degrees from the edge before the obstacle"):
+        edge.direction(*pose(0.045, 40.0))
+    # Without an obstacle before, an edge may lead anywhere.
+    steep = EdgePath()
+    for y, lean_deg in zip(np.arange(0.0, 0.04, 1e-3), np.linspace(0.0, 60.0, 40), strict=True):
+        assert steep.direction(*pose(y, lean_deg)) is not None
