@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 
 from tactip_twin.learning.data import Samples
-from tactip_twin.learning.drawn_contacts import ContactSource, configuration_of
+from tactip_twin.learning.drawn_contacts import ContactSource, configuration_of, down_to_the_surface
 from tactip_twin.learning.drawn_slides import SlideSource
 from tactip_twin.sim.fast_tip.fast_tip import FastTip, any_materials, read_fast_tip, shipped_fast_tip
 from tactip_twin.sim.fast_tip.sliding_tip import SlidingTip, read_sliding_tip, shipped_sliding_tip
-from tactip_twin.sim.labels import Task
-from tactip_twin.sim.pose import from_mm_deg
+from tactip_twin.sim.labels import COMPONENTS, Task
+from tactip_twin.sim.pose import from_mm_deg, to_mm_deg
 from tactip_twin.tactip_model.errors import TactipError
 
 DrawingTip = FastTip | SlidingTip
@@ -51,6 +51,24 @@ def contact_source(samples: Samples, tips: Sequence[DrawingTip], device: str = "
     if isinstance(tips[0], SlidingTip):
         return SlideSource(samples, tips[0], device)
     return ContactSource(samples, [tip for tip in tips if isinstance(tip, FastTip)], device)
+
+
+def not_drawn(samples: Samples, tips: Sequence[DrawingTip]) -> list[str]:
+    """Return a line for each component of the pose whose range no tip of single presses knows to its ends."""
+    known = [down_to_the_surface(tip).ranges for tip in tips if isinstance(tip, FastTip)]
+    if not known:
+        return []
+    least, most = (to_mm_deg(end[:6]) for end in (np.min(known, 0)[:, 0], np.max(known, 0)[:, 1]))
+    lines = []
+    for k, (low, high) in enumerate(configuration_of(samples).pose.bounds()):
+        if low < least[k] - _ROUNDING or high > most[k] + _ROUNDING:
+            what = f"{COMPONENTS[k]} from {low:g} to {high:g}, but the learned tips know {least[k]:g} to {most[k]:g} only"
+            lines.append(f"the set in {samples.folder} has {what}: no other contacts are drawn")
+    return lines
+
+
+_ROUNDING = 1e-6
+"""Distance that a range may reach beyond another because of rounding, mm or degrees."""
 
 
 def digest_of(tips: Sequence[DrawingTip]) -> str:

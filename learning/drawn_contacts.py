@@ -63,7 +63,7 @@ class ContactSource:
         self._randomization = configuration.mechanics_randomization
         for tip in tips:
             tip.check_design(design, randomized=not self._randomization.is_identity)
-        self._design, self._tips = design, [_down_to_the_surface(tip) if tip.materials is not None else tip for tip in tips]
+        self._design, self._tips = design, [down_to_the_surface(tip) for tip in tips]
         self._decoders = [PinDecoder(design, tip.modes) for tip in tips]
         self._labels, self._pose, self._shear = samples.labels, configuration.pose, configuration.shear
         self.raster = TactileRaster(design, device)
@@ -120,12 +120,14 @@ class ContactSource:
         return from_mm_deg(low + (high - low) * rng.random((count, 6)))
 
 
-def _down_to_the_surface(tip: FastTip) -> FastTip:
-    """Return a tip that is trusted down to a depth of zero, too.
+def down_to_the_surface(tip: FastTip) -> FastTip:
+    """Return a tip of any materials so that it is trusted down to a depth of zero; another tip as it is.
 
     The tips of any materials learned depths from 0.2 mm, and are as accurate on lighter contacts
     (tests/learning/test_drawn_contacts.py). Without these in training, networks read light contacts as deeper than they are.
     """
+    if tip.materials is None:
+        return tip
     ranges = tip.ranges.copy()
     ranges[2, 1] = max(ranges[2, 1], 0.0)
     return replace(tip, ranges=ranges)

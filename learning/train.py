@@ -18,7 +18,7 @@ from tactip_twin.learning.checkpoint import (
     save_checkpoint,
 )
 from tactip_twin.learning.configuration import DeviceName, PoseNetConfig, TrainSettings
-from tactip_twin.learning.contact_sources import DrawingTip, drawing_tips
+from tactip_twin.learning.contact_sources import DrawingTip, drawing_tips, not_drawn
 from tactip_twin.learning.data import Samples
 from tactip_twin.learning.model import Model
 from tactip_twin.learning.posenet import parameter_count
@@ -91,6 +91,8 @@ def train(
             log(f"this training is already finished in {folder}")
             return read_metrics(folder)
         try:
+            for line in not_drawn(train_samples, tips) if settings.drawn_contacts else ():
+                log(line)
             training = Training(train_samples, val_samples, config, settings, device, init_from, tips)
             if state:
                 training.restore(state)

@@ -10,7 +10,7 @@ from helpers.learning_sets import write_fake_set
 from helpers.trainings import NET, quiet
 from tactip_twin.learning.checkpoint import read_metrics
 from tactip_twin.learning.configuration import TrainSettings
-from tactip_twin.learning.contact_sources import drawing_tips
+from tactip_twin.learning.contact_sources import drawing_tips, not_drawn
 from tactip_twin.learning.data import read_samples
 from tactip_twin.learning.drawn_contacts import ContactSource
 from tactip_twin.learning.model import load_model
@@ -142,6 +142,9 @@ def test_light_contacts_are_drawn_by_the_tip_of_any_materials(samples):
     )
     own, other = press_tips(lighter)
     assert press_tips(samples)[0].digest == own.digest and len(press_tips(samples)) == 1
+    assert not_drawn(lighter, (own, other)) == not_drawn(samples, (own,)) == []
+    (line,) = not_drawn(lighter, (own,))
+    assert line.endswith("has z from -5 to 0, but the learned tips know -5 to -1 only: no other contacts are drawn")
     drawn = ContactSource(lighter, (own, other)).draw(2000, np.random.default_rng(6))
     x, z, roll, pitch, yaw = drawn.targets.T
     light = z > -1
