@@ -145,11 +145,11 @@ def test_light_contacts_are_drawn_by_the_tip_of_any_materials(samples):
     assert not_drawn(lighter, (own, other)) == not_drawn(samples, (own,)) == []
     (line,) = not_drawn(lighter, (own,))
     assert line.endswith("has z from -5 to 0, but the learned tips know -5 to -1 only: no other contacts are drawn")
-    drawn = ContactSource(lighter, (own, other)).draw(2000, np.random.default_rng(6))
+    drawn = ContactSource(lighter, (own, other)).draw(1000, np.random.default_rng(6))
     x, z, roll, pitch, yaw = drawn.targets.T
     light = z > -1
-    assert light.mean() == pytest.approx(1 / 5, abs=0.03)
-    assert (z > -0.2).mean() == pytest.approx(0.2 / 5, abs=0.015)
+    assert light.mean() == pytest.approx(1 / 5, abs=0.04)
+    assert (z > -0.2).mean() == pytest.approx(0.2 / 5, abs=0.02)
     zero = np.zeros(light.sum())
     shear_x, shear_y, shear_yaw = drawn.quantities[light, :3].T
     poses = from_mm_deg(np.stack([x[light], zero, z[light], roll[light], pitch[light], yaw[light]], 1))
@@ -168,7 +168,7 @@ def test_tip_of_any_materials_knows_contacts_lighter_than_it_learned(task):
     )
     pose = replace(POSE_RANGES[task], depth_mm=(-0.2, 0.0))
     errors = []
-    for number in range(8):
+    for number in range(6):
         rng = generator(5, task, "test", number)
         motion = pose.sample(rng), SHEAR.sample(rng)
         contact, _ = simulator.simulate(*motion)
