@@ -236,7 +236,7 @@ class EdgePath(Route):
         """Raise Obstacle if a sensor that found an edge behind an obstacle leans far from how it leaned before."""
         cosine = float(T_base_tcp[:3, 2] @ self._last_stretch(T_base_tcp)[0][:3, 2])
         if cosine < np.cos(_MAX_LEAN_RAD):
-            lean = np.degrees(np.arccos(cosine))
+            lean = np.degrees(np.arccos(max(cosine, -1.0)))
             raise Obstacle("too steep", f"what was found leans {lean:.0f} degrees from the edge before the obstacle")
 
     def skip(self, distance_m: float, T_base_tcp: np.ndarray) -> np.ndarray | None:
