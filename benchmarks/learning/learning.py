@@ -21,6 +21,7 @@ from tactip_twin.benchmarks.learning.learning_sets import (
     NOISES_GREY,
     NOISY,
     SNAPSHOTS,
+    WIDE_KINDS,
     WIDE_PX,
     Sets,
     jobs,
@@ -144,7 +145,7 @@ class Row:
     what: str
     """Description in the tables."""
     kind: str
-    """Training set: plain, symmetric, large, fast, snapshots, taps, 256px, 331, any, drawn or slides."""
+    """Training set: plain, symmetric, large, fast, snapshots, taps, 256px, 331, any, drawn, slides or 256px-slides."""
     recipe: Recipe
     """Network and training."""
     init_from: str = ""
@@ -181,6 +182,9 @@ def rows(task: Task, paper: bool) -> list[Row]:
     wide = Recipe(replace(laptop.network, downsample=4, batch_size=64), drawn)
     what = f"recipe `laptop` on images of {WIDE_PX} px, on contacts that the learned tip draws anew at every epoch"
     out.append(Row("laptop-256px", what, "256px", wide))
+    wide_noisy = Recipe(wide.network, replace(laptop.settings, **_NOISE_TRAINING))
+    what = "`laptop-256px` fine-tuned with images of a noisy camera, light contacts among them"
+    out.append(Row("laptop-256px-noise", what, "256px", wide_noisy, "laptop-256px"))
     known = "any materials, any camera"
     many = Recipe(replace(laptop.network, batch_size=64), replace(drawn, epochs=_MORE_PINS_EPOCHS, **_ANY_TRAINING))
     out.append(Row("laptop-331", f"recipe `laptop` on drawn contacts of `{MORE_PINS_DESIGN}`, {known}", "331", many))
@@ -202,6 +206,10 @@ def rows(task: Task, paper: bool) -> list[Row]:
     what = f"`laptop-noise` fine-tuned on slides {where}which the learned tip draws anew every second epoch"
     slides = Recipe(replace(laptop.network, batch_size=64), settings)
     out.append(Row("laptop-slides", what, "slides", slides, "laptop-noise"))
+    if task == "surface":
+        wide_slides = Recipe(wide.network, settings)
+        what = "`laptop-256px` fine-tuned on such slides, with images of a noisy camera"
+        out.append(Row("laptop-256px-slides", what, "256px-slides", wide_slides, "laptop-256px"))
     return out
 
 
@@ -363,8 +371,8 @@ def relative_error(row: Mapping[str, Any], task: str) -> float:
 def plot(whole: Mapping[str, Any], path: Path) -> None:
     """Plot error against latency of the networks, one panel per task, into a PNG file."""
     figure, axes = figure_of(1, len(whole), (6 * len(whole), 5.5))
-    kinds = ("plain", "taps", "symmetric", "large", "slides", "snapshots", "fast", "256px", *ANY_DESIGNS, "drawn")
-    colors = dict(zip(kinds, (*COLORS, "0.5", "0.7", "0.8", "0.2"), strict=True))
+    kinds = ("plain", "taps", "symmetric", "large", "slides", "snapshots", "fast", *WIDE_KINDS, *ANY_DESIGNS, "drawn")
+    colors = dict(zip(kinds, (*COLORS, "0.5", "0.7", "0.8", "0.2", "0.3"), strict=True))
     box = {"fc": "white", "ec": "none", "pad": 0.5}
     for axis, (task, record) in zip(axes, whole.items(), strict=True):
         rows = [row for row in record["rows"] if not row["name"].startswith("laptop-beta-")]

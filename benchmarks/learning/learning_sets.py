@@ -76,7 +76,10 @@ _DEEP_MM = (-5.5, -0.2)
 """Depths of their contacts: all that the learned tip of any materials knows."""
 
 
-_OWN_TESTS = {"256px", *ANY_DESIGNS, "drawn", "slides"}
+WIDE_KINDS = ("256px", "256px-slides")
+"""Kinds of rows (Row.kind) with wide images."""
+
+_OWN_TESTS = {*WIDE_KINDS, *ANY_DESIGNS, "drawn", "slides"}
 """Kinds of rows (Row.kind) with test sets of their own."""
 
 
@@ -127,13 +130,14 @@ def _slides(options: LearningOptions, kinds: Collection[str]) -> "list[_Wanted]"
     task, images = options.task, options.slides * SLIDE_SNAPSHOTS
     usual, wanted = POSE_RANGES[task], []
     touching = replace(usual, depth_mm=_SLIDE_DEPTHS_MM[task])
-    if {"drawn", "slides"} & set(kinds):
-        wanted.append(_Wanted("slides", "test", images, touching, _SLIDE_SHEARS))
-    if "slides" in kinds:
-        wanted.append(_Wanted("slides", "train", _SLIDE_SET, touching, _SLIDE_SHEARS, _FAST_SEED))
-        wanted.append(_Wanted("slides", "val", images, touching, _SLIDE_SHEARS))
-    if "slides" in kinds and "drawn" not in kinds:
-        wanted.append(_Wanted("drawn", "test", options.test_contacts, usual, SHEAR_RANGES))
+    for kind, single in (("slides", "drawn"), ("256px-slides", "256px")):
+        if kind in kinds or (single == "drawn" and single in kinds):
+            wanted.append(_Wanted(kind, "test", images, touching, _SLIDE_SHEARS))
+        if kind in kinds:
+            wanted.append(_Wanted(kind, "train", _SLIDE_SET, touching, _SLIDE_SHEARS, _FAST_SEED))
+            wanted.append(_Wanted(kind, "val", images, touching, _SLIDE_SHEARS))
+        if kind in kinds and single not in kinds:
+            wanted.append(_Wanted(single, "test", options.test_contacts, usual, SHEAR_RANGES))
     return wanted
 
 
@@ -161,14 +165,15 @@ def _job(options: LearningOptions, wanted: _Wanted) -> Job:
     augmented = (kind, split) in (("symmetric", "train"), ("fast", "train"))
     tip: Path | None = None
     digest = ""
-    if (kind, split) == ("slides", "train"):
+    slides = kind in ("slides", "256px-slides")
+    if slides and split == "train":
         tip = shipped_sliding_tip(task, DESIGN)
         digest = read_sliding_tip(tip).digest
     elif split == "train" and (kind == "fast" or kind in _OWN_TESTS):
         tip = shipped_fast_tip(task, ANY_DESIGNS.get(kind, DESIGN), randomized=kind in ANY_DESIGNS)
         digest = read_fast_tip(tip).digest
-    design, curved = load_design(ANY_DESIGNS.get(kind, DESIGN)), (kind, task) == ("slides", "surface")
-    if kind == "256px":
+    design, curved = load_design(ANY_DESIGNS.get(kind, DESIGN)), slides and task == "surface"
+    if kind in WIDE_KINDS:
         design = replace(design, image=replace(design.image, size_px=WIDE_PX))
     configuration = Configuration(
         task=task,
@@ -184,7 +189,7 @@ def _job(options: LearningOptions, wanted: _Wanted) -> Job:
         augment_symmetry=augmented,
         curvature_per_m=CURVATURES_PER_M if curved else (0.0, 0.0),
         varying_curvature_fraction=VARYING_FRACTION if curved else 0.0,
-        snapshots_per_contact={"snapshots": SNAPSHOTS, "slides": SLIDE_SNAPSHOTS}.get(kind, 1),
+        snapshots_per_contact=SLIDE_SNAPSHOTS if slides else SNAPSHOTS if kind == "snapshots" else 1,
         # The sets of the networks also teach and test the learned tip.
         keep_mesh=kind in ("symmetric", "plain"),
         mechanics_randomization=MECHANICS_RANDOMIZATIONS["real" if kind in ANY_DESIGNS and split != "test" else "none"],
@@ -227,10 +232,16 @@ class Sets:
 
     def tests(self, kind: str) -> dict[str, Samples]:
         """Return test samples by kind of contact, for a row of a kind. Raises TactipError if a set is missing or damaged."""
-        if kind in ("drawn", "slides"):
-            test = read_samples(self._folder("drawn") / "test")
+        if kind in ("drawn", "slides", *WIDE_KINDS):
+            wide = kind in WIDE_KINDS
+            test = read_samples(self._folder("256px" if wide else "drawn") / "test")
             noisy = {NOISY.format(grey): with_noise(test, grey) for grey in NOISES_GREY}
-            return {"sheared": test, "slides": read_samples(self._folder("slides") / "test")} | noisy
+            if kind == "256px":
+                return {"sheared": test} | noisy
+            return {
+                "sheared": test,
+                "slides": read_samples(self._folder("256px-slides" if wide else "slides") / "test"),
+            } | noisy
         if kind in _OWN_TESTS:
             return {"sheared": read_samples(self._folder(kind) / "test")}
         kinds = {"sheared": "plain", "light": "light", "taps": "taps"}

@@ -55,7 +55,7 @@ def release_model(options: ReleaseModelsOptions, log: Callable[[str], None] = pr
     """
     source = options.runs / options.task / options.row
     if options.evaluate_only:
-        kinds = {"laptop-256px": "256px-", "laptop-any": "any-"}
+        kinds = {"laptop-256px-noise": "256px-", "laptop-any": "any-", "laptop-256px-slides": "curved-256px-"}
         kind = kinds.get(options.row, "curved-" if (options.row, options.task) == ("laptop-slides", "surface") else "")
         source = options.out / f"{options.task}-{kind}{MORE_PINS_DESIGN if options.row == 'laptop-331' else DESIGN}"
     size = (source / WEIGHTS).stat().st_size if (source / WEIGHTS).exists() else 0
@@ -65,7 +65,7 @@ def release_model(options: ReleaseModelsOptions, log: Callable[[str], None] = pr
     if not model.provenance["outcome"]["finished"]:
         raise TactipError(f"the training in {source} is unfinished: rerun it to the end before shipping the network")
     kind = "331" if _design(model) == MORE_PINS_DESIGN else _kind(model).removesuffix("-") or "plain"
-    kind = "slides" if kind == "curved" else kind
+    kind = {"curved": "slides", "curved-256px": "256px-slides"}.get(kind, kind)
     where = options.data / kind / options.task / "test"
     if options.evaluate_only or not where.exists():
         chosen = LearningOptions(task=options.task, data=options.data, test_contacts=options.test_contacts)
@@ -111,11 +111,8 @@ def _name(model: Model) -> str:
 
 def _kind(model: Model) -> str:
     """Return what the name of a released model has between task and design."""
-    if _is_curved(model):
-        return "curved-"
-    if model.size == WIDE_PX:
-        return f"{WIDE_PX}px-"
-    return "any-" if _is_of_any_materials(model) and _design(model) == DESIGN else ""
+    curved, wide = ("curved-" if _is_curved(model) else ""), (f"{WIDE_PX}px-" if model.size == WIDE_PX else "")
+    return curved + wide or ("any-" if _is_of_any_materials(model) and _design(model) == DESIGN else "")
 
 
 def _initial_weights(model: Model, options: ReleaseModelsOptions) -> list[str]:

@@ -94,6 +94,11 @@ def test_only_the_sets_of_the_chosen_rows_are_made():
     assert [j.folder.parts[-3] for j in learning_sets.jobs(LearningOptions(), ())] == ["plain", "light", "taps"]
     sets = [(j.folder.parts[-3], j.folder.parts[-1]) for j in learning_sets.jobs(LearningOptions(), ("256px",))]
     assert sets == [("256px", split) for split in ("train", "val", "test")]
+    wide = learning_sets.jobs(LearningOptions(), ("256px-slides",))
+    sets = [(j.folder.parts[-3], j.folder.parts[-1]) for j in wide]
+    assert sorted(sets) == [("256px", "test"), *(("256px-slides", split) for split in ("test", "train", "val"))]
+    assert {j.configuration.design.image.size_px for j in wide} == {256}
+    assert [j.configuration.is_curved for j in wide] == [j.folder.parts[-3] == "256px-slides" for j in wide]
 
 
 def test_existing_larger_set_is_used_in_part(options):
@@ -125,11 +130,13 @@ def test_fine_tuned_networks_have_the_shape_of_their_initial_weights():
             "laptop-fine-tuned",
             "laptop-fast",
             "laptop-contact",
+            "laptop-256px-noise",
             "laptop-any",
             "laptop-long",
             "laptop-noise",
             "laptop-slides",
         ]
+        expected += ["laptop-256px-slides"] if task == "surface" else []
         assert list(starts) == expected
         for name, start in starts.items():
             first = table[start].recipe.network if start in table else load_network(start).config
