@@ -16,8 +16,8 @@ from tactip_twin.sim.parallel import worker_pool
 def forked_workers() -> Iterator[None]:
     """Let workers start as copies of a server that has loaded the libraries, in a `with` block.
 
-    Users' workers load them anew, which takes longer than the few contacts of a test. Those of commands in processes of their
-    own still do.
+    Users' workers load them anew, which takes longer than the few contacts of a test. Workers of commands in processes of
+    their own still do.
     """
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["helpers.worker_libraries"])
