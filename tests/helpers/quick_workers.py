@@ -6,6 +6,8 @@ import os
 import sys
 from collections.abc import Iterator
 from multiprocessing import forkserver
+from multiprocessing.context import ForkServerProcess
+from typing import Any
 
 import pytest
 
@@ -21,15 +23,17 @@ def forked_workers() -> Iterator[None]:
     """
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["helpers.worker_libraries"])
+    start = context.Process
 
-    def served(method: str) -> multiprocessing.context.ForkServerContext:
+    def served(**settings: Any) -> ForkServerProcess:
         with pytest.MonkeyPatch.context() as path:
             path.setenv("PYTHONPATH", os.pathsep.join(sys.path))
             forkserver.ensure_running()
-        return context
+        return start(**settings)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(worker_pool, "get_context", served)
+        patch.setattr(worker_pool, "get_context", lambda method: context)
+        patch.setattr(context, "Process", served)
         # A search has such a server, too: it is the same one.
         patch.setattr(context, "set_forkserver_preload", lambda modules: None)
         yield

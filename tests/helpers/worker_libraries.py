@@ -1,5 +1,7 @@
 """What workers of a command need, loaded and built once for all of them."""
 
+import torch._dynamo  # noqa: F401  (an optimizer needs it)
+
 from tactip_twin.learning import tune  # noqa: F401
 from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.dataset import generate  # noqa: F401
