@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from tactip_twin.learning.uncertainty import FORCE_BANDS_N
 from tactip_twin.tactip_model.bounds import require
@@ -85,7 +85,7 @@ def _factors(errors: np.ndarray, deviations: np.ndarray) -> tuple[float, ...]:
             out.append(1.0)
             continue
         z = np.abs(error[known]) / deviation[known]
-        needed = [np.quantile(z, level) / norm.ppf(0.5 + level / 2) for level in _LEVELS]
+        needed = [np.quantile(z, level) / ndtri(0.5 + level / 2) for level in _LEVELS]
         middle = np.sqrt(np.maximum(needed[0] * needed[1], 1e-12))
         out.append(float(np.clip(middle, 1 / _MAX_FACTOR, _MAX_FACTOR)))
     return tuple(out)

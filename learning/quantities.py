@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtr
 
 from tactip_twin.sim.dataset.format import EFFECTIVE_SHEARS, FORCES, Dataset
 from tactip_twin.sim.labels import SHEARS
@@ -55,4 +55,4 @@ def contact_probability(forces: np.ndarray, deviations: np.ndarray) -> np.ndarra
         forces: (n,) estimated magnitudes, N.
         deviations: (n, 3) standard deviations of the force's components, N.
     """
-    return norm.cdf((forces - CONTACT_FORCE_N) / np.sqrt((deviations**2).mean(1)))
+    return ndtr((forces - CONTACT_FORCE_N) / np.sqrt((deviations**2).mean(1)))

@@ -294,7 +294,8 @@ def _start(
     """Start a trial in its own process, so the search survives a crash of the trial, such as running out of memory."""
     arguments = (str(data), str(folder), index, settings, device, threads)
     context = get_context("forkserver")
-    context.set_forkserver_preload([__name__])  # torch is imported once instead of in every trial
+    # Imported once instead of in every trial; the second is what torch imports when an optimizer is made.
+    context.set_forkserver_preload([__name__, "torch._dynamo"])
     process = context.Process(target=_trial_process, args=arguments)
     process.start()
     return process

@@ -9,7 +9,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from tactip_twin.learning.quantities import CONTACT_FORCE_N
 
@@ -26,7 +26,7 @@ REJECTED = (0.1, 0.2, 0.3)
 def coverage(errors: np.ndarray, deviations: np.ndarray, level: float) -> np.ndarray:
     """Return the fraction of errors (n, c) inside of the interval of a probability, by component (c); NaN errors do not
     count."""
-    inside = np.abs(errors) <= norm.ppf(0.5 + level / 2) * deviations
+    inside = np.abs(errors) <= ndtri(0.5 + level / 2) * deviations
     known = np.isfinite(errors)
     return (inside & known).sum(0) / np.maximum(known.sum(0), 1)
 

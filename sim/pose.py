@@ -86,10 +86,11 @@ def before_shear(pose: ArrayLike, shear: ArrayLike) -> np.ndarray:
 
 
 def shear_between(start: ArrayLike, pose: ArrayLike) -> np.ndarray:
-    """Return the shear (6,) that leads from label `start` (6,) to label `pose` (6,): the inverse of `before_shear`."""
+    """Return the shears (..., 6) that lead from labels `start` (..., 6) to labels `pose` (..., 6): the inverse of
+    `before_shear`."""
     start, pose = np.asarray(start, float), np.asarray(pose, float)
-    turn = Rotation.from_rotvec(pose[3:]) * Rotation.from_rotvec(start[3:]).inv()
-    return np.concatenate([pose[:3] - start[:3], turn.as_rotvec()])
+    turn = Rotation.from_rotvec(pose[..., 3:]) * Rotation.from_rotvec(start[..., 3:]).inv()
+    return np.concatenate([pose[..., :3] - start[..., :3], turn.as_rotvec()], -1)
 
 
 def path(start: np.ndarray, end: np.ndarray, fractions: ArrayLike) -> np.ndarray:

@@ -1,11 +1,21 @@
 """Grey image of the pins without OpenGL: discs become ellipses with soft edges, and many images render in one call."""
 
+from functools import lru_cache
+
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
 from tactip_twin.tactip_model.design import Design, Optics
 from tactip_twin.tactip_model.optics import LedRing, Lens, backdrop, perpendicular_axes, pin_radii
+
+
+@lru_cache(maxsize=4)
+def _blank(design: Design) -> np.ndarray:
+    """Return the grey levels (frame_px²,) of a design's image without pins: read-only, because its renderers share them."""
+    levels = backdrop(design, Lens(design), LedRing(design)).ravel().astype(np.float32)
+    levels.flags.writeable = False
+    return levels
 
 
 class Raster:
@@ -16,7 +26,7 @@ class Raster:
         self._lens = Lens(design)
         self._leds = LedRing(design)
         self._radii = pin_radii(design)
-        self._blank = backdrop(design, self._lens, self._leds).ravel().astype(np.float32)
+        self._blank = _blank(design)
 
     def render(self, pin_tips: ArrayLike, directions: ArrayLike) -> np.ndarray:
         """Return the grey frames (..., h, w) uint8 of pins.

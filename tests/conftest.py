@@ -7,6 +7,7 @@ from pathlib import Path
 import hypothesis
 import pytest
 
+from helpers.quick_workers import forked_workers
 from helpers.set_commands import make, run
 from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.contact.simulator import ContactSimulator
@@ -23,6 +24,12 @@ def pytest_collection_modifyitems(items):
     for item in items:
         if item.get_closest_marker("slow"):
             item.add_marker(pytest.mark.timeout(0))
+
+
+@pytest.fixture(scope="session", autouse=True)
+def quick_workers():
+    with forked_workers():
+        yield
 
 
 @pytest.fixture(scope="session")
@@ -70,7 +77,7 @@ class Press:
 def whole(tmp_path_factory):
     """Return a finished set of six samples, made by one worker."""
     folder = tmp_path_factory.mktemp("sets") / "whole"
-    result = run(make(folder, workers=1))
+    result = run(make(folder))
     assert result.returncode == 0, result.stderr
     return folder
 

@@ -1,8 +1,11 @@
 """Every script in examples/ does what its first line says."""
 
+import contextlib
+import io
 import json
 import os
 import re
+import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -17,13 +20,23 @@ from tactip_twin.commands import main as tactip
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
 
-def run(script, *options, **variables):
-    """Return what a script prints."""
+def run_process(script, *options):
+    """Return what a script prints in a process of its own."""
     command = [sys.executable, str(script), *map(str, options)]
-    variables = {**os.environ, "MPLBACKEND": "Agg", "PYTHONPATH": str(EXAMPLES.parent), **variables}
+    variables = {**os.environ, "MPLBACKEND": "Agg", "PYTHONPATH": str(EXAMPLES.parent)}
     done = subprocess.run(command, capture_output=True, text=True, env=variables, timeout=300)
     assert done.returncode == 0, done.stderr
     return done.stdout
+
+
+def run(script, *options, **variables):
+    """Return what a script prints in this process, which has loaded its libraries."""
+    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(io.StringIO()) as printed:
+        patch.setattr(sys, "argv", [str(script), *map(str, options)])
+        for name, value in {"MPLBACKEND": "Agg", **variables}.items():
+            patch.setenv(name, value)
+        runpy.run_path(str(script), run_name="__main__")
+    return printed.getvalue()
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +62,7 @@ def followed(tmp_path_factory):
 
 
 def test_single_contact_example(tmp_path):
-    output = run(EXAMPLES / "one_contact.py", "--out", tmp_path / "contact.png", "--renderer", "raster")
+    output = run_process(EXAMPLES / "one_contact.py", "--out", tmp_path / "contact.png", "--renderer", "raster")
     image = cv2.imread(str(tmp_path / "contact.png"), cv2.IMREAD_GRAYSCALE)
     assert image.shape == (128, 128) and set(np.unique(image)) == {0, 255}
     force_N, depth_mm = map(float, re.findall(r"([\d.]+) (?:N|mm deep)", output))

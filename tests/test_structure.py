@@ -2,6 +2,7 @@
 
 import ast
 import re
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -15,9 +16,20 @@ ON_TOP = sorted(p for folder in FLOW[6:] for p in (ROOT / folder).rglob("*.py"))
 OTHERS = sorted(p for folder in ("examples", "scripts", "tests") for p in (ROOT / folder).rglob("*.py"))
 
 
+@cache
+def parsed(path):
+    """Return the syntax tree of a file."""
+    return ast.parse(path.read_text())
+
+
+@cache
 def imported(path):
     """Return the modules (dotted names) that a file imports, early or late."""
-    for node in ast.walk(ast.parse(path.read_text())):
+    return frozenset(_imported(path))
+
+
+def _imported(path):
+    for node in ast.walk(parsed(path)):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
@@ -41,10 +53,11 @@ def test_our_folders_are_imported_as_tactip_twin(path):
     assert not re.search(r"""["'](sim|learning|control|sim2real|tactip_model|commands)\.[a-z_]+\.""", path.read_text())
 
 
+@cache
 def names_of(path):
     """Return the names that a module defines, or that another imports from it."""
     names = set()
-    for node in ast.parse(path.read_text()).body:
+    for node in parsed(path).body:
         if isinstance(node, ast.FunctionDef | ast.ClassDef):
             names.add(node.name)
         elif isinstance(node, ast.Import | ast.ImportFrom):
@@ -58,7 +71,7 @@ def names_of(path):
 @pytest.mark.parametrize("path", [*FILES, *ON_TOP], ids=lambda p: str(p.relative_to(ROOT)))
 def test_imports_exist(path):
     """Also where it is imported late, by a command that no test may run."""
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in ast.walk(parsed(path)):
         if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("tactip_twin."):
             folder = ROOT / node.module.removeprefix("tactip_twin.").replace(".", "/")
             file = folder / "__init__.py" if folder.is_dir() else folder.with_suffix(".py")
@@ -72,7 +85,7 @@ def test_files_are_found():
 
 @pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(ROOT)))
 def test_public_things_say_what_they_are(path):
-    tree = ast.parse(path.read_text())
+    tree = parsed(path)
     assert ast.get_docstring(tree)
     for node in tree.body:
         if isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_"):
@@ -96,11 +109,11 @@ def fields_without_a_line(tree):
 
 @pytest.mark.parametrize("path", [*FILES, *ON_TOP], ids=lambda p: str(p.relative_to(ROOT)))
 def test_every_field_of_a_public_dataclass_has_its_line(path):
-    assert fields_without_a_line(ast.parse(path.read_text()))[0] == set()
+    assert fields_without_a_line(parsed(path))[0] == set()
 
 
 def test_fields_are_found():
-    assert sum(fields_without_a_line(ast.parse(path.read_text()))[1] for path in [*FILES, *ON_TOP]) > 300
+    assert sum(fields_without_a_line(parsed(path))[1] for path in [*FILES, *ON_TOP]) > 300
     text = '@dataclass(frozen=True)\nclass A:\n    a: int\n    """Told."""\n    b: int = 0\n    c: int = 0\n    """   """\n'
     assert fields_without_a_line(ast.parse(text)) == ({"A.b", "A.c"}, 3)
     assert fields_without_a_line(ast.parse(text.replace("class A", "class _A"))) == (set(), 0)

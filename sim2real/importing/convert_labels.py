@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from tactip_twin.sim.dataset.sampling import MAX_LABEL
 from tactip_twin.sim.labels import LABELS, SHEARS
-from tactip_twin.sim.pose import from_mm_deg, label_of, matrix, sensor_in_contact, shear_between, to_mm_deg
+from tactip_twin.sim.pose import from_mm_deg, shear_between, to_mm_deg
 from tactip_twin.sim2real.importing.column_map import ColumnMap, parse_column
 from tactip_twin.tactip_model.errors import TactipError
 
@@ -48,32 +48,27 @@ def convert_labels(column_map: ColumnMap, table: Mapping[str, Sequence[str]]) ->
         values[name] = _column(table, *given.get(name, (1.0, name if name in found else None, 0.0)), count)
     ends = from_mm_deg(np.stack([values[name] for name in LABELS], -1))
     moves = from_mm_deg(np.stack([values[name] for name in SHEARS], -1))
-    pairs = [_pose_and_shear(column_map, end, end - move) for end, move in zip(ends, moves, strict=True)]
-    poses, shears = zip(*pairs, strict=True)
-    return to_mm_deg(np.array(poses)), to_mm_deg(np.array(shears))
-
-
-def _pose_and_shear(column_map: ColumnMap, end: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return pose and shear (6,), m and rad, of a motion from `start` to `end` (6,), m and rad, in their conventions."""
-    if not (np.isfinite(end).all() and np.isfinite(start).all()):
-        return np.full(6, np.nan), np.full(6, np.nan)
-    last, first = (_label(column_map, command) for command in (end, start))
-    shear = shear_between(first, last)
+    known = np.isfinite(ends).all(1) & np.isfinite(moves).all(1)
+    poses, shears = np.full((2, count, 6), np.nan)
+    last, first = (_labels(column_map, commands[known]) for commands in (ends, ends - moves))
+    shears[known] = shear_between(first, last)
     # The place of contact on a surface, or along an edge, makes no difference.
-    last[[0, 1] if column_map.task == "surface" else [1]] = 0.0
-    return last, shear
+    last[:, [0, 1] if column_map.task == "surface" else [1]] = 0.0
+    poses[known] = last
+    return to_mm_deg(poses), to_mm_deg(shears)
 
 
-def _label(column_map: ColumnMap, command: np.ndarray) -> np.ndarray:
-    """Return the label (6,) of a pose (6,) in their conventions, both in m and rad."""
+def _labels(column_map: ColumnMap, commands: np.ndarray) -> np.ndarray:
+    """Return the labels (n, 6) of poses (n, 6) in their conventions, both in m and rad."""
     angles = column_map.angles
     plain = angles in ("auto", "vector")
-    turn = Rotation.from_rotvec(command[3:]) if plain else Rotation.from_euler(angles, command[3:])
+    turns = Rotation.from_rotvec(commands[:, 3:]) if plain else Rotation.from_euler(angles, commands[:, 3:])
     lever = 1e-3 * np.array([*column_map.tcp_beside_axis_mm, column_map.tcp_behind_apex_mm])
-    camera = matrix(np.zeros(3), Rotation.from_euler("z", column_map.camera_rotation_deg, degrees=True))
-    tool = matrix(command[:3] + lever - turn.apply(lever), turn) @ camera.T
+    apexes = commands[:, :3] + lever - turns.apply(lever)
+    camera = Rotation.from_euler("z", column_map.camera_rotation_deg, degrees=True)
     # A surface looks the same from all sides, so its axes are rotated with the camera's.
-    return label_of((camera if column_map.task == "surface" else np.eye(4)) @ tool @ sensor_in_contact(np.zeros(6)))
+    axes = camera if column_map.task == "surface" else Rotation.identity()
+    return np.concatenate([axes.apply(apexes), (axes * turns * camera.inv()).as_rotvec()], 1)
 
 
 def _column(table: Mapping[str, Sequence[str]], factor: float, column: str | None, offset: float, count: int) -> np.ndarray:

@@ -1,8 +1,7 @@
 """`tactip servo`: its outputs and its error messages."""
 
 import json
-import subprocess
-import sys
+import multiprocessing
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +9,7 @@ import pytest
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
+from helpers.kills import end_at_rename
 from tactip_twin.benchmarks.servo.contact_patch import contact_patch_normal
 from tactip_twin.commands import main as tactip
 from tactip_twin.control.estimator import Estimate
@@ -349,12 +349,10 @@ def test_servo_video_without_pyrender_is_refused(tmp_path, capsys):
 def test_servo_killed_after_its_last_step_runs_again(tmp_path, name):
     out = tmp_path / "run"
     command = [*QUICK, "--route.kind", "straight", "--route.length-mm", "1", "--arm", "none", "--out", str(out)]
-    code = (
-        "import os, sys; from tactip_twin.commands import main as tactip; rename = os.replace;"
-        "os.replace = lambda old, new: os._exit(9) if str(new).endswith(sys.argv[1]) else rename(old, new);"
-        "sys.exit(tactip.main(sys.argv[2:]))"
-    )
-    assert subprocess.run([sys.executable, "-c", code, name, *command], capture_output=True).returncode == 9
+    killed = multiprocessing.get_context("forkserver").Process(target=end_at_rename, args=(name, command))
+    killed.start()
+    killed.join()
+    assert killed.exitcode == 9
     record, arrays = read_recording(out)
     assert not record["complete"] and record["steps"] > 5
     assert tactip.main(command) == 0

@@ -1,14 +1,13 @@
 """Trainings that are killed, interrupted or resumed, and folders that hold something else."""
 
 import json
-import signal
 import subprocess
-import sys
 import time
-from pathlib import Path
 
 import pytest
+import torch
 
+from helpers.set_commands import process, run
 from helpers.trainings import NET, QUICK, quiet, same, weights
 from tactip_twin.learning import checkpoint
 from tactip_twin.learning import train as train_module
@@ -17,8 +16,6 @@ from tactip_twin.learning.configuration import TrainSettings
 from tactip_twin.learning.model import load_model
 from tactip_twin.tactip_model.errors import Interrupted, TactipError
 from tactip_twin.tactip_model.input_files import with_checksum
-
-TACTIP = str(Path(sys.executable).parent / "tactip")
 
 
 @pytest.mark.parametrize("epochs", [1, 4])
@@ -66,36 +63,31 @@ def test_finished_training_of_another_torch_is_kept(splits, tmp_path, monkeypatc
         quiet(*splits, NET, settings, tmp_path / "cut")
 
 
-def test_train_command_killed_resumes_to_same_weights(data, splits, tmp_path):
+def test_train_command_killed_resumes_to_same_weights(data, tmp_path, monkeypatch):
     settings = ["--training.epochs", "40", "--training.patience", "40", "--training.learning-rate", "0.003"]
-    network = [
-        "--network.conv-layers",
-        "2",
-        "--network.filters",
-        "6",
-        "--network.dense_units",
-        "24",
-        "--network.batch-size",
-        "8",
-    ]
-    command = [TACTIP, "train", "--data", str(data), "--recipe", "paper", *settings, *network]
+    network = ["--network.conv-layers", "2", "--network.filters", "6", "--network.dense_units", "24"]
+    command = ["train", "--data", str(data), "--recipe", "paper", *settings, *network, "--network.batch-size", "8"]
     whole, killed = tmp_path / "whole", tmp_path / "killed"
-    subprocess.run([*command, "--out", str(whole)], check=True, capture_output=True)
-    process = subprocess.Popen([*command, "--out", str(killed)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+    torch.set_num_threads(1)
+    assert run([*command, "--out", str(whole)]).returncode == 0
+    started = subprocess.Popen(
+        process([*command, "--out", str(killed)]), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
     end = time.monotonic() + 60
     while not (killed / "metrics.jsonl").exists() or len(read_metrics(killed)) < 3:
         assert time.monotonic() < end
         time.sleep(0.02)
-    process.send_signal(signal.SIGKILL)
-    process.wait()
+    started.kill()
+    started.wait()
     assert (killed / "checkpoint.pt").exists()
-    again = subprocess.run([*command, "--out", str(killed)], check=True, capture_output=True, text=True)
-    assert "resuming after epoch" in again.stderr
+    again = run([*command, "--out", str(killed)])
+    assert again.returncode == 0 and "resuming after epoch" in again.stderr
     assert same(weights(whole), weights(killed))
     losses = [[(h["epoch"], h["loss"], h["val_loss"]) for h in read_metrics(f)] for f in (whole, killed)]
     assert losses[0] == losses[1]
     assert not (killed / "checkpoint.pt").exists()
-    assert "already finished" in subprocess.run([*command, "--out", str(killed)], capture_output=True, text=True).stderr
+    assert "already finished" in run([*command, "--out", str(killed)]).stderr
 
 
 def test_train_locked_folder_raises(splits, tmp_path):

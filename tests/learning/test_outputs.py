@@ -141,10 +141,10 @@ def test_training_quantities_need_a_set_that_has_them(splits):
         Training(unknown, val, FULL, QUICK)
 
 
-def test_model_estimates_what_its_set_shows(splits, tmp_path):
+def test_model_estimates_what_its_set_shows(data, splits, tmp_path):
     """The image shows the depth, and the force follows from it: both are learned, with deviations that fit the errors."""
     train, val = splits
-    settings = replace(QUICK, epochs=120, learning_rate=3e-3)
+    settings = replace(QUICK, epochs=60, learning_rate=3e-3)
     quiet(train, val, replace(FULL, dropout=0.0), settings, tmp_path / "run")
     model = load_model(tmp_path / "run")
     found = model.estimate(train.images)
@@ -154,8 +154,12 @@ def test_model_estimates_what_its_set_shows(splits, tmp_path):
     truth = train.dataset.measures["force_z_N"]
     assert np.abs(found.means[:, force] - truth).mean() < 0.4 * np.abs(truth - truth.mean()).mean()
     assert np.array_equal(found.means[:, :3], model.predict(train.images))
-    z = (found.means - np.concatenate([train.targets, train.quantities], 1)) / found.deviations
-    assert 0.3 < np.nanstd(z[:, :3]) < 3
+    # On images that nothing was fitted to, errors are as large as the deviations say: 0.94 to 1.38 with six seeds [M]. Those
+    # on the training images are smaller, the more so the longer the training.
+    test = read_samples(data / "test")
+    estimated = model.estimate(test.images)
+    z = (estimated.means[:, :3] - test.targets) / estimated.deviations[:, :3]
+    assert 0.6 < np.nanstd(z) < 1.8
     touching = forces_of(train.quantities) > 0.1
     assert found.contact[touching].mean() > found.contact[~touching].mean() + 0.1
 

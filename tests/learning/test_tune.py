@@ -8,7 +8,6 @@ import sys
 import time
 from collections import Counter
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,6 +16,7 @@ from hyperopt.base import Domain
 
 from helpers.kills import contents
 from helpers.learning_sets import write_fake_splits
+from helpers.set_commands import process, run, run_process
 from tactip_twin.learning.configuration import SearchSpace, TrainSettings, TuneSettings
 from tactip_twin.learning.recipes import read_recipe
 from tactip_twin.learning.search_space import expressions, network_of_values
@@ -24,7 +24,6 @@ from tactip_twin.learning.tune import read_results, record_start, run_trial, sug
 from tactip_twin.learning.tune_ray import clear, tune_on_cluster
 from tactip_twin.tactip_model.errors import TactipError
 
-TACTIP = str(Path(sys.executable).parent / "tactip")
 SPACE = SearchSpace(max_conv_layers=2, max_filters=4, max_dense_layers=2, max_dense_units=8)
 COMMAND_SPACE = replace(SPACE, max_dense_layers=5)
 SETTINGS = TuneSettings(trials=3, random_trials=2, space=SPACE, training=TrainSettings(epochs=2))
@@ -102,20 +101,7 @@ def test_tune_space_too_deep_for_images_raises(data, tmp_path):
 
 def search_command(data, out, *options):
     limits = ["--space.max-conv-layers", "2", "--space.max-dense-units", "8", "--max-filters", "4", "--training.epochs", "2"]
-    return [
-        TACTIP,
-        "tune",
-        "--data",
-        str(data),
-        "--out",
-        str(out),
-        "--trials",
-        "3",
-        "--random-trials",
-        "2",
-        *limits,
-        *options,
-    ]
+    return ["tune", "--data", str(data), "--out", str(out), "--trials", "3", "--random-trials", "2", *limits, *options]
 
 
 def without_seconds(results):
@@ -124,25 +110,24 @@ def without_seconds(results):
 
 def test_tune_command_killed_resumes_to_same_results(data, tmp_path):
     whole, killed = tmp_path / "whole", tmp_path / "killed"
-    subprocess.run(search_command(data, whole), check=True, capture_output=True)
-    process = subprocess.Popen(
-        search_command(data, killed), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
-    )
+    assert run(search_command(data, whole)).returncode == 0
+    command = process(search_command(data, killed))
+    started = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
     end = time.monotonic() + 90
     while not read_results(killed, COMMAND_SPACE):
         assert time.monotonic() < end
         time.sleep(0.05)
-    os.killpg(process.pid, signal.SIGKILL)
-    process.wait()
+    os.killpg(started.pid, signal.SIGKILL)
+    started.wait()
     assert len(read_results(killed, COMMAND_SPACE)) < 3
-    again = subprocess.run(search_command(data, killed), check=True, capture_output=True, text=True)
-    assert "of 3 trials are already done" in again.stderr
+    again = run(search_command(data, killed))
+    assert again.returncode == 0 and "of 3 trials are already done" in again.stderr
     assert without_seconds(read_results(killed, COMMAND_SPACE)) == without_seconds(read_results(whole, COMMAND_SPACE))
 
 
 @pytest.mark.slow
 def test_tune_command_two_jobs_runs_all_trials(data, tmp_path):
-    subprocess.run(search_command(data, tmp_path / "two", "--jobs", "2"), check=True, capture_output=True)
+    assert run_process(search_command(data, tmp_path / "two", "--jobs", "2")).returncode == 0
     assert sorted(r["trial"] for r in read_results(tmp_path / "two", COMMAND_SPACE)) == [0, 1, 2]
 
 
@@ -217,7 +202,7 @@ def test_tune_on_cluster_writes_same_files(data, tmp_path):
     for trials in ("2", "3"):
         command = search_command(data, tmp_path / "ray", "--cluster", "local", "--jobs", "2")
         command[command.index("--trials") + 1] = trials
-        subprocess.run(command, check=True, capture_output=True)
+        assert run_process(command).returncode == 0
         results = read_results(tmp_path / "ray", COMMAND_SPACE)
         assert sorted(r["trial"] for r in results) == list(range(int(trials)))
         assert all(r["status"] == "ok" and r["network"]["filters"] <= 4 for r in results)

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from helpers.memory import MIB, Peak, memory_limit
+from tactip_twin.tactip_model import input_files
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.input_files import (
     parse_arrays,
@@ -132,14 +133,18 @@ def test_damaged_arrays_are_refused(data, message):
         parse_arrays(data, "the file")
 
 
-def test_packed_bomb_is_refused_before_it_is_unpacked():
+def test_packed_bomb_is_refused_before_it_is_unpacked(monkeypatch):
+    """At an eighth of the limit: to pack more than 512 MiB takes seconds."""
+    assert input_files.MAX_UNPACKED_BYTES == 512 * MIB
+    monkeypatch.setattr(input_files, "MAX_UNPACKED_BYTES", 64 * MIB)
     data = io.BytesIO()
     with zipfile.ZipFile(data, "w", zipfile.ZIP_DEFLATED) as archive, archive.open("a.npy", "w") as member:
-        for _ in range(600):
-            member.write(bytes(2**20))
-    assert len(data.getvalue()) < 2**20
-    with pytest.raises(TactipError, match="must unpack to at most 512 MiB"):
+        for _ in range(75):
+            member.write(bytes(MIB))
+    assert len(data.getvalue()) < MIB / 8
+    with Peak() as peak, pytest.raises(TactipError, match="must unpack to at most 64 MiB"):
         parse_arrays(data.getvalue(), "the file")
+    assert peak.mib < 8
 
 
 @pytest.mark.parametrize("size", [(60_000, 60_000), (10_000, 10_000), (2**31 - 1, 1)])
@@ -156,30 +161,36 @@ def test_damaged_image_is_refused(data):
 
 def many(text, mib):
     """Return a text repeated to a size in MiB."""
-    return text * (mib * 2**20 // len(text))
+    return text * int(mib * MIB / len(text))
 
 
-@pytest.mark.parametrize(
-    ("read", "data"),
-    [
-        (parse_table, b"a\n" + many(b"b\n", 31)),
-        (parse_table, many(b"a,", 1)[:-1] + b"\n"),
-        (parse_table, b"a" + 900 * b",a" + b"\n" + many(b"b\n", 31)),
-        (parse_table, b"a\n" + many(b"b,", 31)),
-        (parse_table, many(b"a\n", 33)),
-        (parse_table, many(b"\n", 31)),
-        (parse_json, b"[" + many(b"[],", 15) + b"1]"),
-        (parse_json, b"[" + many(b"{},", 15) + b"1]"),
-        (parse_json, many(b"[", 15)),
-        (parse_json, many(b"9", 15)),
-    ],
-)
-def test_worst_files_take_less_than_2_gb(read, data):
-    """Of the size that is allowed, and made to take as much memory as can be."""
+WORST = {
+    "rows": (parse_table, lambda part: b"a\n" + many(b"b\n", 31 * part)),
+    "columns": (parse_table, lambda part: many(b"a,", 1)[:-1] + b"\n"),
+    "rows without cells": (parse_table, lambda part: b"a" + 900 * b",a" + b"\n" + many(b"b\n", 31 * part)),
+    "cells of one row": (parse_table, lambda part: b"a\n" + many(b"b,", 31 * part)),
+    "a table that is too large": (parse_table, lambda part: many(b"a\n", 33 * part)),
+    "empty rows": (parse_table, lambda part: many(b"\n", 31 * part)),
+    "lists": (parse_json, lambda part: b"[" + many(b"[],", 15 * part) + b"1]"),
+    "objects": (parse_json, lambda part: b"[" + many(b"{},", 15 * part) + b"1]"),
+    "levels": (parse_json, lambda part: many(b"[", 15 * part)),
+    "digits": (parse_json, lambda part: many(b"9", 15 * part)),
+}
+"""Files that take as much memory as can be: their reader, and a function from a part of the allowed size to their bytes."""
+
+
+@pytest.mark.parametrize("part", [0.25, pytest.param(1.0, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("kind", WORST)
+def test_worst_files_take_less_than_2_gb(monkeypatch, kind, part):
+    """Of the size that is allowed; with a quarter of the limits they take less than a quarter of that."""
+    read, worst = WORST[kind]
+    for name in ("_MAX_TABLE_BYTES", "_MAX_CELLS"):
+        monkeypatch.setattr(input_files, name, int(part * getattr(input_files, name)))
+    data = worst(part)
     with Peak() as peak, memory_limit(2048 * MIB), contextlib.suppress(TactipError):
         read(data, "the file")
     print(f"{peak.mib:.0f} MiB")
-    assert peak.mib < 2048
+    assert peak.mib < 2048 * part
 
 
 def test_json_of_more_than_16_mib_is_refused(tmp_path):

@@ -107,8 +107,8 @@ def test_shape_of_sensor_agrees_with_independent_code(on_ice, references):
 
 
 def test_force_rises_smoothly_with_depth(on_surface):
-    """Within 5 % of a smooth curve, every 0.1 mm."""
-    depth = np.arange(0.5, 5.01, 0.1)
+    """Within 5 % of a smooth curve, every 0.2 mm."""
+    depth = np.arange(0.5, 5.01, 0.2)
     force = np.array([on_surface([0, 0, -d, 0, 0, 0]).normal_force_n for d in depth])
     smooth = np.exp(np.polyval(np.polyfit(np.log(depth), np.log(force), 3), np.log(depth)))
     assert np.abs(force / smooth - 1).max() < 0.05

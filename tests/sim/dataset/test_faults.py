@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from helpers.set_commands import TACTIP, contents, kill_unfinished, make, records, run, samples_found, wait_for
+from helpers.set_commands import contents, kill_unfinished, make, process, records, run, run_process, samples_found, wait_for
 from tactip_twin.commands import main as tactip
 from tactip_twin.sim.parallel.file_lock import locked
 
@@ -17,13 +17,13 @@ from tactip_twin.sim.parallel.file_lock import locked
 def test_make_killed_run_is_resumed_to_the_same_bytes(whole, tmp_path, workers):
     folder = tmp_path / "killed"
     kill_unfinished(make(folder, workers=workers), folder, lambda: len(records(folder)) >= 2)
-    verified = run([*TACTIP, "verify", str(folder)])
+    verified = run(["dataset", "verify", str(folder)])
     assert verified.returncode == 1
     assert "unfinished" in verified.stderr
     kept = len(records(folder))
     (folder / "images" / ".image_00000.png.1.tmp").write_bytes(b"half a fi")  # a kill during a write leaves this
     # Workers of the killed run end by themselves, at the latest after their current sample.
-    resumed = run(make(folder, workers=2))
+    resumed = run_process(make(folder, workers=2))
     assert resumed.returncode == 0
     assert samples_found(resumed.stderr + resumed.stdout) in (kept, kept + 1, kept + 2)
     assert contents(folder) == contents(whole)
@@ -50,8 +50,7 @@ def test_make_killed_growth_is_resumed(whole, tmp_path, monkeypatch):
 
     with monkeypatch.context() as patch:
         patch.setattr("tactip_twin.sim.dataset.partial_record.record_path", killed)
-        options = ["--samples", "6", "--fidelity", "draft", "--renderer", "raster", "--design", "nominal-127"]
-        assert tactip.main(["dataset", "make", "--task", "edge", "--out", str(folder), *options]) != 0
+        assert run(make(folder)).returncode != 0
     assert before.items() <= contents(folder).items()
     assert run(make(folder)).returncode == 0
     assert contents(folder) == contents(whole)
@@ -61,8 +60,7 @@ def test_make_set_locked_by_another_command_is_left_unchanged(copy, capsys):
     """While another command prepares its growth, meta.json still says it is finished: its .partial is not a leftover."""
     (copy / ".partial").mkdir()
     before = contents(copy)
-    options = ["--samples", "6", "--fidelity", "draft", "--renderer", "raster", "--design", "nominal-127"]
-    command = ["dataset", "make", "--task", "edge", "--out", str(copy), *options]
+    command = make(copy)
     with locked(copy / ".partial" / "lock", f"making the set in {copy}"):
         assert tactip.main(command) == 1
         assert "another command is making the set" in capsys.readouterr().err
@@ -76,15 +74,13 @@ def test_make_set_locked_by_another_command_is_left_unchanged(copy, capsys):
 def test_make_damaged_set_does_not_grow(copy, capsys, damaged, words):
     (copy / damaged).write_bytes(b"")
     before = contents(copy)
-    options = ["--samples", "8", "--fidelity", "draft", "--renderer", "raster", "--design", "nominal-127"]
-    assert tactip.main(["dataset", "make", "--task", "edge", "--out", str(copy), *options]) == 1
+    assert tactip.main(make(copy, samples=8)) == 1
     assert words in capsys.readouterr().err
     assert {n: b for n, b in contents(copy).items() if ".partial" not in n} == before
 
 
 def test_make_lost_image_is_made_again(whole, tmp_path):
     folder = tmp_path / "holed"
-    # The order of the workers is random: with three records, image 0 may still be missing.
     kill_unfinished(make(folder), folder, (folder / ".partial" / "000000.npz").exists)
     (folder / "images" / "image_00000.png").unlink()
     assert run(make(folder)).returncode == 0
@@ -104,8 +100,8 @@ def test_make_complete_set_makes_nothing(whole, tmp_path):
 def test_make_interrupted_keeps_finished_samples(tmp_path, after, number):
     """Ctrl-C while the workers start and while they work, and the SIGTERM of a scheduler."""
     folder = tmp_path / "stopped"
-    process = subprocess.Popen(
-        make(folder, samples=60),
+    started = subprocess.Popen(
+        process(make(folder, samples=60, workers=2)),
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         text=True,
@@ -115,9 +111,9 @@ def test_make_interrupted_keeps_finished_samples(tmp_path, after, number):
     )
     wait_for(lambda: (folder / ".partial" / "configuration.json").exists() and len(records(folder)) >= after)
     time.sleep(0.3)  # while the workers start
-    os.killpg(process.pid, number)  # as a terminal does: to parent and workers alike
-    _, output = process.communicate(timeout=60)
-    assert process.returncode == 128 + number
+    os.killpg(started.pid, number)  # as a terminal does: to parent and workers alike
+    _, output = started.communicate(timeout=60)
+    assert started.returncode == 128 + number
     assert "the same command resumes it" in output
     assert "Traceback" not in output
     assert after <= len(records(folder)) < 60
@@ -125,20 +121,22 @@ def test_make_interrupted_keeps_finished_samples(tmp_path, after, number):
 
 def test_make_dead_worker_is_replaced(whole, tmp_path):
     folder = tmp_path / "replaced"
-    process = subprocess.Popen(make(folder, workers=1), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    command = process(make(folder))
+    started = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     wait_for(lambda: len(records(folder)) >= 1)
-    children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+    children = Path(f"/proc/{started.pid}/task/{started.pid}/children").read_text().split()
     workers = [c for c in children if b"spawn_main" in Path(f"/proc/{c}/cmdline").read_bytes()]
     os.kill(int(workers[0]), signal.SIGKILL)
-    output, _ = process.communicate(timeout=120)
-    assert process.returncode == 0, output
+    output, _ = started.communicate(timeout=120)
+    assert started.returncode == 0, output
     assert "another worker takes over" in output
     assert contents(folder) == contents(whole)
 
 
 def test_make_second_command_on_one_set_is_refused(tmp_path):
     folder = tmp_path / "contested"
-    first = subprocess.Popen(make(folder, samples=60), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    command = process(make(folder, samples=60))
+    first = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
         wait_for(lambda: len(records(folder)) >= 1)
         second = run(make(folder, samples=60))
@@ -167,11 +165,11 @@ def test_make_kill_between_the_last_two_steps_is_resumed(copy, whole):
     assert contents(copy) == contents(whole)
 
 
-def test_make_full_disk_gives_one_sentence_and_keeps_finished_samples(tmp_path, monkeypatch, design):
+def test_make_full_disk_gives_one_sentence_and_keeps_finished_samples(tmp_path):
     """Simulated by a limit on the size of files: images fit, records do not."""
     folder = tmp_path / "full"
-    limited = ["prlimit", "--fsize=4096", *make(folder, workers=1)]
-    result = run(limited)
+    limited = ["prlimit", "--fsize=4096", *process(make(folder))]
+    result = subprocess.run(limited, capture_output=True, text=True, timeout=300)
     assert result.returncode == 1
     assert "Traceback" not in result.stderr
     assert "cannot write" in result.stderr

@@ -2,14 +2,13 @@
 
 import json
 import shutil
-import sys
 
 import numpy as np
 import pytest
 import torch
 
 from helpers.learning_sets import mend_checksums
-from helpers.set_commands import contents, kill_unfinished, run, samples_found
+from helpers.set_commands import contents, kill_unfinished, run_process, samples_found
 from tactip_twin.commands import main as tactip
 from tactip_twin.learning.augmentation import OpticsAugmentation
 from tactip_twin.learning.data import read_samples
@@ -160,13 +159,13 @@ def test_growth_that_is_killed_while_it_moves_goes_on(whole, tmp_path, monkeypat
 
 def test_kill_loses_no_shard(whole, tmp_path):
     folder = tmp_path / "set"
-    command = [sys.executable, "-m", "tactip_twin.commands.main", *options(folder, "--workers", "2")]
+    command = options(folder, "--workers", "2")
     kill_unfinished(command, folder, (folder / "shard-00000" / "meta.json").exists)
     # A shard's partial records are removed after its meta.json is written: a kill in between leaves some of them.
     shard = folder / "shard-00000"
     files = [path for path in shard.rglob("*") if path.is_file() and PARTIAL not in path.relative_to(shard).parts]
     closed = {path: path.stat().st_mtime_ns for path in files}
-    resumed = run(command)
+    resumed = run_process(command)
     assert resumed.returncode == 0, resumed.stderr
     # The number varies, because the orphaned workers still finish their contacts.
     assert samples_found(resumed.stderr + resumed.stdout) >= SHARD

@@ -71,7 +71,7 @@ def test_import_without_neutral_image_uses_shallowest_frames(tmp_path, capsys):
     (tmp_path / "lab" / "init_0.png").unlink()
     tips, directions = neutral_pins(DESIGN)
     rows = []
-    for k in range(90):
+    for k in range(48):
         depth = 0.05 if k < 5 else 4.0
         away = tips[:, :2] - 0.008 * np.array([np.cos(1.2 * k), np.sin(1.2 * k)])
         pressed = np.linalg.norm(away, axis=1) < 2e-3 * (1 + depth)
