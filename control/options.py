@@ -163,5 +163,5 @@ class ServoOptions:
         return f"{_SHIPPED[self.task]}-{self.design}" if self.model in ("", "oracle") else self.model
 
 
-_SHIPPED: dict[Task, str] = {"surface": "surface-curved", "edge": "edge"}
-"""First part of the shipped networks' names by task."""
+_SHIPPED: dict[Task, str] = {"surface": "surface-curved-256px", "edge": "edge"}
+"""First part of the shipped networks' names by task. Wide images tell more where a surface bends (docs/learning.md)."""
