@@ -1,5 +1,7 @@
 """A short made-up recording, for tests of replay and export."""
 
+from functools import cache
+
 import numpy as np
 
 from tactip_twin.sim.contact.fidelity import fidelity_named
@@ -15,8 +17,13 @@ def tip_mesh():
     return build_mesh(load_design("tactip-127").shape, fidelity_named("draft").mesh)
 
 
+@cache
+def sphere():
+    return load_object("sphere")
+
+
 def scenery(with_arm=True):
-    scene_object = load_object("sphere")
+    scene_object = sphere()
     triangles = tip_mesh().triangles
     return RecordedScene(
         scene_object.solid.vertices, scene_object.solid.triangles, scene_object.T_base_object, triangles, 20e-3, with_arm
@@ -31,7 +38,7 @@ def arrays_of(task="edge"):
     mesh, T = tip_mesh(), Arm().forward(READY_RAD)
     poses = np.repeat(T[None], STEPS, 0)
     poses[:, 0, 3] += 1e-3 * np.arange(STEPS)
-    object_poses = np.repeat(load_object("sphere").T_base_object[None], STEPS, 0)
+    object_poses = np.repeat(sphere().T_base_object[None], STEPS, 0)
     object_poses[:, 1, 3] += 1e-3 * np.arange(STEPS)
     rng = np.random.default_rng(0)
     skin = np.repeat(mesh.vertices[None, : mesh.surface_count], STEPS, 0) + 1e-4 * np.arange(STEPS)[:, None, None]
