@@ -96,7 +96,8 @@ def test_contact_patch_normal_on_a_plate_equals_the_normal_at_the_apex(ran):
 
 def test_servo_depth_outside_the_training_range_is_refused(tmp_path, capsys):
     assert tactip.main([*QUICK, *SHORT, "--depth-mm", "6", "--out", str(tmp_path / "run")]) == 1
-    assert "--depth-mm must be between 0.5 and 5, got 6: the network surface-curved-256px-tactip-127" in capsys.readouterr().err
+    refusal = "--depth-mm must be between 0.5 and 5, got 6: the network surface-curved-256px-tactip-127"
+    assert refusal in capsys.readouterr().err
 
 
 def test_servo_recording_is_complete_and_consistent(ran):
