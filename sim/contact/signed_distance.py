@@ -188,7 +188,7 @@ def _edge_normals(triangles: np.ndarray, normals: np.ndarray) -> np.ndarray:
     """Return (k, 3, 3): for each corner of each triangle, the summed normals of the two triangles at the opposite side."""
     sides = np.sort(np.stack([triangles[:, [1, 2]], triangles[:, [2, 0]], triangles[:, [0, 1]]], 1).reshape(-1, 2), axis=1)
     # A number per side, because rows take several times as long to sort.
-    _, edge = np.unique(sides[:, 0] * (triangles.max() + 1) + sides[:, 1], return_inverse=True)
+    _, edge = np.unique(sides[:, 0].astype(np.int64) * (triangles.max() + 1) + sides[:, 1], return_inverse=True)
     sums = np.zeros((edge.max() + 1, 3))
     np.add.at(sums, edge, np.repeat(normals, 3, axis=0))
     return sums[edge].reshape(-1, 3, 3)
