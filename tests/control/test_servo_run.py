@@ -67,7 +67,8 @@ def test_servo_run_writes_a_complete_score(ran):
         == record["steps"]
         == score["steps_followed"] + sum(record["steps"] - f for f in [score["steps_followed"]])
     )
-    assert score["path_mm"] == pytest.approx(4, abs=1.5)
+    # From the end of the first step to half a millimetre before the end of the route.
+    assert 2 < score["path_mm"] < 4
     assert score["coverage"] > 0.9
     assert score["lateral_mae_mm"] is None
     assert not score["closed"]
@@ -106,7 +107,7 @@ def test_servo_recording_is_complete_and_consistent(ran):
     following = arrays["phase"] == PHASES.index("follow")
     true = to_mm_deg(arrays["true"][following])
     assert score["depth_mae_mm"] == pytest.approx(np.abs(true[:, 2] + DEPTHS_MM["surface"]).mean())
-    assert arrays["images"].shape[1:] == (128, 128)
+    assert arrays["images"].shape[1:] == (256, 256)
     assert set(np.unique(arrays["images"])) == {0, 255}
     assert arrays["pin_tips_m"].shape[1:] == (127, 3)
     # True labels belong to the recorded poses: on a plate, depth equals height.
