@@ -175,8 +175,8 @@ def orders(friction: float) -> dict[str, dict[str, Any]]:
     }
 
 
-def unloading(friction: float) -> dict[str, Any]:
-    """Return a press to 4 mm and back to 2 mm against one to 2 mm, and the work over the whole press and back."""
+def unloading(friction: float, step_mm: float = 0.25) -> dict[str, Any]:
+    """Return a press to 4 mm and back to 2 mm against one to 2 mm, and the work over the whole press and back, in steps."""
     simulator = PathSimulator(friction)
     simulator.begin()
     plain = simulator.rest_at((0, 0, -2.0))
@@ -184,7 +184,7 @@ def unloading(friction: float) -> dict[str, Any]:
     simulator.rest_at((0, 0, -4.0))
     back = simulator.rest_at((0, 0, -2.0))
     simulator.begin()
-    down = np.arange(0.25, 4.01, 0.25)
+    down = np.arange(step_mm, 4.01, step_mm)
     put_in = work(*simulator.visit([(0, 0, -z) for z in down]))
     given_back = -work(*simulator.visit([(0, 0, -z) for z in [*down[-2::-1], 0.0]]))
     return {

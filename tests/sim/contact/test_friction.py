@@ -29,7 +29,7 @@ def test_order_of_motions_matters_only_with_friction(orders, order):
 
 
 def test_unloading_loses_work_only_with_friction():
-    ice, rubber = friction.unloading(0.0), friction.unloading(MU)
+    ice, rubber = friction.unloading(0.0, step_mm=0.5), friction.unloading(MU, step_mm=0.5)
     assert ice["pins_mm"][1] < 0.01
     assert ice["force_ratio"] == pytest.approx(1, abs=0.005)
     assert abs(ice["lost"]) < 0.002
@@ -39,7 +39,7 @@ def test_unloading_loses_work_only_with_friction():
 
 def test_shear_cycle_has_residual_and_work_only_with_friction():
     """Friction leaves a residual shear and dissipates work in each cycle; without it both vanish."""
-    ice, rubber = friction.shear_cycle(0.0), friction.shear_cycle(MU)
+    ice, rubber = friction.shear_cycle(0.0, reach_mm=2.0), friction.shear_cycle(MU, reach_mm=2.0)
     assert ice["residual_mm"][1] < 0.01
     assert rubber["residual_mm"][0] > 0.2
     assert np.abs(ice["work_mj"]).max() < 1e-3 * min(rubber["work_mj"])
