@@ -1,6 +1,7 @@
 """The tactile image as it is shown: enlarged, with an arrow from each pin's place at rest to its place now."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import cv2
@@ -18,8 +19,11 @@ _PIN_GREY = 176
 
 _ARROW_COLOR = (255, 146, 43)
 
-_MIN_ARROW_PX = 0.35
-"""Displacement below which no arrow is drawn, px of the tactile image: within the noise of detected pins."""
+_USUAL_PX = 128
+"""Width of the tactile images for which lengths in px are given; they grow with the width."""
+
+_MIN_ARROW_PX, _HEAD_PX = 0.35, 0.9
+"""Displacement below which no arrow is drawn, within the noise of detected pins, and length of an arrow's head, px."""
 
 _STRETCH = 3
 """Factor by which arrows are longer than displacements, most of which are within two pixels."""
@@ -51,8 +55,12 @@ def pin_projection(record: Mapping[str, Any]) -> PinProjection | None:
     Raises:
         TactipError: If the design is not one.
     """
-    design = record.get("design")
-    return None if design is None else PinProjection(design_from_dict(design, "the design of the recording"))
+    if record.get("design") is None:
+        return None
+    design = design_from_dict(record["design"], "the design of the recording")
+    # A network may take images of another width than the design's.
+    width = record.get("size_px") or design.image.size_px
+    return PinProjection(replace(design, image=replace(design.image, size_px=width)))
 
 
 def tactile_picture(image: np.ndarray, arrows: np.ndarray | None = None) -> np.ndarray:
@@ -62,7 +70,7 @@ def tactile_picture(image: np.ndarray, arrows: np.ndarray | None = None) -> np.n
         image: (n, n) uint8, pins white.
         arrows: (p, 2, 2) start and end of each arrow, px of the image; NaN for none.
     """
-    factor = max(1, SIZE_PX // max(image.shape))
+    factor, unit = max(1, SIZE_PX // max(image.shape)), max(image.shape) / _USUAL_PX
     large = np.repeat(np.repeat(image, factor, 0), factor, 1)
     picture = np.repeat(large[..., None], 3, axis=-1)
     if arrows is None:
@@ -71,8 +79,8 @@ def tactile_picture(image: np.ndarray, arrows: np.ndarray | None = None) -> np.n
     lengths = np.linalg.norm(arrows[:, 1] - arrows[:, 0], axis=1)
     ends = arrows[:, 0] + _STRETCH * (arrows[:, 1] - arrows[:, 0])
     places = (np.stack([arrows[:, 0], ends], 1) + 0.5) * factor - 0.5
-    for start, end in np.rint(places[lengths > _MIN_ARROW_PX] * 2**_SHIFT).astype(int):
-        _arrow(picture, start, end, 0.9 * factor * 2**_SHIFT)
+    for start, end in np.rint(places[lengths > _MIN_ARROW_PX * unit] * 2**_SHIFT).astype(int):
+        _arrow(picture, start, end, _HEAD_PX * unit * factor * 2**_SHIFT)
     return picture
 
 

@@ -20,6 +20,7 @@ from tactip_twin.control.servo_run import run_servo
 from tactip_twin.sim.pose import from_mm_deg, matrix, to_mm_deg
 from tactip_twin.sim.robot.objects import load_object
 from tactip_twin.sim.robot.recording import PHASES, read_recording
+from tactip_twin.sim.view.tactile_picture import pin_projection, tactile_picture
 from tactip_twin.tactip_model.errors import TactipError
 
 QUICK = ["servo", "--fidelity", "draft", "--renderer", "raster", "--object", "plate"]
@@ -305,13 +306,16 @@ def test_servo_video_shows_every_step(tmp_path):
     out = tmp_path / "run"
     command = ["servo", "--fidelity", "draft", "--object", "plate", "--route.kind", "straight", "--route.length-mm", "1"]
     assert tactip.main([*command, "--video", "--out", str(out)]) == 0
-    _, arrays = read_recording(out)
+    record, arrays = read_recording(out)
     with av.open(str(out / "film.mp4")) as film:
         frames = [f.to_ndarray(format="rgb24") for f in film.decode(video=0)]
     assert len(frames) == len(arrays["phase"])
     assert frames[0].shape == (630, 1120, 3)
-    shown = frames[-1][16 : 16 + 256 : 2, 782:1038:2].mean(-1) > 127  # shown at twice its size
-    assert (shown == (arrays["images"][-1] > 127)).mean() > 0.99
+    project = pin_projection(record)
+    arrows = np.stack([project(arrays["pin_tips_m"][k]) for k in (0, -1)], 1)
+    picture = tactile_picture(arrays["images"][-1], arrows)
+    assert picture.shape == (256, 256, 3)  # a larger one would be shown smaller
+    assert np.corrcoef(frames[-1][16 : 16 + 256, 782:1038].ravel(), picture.ravel())[0, 1] > 0.9
     assert (out / "figure.png").stat().st_size > 5000
     # A replay of the recording gives the same frames.
     again, gif = tmp_path / "again.mp4", tmp_path / "again.gif"

@@ -1,6 +1,8 @@
 """What pages, videos and figures share: colors, curves, the camera's place, and the arrows on the tactile image."""
 
 import io
+import json
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -14,7 +16,7 @@ from tactip_twin.sim.view.geometry import ColoredMesh
 from tactip_twin.sim.view.glb import glb
 from tactip_twin.sim.view.offscreen import look_at
 from tactip_twin.sim.view.palette import ERROR_RAMP, ramp_colors, scale_end
-from tactip_twin.sim.view.tactile_picture import PinProjection, tactile_picture
+from tactip_twin.sim.view.tactile_picture import pin_projection, tactile_picture
 from tactip_twin.tactip_model.pin_detection import find_blobs
 from tactip_twin.tactip_model.pins import neutral_pins
 from tactip_twin.tactip_model.presets import load_design
@@ -93,11 +95,14 @@ def test_position_error_is_of_the_estimated_translations():
     assert [c.name for c in curves_of(arrays, "surface")][2:] == ["y", "depth", "Rx", "Ry"]
 
 
-def test_projected_pins_are_where_the_image_shows_them():
+@pytest.mark.parametrize("width", [128, 256])
+def test_projected_pins_are_where_the_image_shows_them(width):
+    """The images of a recording have the width that its network takes."""
     design = load_design("tactip-127")
     tips, directions = neutral_pins(design)
-    image = tactile_image(renderer_named("raster", design)(tips, directions), design.image)
-    shown, places = find_blobs(image).centres, PinProjection(design)(tips)
+    image = tactile_image(renderer_named("raster", design)(tips, directions), replace(design.image, size_px=width))
+    project = pin_projection({"design": json.loads(json.dumps(asdict(design))), "size_px": width})
+    shown, places = find_blobs(image).centres, project(tips)
     nearest = np.linalg.norm(shown[:, None] - places[None], axis=2).min(1)
     assert len(shown) > 80 and np.median(nearest) < 0.5 and nearest.max() < 1.5
 
