@@ -26,8 +26,8 @@ _DRAWN_SET = 500
 """Number of contacts of the set that names the ranges of drawn ones."""
 
 _DRAWN_VAL = 3000
-"""Number of validation contacts of the rows `laptop-long`, `laptop-noise` and `laptop-256px`: the factors on deviations at
-light touch need hundreds of light ones."""
+"""Number of validation contacts of rows on single drawn contacts: the factors on deviations at light touch need hundreds of
+light ones."""
 
 WIDE_PX = 256
 """Width of the images of the row `laptop-256px`, whose pins are known to half the noise of 128 px (docs/uncertainty.md)."""
@@ -78,6 +78,9 @@ _DEEP_MM = (-5.5, -0.2)
 
 WIDE_KINDS = ("256px", "256px-slides")
 """Kinds of rows (Row.kind) with wide images."""
+
+_SINGLE = {"slides": "drawn", "256px-slides": "256px"}
+"""Kinds of rows that learn from slides, and the kinds of the single contacts with which they are tested, too."""
 
 _OWN_TESTS = {*WIDE_KINDS, *ANY_DESIGNS, "drawn", "slides"}
 """Kinds of rows (Row.kind) with test sets of their own."""
@@ -130,7 +133,8 @@ def _slides(options: LearningOptions, kinds: Collection[str]) -> "list[_Wanted]"
     task, images = options.task, options.slides * SLIDE_SNAPSHOTS
     usual, wanted = POSE_RANGES[task], []
     touching = replace(usual, depth_mm=_SLIDE_DEPTHS_MM[task])
-    for kind, single in (("slides", "drawn"), ("256px-slides", "256px")):
+    for kind, single in _SINGLE.items():
+        # The rows `laptop-long` and `laptop-noise` are tested with slides, too.
         if kind in kinds or (single == "drawn" and single in kinds):
             wanted.append(_Wanted(kind, "test", images, touching, _SLIDE_SHEARS))
         if kind in kinds:
@@ -165,7 +169,7 @@ def _job(options: LearningOptions, wanted: _Wanted) -> Job:
     augmented = (kind, split) in (("symmetric", "train"), ("fast", "train"))
     tip: Path | None = None
     digest = ""
-    slides = kind in ("slides", "256px-slides")
+    slides = kind in _SINGLE
     if slides and split == "train":
         tip = shipped_sliding_tip(task, DESIGN)
         digest = read_sliding_tip(tip).digest

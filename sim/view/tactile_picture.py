@@ -58,8 +58,8 @@ def pin_projection(record: Mapping[str, Any]) -> PinProjection | None:
     if record.get("design") is None:
         return None
     design = design_from_dict(record["design"], "the design of the recording")
-    # A network may take images of another width than the design's.
-    width = record.get("size_px") or design.image.size_px
+    # A network may take images of another width than the design's. The width is 0 if no step has an image.
+    width = record["size_px"] or design.image.size_px
     return PinProjection(replace(design, image=replace(design.image, size_px=width)))
 
 

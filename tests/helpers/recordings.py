@@ -30,7 +30,7 @@ def scenery(with_arm=True):
     )
 
 
-STEPS = 12
+STEPS, SIZE_PX = 12, 32
 
 
 def arrays_of(task="edge"):
@@ -57,7 +57,7 @@ def arrays_of(task="edge"):
         "force_n": np.ones((STEPS, 3)),
         "penetration_m": np.zeros(STEPS),
         "seconds": np.full((STEPS, 4), 0.01),
-        "images": 255 * rng.integers(0, 2, (STEPS, 32, 32)).astype(np.uint8),
+        "images": 255 * rng.integers(0, 2, (STEPS, SIZE_PX, SIZE_PX)).astype(np.uint8),
     }
 
 
@@ -65,6 +65,7 @@ RECORD = {
     "task": "edge",
     "object": "sphere",
     "steps": STEPS,
+    "size_px": SIZE_PX,
     "events": [{"step": 7, "kind": "force", "what": "9.0 N on the tip"}],
     "stopped_because": "the loop is closed",
 }
