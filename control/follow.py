@@ -69,6 +69,9 @@ _MIN_STEP_FRACTION = 0.2
 _MAX_MOTION_M, _MAX_TURN_RAD = 2e-3, np.radians(4.0)
 """Longest motion and largest turn of a control step, m and rad: a turn about the apex moves the tip's flanks [?]."""
 
+_SAME = 1e-9
+"""Difference of two motions (4, 4) that rounding makes, m or -."""
+
 _LEFT_OUT_M = 2e-3
 """Spacing of the recorded places of a stretch that was left out, m."""
 
@@ -179,17 +182,24 @@ class ContourFollower:
             self._T_good, self._followed_to_m = measured, route.travelled_m
             self._tries.followed(route.travelled_m)
             along = measured[:3, :3].T @ (self._step_fraction(estimate) * self._settings.step_mm / 1e3 * direction)
-        room_m = press_room_m(estimate.force_n, self._settings.ease_force_n)
-        motion = self._limited(self._controller.move(self._in_range(estimate.label), along, room_m))
-        motion[2, 3] = min(motion[2, 3], room_m)
         if route.travelled_m > self._barred_to_m:
             self._barred = None
+        room_m = press_room_m(estimate.force_n, self._settings.ease_force_n)
+        wanted = self._controller.move(self._in_range(estimate.label), along, room_m)
+        clear = wanted if self._barred is None else inverse(measured) @ self._clear(measured @ wanted)
+        motion = self._limited(clear)
+        motion[2, 3] = min(motion[2, 3], room_m)
+        if not np.allclose(motion, wanted, rtol=0, atol=_SAME):
+            self._controller.made(motion)
         return self._go(measured @ motion, self._clock() - start)
 
+    def _clear(self, T: np.ndarray) -> np.ndarray:
+        """Return a pose (4, 4), or the nearest whose housing is turned far enough from an obstacle."""
+        return T if self._barred is None else turned_away(T, *self._barred)
+
     def _go(self, T: np.ndarray, control_s: float = 0.0) -> Estimate:
-        """Move to a pose (4, 4), or to the nearest whose housing is turned far enough from an obstacle, and estimate there.
-        Raises Obstacle."""
-        T = T if self._barred is None else turned_away(T, *self._barred)
+        """Move to a pose (4, 4), with the housing turned away from an obstacle, and estimate there. Raises Obstacle."""
+        T = self._clear(T)
         here, behind = self._tip.pose, np.array([0.0, 0.0, -_BEHIND_M, 1.0])
         self._attempted = ((T - here) @ behind)[:3]
         return self._tip.go(T, control_s)

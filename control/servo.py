@@ -73,6 +73,10 @@ class Controller(Protocol):
     def reset(self) -> None:
         """Forget the errors so far, because contact was lost and the next label belongs to another place."""
 
+    def made(self, motion: np.ndarray) -> None:
+        """Learn the motion (4, 4), in the sensor's frame, that is made in place of the last one that `move` returned, where
+        that one was too long or would have turned the housing into an obstacle."""
+
 
 def reference_mm_deg(depth_mm: float) -> np.ndarray:
     """Return the label (6,), mm and degrees, that the servo keeps at a depth: along the normal and on the edge."""
@@ -86,8 +90,7 @@ def pose_error(label: np.ndarray, reference: np.ndarray) -> np.ndarray:
         label: (6,), m and rad.
         reference: (6,), m and rad.
     """
-    T = inverse(sensor_in_contact(label)) @ sensor_in_contact(reference)
-    return np.concatenate([T[:3, 3], Rotation.from_matrix(T[:3, :3]).as_rotvec()])
+    return _twist(inverse(sensor_in_contact(label)) @ sensor_in_contact(reference))
 
 
 def gains_named(name: GainsName, task: Task) -> Gains:
@@ -108,7 +111,16 @@ class Servo:
 
     def reset(self) -> None:
         """Set the integral to zero."""
-        self._sum = np.zeros(6)
+        self._sum, self._grown, self._wanted = np.zeros(6), np.zeros(6), np.zeros(6)
+
+    def made(self, motion: np.ndarray) -> None:
+        """Let the sums grow by no more than the share of the motion that is made; see Controller. Otherwise the tip would
+        turn on for as long as it was kept from turning."""
+        made = _twist(motion)
+        short = np.abs(self._wanted) > 0
+        share = np.ones(6)
+        share[short] = np.clip(made[short] / self._wanted[short], 0, 1)
+        self._sum -= np.where(self._grown * self._wanted > 0, (1 - share) * self._grown, 0.0)
 
     def error(self, label: np.ndarray) -> np.ndarray:
         """Return the error (6,), m and rad, of a label (6,): the reference relative to the sensor, in the sensor's frame."""
@@ -117,7 +129,7 @@ class Servo:
     def move(self, label: np.ndarray, along: ArrayLike = (0.0, 0.0, 0.0), max_press_m: float = np.inf) -> np.ndarray:
         """Return the motion (4, 4) for a label; see Controller. The sum is held where the force limits the motion, so the
         tip does not plunge when the force falls."""
-        error = self.error(label)
+        error, before = self.error(label), self._sum
         error[2] = min(error[2], max_press_m)
         self._sum = np.clip(self._sum + error, -self._limit, self._limit)
         # Where the task defines no position, nothing would ever reduce the sum. It gets there as the sensor turns: summed in
@@ -130,4 +142,10 @@ class Servo:
             motion[2] = max_press_m
             if self._ki[2] > 0:
                 self._sum[2] = np.clip(self._sum[2] - excess / self._ki[2], -limit, limit)
-        return matrix(motion[:3] + np.asarray(along), Rotation.from_rotvec(motion[3:]))
+        self._grown, self._wanted = self._sum - before, np.concatenate([motion[:3] + np.asarray(along), motion[3:]])
+        return matrix(self._wanted[:3], Rotation.from_rotvec(self._wanted[3:]))
+
+
+def _twist(motion: np.ndarray) -> np.ndarray:
+    """Return translation (m) and rotation vector (rad) of a motion (4, 4)."""
+    return np.concatenate([motion[:3, 3], Rotation.from_matrix(motion[:3, :3]).as_rotvec()])

@@ -59,6 +59,29 @@ def test_servo_integral_does_not_push_along_what_the_task_leaves_free(task, labe
     assert moved[components, 3] == pytest.approx([1e-3] * len(components), abs=1e-9)
 
 
+def test_servo_kept_from_turning_does_not_overshoot_afterwards():
+    """Held at a lean of 10 degrees for twenty steps, then free: it turns as if it had never been held."""
+    label, held, fresh = from_mm_deg([0, 0, -2, 10, 0, 0]), Servo(Gains(), 2.0, (0, 1)), Servo(Gains(), 2.0, (0, 1))
+    for _ in range(20):
+        held.move(label)
+        held.made(np.eye(4))
+    lean = {"held": [10.0], "fresh": [10.0]}
+    for name, servo in (("held", held), ("fresh", fresh)):
+        T = sensor_in_contact(label)
+        for _ in range(30):
+            T = T @ servo.move(label_of(T))
+            lean[name].append(np.degrees(label_of(T)[3]))
+    assert lean["held"] == pytest.approx(lean["fresh"], abs=1e-6)
+
+
+def test_servo_whose_motion_is_made_in_part_sums_that_part_of_the_error():
+    servo = Servo(Gains(kp=(0.5,) * 6, ki=(0.3,) * 6), 3.0)
+    label = from_mm_deg([0, 0, -4, 0, 0, 0])  # 1 mm too deep
+    wanted = servo.move(label)[2, 3]
+    servo.made(matrix(np.array([0, 0, wanted / 4]), STILL))
+    assert servo.move(label)[2, 3] == pytest.approx(-(0.5 + 0.3 * 1.25) * 1e-3)
+
+
 def test_servo_on_a_ball_has_no_steady_error():
     """On a ball the normal turns by the same angle at each step, which the integral compensates."""
     servo, radius, step = Servo(Gains(), 3.0), 0.06, 1e-3
