@@ -44,7 +44,7 @@ def run_servo(
         log: Callback for messages to the user.
         estimator: An object with the method `estimate`, or a function from the tactile image to the label in mm and degrees,
             in place of the network. Estimates outside the label ranges of the task's network still count as failures.
-        controller: An object with the methods `move` and `reset`, in place of the paper's controller.
+        controller: A `Controller`, in place of the paper's.
 
     Returns:
         The score, as JSON values.

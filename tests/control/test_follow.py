@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from helpers.servo_world import BRISK, NoisyOracle, Scripted, World, beside, lost, over, wild
 from tactip_twin.control.estimator import Estimate, Oracle
 from tactip_twin.control.routes import EdgePath, PlanarPath
+from tactip_twin.control.servo import Servo
 from tactip_twin.learning.filter_settings import FilterSettings
 from tactip_twin.learning.pose_filter import PoseFilter
 from tactip_twin.sim.pose import from_mm_deg, to_mm_deg
@@ -163,3 +165,20 @@ def test_follower_with_slowdown_lags_less_and_takes_more_steps():
         counts[slow] = len(following)
     assert tilts[2.0] < 0.8 * tilts[0.0]
     assert 1.2 * counts[0.0] < counts[2.0] < 5 * counts[0.0]
+
+
+def test_follower_tells_the_controller_which_motion_is_made():
+    """While it aligns after contact, estimates of a lean of 40 degrees are limited to turns of 4 degrees."""
+    made = []
+
+    class Noting(Servo):
+        def made(self, motion):
+            made.append(np.degrees(Rotation.from_matrix(motion[:3, :3]).magnitude()))
+            super().made(motion)
+
+    for replaced in ({}, dict.fromkeys(range(6, 9), wild)):
+        world, made[:] = World("plate"), []
+        follower = world.follow(world.start([0, 0, 0]), over(world, 0.003), Scripted(world, replaced), servo=Noting)
+        assert follower.stopped_because == "route completed"
+        assert made == pytest.approx([4.0] * len(made)) and len(made) >= len(replaced)
+        assert bool(made) == bool(replaced)

@@ -58,11 +58,11 @@ class World:
             self.scene_object.T_base_object @ self.truth.frame(T) @ sensor_in_contact(from_mm_deg([0, 0, off_mm, 0, 0, 0]))
         )
 
-    def follow(self, T, route, estimator=None, pose_filter=None, **settings):
+    def follow(self, T, route, estimator=None, pose_filter=None, servo=Servo, **settings):
         follower = ContourFollower(
             self.mounted_tip,
             estimator or self.oracle,
-            Servo(Gains(), 3.0, FREE_AXES[self.labels.task]),
+            servo(Gains(), 3.0, FREE_AXES[self.labels.task]),
             self.labels,
             Settings(**settings),
             self.steps.append,
