@@ -63,6 +63,10 @@ the object or touches it with its housing first [?]."""
 _ALIGNED_DEG = 3.0
 """Estimated angle to the normal from which the tip counts as aligned, degrees [?]."""
 
+_ALIGNMENTS = 3
+"""Longest alignment, as a multiple of Settings.alignment_steps: a sensor that has touched down far from the normal turns by
+100 degrees at most [?]."""
+
 _MIN_STEP_FRACTION = 0.2
 """Smallest fraction of the tangential step, - [?]."""
 
@@ -174,7 +178,7 @@ class ContourFollower:
         if aligning:
             self._tip.phase, self._centred = "centre", self._centred + 1
         else:
-            self._tip.phase, self._centred = "follow", 2 * self._settings.alignment_steps
+            self._tip.phase, self._centred = "follow", _ALIGNMENTS * self._settings.alignment_steps
             direction = route.direction(measured, measured @ inverse(sensor_in_contact(estimate.label)))
             self._tip.part = route.part
             if direction is None:
@@ -182,8 +186,9 @@ class ContourFollower:
             self._T_good, self._followed_to_m = measured, route.travelled_m
             self._tries.followed(route.travelled_m)
             along = measured[:3, :3].T @ (self._step_fraction(estimate) * self._settings.step_mm / 1e3 * direction)
-        if route.travelled_m > self._barred_to_m:
-            self._barred = None
+        if self._barred is not None and route.travelled_m > self._barred_to_m:
+            # Free to turn back, which it does in place.
+            self._barred, self._centred = None, self._settings.alignment_steps
         room_m = press_room_m(estimate.force_n, self._settings.ease_force_n)
         wanted = self._controller.move(self._in_range(estimate.label), along, room_m)
         clear = wanted if self._barred is None else inverse(measured) @ self._clear(measured @ wanted)
@@ -231,7 +236,8 @@ class ContourFollower:
     def _is_aligning(self, estimate: Estimate) -> bool:
         """Return whether the tip still turns in place after contact: longer where it is far from the normal."""
         steps, free = self._settings.alignment_steps, self._barred is None
-        return self._centred < steps or (self._centred < 2 * steps and _angle_deg(estimate) > _ALIGNED_DEG and free)
+        longest = _ALIGNMENTS * steps
+        return self._centred < steps or (self._centred < longest and _angle_deg(estimate) > _ALIGNED_DEG and free)
 
     def _limited(self, motion: np.ndarray) -> np.ndarray:
         """Return a motion (4, 4) of the sensor, shortened to what is safe in contact."""

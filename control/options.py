@@ -36,8 +36,8 @@ class Settings:
     search_step_mm: float = within(0.05, 2, default=0.5)
     """Step of the search for contact, mm."""
     alignment_steps: int = within(1, 100, default=12)
-    """Number of steps in place after contact, in which the controller aligns the sensor; up to twice as many where it is far
-    from the normal."""
+    """Number of steps in place after contact, in which the controller aligns the sensor; up to three times as many where it
+    is far from the normal."""
     range_margin: float = within(0, 10, default=0.5)
     """Distance beyond the trained label range at which an estimate is rejected, as a fraction of the range's half
     width."""

@@ -52,6 +52,9 @@ DEPTHS_MM: dict[Task, float] = {"surface": 2.0, "edge": 3.0}
 from the normal at its middle; a shallower press has a smaller patch (docs/servo.md). Along an edge it is the middle of the
 trained depths."""
 
+_ROUNDING = 1e-6
+"""Fraction by which a motion may be shorter because of rounding, -."""
+
 FREE_AXES: dict[Task, tuple[int, ...]] = {"surface": (0, 1), "edge": (1,)}
 """Axes of the contact frame along which the task defines no position."""
 
@@ -114,13 +117,10 @@ class Servo:
         self._sum, self._grown, self._wanted = np.zeros(6), np.zeros(6), np.zeros(6)
 
     def made(self, motion: np.ndarray) -> None:
-        """Let the sums grow by no more than the share of the motion that is made; see Controller. Otherwise the tip would
-        turn on for as long as it was kept from turning."""
-        made = _twist(motion)
-        short = np.abs(self._wanted) > 0
-        share = np.ones(6)
-        share[short] = np.clip(made[short] / self._wanted[short], 0, 1)
-        self._sum -= np.where(self._grown * self._wanted > 0, (1 - share) * self._grown, 0.0)
+        """Hold the sums of what was cut short; see Controller. Otherwise they would grow for as long as the sensor is kept
+        from turning, and turn it on afterwards."""
+        cut = (self._grown * self._wanted > 0) & (np.abs(_twist(motion)) < (1 - _ROUNDING) * np.abs(self._wanted))
+        self._sum = np.where(cut, self._sum - self._grown, self._sum)
 
     def error(self, label: np.ndarray) -> np.ndarray:
         """Return the error (6,), m and rad, of a label (6,): the reference relative to the sensor, in the sensor's frame."""

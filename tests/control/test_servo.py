@@ -74,12 +74,28 @@ def test_servo_kept_from_turning_does_not_overshoot_afterwards():
     assert lean["held"] == pytest.approx(lean["fresh"], abs=1e-6)
 
 
-def test_servo_whose_motion_is_made_in_part_sums_that_part_of_the_error():
+def test_servo_holds_the_sums_of_what_was_cut_short():
     servo = Servo(Gains(kp=(0.5,) * 6, ki=(0.3,) * 6), 3.0)
     label = from_mm_deg([0, 0, -4, 0, 0, 0])  # 1 mm too deep
     wanted = servo.move(label)[2, 3]
     servo.made(matrix(np.array([0, 0, wanted / 4]), STILL))
-    assert servo.move(label)[2, 3] == pytest.approx(-(0.5 + 0.3 * 1.25) * 1e-3)
+    assert servo.move(label)[2, 3] == pytest.approx(wanted)
+    servo.made(matrix(np.array([1e-3, 0, wanted]), STILL))  # another component
+    assert servo.move(label)[2, 3] == pytest.approx(wanted - 0.3e-3)
+
+
+def test_servo_with_limited_turns_overshoots_no_more_than_from_a_small_lean():
+    """A lean of 25 degrees, turned out by at most 4 degrees at a time."""
+    servo, T, leans = Servo(Gains(), 2.0, (0, 1)), sensor_in_contact(from_mm_deg([0, 0, -2, 25, 0, 0])), []
+    for _ in range(40):
+        motion = servo.move(label_of(T))
+        turn = Rotation.from_matrix(motion[:3, :3]).as_rotvec()
+        turn *= min(1.0, np.radians(4.0) / max(np.linalg.norm(turn), 1e-9))
+        servo.made(matrix(motion[:3, 3], Rotation.from_rotvec(turn)))
+        T = T @ matrix(motion[:3, 3], Rotation.from_rotvec(turn))
+        leans.append(np.degrees(label_of(T)[3]))
+    assert -2.0 < min(leans) < 0
+    assert abs(leans[-1]) < 0.1
 
 
 def test_servo_on_a_ball_has_no_steady_error():
