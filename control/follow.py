@@ -44,7 +44,7 @@ _SLOW_DEG = {"surface": 2.0, "edge": 0.0}
 _EVASION_MM = 1.0
 """Motion back along the sensor's axis after a stop of the arm at its limit of force or a collision, mm [?]."""
 
-_AWAY_RAD, _AWAY_M = np.radians(5.0), 6e-3
+_AWAY_RAD, _AWAY_M = np.radians(5.0), 3e-3
 """Angle by which the housing turns away from an obstacle after a collision, rad, and the travel along the route over which
 it does not turn back, m [?]."""
 
@@ -67,8 +67,9 @@ _ALIGNMENTS = 3
 """Longest alignment, as a multiple of Settings.alignment_steps: a sensor that has touched down far from the normal turns by
 100 degrees at most [?]."""
 
-_MIN_STEP_FRACTION = 0.2
-"""Smallest fraction of the tangential step, - [?]."""
+_SMALL_STEP, _STOP = 0.2, 4.0
+"""Fraction of the tangential step, -, below which it shrinks more slowly with the tilt, and the tilt at which it is zero, as
+a multiple of the tilt at which it would have been (Settings.slowdown_angle_deg) [?]."""
 
 _MAX_MOTION_M, _MAX_TURN_RAD = 2e-3, np.radians(4.0)
 """Longest motion and largest turn of a control step, m and rad: a turn about the apex moves the tip's flanks [?]."""
@@ -235,9 +236,15 @@ class ContourFollower:
 
     def _is_aligning(self, estimate: Estimate) -> bool:
         """Return whether the tip still turns in place after contact: longer where it is far from the normal."""
-        steps, free = self._settings.alignment_steps, self._barred is None
-        longest = _ALIGNMENTS * steps
-        return self._centred < steps or (self._centred < longest and _angle_deg(estimate) > _ALIGNED_DEG and free)
+        steps = self._settings.alignment_steps
+        return self._centred < steps or (self._centred < _ALIGNMENTS * steps and self._lean_deg(estimate) > _ALIGNED_DEG)
+
+    def _lean_deg(self, estimate: Estimate) -> float:
+        """Return the estimated angle, degrees, by which the sensor can still turn towards the normal: beside an obstacle, as
+        far as its housing is free."""
+        here = self._tip.pose
+        turn = Rotation.from_rotvec(pose_error(estimate.label, np.zeros(6))[3:])
+        return float(np.degrees(tilt_rad(self._clear(here @ matrix(np.zeros(3), turn)), here[:3, 2])))
 
     def _limited(self, motion: np.ndarray) -> np.ndarray:
         """Return a motion (4, 4) of the sensor, shortened to what is safe in contact."""
@@ -300,13 +307,14 @@ class ContourFollower:
 
     def _step_fraction(self, estimate: Estimate) -> float:
         """Return the fraction of the tangential step to take: smaller where the sensor tilts, because it lags behind the
-        surface."""
+        surface, and zero where it is far from the normal, so that it turns in place."""
         slow = (
             _SLOW_DEG[self._labels.task] if self._settings.slowdown_angle_deg is None else self._settings.slowdown_angle_deg
         )
-        if self._barred is not None:  # it leans because of an obstacle
+        if not slow:
             return 1.0
-        return max(_MIN_STEP_FRACTION, 1 - _angle_deg(estimate) / slow) if slow else 1.0
+        lean = self._lean_deg(estimate) / slow
+        return max(1 - lean, _SMALL_STEP * (1 - lean / _STOP), 0.0)
 
     def _failure(self, estimate: Estimate, aligning: bool) -> tuple[str, str] | None:
         """Return kind and description of a failure, or None. aligning: whether estimates may be out of range, because the
@@ -337,8 +345,3 @@ class ContourFollower:
     def _note(self, kind: str, what: str) -> None:
         self.events.append(Event(self._tip.steps, kind, what))
         self._on_event(self.events[-1])
-
-
-def _angle_deg(estimate: Estimate) -> float:
-    """Return the estimated angle, degrees, between the sensor's axis and the normal."""
-    return float(np.degrees(np.linalg.norm(pose_error(estimate.label, np.zeros(6))[3:5])))
