@@ -65,7 +65,7 @@ _ALIGNED_DEG = 3.0
 
 _ALIGNMENTS = 3
 """Longest alignment, as a multiple of Settings.alignment_steps: a sensor that has touched down far from the normal turns by
-100 degrees at most [?]."""
+140 degrees at most [?]."""
 
 _SMALL_STEP, _STOP = 0.2, 4.0
 """Fraction of the tangential step, -, below which it shrinks more slowly with the tilt, and the tilt at which it is zero, as

@@ -1,5 +1,8 @@
 """Following a route in simulation from first contact to the end, with the ground truth as estimator; and single failures."""
 
+from dataclasses import replace
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -182,3 +185,17 @@ def test_follower_tells_the_controller_which_motion_is_made():
         assert follower.stopped_because == "route completed"
         assert made == pytest.approx([4.0] * len(made)) and len(made) >= len(replaced)
         assert bool(made) == bool(replaced)
+
+
+@pytest.mark.parametrize(("lean_deg", "least", "most"), [(0.0, 0.95, 1.05), (4.0, 0.05, 0.15), (9.0, 0.0, 0.001)])
+def test_follower_moves_on_more_slowly_the_more_it_leans(lean_deg, least, most):
+    """A lean that is felt in one step: full steps when square, a tenth at 4 degrees, none at 9."""
+    world = World("plate")
+
+    def leaning(estimate):
+        return replace(estimate, label=estimate.label + from_mm_deg([0, 0, 0, 0, lean_deg, 0]))
+
+    world.follow(world.start([0, 0, 0]), over(world), Scripted(world, {24: leaning}))
+    steps = [np.linalg.norm(b.T_base_tcp[:2, 3] - a.T_base_tcp[:2, 3]) for a, b in pairwise(world.steps)]
+    assert world.steps[24].phase == "follow" == world.steps[25].phase
+    assert least <= 1e3 * steps[24] <= most
