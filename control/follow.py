@@ -240,11 +240,12 @@ class ContourFollower:
         return self._centred < steps or (self._centred < _ALIGNMENTS * steps and self._lean_deg(estimate) > _ALIGNED_DEG)
 
     def _lean_deg(self, estimate: Estimate) -> float:
-        """Return the estimated angle, degrees, by which the sensor can still turn towards the normal: beside an obstacle, as
-        far as its housing is free."""
-        here = self._tip.pose
-        turn = Rotation.from_rotvec(pose_error(estimate.label, np.zeros(6))[3:])
-        return float(np.degrees(tilt_rad(self._clear(here @ matrix(np.zeros(3), turn)), here[:3, 2])))
+        """Return the estimated angle, degrees, by which the sensor can turn towards the normal: zero where its housing would
+        turn into an obstacle."""
+        error = pose_error(estimate.label, np.zeros(6))[3:]
+        square = self._tip.pose @ matrix(np.zeros(3), Rotation.from_rotvec(error))
+        blocked = not np.allclose(self._clear(square), square, rtol=0, atol=_SAME)
+        return 0.0 if blocked else float(np.degrees(np.linalg.norm(error[:2])))
 
     def _limited(self, motion: np.ndarray) -> np.ndarray:
         """Return a motion (4, 4) of the sensor, shortened to what is safe in contact."""
