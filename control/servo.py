@@ -8,7 +8,7 @@ Touch" (2020); [L] the authors' later tactile_servo_control.
 """
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -59,6 +59,7 @@ FREE_AXES: dict[Task, tuple[int, ...]] = {"surface": (0, 1), "edge": (1,)}
 """Axes of the contact frame along which the task defines no position."""
 
 
+@runtime_checkable
 class Controller(Protocol):
     """Anything that turns estimated labels into motions. Subclasses without state need only `move`."""
 

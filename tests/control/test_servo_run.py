@@ -292,6 +292,12 @@ def test_run_servo_own_parts_take_the_place_of_network_and_controller(tmp_path):
     assert np.ptp(following[:, 2]) < 1e-9  # nothing corrects the depth
 
 
+def test_run_servo_controller_without_its_methods_is_refused(tmp_path):
+    with pytest.raises(TactipError, match=r"must have the methods move, reset and made, .* got a object"):
+        run_servo(own_options(tmp_path), log=lambda line: None, controller=object())
+    assert not (tmp_path / "run").exists()
+
+
 def test_coverage_counts_targets_within_reach():
     targets = np.stack([np.arange(10), np.zeros(10), np.zeros(10)], -1).astype(float)
     assert coverage(targets[:1], targets, 2.5) == pytest.approx(0.3)
