@@ -196,7 +196,7 @@ class ContourFollower:
         motion = self._limited(clear)
         motion[2, 3] = min(motion[2, 3], room_m)
         if not np.allclose(motion, wanted, rtol=0, atol=_SAME):
-            self._controller.made(motion)
+            self._controller.limited_to(motion)
         return self._go(measured @ motion, self._clock() - start)
 
     def _clear(self, T: np.ndarray) -> np.ndarray:
@@ -237,9 +237,11 @@ class ContourFollower:
     def _is_aligning(self, estimate: Estimate) -> bool:
         """Return whether the tip still turns in place after contact: longer where it is far from the normal."""
         steps = self._settings.alignment_steps
-        return self._centred < steps or (self._centred < _ALIGNMENTS * steps and self._lean_deg(estimate) > _ALIGNED_DEG)
+        if self._centred < steps:
+            return True
+        return self._centred < _ALIGNMENTS * steps and self._free_tilt_deg(estimate) > _ALIGNED_DEG
 
-    def _lean_deg(self, estimate: Estimate) -> float:
+    def _free_tilt_deg(self, estimate: Estimate) -> float:
         """Return the estimated angle, degrees, by which the sensor can turn towards the normal: zero where its housing would
         turn into an obstacle."""
         error = pose_error(estimate.label, np.zeros(6))[3:]
@@ -314,8 +316,8 @@ class ContourFollower:
         )
         if not slow:
             return 1.0
-        lean = self._lean_deg(estimate) / slow
-        return max(1 - lean, _SMALL_STEP * (1 - lean / _STOP), 0.0)
+        tilt = self._free_tilt_deg(estimate) / slow
+        return max(1 - tilt, _SMALL_STEP * (1 - tilt / _STOP), 0.0)
 
     def _failure(self, estimate: Estimate, aligning: bool) -> tuple[str, str] | None:
         """Return kind and description of a failure, or None. aligning: whether estimates may be out of range, because the

@@ -77,9 +77,9 @@ class Controller(Protocol):
     def reset(self) -> None:
         """Forget the errors so far, because contact was lost and the next label belongs to another place."""
 
-    def made(self, motion: np.ndarray) -> None:
-        """Learn the motion (4, 4), in the sensor's frame, that is made in place of the last one that `move` returned, where
-        that one was too long or would have turned the housing into an obstacle."""
+    def limited_to(self, motion: np.ndarray) -> None:
+        """Take the motion (4, 4), in the sensor's frame, to which the last one that `move` returned was limited, because it
+        was too long or would have turned the housing into an obstacle."""
 
 
 def reference_mm_deg(depth_mm: float) -> np.ndarray:
@@ -117,9 +117,9 @@ class Servo:
         """Set the integral to zero."""
         self._sum, self._grown, self._wanted = np.zeros(6), np.zeros(6), np.zeros(6)
 
-    def made(self, motion: np.ndarray) -> None:
-        """Hold the sums of what was cut short; see Controller. Otherwise they would grow for as long as the sensor is kept
-        from turning, and turn it on afterwards."""
+    def limited_to(self, motion: np.ndarray) -> None:
+        """Undo the last growth of the integral in each component whose motion was shortened (anti-windup); see Controller.
+        Otherwise it would grow for as long as the sensor cannot turn, and turn it too far afterwards."""
         cut = (self._grown * self._wanted > 0) & (np.abs(_twist(motion)) < (1 - _ROUNDING) * np.abs(self._wanted))
         self._sum = np.where(cut, self._sum - self._grown, self._sum)
 

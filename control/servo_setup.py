@@ -96,7 +96,7 @@ def prepare(
     if options.video and options.renderer == "raster":
         raise TactipError("--video needs OpenGL, but --renderer raster works without: leave one of them out")
     if controller is not None and not isinstance(controller, Controller):
-        what = "the methods move, reset and made, which a subclass of tactip_twin.Controller has"
+        what = "the methods move, reset and limited_to, which a subclass of tactip_twin.Controller has"
         raise TactipError(f"the controller must have {what}, got a {type(controller).__name__}")
     scene_object = load_object(options.object, options.unit, options.scale, options.position_mm, options.rotation_deg)
     for repair in scene_object.notes:

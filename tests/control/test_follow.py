@@ -170,14 +170,14 @@ def test_follower_with_slowdown_lags_less_and_takes_more_steps():
     assert 1.2 * counts[0.0] < counts[2.0] < 5 * counts[0.0]
 
 
-def test_follower_tells_the_controller_which_motion_is_made():
-    """While it aligns after contact, estimates of a lean of 40 degrees are limited to turns of 4 degrees."""
+def test_follower_tells_the_controller_to_which_motion_it_was_limited():
+    """While it aligns after contact, an estimated tilt of 40 degrees leads to turns of 4 degrees at most."""
     made = []
 
     class Noting(Servo):
-        def made(self, motion):
+        def limited_to(self, motion):
             made.append(np.degrees(Rotation.from_matrix(motion[:3, :3]).magnitude()))
-            super().made(motion)
+            super().limited_to(motion)
 
     for replaced in ({}, dict.fromkeys(range(6, 9), wild)):
         world, made[:] = World("plate"), []
@@ -187,15 +187,15 @@ def test_follower_tells_the_controller_which_motion_is_made():
         assert bool(made) == bool(replaced)
 
 
-@pytest.mark.parametrize(("lean_deg", "least", "most"), [(0.0, 0.95, 1.05), (4.0, 0.05, 0.15), (9.0, 0.0, 0.001)])
-def test_follower_moves_on_more_slowly_the_more_it_leans(lean_deg, least, most):
-    """A lean that is felt in one step: full steps when square, a tenth at 4 degrees, none at 9."""
+@pytest.mark.parametrize(("tilt_deg", "least", "most"), [(0.0, 0.95, 1.05), (4.0, 0.05, 0.15), (9.0, 0.0, 0.001)])
+def test_follower_takes_shorter_steps_the_larger_the_estimated_tilt(tilt_deg, least, most):
+    """Full steps without tilt, a tenth of them at 4 degrees, none at 9; one step has the tilted estimate."""
     world = World("plate")
 
-    def leaning(estimate):
-        return replace(estimate, label=estimate.label + from_mm_deg([0, 0, 0, 0, lean_deg, 0]))
+    def tilted(estimate):
+        return replace(estimate, label=estimate.label + from_mm_deg([0, 0, 0, 0, tilt_deg, 0]))
 
-    world.follow(world.start([0, 0, 0]), over(world), Scripted(world, {24: leaning}))
+    world.follow(world.start([0, 0, 0]), over(world), Scripted(world, {24: tilted}))
     steps = [np.linalg.norm(b.T_base_tcp[:2, 3] - a.T_base_tcp[:2, 3]) for a, b in pairwise(world.steps)]
     assert world.steps[24].phase == "follow" == world.steps[25].phase
     assert least <= 1e3 * steps[24] <= most

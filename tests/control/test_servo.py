@@ -64,7 +64,7 @@ def test_servo_kept_from_turning_does_not_overshoot_afterwards():
     label, held, fresh = from_mm_deg([0, 0, -2, 10, 0, 0]), Servo(Gains(), 2.0, (0, 1)), Servo(Gains(), 2.0, (0, 1))
     for _ in range(20):
         held.move(label)
-        held.made(np.eye(4))
+        held.limited_to(np.eye(4))
     lean = {"held": [10.0], "fresh": [10.0]}
     for name, servo in (("held", held), ("fresh", fresh)):
         T = sensor_in_contact(label)
@@ -74,13 +74,13 @@ def test_servo_kept_from_turning_does_not_overshoot_afterwards():
     assert lean["held"] == pytest.approx(lean["fresh"], abs=1e-6)
 
 
-def test_servo_holds_the_sums_of_what_was_cut_short():
+def test_servo_integral_does_not_grow_where_the_motion_is_limited():
     servo = Servo(Gains(kp=(0.5,) * 6, ki=(0.3,) * 6), 3.0)
     label = from_mm_deg([0, 0, -4, 0, 0, 0])  # 1 mm too deep
     wanted = servo.move(label)[2, 3]
-    servo.made(matrix(np.array([0, 0, wanted / 4]), STILL))
+    servo.limited_to(matrix(np.array([0, 0, wanted / 4]), STILL))
     assert servo.move(label)[2, 3] == pytest.approx(wanted)
-    servo.made(matrix(np.array([1e-3, 0, wanted]), STILL))  # another component
+    servo.limited_to(matrix(np.array([1e-3, 0, wanted]), STILL))  # another component
     assert servo.move(label)[2, 3] == pytest.approx(wanted - 0.3e-3)
 
 
@@ -91,7 +91,7 @@ def test_servo_with_limited_turns_overshoots_no_more_than_from_a_small_lean():
         motion = servo.move(label_of(T))
         turn = Rotation.from_matrix(motion[:3, :3]).as_rotvec()
         turn *= min(1.0, np.radians(4.0) / max(np.linalg.norm(turn), 1e-9))
-        servo.made(matrix(motion[:3, 3], Rotation.from_rotvec(turn)))
+        servo.limited_to(matrix(motion[:3, 3], Rotation.from_rotvec(turn)))
         T = T @ matrix(motion[:3, 3], Rotation.from_rotvec(turn))
         leans.append(np.degrees(label_of(T)[3]))
     assert -2.0 < min(leans) < 0

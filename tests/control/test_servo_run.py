@@ -293,7 +293,7 @@ def test_run_servo_own_parts_take_the_place_of_network_and_controller(tmp_path):
 
 
 def test_run_servo_controller_without_its_methods_is_refused(tmp_path):
-    with pytest.raises(TactipError, match=r"must have the methods move, reset and made, .* got a object"):
+    with pytest.raises(TactipError, match=r"must have the methods move, reset and limited_to, .* got a object"):
         run_servo(own_options(tmp_path), log=lambda line: None, controller=object())
     assert not (tmp_path / "run").exists()
 
