@@ -11,7 +11,7 @@ from tactip_twin.assets import MODELS
 from tactip_twin.commands._parsing import Command, last_value
 from tactip_twin.commands._progress import DelayedStatus, to_stderr
 from tactip_twin.learning.configuration import RECIPES, DeviceName, PoseNetConfig, Recipe, RecipeName, TrainSettings
-from tactip_twin.learning.recipes import read_recipe
+from tactip_twin.learning.recipes import USUAL_PX, read_recipe, recipe_named
 
 
 @dataclass(frozen=True)
@@ -98,8 +98,9 @@ def _recipe(arguments: Sequence[str]) -> Recipe:
     if config is not None:
         return read_recipe(config)
     name, start = last_value(arguments, "recipe"), last_value(arguments, "init-from")
-    named = next((recipes for key, recipes in RECIPES.items() if key == name), RECIPES["laptop"])
-    recipe = named[_task(_train_set(arguments))]
+    folder = _train_set(arguments)
+    known = name if name in RECIPES else "laptop"
+    recipe = recipe_named(known, _task(folder), _size_px(folder))
     if start:
         folder = MODELS / start if (MODELS / start).is_dir() else Path(start)
         if (folder / "model.json").is_file():
@@ -117,6 +118,14 @@ def _train_set(arguments: Sequence[str]) -> Path | None:
 def _task(folder: Path | None) -> str:
     """Return the task of a set, or `surface` if it cannot be read."""
     return "edge" if folder and _configuration(folder).get("task") == "edge" else "surface"
+
+
+def _size_px(folder: Path | None) -> int:
+    """Return the width of a set's images, px, or that of most sets if it cannot be read."""
+    configuration = {} if folder is None else _configuration(folder)
+    image = configuration.get("layout") or (configuration.get("design") or {}).get("image")
+    size = image.get("size_px") if isinstance(image, dict) else None
+    return size if type(size) is int else USUAL_PX
 
 
 def _configuration(folder: Path) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """Scores of a trajectory over a surface by what the tip can touch and by the local curvature."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -16,6 +16,13 @@ _CURVATURE_SPAN_M = 2e-3
 """Distance over which the curvature of a surface is measured, m."""
 
 _DIRECTIONS = 8
+
+_PATCH_M = 1.5e-3
+"""Radius around a point within which the normal is averaged, m: half of the distance between the pins of `tactip-127`, which
+show nothing finer."""
+
+_RINGS_M = (_PATCH_M / 2, _PATCH_M)
+"""Radii of the circles on which it is taken, m: with the middle, they weigh the patch about evenly."""
 
 CURVATURE_BINS = {
     "hollow, radius below 20 mm": (-np.inf, -1 / 20e-3),
@@ -48,15 +55,18 @@ def surface_score(
     T = np.linalg.inv(scene_object.T_base_object)
     reached = touchable(solid, targets @ T[:3, :3].T + T[:3, 3], radius_m, depth_mm / 1e3)
     truth = SurfaceGroundTruth(solid)
-    nearest = np.array([truth.frame(T @ pose)[:3, 3] for pose in arrays["T_base_tcp"][following]]).reshape(-1, 3)
+    poses = T @ arrays["T_base_tcp"][following]
+    nearest = np.array([truth.frame(pose)[:3, 3] for pose in poses]).reshape(-1, 3)
     depth_errors, angles = np.abs(1e3 * true[:, 2] + depth_mm), angles_to_normal_deg(true)
+    cosines = -(poses[:, :3, 2] * mean_normals(solid, nearest)).sum(1)
+    to_mean = np.degrees(np.arccos(np.clip(cosines, -1, 1)))
     groups = {"where the tip fits": fits(solid, nearest, radius_m, depth_mm / 1e3)}
     curvature = extreme_curvature(solid, nearest)
     groups |= {name: (curvature >= low) & (curvature < high) for name, (low, high) in CURVATURE_BINS.items()}
     return {
         "reachable": mean_or_none(reached),
         "coverage_of_reachable": coverage(touched_places(arrays), targets[reached], COVERED_M),
-        "errors": {name: _errors(depth_errors[chosen], angles[chosen]) for name, chosen in groups.items()},
+        "errors": {name: _errors(depth_errors[chosen], angles[chosen], to_mean[chosen]) for name, chosen in groups.items()},
     }
 
 
@@ -64,24 +74,38 @@ def extreme_curvature(solid: SignedDistanceMesh, places: np.ndarray) -> np.ndarr
     """Return the normal curvature (n,), 1/m, convex positive, of largest magnitude at places (n, 3), m, on a solid."""
     if not len(places):
         return np.zeros(0)
-    normals = solid.smooth_normal(places)
-    helper = np.eye(3)[np.abs(normals).argmin(1)]
-    u = np.cross(normals, helper)
-    u /= np.linalg.norm(u, axis=1, keepdims=True)
-    v, h = np.cross(normals, u), _CURVATURE_SPAN_M
-    found = []
-    for angle in np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS:
-        along = np.cos(angle) * u + np.sin(angle) * v
+    h, found = _CURVATURE_SPAN_M, []
+    for along in _tangents(solid.smooth_normal(places), np.pi):
         change = solid.smooth_normal(places + h * along) - solid.smooth_normal(places - h * along)
         found.append((change * along).sum(1) / (2 * h))
     curvatures = np.array(found)
     return np.take_along_axis(curvatures, np.abs(curvatures).argmax(0)[None], 0)[0]
 
 
-def _errors(depth_errors_mm: np.ndarray, angles: np.ndarray) -> dict[str, Any]:
+def mean_normals(solid: SignedDistanceMesh, places: np.ndarray) -> np.ndarray:
+    """Return the mean normals (n, 3), unit, of a solid around places (n, 3), m, on it, within `_PATCH_M`."""
+    if not len(places):
+        return np.zeros((0, 3))
+    normals = solid.smooth_normal(places)
+    around = [solid.smooth_normal(places + r * along) for along in _tangents(normals, 2 * np.pi) for r in _RINGS_M]
+    total = normals + sum(around)
+    return total / np.linalg.norm(total, axis=1, keepdims=True)
+
+
+def _tangents(normals: np.ndarray, span_rad: float) -> Iterator[np.ndarray]:
+    """Yield unit directions (n, 3) along a surface with unit normals (n, 3), spread over an angle."""
+    u = np.cross(normals, np.eye(3)[np.abs(normals).argmin(1)])
+    u /= np.linalg.norm(u, axis=1, keepdims=True)
+    v = np.cross(normals, u)
+    for angle in span_rad * np.arange(_DIRECTIONS) / _DIRECTIONS:
+        yield np.cos(angle) * u + np.sin(angle) * v
+
+
+def _errors(depth_errors_mm: np.ndarray, angles: np.ndarray, to_mean: np.ndarray) -> dict[str, Any]:
     return {
         "steps": len(angles),
         "depth_mae_mm": mean_or_none(depth_errors_mm),
         "angle_mean_deg": mean_or_none(angles),
         "angle_p95_deg": float(np.percentile(angles, 95)) if len(angles) else None,
+        "angle_to_mean_normal_deg": mean_or_none(to_mean),
     }

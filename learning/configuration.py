@@ -40,6 +40,9 @@ OpticsName = Literal[
 ]
 """Names of the ranges of optics (optics_ranges.OPTICS)."""
 
+MAX_DOWNSAMPLE = 8
+"""Maximum downsampling of a network's input."""
+
 RecipeName = Literal["laptop", "paper"]
 """Names of the recipes (RECIPES)."""
 
@@ -74,7 +77,7 @@ class PoseNetConfig:
     blur_px: float = within(0, 4, default=0.0)
     """Standard deviation of a Gaussian blur of the input, px; 0 [P]. On blurred images pooling keeps positions to a
     fraction of a pixel."""
-    downsample: int = within(1, 8, default=1)
+    downsample: int = within(1, MAX_DOWNSAMPLE, default=1)
     """Downsample the input by averaging N×N pixels; 1 [P]. With 2, convolutions cost a quarter."""
     pixel_unshuffle: bool = False
     """Move each N×N block of the downsampling into channels instead of averaging it."""
@@ -132,8 +135,11 @@ class PoseNetConfig:
         """Return the width, px, of the last convolution layer's output for images of `size` px.
 
         Raises:
-            TactipError: If no pixels remain.
+            TactipError: If no pixels remain, or they cannot be folded.
         """
+        if self.pixel_unshuffle:
+            allowed = f"a divisor of the images' width, {size} px, with pixel_unshuffle"
+            require(size % self.downsample == 0, "downsample", self.downsample, allowed)
         remaining = size // self.downsample
         for layer in range(1, self.conv_layers + 1):
             remaining = (remaining - 2) // 2
@@ -210,7 +216,7 @@ class SearchSpace:
     """Maximum number of units per dense layer [P]."""
     blur_px: float = within(0, 4, default=0.0)
     """Blur of every network's input (as --network.blur-px of `tactip train`), px; 0 [P]."""
-    downsample: int = within(1, 8, default=1)
+    downsample: int = within(1, MAX_DOWNSAMPLE, default=1)
     """Downsampling of every network's input (as --network.downsample of `tactip train`); 1 [P]. With 2, at most 4
     convolution layers fit an image of 128 px."""
 

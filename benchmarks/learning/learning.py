@@ -179,7 +179,7 @@ def rows(task: Task, paper: bool) -> list[Row]:
         Row("laptop-contact", "`laptop-fast` fine-tuned with images of the undeformed tip", "fast", last, "laptop-fast")
     )
     drawn = replace(laptop.settings, epochs=_DRAWN_EPOCHS[task], **_DRAWN_TRAINING)
-    wide = Recipe(replace(laptop.network, downsample=4, batch_size=64), drawn)
+    wide = Recipe(replace(recipe_named("laptop", task, WIDE_PX).network, batch_size=64), drawn)
     what = f"recipe `laptop` on images of {WIDE_PX} px, on contacts that the learned tip draws anew at every epoch"
     out.append(Row("laptop-256px", what, "256px", wide))
     wide_noisy = Recipe(wide.network, replace(laptop.settings, **_NOISE_TRAINING))

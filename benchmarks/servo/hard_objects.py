@@ -73,6 +73,9 @@ MAX_STARTS = 50
 _START_STEPS = 100
 """Steps of a run from a random start: with the learned tip, some to find the object and to get past obstacles."""
 
+_START_LENGTH_MM = 15.0
+"""Length of their line, mm: enough for these steps, and short enough to begin above every object."""
+
 _MIN_FOLLOWED = 10
 """Steps on the route from which a random start counts as followed."""
 
@@ -128,7 +131,9 @@ def cases(options: HardObjectsOptions) -> list[Case]:
         if options.whole:
             out.append(Case("whole", name, replace(run, route=RouteOptions(middle_mm=(float(x), float(y))))))
         for seed in range(min(options.starts, MAX_STARTS)):
-            start = replace(random_start(run, seed, middle), fidelity="fast", settings=Settings(max_steps=_START_STEPS))
+            start = random_start(run, seed, middle)
+            line = replace(start.route, length_mm=_START_LENGTH_MM)
+            start = replace(start, fidelity="fast", settings=Settings(max_steps=_START_STEPS), route=line)
             out.append(Case("starts", f"{name}, {seed}", start))
     return out
 
@@ -193,6 +198,7 @@ def _runs(rows: dict[str, dict[str, Any]]) -> str:
     """Return the table of the runs over whole objects, with what was left out below it."""
     head = ["object", "fidelity", "touchable", "covered of it", "tip fits: steps", "depth, mm", "angle, °", "95 %, °"]
     head += [
+        "to the mean normal, °",
         "all steps: depth, mm",
         "angle, °",
         "95 %, °",
@@ -207,7 +213,9 @@ def _runs(rows: dict[str, dict[str, Any]]) -> str:
         left = sum(s["to_mm"] - s["from_mm"] for s in row["left_out"])
         shares = [row["reachable"], row["coverage_of_reachable"], fitting["steps"] / max(1, row["steps_followed"])]
         limits = [f"{row['force_max_n']:.1f}", _peak(row), f"{row['penetration_within_bound'] or 1:.1%}", f"{left:.0f}"]
-        cells.append([name, row["fidelity"], *map("{:.0%}".format, shares), *_errors(fitting), *_errors(row), *limits])
+        to_mean = f"{fitting['angle_to_mean_normal_deg']:.1f}"
+        errors = [*_errors(fitting), to_mean, *_errors(row)]
+        cells.append([name, row["fidelity"], *map("{:.0%}".format, shares), *errors, *limits])
         kinds = Counter(s["kind"] for s in row["left_out"])
         lines.append(
             f"- {name}: {row['stopped_because']}; events: {events_text(row['events'])}; left out: {events_text(kinds)}"

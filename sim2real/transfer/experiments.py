@@ -206,7 +206,8 @@ class Experiment:
     def _recipe(self, default_steps: int) -> Recipe:
         """Return the recipe with its number of training steps: that of the settings, the given default, or the paper's."""
         s = self.settings
-        recipe, steps = recipe_named(s.recipe, self.task), s.steps or (None if s.recipe == "paper" else default_steps)
+        recipe = recipe_named(s.recipe, self.task, self.samples.size)
+        steps = s.steps or (None if s.recipe == "paper" else default_steps)
         return recipe if steps is None else replace(recipe, settings=replace(recipe.settings, epochs=1, min_steps=steps))
 
     def _initial_network(self) -> Model | None:
@@ -216,7 +217,7 @@ class Experiment:
             return None if name == NONE else load_network(name)
         if read_report(self.real) is None:  # the number of pins is unknown
             return None
-        config = recipe_named(self.settings.recipe, self.task).network
+        config = recipe_named(self.settings.recipe, self.task, self.samples.size).network
         for name in shipped_models():
             found = re.fullmatch(rf"{self.task}(?:-\d+px|-any)?-(tactip-\d+)", name)
             if not found or name in _NO_START:

@@ -3,11 +3,13 @@
 import numpy as np
 import pytest
 import trimesh
+from scipy.special import j0
 
 from helpers.profiles import profiled_block
 from tactip_twin.control.reach import fits, touchable
 from tactip_twin.control.score import coverage, touched_places
-from tactip_twin.control.surface_score import extreme_curvature
+from tactip_twin.control.surface_score import extreme_curvature, mean_normals
+from tactip_twin.sim.contact.curved_surface import slab
 from tactip_twin.sim.contact.signed_distance import SignedDistanceMesh
 from tactip_twin.sim.robot.recording import PHASES
 
@@ -70,3 +72,13 @@ def test_coverage_counts_only_steps_at_which_the_apex_touches():
     places = touched_places({"phase": phase, "true": true, "T_base_tcp": poses})
     assert places == pytest.approx(np.array([[0, 0, 2e-3]]))
     assert coverage(places, np.array([[0, 0, 0], [0.02, 0, 0]]), 7e-3) == 0.5
+
+
+def test_mean_normal_on_waves_is_that_of_the_wave_averaged_over_circles():
+    """Averaged over a circle of radius r, the slope of a wave of wave number k is J0(k r) times that in the middle."""
+    k, slope = 2 * np.pi / 6e-3, 0.05
+    waves = SignedDistanceMesh(*slab(lambda at: slope / k * np.sin(k * at[..., 0]), 0.2e-3))
+    expected = slope * (1 + 8 * j0(k * 0.75e-3) + 8 * j0(k * 1.5e-3)) / 17
+    (normal,) = mean_normals(waves, np.zeros((1, 3)))
+    assert -normal[0] / normal[2] == pytest.approx(expected, rel=0.03)
+    assert mean_normals(waves, np.zeros((0, 3))).shape == (0, 3)

@@ -1,10 +1,10 @@
-"""Recipes from JSON files."""
+"""Recipes by name and from JSON files."""
 
 import pytest
 
 from helpers.trainings import NET, QUICK
 from tactip_twin.learning.configuration import Recipe
-from tactip_twin.learning.recipes import read_recipe, recipe_json
+from tactip_twin.learning.recipes import read_recipe, recipe_json, recipe_named
 from tactip_twin.tactip_model.errors import TactipError
 
 
@@ -22,3 +22,17 @@ def test_read_recipe_round_trip_and_errors(tmp_path):
         (tmp_path / "bad.json").write_text(text)
         with pytest.raises(TactipError, match=message):
             read_recipe(tmp_path / "bad.json")
+
+
+@pytest.mark.parametrize(
+    ("size_px", "downsample"), [(64, 2), (130, 2), (128, 2), (256, 4), (360, 4), (384, 6), (1024, 8), (270, 2)]
+)
+def test_wider_images_are_folded_by_more_pixels(size_px, downsample):
+    network = recipe_named("laptop", "edge", size_px).network
+    assert network.downsample == downsample
+    assert recipe_named("paper", "edge", size_px) == recipe_named("paper", "edge")
+
+
+def test_an_image_whose_pixels_cannot_be_folded_is_refused():
+    with pytest.raises(TactipError, match=r"downsample must be a divisor of the images' width, 129 px, .* got 2"):
+        recipe_named("laptop", "surface", 129).network.last_size(129)
