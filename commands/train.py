@@ -123,7 +123,8 @@ def _task(folder: Path | None) -> str:
 def _size_px(folder: Path | None) -> int:
     """Return the width of a set's images, px, or that of most sets if it cannot be read."""
     configuration = {} if folder is None else _configuration(folder)
-    image = configuration.get("layout") or (configuration.get("design") or {}).get("image")
+    design = configuration.get("design")
+    image = design.get("image") if isinstance(design, dict) else configuration.get("layout")
     size = image.get("size_px") if isinstance(image, dict) else None
     return size if type(size) is int else USUAL_PX
 

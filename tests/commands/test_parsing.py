@@ -74,6 +74,23 @@ def test_train_defaults_follow_the_task_of_the_set(tmp_path):
     assert command.training.augmented_fraction == 0  # without pins, images cannot be rendered again
 
 
+@pytest.mark.parametrize(
+    ("configuration", "downsample"),
+    [
+        ({"design": {"image": {"size_px": 256}}}, 4),
+        ({"layout": {"size_px": 256}}, 4),
+        ({"design": {"image": {"size_px": 128}}}, 2),
+        ({"design": "damaged"}, 2),
+        ({"layout": {"size_px": "damaged"}}, 2),
+    ],
+)
+def test_train_default_network_takes_as_long_on_wide_images(configuration, downsample, tmp_path):
+    (tmp_path / "train").mkdir()
+    (tmp_path / "train" / "meta.json").write_text(json.dumps({"configuration": {"task": "edge"} | configuration}))
+    command = Train.parse(["--data", str(tmp_path), "--out", "none"], "tactip train")
+    assert command.network.downsample == downsample
+
+
 def test_train_defaults_are_those_of_a_file_or_of_the_initial_network(tmp_path):
     file = tmp_path / "best.json"
     file.write_text(json.dumps({"network": {"filters": 4}, "settings": {"epochs": 3}}))
