@@ -61,6 +61,9 @@ def photo(design, tips, directions):
     return image
 
 
+COLUMNS = ["pose_z=-pose_2-5", "pose_Ry=pose_6", "shear_x=move_1"]
+
+
 @pytest.fixture(scope="session")
 def lab(tmp_path_factory):
     """A folder as a laboratory publishes it: depth before a tap, one tilt, and unlabelled shears."""
@@ -79,8 +82,7 @@ def lab(tmp_path_factory):
         writer.writeheader()
         writer.writerows(rows)
     out = folder.with_name("set")
-    columns = ["pose_z=-pose_2-5", "pose_Ry=pose_6", "shear_x=move_1"]
-    assert tactip.main(["import", str(folder), "--out", str(out), "--columns", *columns]) == 0
+    assert tactip.main(["import", str(folder), "--out", str(out), "--columns", *COLUMNS]) == 0
     return out
 
 
@@ -153,6 +155,16 @@ def test_training_starts_from_the_shipped_network_for_as_many_pins(lab, tmp_path
         (other / "import.json").write_text(json.dumps(report))
         assert steps(other) == expected
     assert steps(lab, recipe="paper") == RECIPES["paper"]["surface"].settings.min_steps
+
+
+def test_training_on_wide_frames_starts_from_the_shipped_network_for_them_and_takes_as_long(lab, tmp_path):
+    wide = tmp_path / "wide"
+    frames = str(lab.with_name("other_tip"))
+    assert tactip.main(["import", frames, "--out", str(wide), "--size-px", "256", "--columns", *COLUMNS]) == 0
+    few = TransferSettings(real_train_frames=30)
+    usual, experiment = (Experiment(real, tmp_path / "out", few, 1) for real in (lab, wide))
+    assert experiment.recipe().settings.min_steps == usual.recipe().settings.min_steps  # half of those from random weights
+    assert (usual.recipe().network.downsample, experiment.recipe().network.downsample) == (2, 4)
 
 
 def test_training_sets_are_predicted_by_the_learned_tip(lab, tiny, tmp_path, capsys):
