@@ -36,7 +36,8 @@ class Train(Command):
     out: Path
     """Folder of the training."""
     recipe: RecipeName = "laptop"
-    """Network and training. The options below change single settings; their defaults are the recipe's for the set's task."""
+    """Network and training. The options below change single settings; their defaults are the recipe's for the set's task and
+    the width of its images."""
     config: Path | None = None
     """JSON file of network and training instead of a recipe, such as best.json of `tactip tune`."""
     init_from: str = ""

@@ -14,7 +14,7 @@ from tactip_twin.learning.train import train
 def main(data: Path, out: Path = Path("runs/example"), epochs: int = 20, filters: int = 8) -> None:
     """data: folder of the sets. out: folder of the training. epochs: at least. filters: of the first layer."""
     train_samples, val_samples = read_splits(data)
-    recipe = recipe_named("laptop", train_samples.labels.task)
+    recipe = recipe_named("laptop", train_samples.labels.task, train_samples.size)
     network, settings = replace(recipe.network, filters=filters), replace(recipe.settings, epochs=epochs, min_steps=0)
     if not train_samples.dataset.simulated:
         # Real frames have no forces to learn, and no pins from which images could be rendered again.

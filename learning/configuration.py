@@ -135,7 +135,7 @@ class PoseNetConfig:
         """Return the width, px, of the last convolution layer's output for images of `size` px.
 
         Raises:
-            TactipError: If no pixels remain, or they cannot be folded.
+            TactipError: If no pixels remain, or the width cannot be divided into blocks of pixels.
         """
         if self.pixel_unshuffle:
             allowed = f"a divisor of the images' width, {size} px, with pixel_unshuffle"
