@@ -102,8 +102,8 @@ def _test_images(model: Model) -> np.ndarray:
         low + (high - low) * rng.uniform(0.3, 0.7, (_TEST_IMAGES, 6)) for low, high in (tip.ranges[:6].T, tip.ranges[6:].T)
     )
     predicted = tip.predict(decoder, poses, shears, materials)
-    pins = zip(predicted.pin_tips, predicted.directions, strict=True)
-    return np.stack([tactile_image(raster.render(*one), design.image) for one in pins])
+    frames = raster.render(predicted.pin_tips, predicted.directions)
+    return np.stack([tactile_image(frame, design.image) for frame in frames])
 
 
 def onnx_bytes(model: Model) -> bytes:

@@ -11,11 +11,14 @@ from tactip_twin.learning.pin_projection import PinProjection
 from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.optics import LedRing, Lens, backdrop
-from tactip_twin.tactip_model.raster_renderer import Raster
+from tactip_twin.tactip_model.raster_renderer import Raster, blur_size
 from tactip_twin.tactip_model.tactile_image import tactile_image
 
 _BATCH = 128
-"""Number of images that are rendered at once."""
+"""Number of images that are rendered at once on a GPU."""
+
+_THREAD_BATCH = 8
+"""Number of images that a thread renders at once."""
 
 
 class TactileRaster:
@@ -42,8 +45,8 @@ class TactileRaster:
         left, top, right, bottom = image.crop or (0, 0, self._width, self._width)
         self._rows = self._tensor(_resizing(self._width, top, bottom, image.size_px))
         self._columns = self._tensor(_resizing(self._width, left, right, image.size_px))
-        half = round(4 * optics.blur_px)  # as OpenCV chooses it for floats
-        self._blur = self._tensor(cv2.getGaussianKernel(2 * half + 1, optics.blur_px).ravel()) if half else None
+        size = blur_size(optics)
+        self._blur = self._tensor(cv2.getGaussianKernel(size, optics.blur_px).ravel()) if size > 1 else None
 
     def _tensor(self, values: np.ndarray) -> torch.Tensor:
         """Return values as a float32 tensor on the device."""
@@ -52,14 +55,15 @@ class TactileRaster:
     def render(self, pin_tips: np.ndarray, directions: np.ndarray) -> torch.Tensor:
         """Return images (n, size, size) uint8 of pins with tips (n, p, 3), m, and directions (n, p, 3), sensor frame."""
         if self._device == "cpu":
+            parts = range(_THREAD_BATCH, len(pin_tips), _THREAD_BATCH)
             with ThreadPoolExecutor(torch.get_num_threads()) as pool:
-                images = pool.map(self._image, pin_tips, directions)
-                return torch.from_numpy(np.stack(list(images)))
+                images = pool.map(self._images, np.split(pin_tips, parts), np.split(directions, parts))
+                return torch.from_numpy(np.concatenate(list(images)))
         return self.render_in_torch(pin_tips, directions)
 
-    def _image(self, pin_tips: np.ndarray, directions: np.ndarray) -> np.ndarray:
-        """Return the image (size, size) uint8 of pins with tips (p, 3) and directions (p, 3)."""
-        return tactile_image(self._raster.render(pin_tips, directions), self._design.image)
+    def _images(self, pin_tips: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """Return images (n, size, size) uint8 of pins with tips (n, p, 3) and directions (n, p, 3)."""
+        return np.stack([tactile_image(frame, self._design.image) for frame in self._raster.render(pin_tips, directions)])
 
     def render_in_torch(self, pin_tips: np.ndarray, directions: np.ndarray) -> torch.Tensor:
         """Return the same by torch, for a GPU."""
@@ -118,7 +122,7 @@ class TactileRaster:
         padded = torch.nn.functional.pad(frames[:, None], (half,) * 4, mode="replicate")[:, 0]
         # Sums of whole numbers below 2^24 are exact in single precision.
         mean = (_sums(_sums(padded, self._block).transpose(1, 2), self._block).transpose(1, 2) / self._block**2).round()
-        white = (frames > mean - np.floor(self._constant)).float()
+        white = (frames > mean - np.ceil(self._constant)).float()
         small = torch.einsum("rh,nhw,cw->nrc", self._rows, white, self._columns)
         return (small > 0.5).to(torch.uint8) * 255
 

@@ -142,8 +142,15 @@ class PinCamera:
         self._backdrop, _ = self._renderer.render(self._skin())
 
     def render(self, pin_tips: ArrayLike, directions: ArrayLike) -> np.ndarray:
-        """Return the grey frame (h, w) uint8 of pins with tips (p, 3), m, and directions (p, 3), sensor frame."""
+        """Return the grey frames (..., h, w) uint8 of pins.
+
+        Args:
+            pin_tips: (..., p, 3), m, sensor frame.
+            directions: (..., p, 3), unit, sensor frame.
+        """
         pin_tips, directions = np.asarray(pin_tips, float), np.asarray(directions, float)
+        if pin_tips.ndim > 2:
+            return np.stack([self.render(*one) for one in zip(pin_tips, directions, strict=True)])
         plane = np.einsum("sk,kpj->psj", self._rim, perpendicular_axes(directions))
         discs = np.concatenate([pin_tips[:, None], pin_tips[:, None] + self._radii[:, None, None] * plane], 1)
         grey = self._leds.grey(pin_tips, directions, self._design.optics.pin_albedo)

@@ -9,13 +9,22 @@ from numpy.typing import ArrayLike
 from tactip_twin.tactip_model.design import Design, Optics
 from tactip_twin.tactip_model.optics import LedRing, Lens, backdrop, perpendicular_axes, pin_radii
 
+_CHUNK = 4
+"""Number of images that are painted at once: more do not fit into a core's cache [M]."""
+
+_TINY = np.float32(1e-12)
+"""Smallest squared radius in the unit disc, -, that is told from zero."""
+
 
 @lru_cache(maxsize=4)
-def _blank(design: Design) -> np.ndarray:
-    """Return the grey levels (frame_px²,) of a design's image without pins: read-only, because its renderers share them."""
-    levels = backdrop(design, Lens(design), LedRing(design)).ravel().astype(np.float32)
-    levels.flags.writeable = False
-    return levels
+def _blank(design: Design) -> tuple[np.ndarray, np.ndarray]:
+    """Return a design's image without pins: its grey levels (frame_px, frame_px) float32, and the frame (frame_px, frame_px)
+    uint8. Both are read-only, because its renderers share them."""
+    levels = backdrop(design, Lens(design), LedRing(design)).astype(np.float32)
+    blank = levels, blur_and_quantize(levels, design.optics)
+    for array in blank:
+        array.flags.writeable = False
+    return blank
 
 
 class Raster:
@@ -26,7 +35,8 @@ class Raster:
         self._lens = Lens(design)
         self._leds = LedRing(design)
         self._radii = pin_radii(design)
-        self._blank = _blank(design)
+        self._levels, self._blank = _blank(design)
+        self._blur_reach = blur_size(design.optics) // 2
 
     def render(self, pin_tips: ArrayLike, directions: ArrayLike) -> np.ndarray:
         """Return the grey frames (..., h, w) uint8 of pins.
@@ -36,48 +46,55 @@ class Raster:
             directions: (..., p, 3), unit, sensor frame.
         """
         pin_tips, directions = np.asarray(pin_tips, float), np.asarray(directions, float)
-        batch = pin_tips.shape[:-2]
-        pin_tips, directions = pin_tips.reshape(-1, *pin_tips.shape[-2:]), directions.reshape(-1, *directions.shape[-2:])
-        frames = np.stack([self._render_one(t, d) for t, d in zip(pin_tips, directions, strict=True)])
+        centres, axes = self.ellipses(pin_tips, directions)
+        grey = self._leds.grey(pin_tips, directions, self._design.optics.pin_albedo).astype(np.float32)
+        batch, pins = pin_tips.shape[:-2], pin_tips.shape[-2]
+        centres, axes, grey = centres.reshape(-1, pins, 2), axes.reshape(-1, pins, 2, 2), grey.reshape(-1, pins)
+        frames = np.empty((len(grey), *self._blank.shape), np.uint8)
+        for start in range(0, len(frames), _CHUNK):
+            part = slice(start, start + _CHUNK)
+            self._paint(frames[part], centres[part], axes[part], grey[part])
         return frames.reshape(*batch, *frames.shape[1:])
 
-    def _render_one(self, pin_tips: np.ndarray, directions: np.ndarray) -> np.ndarray:
-        """Return the grey frame (h, w) uint8 of pins with tips (p, 3) and directions (p, 3)."""
-        centre, axes = self.ellipses(pin_tips, directions)
-        grey = self._leds.grey(pin_tips, directions, self._design.optics.pin_albedo)
+    def _paint(self, frames: np.ndarray, centres: np.ndarray, axes: np.ndarray, grey: np.ndarray) -> None:
+        """Fill grey frames (n, h, w) uint8 with ellipses: centres (n, p, 2) and half-axes (n, p, 2, 2), px, grey (n, p)."""
         # An ellipse with half-axes p and q reaches sqrt(px² + qx²) to a side; the edge and rounding add half a pixel each.
-        reach = int(np.ceil(np.sqrt((axes**2).sum(2)).max())) + 1
+        reach = int(np.ceil(np.sqrt((axes**2).sum(3)).max())) + 1
         span, width = np.arange(-reach, reach + 1), self._lens.width
-        nearest = np.rint(centre).astype(int)
-        # A pixel's position in the unit disc. Single precision and entry by entry, because the matrices are small.
-        p, q, r, s = axes.reshape(-1, 4).T
-        size = p * s - q * r
-        to_disc = (np.stack([s, -q, -r, p]) / size).astype(np.float32)
-        a, b, c, d = to_disc[:, :, None, None]
-        right, down = ((nearest - centre).T[:, :, None] + span).astype(np.float32)
-        right, down = right[:, None, :], down[:, :, None]
-        u, v = a * right + b * down, c * right + d * down
-        square = u * u + v * v
-        # No pixel farther than one from the edge along the shorter half-axis, for which this is a lower bound, has paint.
-        shorter = np.abs(size) / np.sqrt((axes**2).sum((1, 2)))
-        near = square < ((1 + 1 / shorter) ** 2).astype(np.float32)[:, None, None]
-        x, y = nearest[:, :1] + span, nearest[:, 1:] + span
-        if min(x.min(), y.min()) < 0 or max(x.max(), y.max()) >= width:
-            near &= ((x >= 0) & (x < width))[:, None, :] & ((y >= 0) & (y < width))[:, :, None]
-        entry = np.flatnonzero(near)
-        pin, place = np.divmod(entry, len(span) ** 2)
-        index = (nearest[:, 1] * width + nearest[:, 0])[pin] + (span[:, None] * width + span).ravel()[place]
-        cover = _cover(u.ravel()[entry], v.ravel()[entry], to_disc[:, pin])
-        paint, shade, frame = np.zeros(width * width, np.float32), grey.astype(np.float32)[pin], self._blank.copy()
+        nearest = np.rint(centres).astype(int)
+        offset = (nearest - centres).reshape(-1, 2, 1) + span
+        cover = _cover(axes.reshape(-1, 2, 2), offset[:, 0], offset[:, 1])
+        low, high = nearest.min((0, 1)) - reach, nearest.max((0, 1)) + reach
+        if low.min() < 0 or high.max() >= width:
+            places = nearest.reshape(-1, 2, 1) + span
+            x_in, y_in = ((places >= 0) & (places < width)).transpose(1, 0, 2)
+            cover *= y_in[:, :, None] & x_in[:, None, :]
+        entry = np.flatnonzero(cover)
+        cover = cover.ravel()[entry]
+        pin = entry // len(span) ** 2
+        place = entry - pin * len(span) ** 2
+        first = (np.arange(len(frames))[:, None] * width + nearest[..., 1]) * width + nearest[..., 0]
+        index = first.ravel()[pin] + (span[:, None] * width + span).ravel()[place]
+        shade, paint = grey.ravel()[pin], np.empty(frames.size, np.float32)
         paint[index] = cover
         if (paint[index] != cover).any():
             # Where two pins overlap, a pixel is listed twice: both entries get the same paint and grey.
-            shades = np.zeros_like(paint)
+            paint[index], shades = 0, np.zeros_like(paint)
             np.maximum.at(paint, index, cover)
-            np.maximum.at(shades, index, np.where(cover > 0, shade, 0))
+            np.maximum.at(shades, index, shade)
             cover, shade = paint[index], shades[index]
-        frame[index] += cover * (shade - frame[index])
-        return blur_and_quantize(frame.reshape(width, width), self._design.optics)
+        # Rows without paint stay blank. The blur spreads paint by its own reach, and takes in what is as far around that.
+        # Whole rows, because OpenCV rounds in another way next to a row's end.
+        rows = _grown(slice(low[1], high[1] + 1), self._blur_reach, width)
+        around = _grown(rows, self._blur_reach, width)
+        levels = np.empty(frames.shape, np.float32)
+        levels[:, around] = self._levels[around]
+        flat = levels.reshape(-1)
+        flat[index] += cover * (shade - flat[index])
+        frames[:] = self._blank
+        inside = slice(rows.start - around.start, rows.stop - around.start)
+        for frame, painted in zip(frames, levels, strict=True):
+            frame[rows] = blur_and_quantize(painted[around], self._design.optics)[inside]
 
     def ellipses(self, pin_tips: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the image of the pins' discs.
@@ -98,24 +115,56 @@ class Raster:
         return edge.mean(0).reshape(*shape, 2), axes.reshape(*shape, 2, 2)
 
 
-def _cover(u: np.ndarray, v: np.ndarray, to_disc: np.ndarray) -> np.ndarray:
-    """Return how much of pixels a disc covers (n,), 0 to 1, from their distance to its edge in pixels along the gradient.
+def _cover(axes: np.ndarray, right: np.ndarray, down: np.ndarray) -> np.ndarray:
+    """Return how much of its pixels each of n ellipses covers (n, h, w) float32, 0 to 1, from their distance to its edge in
+    pixels along the gradient.
+
+    With half-axes as the columns of A, a pixel's position in the unit disc is z = A⁻¹(x, y)ᵀ. The disc's edge is where |z|
+    is 1, and |z| has the gradient A⁻ᵀz / |z|. |z|² and |A⁻ᵀz|² are quadratic forms in x and y, with matrices M = A⁻ᵀA⁻¹
+    and M².
 
     Args:
-        u: (n,) and
-        v: (n,), positions of the pixels in the unit disc.
-        to_disc: (4, n), rows of the matrix from pixels to the disc.
+        axes: (n, 2, 2), half-axes as columns, px.
+        right: (n, w) and
+        down: (n, h), pixels relative to the centre.
     """
-    a, b, c, d = to_disc
-    length = np.sqrt(u * u + v * v)
-    gradient = np.sqrt((a * u + c * v) ** 2 + (b * u + d * v) ** 2)
-    cover = np.clip(0.5 - (length - 1) * length / np.maximum(gradient, np.float32(1e-12)), 0, 1)
-    cover[length < 1e-6] = 1.0
-    return cover
+    p, q, r, s = axes.reshape(-1, 4).T
+    inverse2 = 1 / (p * s - q * r) ** 2
+    xx, xy, yy = (r * r + s * s) * inverse2, -(p * r + q * s) * inverse2, (p * p + q * q) * inverse2
+    radius2 = _quadratic_form(xx, xy, yy, right, down)
+    slope2 = _quadratic_form(xx * xx + xy * xy, xy * (xx + yy), xy * xy + yy * yy, right, down)
+    # At the centre both are zero, and rounding may make them negative.
+    np.maximum(radius2, _TINY, out=radius2)
+    np.sqrt(np.maximum(slope2, _TINY**2, out=slope2), out=slope2)
+    cover = np.sqrt(radius2)
+    cover -= radius2
+    cover /= slope2
+    cover += np.float32(0.5)
+    return np.clip(cover, 0, 1, out=cover)
+
+
+def _quadratic_form(xx: np.ndarray, xy: np.ndarray, yy: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return xx x² + 2 xy x y + yy y², (n, h, w) float32, for n forms at each x (n, w) and y (n, h)."""
+    out = (2 * xy[:, None] * x).astype(np.float32)[:, None] * y.astype(np.float32)[:, :, None]
+    out += (xx[:, None] * x * x).astype(np.float32)[:, None]
+    out += (yy[:, None] * y * y).astype(np.float32)[:, :, None]
+    return out
+
+
+def _grown(rows: slice, margin: int, height: int) -> slice:
+    """Return rows of a frame, grown by a margin to each side; at least one row of the frame."""
+    start = min(max(rows.start - margin, 0), height - 1)
+    return slice(start, max(min(rows.stop + margin, height), start + 1))
+
+
+def blur_size(optics: Optics) -> int:
+    """Return the width of the blur's kernel, px, as OpenCV chooses it for floats; odd."""
+    return round(8 * optics.blur_px + 1) | 1
 
 
 def blur_and_quantize(frame: np.ndarray, optics: Optics) -> np.ndarray:
     """Apply the lens's blur and the camera's 8 bits: convert a frame (h, w) float, 0 to 255, to uint8."""
     if optics.blur_px > 0:
-        frame = cv2.GaussianBlur(frame.astype(np.float32, copy=False), (0, 0), optics.blur_px)
+        size = blur_size(optics)
+        frame = cv2.GaussianBlur(frame.astype(np.float32, copy=False), (size, size), optics.blur_px)
     return cv2.convertScaleAbs(frame)  # rounds to the nearest and saturates at 255

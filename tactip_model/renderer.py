@@ -19,8 +19,8 @@ RendererName = Literal["pyrender", "raster"]
 def renderer_named(name: RendererName, design: "Design") -> "RenderPins":
     """Return a function that renders a design's pins.
 
-    The function takes pin tips (p, 3), m, and directions (p, 3), both in the sensor frame, and returns the camera's grey
-    frame (h, w) uint8.
+    The function takes pin tips (..., p, 3), m, and directions (..., p, 3), both in the sensor frame, and returns the
+    camera's grey frames (..., h, w) uint8.
 
     Raises:
         TactipError: The name is unknown, or OpenGL is needed and cannot be used.

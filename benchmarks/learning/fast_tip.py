@@ -90,8 +90,8 @@ def _rates(tip: FastTip, test: TipContacts) -> dict[str, float]:
 
     def images() -> int:
         pins, directions = contacts.pins(poses[:_IMAGES], shears[:_IMAGES])
-        for tips, axes in zip(pins, directions, strict=True):
-            tactile_image(renderer.render(tips, axes), design.image)
+        for frame in renderer.render(pins, directions):
+            tactile_image(frame, design.image)
         return _IMAGES
 
     return {work.__name__: _rate(work) for work in (batch, single, images)}

@@ -231,9 +231,10 @@ class SampleMaker:
 
     def _write_images(self, contacts: list[Contact], indices: range, tries: int, made: _MadeContact) -> None:
         """Write the images of contacts, and note the contacts. The last contact of a set may have fewer indices."""
-        for index, contact in zip(indices, contacts, strict=False):
+        contacts = contacts[: len(indices)]
+        pins = (np.stack([getattr(contact, name) for contact in contacts]) for name in ("pin_tips", "directions"))
+        for index, contact, grey in zip(indices, contacts, self._render(*pins), strict=True):
             made.add(contact, index, tries)
-            grey = self._render(contact.pin_tips, contact.directions)
             data = encode_image(tactile_image(grey, self._configuration.design.image))
             write_file(made.folder / "images" / image_name(index), data, sync=False)
             made.images[image_name(index)] = checksum(data)

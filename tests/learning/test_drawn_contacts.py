@@ -16,6 +16,7 @@ from tactip_twin.learning.drawn_contacts import ContactSource
 from tactip_twin.learning.model import load_model
 from tactip_twin.learning.pin_projection import PinProjection
 from tactip_twin.learning.quantities import QUANTITIES
+from tactip_twin.learning.tactile_raster import TactileRaster
 from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.contact.record import QualityLimits
 from tactip_twin.sim.contact.simulator import RetryingSimulator
@@ -189,6 +190,16 @@ def test_images_are_those_of_the_set(samples, source):
     tips, directions = read_pins(samples.folder, samples.dataset.meta)
     assert np.array_equal(source.raster.render(tips, directions).numpy(), samples.images)
     different = source.raster.render_in_torch(tips, directions).numpy() != samples.images
+    assert different.sum() <= 3
+
+
+@pytest.mark.parametrize(("blur_px", "constant"), [(1.1, -5.0), (0.0, -4.5), (0.5, 2.5)])
+def test_images_by_torch_are_those_of_the_renderer_at_other_settings(samples, blur_px, constant):
+    tips, directions = (a[:6].astype(float) for a in read_pins(samples.folder, samples.dataset.meta))
+    design = load_design("tactip-127")
+    image, optics = replace(design.image, threshold=(61, constant)), replace(design.optics, blur_px=blur_px)
+    raster = TactileRaster(replace(design, image=image, optics=optics))
+    different = raster.render_in_torch(tips, directions) != raster.render(tips, directions)
     assert different.sum() <= 3
 
 

@@ -17,7 +17,7 @@ from tactip_twin.tactip_model.pins import neutral_pins, plan_positions
 from tactip_twin.tactip_model.presets import DESIGNS, FITTED, NOMINAL, design_named
 from tactip_twin.tactip_model.pyrender_renderer import PinCamera
 from tactip_twin.tactip_model.raster_renderer import Raster
-from tactip_twin.tactip_model.tactile_image import tactile_image
+from tactip_twin.tactip_model.tactile_image import binary_frame, tactile_image
 
 # Mean blob diameter (px of a 256 px image) by shell N = i² + ij + j² of the real 127-pin tip's neutral image.
 REAL_BLOBS = {1: 4.39, 3: 4.32, 4: 4.34, 7: 4.32, 9: 4.37, 12: 4.46, 13: 4.59, 16: 4.61, 19: 4.90, 21: 4.99, 25: 5.04}
@@ -150,6 +150,29 @@ def test_raster_of_batch_equals_single_images(raster, on_edge):
     assert (batch[1] == raster.render(tips[1], directions[1])).all()
 
 
+@pytest.mark.parametrize("blur_px", [0.0, 0.5, 1.1, 2.0])
+@pytest.mark.parametrize("shift_mm", [0.0, 9.0, 40.0])
+def test_raster_blurs_the_whole_frame_though_it_paints_a_part(design, blur_px, shift_mm):
+    """Also at the frame's border, and where no pin is in the frame."""
+    sharp, blurred = (Raster(replace(design, optics=replace(design.optics, blur_px=b))) for b in (0.0, blur_px))
+    tips, directions = neutral_pins(design)
+    tips = tips + [1e-3 * shift_mm, 0, 0]
+    expected = sharp.render(tips, directions).astype(np.float32)
+    if blur_px:
+        expected = cv2.GaussianBlur(expected, (0, 0), blur_px)
+    # The blur receives whole grey levels here, and fractions in the renderer.
+    assert np.abs(blurred.render(tips, directions) - expected).max() <= 1 + 1e-3
+
+
+def test_raster_paints_overlapping_pins_in_any_order(design):
+    """Pins of one size, every other one moved half onto its neighbour."""
+    uniform = replace(design, pins=replace(design.pins, rim_diameter_m=design.pins.diameter_m))
+    tips, directions = neutral_pins(uniform)
+    tips[1::2] = tips[:-1:2] + [0.4e-3, 0, 0]
+    order, raster = np.random.default_rng(0).permutation(len(tips)), Raster(uniform)
+    assert (raster.render(tips, directions) == raster.render(tips[order], directions[order])).all()
+
+
 def test_pyrender_renders_two_designs_in_one_process(camera, design):
     other = design_named("tactip-331")
     before = camera.render(*neutral_pins(design))
@@ -196,6 +219,14 @@ def test_tactile_image_without_threshold_keeps_binary_frame(design):
     small = np.where(rng.random((128, 128)) < 0.1, 255, 0).astype(np.uint8)
     doubled = np.kron(small, np.ones((2, 2), np.uint8))
     assert (tactile_image(doubled, replace(design.image, threshold=None)) == small).all()
+
+
+@pytest.mark.parametrize("block", [3, 15, 61])
+@pytest.mark.parametrize("constant", [-5.0, -3.2, -0.5, 0.0, 0.5, 3.7, 5.0])
+def test_threshold_is_that_of_opencv(block, constant):
+    frame = np.random.default_rng(0).integers(0, 256, (90, 120)).astype(np.uint8)
+    expected = cv2.adaptiveThreshold(frame, 255, cv2.ADAPTIVE_THRESH_MEAN_C, cv2.THRESH_BINARY, block, constant)
+    assert (binary_frame(frame, (block, constant)) == expected).all()
 
 
 def test_tactile_image_does_not_depend_on_brightness(raster, design):
