@@ -3,14 +3,13 @@
 The world frame is the sensor frame. There is no arm, because steps of a tip on an arm cost two to six times more.
 """
 
-import functools
-
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from tactip_twin.sim.contact.contact_patch import ContactPatch, PatchReader, slip_fraction
+from tactip_twin.sim.contact.deepest_point import deepest_m
 from tactip_twin.sim.contact.facets import held_weights, skin_flex, touched_facets
 from tactip_twin.sim.contact.fidelity import Fidelity
 from tactip_twin.sim.contact.gel_volume import GelVolume
@@ -328,8 +327,7 @@ class Scene:
     def overlap(self, T_contact_sensor: np.ndarray) -> float:
         """Return the maximum depth (m) of the skin's facets, with their contact thickness, in the stimulus's true shape.
 
-        Facets that may touch are sampled so densely that the error is at most OVERLAP_ERROR_M. A diverged state overlaps
-        infinitely.
+        The error is at most OVERLAP_ERROR_M. A diverged state overlaps infinitely.
 
         Args:
             T_contact_sensor: (4, 4) pose of the sensor.
@@ -337,17 +335,13 @@ class Scene:
         skin = self.vertices()[: self.mesh.surface_count] @ T_contact_sensor[:3, :3].T + T_contact_sensor[:3, 3]
         if not (np.abs(skin) < _LOST_M).all():  # also for NaN
             return np.inf
-        depth = CONTACT_RADIUS_M - self.stimulus.distance(skin)
-        deepest = max(0.0, float(depth.max()))
-        corners = skin[self.mesh.triangles]
-        side = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(1)
-        # No point of a facet is farther than this from a corner, and the distance cannot change by more than that.
-        near = depth[self.mesh.triangles].max(1) + side / np.sqrt(3) > deepest
+        # Between samples at this spacing, a surface of the least radius is closer by OVERLAP_ERROR_M at most.
         spacing = np.sqrt(6 * OVERLAP_ERROR_M * (self.stimulus.min_radius_m + CONTACT_RADIUS_M))
-        if np.isinf(spacing) or not near.any():
-            return deepest
-        samples = _barycentric(int(np.ceil(side[near].max() / spacing))) @ corners[near]
-        return max(deepest, CONTACT_RADIUS_M - float(self.stimulus.distance(samples).min()))
+        return deepest_m(self._depth, skin, self.mesh.triangles, spacing, OVERLAP_ERROR_M)
+
+    def _depth(self, points: np.ndarray) -> np.ndarray:
+        """Return the depths (n,), m, in the stimulus of points (n, 3) m of the skin with its contact thickness."""
+        return CONTACT_RADIUS_M - self.stimulus.distance(points)
 
     def imbalance(self) -> float:
         """Return the ratio of the unbalanced force on the free vertices at the last step to the contact force on them
@@ -391,11 +385,3 @@ def _neighbours(triangles: np.ndarray) -> np.ndarray:
     edges, owner = edges[order], owner[order]
     same = (edges[1:] == edges[:-1]).all(1)
     return np.stack([owner[:-1][same], owner[1:][same]], 1)
-
-
-@functools.cache
-def _barycentric(n: int) -> np.ndarray:
-    """Return barycentric coordinates (s, 3) of a triangle's grid points with n intervals per side."""
-    i, j = np.meshgrid(np.arange(n + 1), np.arange(n + 1))
-    inside = i + j <= n
-    return np.stack([i[inside], j[inside], n - i[inside] - j[inside]], 1) / n
