@@ -123,7 +123,8 @@ class Model:
         if images.size and images.max() == 1:
             raise TactipError("images must have values from 0 to 255, and binary ones 0 and 255, got 0 and 1")
         device, layout = next(self.net.parameters()).device, Layout(self.config, len(self.labels.components))
-        self.net.eval()
+        if self.net.training:  # setting it again takes 4 % of an estimate [M]
+            self.net.eval()
         out = [torch.zeros((0, layout.size))]
         with torch.inference_mode(), one_thread() if len(images) == 1 else contextlib.nullcontext():
             for start in range(0, len(images), batch):

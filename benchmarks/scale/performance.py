@@ -16,6 +16,8 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from tactip_twin.benchmarks.hardware import machine, machine_text
 from tactip_twin.benchmarks.report import read_results, table, write_results
 from tactip_twin.benchmarks.scale import shared_cores
@@ -197,7 +199,7 @@ def _name(case: dict[str, Any]) -> str:
 
 
 def _images(options: PerformanceOptions) -> list[dict[str, Any]]:
-    """Return images per second of each renderer, single images, and of augmentation in training, in batches."""
+    """Return images per second of each renderer, of `raster` in batches, and of augmentation in training, in batches."""
     import torch
 
     from tactip_twin.learning.augmentation import OpticsAugmentation
@@ -220,6 +222,9 @@ def _images(options: PerformanceOptions) -> list[dict[str, Any]]:
                 "frames/s": 1 / _median(lambda render=render, pins=pins: render(*pins), 20),
                 "tactile images/s": 1 / _median(lambda f=frame, d=design: tactile_image(f, d.image), 20),
             })  # fmt: skip
+        batch = [np.broadcast_to(values, (_BATCH, *values.shape)) for values in pins]
+        seconds = _median(lambda render=render, batch=batch: render(*batch))
+        rows.append({"design": name, "what": f"raster, batches of {_BATCH}", "frames/s": _BATCH / seconds})
         with tempfile.TemporaryDirectory() as folder:
             case: dict[str, Any] = QUICK | {"design": name}
             samples = read_samples(made_set(folder, _BATCH, 1, **case))
