@@ -37,7 +37,7 @@ def test_ways_to_make_a_contact_are_compared_with_the_finest(tmp_path):
         task=task, split="test", design=design, pose=POSE_RANGES[task], fidelity=fidelity_named("standard")
     )
     none = np.zeros(0)
-    test = TipContacts(configuration, poses, shears, none, none, none)
+    test = TipContacts(configuration, poses, shears, none, none, none, none)
     rows = fast_tip._ways(read_fast_tip(shipped_fast_tip(task, design.name)), test, 1, lambda text: None)
     found = {row["way"]: row for row in rows}
     assert list(found) == ["fast", "corrected", "draft", "standard", "reference", "fast, batch"]
