@@ -204,6 +204,24 @@ def _path(frames: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return places, chosen, places[chosen] + _NORMAL_M * frames[chosen, :3, 2]
 
 
+def nearest_to_ray(places: np.ndarray, origin: ArrayLike, direction: ArrayLike, max_rad: float) -> int | None:
+    """Return the index of the place that a ray passes at the smallest angle, seen from its origin; None if all are farther
+    from it than `max_rad`.
+
+    Args:
+        places: (n, 3) m.
+        origin: (3,) m.
+        direction: (3,), unit.
+        max_rad: Largest angle, rad.
+    """
+    away = places - np.asarray(origin)
+    along = away @ np.asarray(direction)
+    angles = np.arctan2(np.linalg.norm(away - along[:, None] * direction, axis=1), along)
+    if not len(angles) or angles.min() > max_rad:
+        return None
+    return int(angles.argmin())
+
+
 def skin_normals(skin: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     """Return the normals (s, 3) of a skin with vertices (s, 3) and triangles (t, 3)."""
     return np.asarray(trimesh.Trimesh(skin, triangles, process=False).vertex_normals)

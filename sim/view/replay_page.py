@@ -14,7 +14,14 @@ from tactip_twin.sim.robot.recording import RecordedScene
 from tactip_twin.sim.view.camera_fit import beside, fitted_camera
 from tactip_twin.sim.view.curves import BAND, Curve, curves_of, position_errors_mm
 from tactip_twin.sim.view.follow_camera import FollowCamera
-from tactip_twin.sim.view.geometry import SceneGeometry, object_moves, path_lines, skin_displacements_mm
+from tactip_twin.sim.view.geometry import (
+    SceneGeometry,
+    nearest_to_ray,
+    object_moves,
+    path_lines,
+    predicted_frames,
+    skin_displacements_mm,
+)
 from tactip_twin.sim.view.palette import ERROR_RAMP, ESTIMATED_COLOR, SKIN_RAMP, TRUE_COLOR, scale_end
 from tactip_twin.sim.view.playback import SPEEDS, Playback
 from tactip_twin.sim.view.status import status_lines
@@ -56,8 +63,12 @@ _CLOSE_M = (0.07, -0.13, 0.04)
 
 _VIEWS = ("overview", "close", "inside")
 
+_CLICKS = "A click on the path goes back to its step."
 _KEYS = "Keys: **space** play or pause, **← →** one step, **Home End** first and last step"
 _EVENT_KEYS = ", **N P** next and previous event"
+
+_CLICK_DEG = 1.5
+"""Angle, degrees, from which a click counts as beside the path: 30 px in the overview on a screen of 900 px."""
 
 _INSIDE_M, _INSIDE_FIELD_DEG = 0.022, 110.0
 """Distance of the eye of the view from inside from the apex, m, and its field of view, degrees."""
@@ -107,6 +118,8 @@ class ReplayPage:
         self._error_end_mm = scale_end(errors)
         self._lines, colors, self._line_counts = path_lines(arrays, errors, self._error_end_mm)
         self._line_colors = line_colors(colors)
+        frames, self._path_steps = predicted_frames(arrays)
+        self._path_places = frames[:, :3, 3]
         if not len(self._lines):  # viser needs a line
             self._lines, self._line_colors = np.zeros((1, 2, 3), np.float32), np.zeros((1, 2, 3), np.uint8)
         self._project = pin_projection(record)
@@ -174,6 +187,18 @@ class ReplayPage:
         count = max(1, self._line_counts[max(0, self._shown)])
         return self._lines[:count], self._line_colors[:count]
 
+    def _go_to_click(self, event: viser.SceneClickEvent) -> None:
+        """Go to the step of the path that a viewer has clicked on."""
+        with self._lock:
+            viewer = self._viewers.get(event.client_id)
+            if viewer is None or not viewer.path.visible:
+                return
+            seen = self._path_places[self._path_steps <= self._shown]
+            k = nearest_to_ray(seen, event.ray_origin, event.ray_direction, np.radians(_CLICK_DEG))
+            if k is not None:
+                self.playback.go(int(self._path_steps[k]))
+                self.show()
+
     def _show_tip(self) -> None:
         """Show the tip at the step that is shown."""
         k, a = self._shown, self._arrays
@@ -200,6 +225,7 @@ class ReplayPage:
             for n, mesh in enumerate(meshes):
                 add_mesh(scene, f"/arm/{body}/{n}", mesh)
         self._tip = TipNodes(scene, geometry.sensor, geometry.skin_triangles, skin, self._skin_end_mm)
+        scene.on_click()(self._go_to_click)
 
     def _build_panel(self) -> None:
         gui, replay, record = self._server.gui, self.playback, self._record
@@ -235,7 +261,7 @@ class ReplayPage:
             speed = gui.add_dropdown("speed", [f"{s:g}" for s in SPEEDS], initial_value="1")
             self._follows = gui.add_checkbox("camera follows the tip", True)
             self._arrows = gui.add_checkbox("arrows on the image", True, visible=self._project is not None)
-            gui.add_markdown(f"{_KEYS}{_EVENT_KEYS if record['events'] else ''}.")
+            gui.add_markdown(f"{_CLICKS} {_KEYS}{_EVENT_KEYS if record['events'] else ''}.")
 
         self._buttons["play"].on_click(self._then_show(replay.toggle))
         for buttons in (step_buttons, event_buttons):

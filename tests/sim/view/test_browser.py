@@ -115,6 +115,32 @@ def test_keys_step_the_replay(replay):
     replay.until(lambda: replay.page.playback.step == 5)
 
 
+def test_click_on_the_path_goes_back_to_its_step(replay):
+    page, browser = replay.page, replay.browser
+    page.playback.playing = False
+    page.playback.go(9)
+    page.show()
+    browser.click("close")
+    browser.frames(30)
+    camera = next(iter(page._server.get_clients().values())).camera
+    find = """(() => { const r = document.querySelector('canvas').getBoundingClientRect();
+        return [r.x, r.y, r.width, r.height]; })()"""
+
+    def click():
+        x, y, width, height = browser.evaluate(find)
+        place = page._path_places[list(page._path_steps).index(4)]
+        right, down, ahead = Rotation.from_quat(camera.wxyz, scalar_first=True).inv().apply(place - camera.position)
+        focal = height / 2 / np.tan(camera.fov / 2)
+        at = (x + width / 2 + focal * right / ahead, y + height / 2 + focal * down / ahead)
+        for kind in ("mouseMoved", "mousePressed", "mouseReleased"):
+            browser.mouse(kind, at)
+        browser.frames(3)
+        return page.playback.step == 4
+
+    replay.until(click)
+    replay.text("step 4 of")
+
+
 @pytest.fixture(scope="module")
 def live():
     design = design_named("nominal-127")

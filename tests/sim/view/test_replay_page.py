@@ -141,6 +141,31 @@ def test_path_grows_with_the_steps():
     assert len(normals) == 4  # every 2.5 mm of 9
 
 
+def test_click_on_the_path_goes_back_to_its_step(page):
+    """As long as the path is drawn, and not where it is not."""
+    viewer = Viewer(page._server, 9)
+    page._welcome(viewer)
+    eye = np.array([0.1, -0.5, 0.9])
+
+    def click(step, beside_m=0.0):
+        target = page._path_places[step - page._path_steps[0]] + [0, 0, beside_m]
+        ray = (target - eye) / np.linalg.norm(target - eye)
+        page._go_to_click(viser.SceneClickEvent(viewer, viewer.client_id, tuple(eye), tuple(ray), (0.5, 0.5), None))
+        return page.playback.step
+
+    page.playback.go(9)
+    page.show()
+    assert click(5, beside_m=0.05) == 9
+    assert click(5) == 5
+    assert click(8) == 5  # its part of the path is not drawn any more
+    page._set_view("inside", viewer)
+    assert click(3) == 5
+    page._set_view("overview", viewer)
+    assert click(3) == 3
+    page._forget(viewer)
+    assert click(2) == 3
+
+
 def test_replay_page_plays(page):
     page.playback.go(0)
     page.playback.speed = 4.0
