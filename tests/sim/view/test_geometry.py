@@ -11,7 +11,7 @@ from PIL import Image
 from helpers.recordings import scenery, tip_mesh
 from tactip_twin.sim.robot.irb120 import READY_RAD, Arm
 from tactip_twin.sim.robot.objects import load_object
-from tactip_twin.sim.view.geometry import ColoredMesh, SceneGeometry, object_mesh, tube
+from tactip_twin.sim.view.geometry import ColoredMesh, SceneGeometry, nearest_to_ray, object_mesh, tube
 from tactip_twin.sim.view.offscreen import BACKGROUND, SceneRenderer, look_at, shade
 from tactip_twin.sim.view.video import write_video
 from tactip_twin.tactip_model.errors import TactipError
@@ -151,3 +151,13 @@ def test_gif_contains_every_frame(tmp_path):
         for k, picture in enumerate(pictures):
             gif.seek(k)
             assert np.abs(np.asarray(gif.convert("RGB")).astype(int) - picture).mean() < 2
+
+
+def test_nearest_place_to_a_ray_is_chosen_by_angle():
+    """Seen from the eye, so of two places at the same distance from the ray, the farther one; and none behind."""
+    places = np.array([[0.01, 0, 1.0], [0.01, 0, 2.0], [0, 0, -1.0]])
+    assert nearest_to_ray(places, np.zeros(3), [0, 0, 1.0], np.radians(1)) == 1
+    assert nearest_to_ray(places[:1], np.zeros(3), [0, 0, 1.0], np.arctan(0.01) + 1e-9) == 0
+    assert nearest_to_ray(places[:1], np.zeros(3), [0, 0, 1.0], np.arctan(0.01) - 1e-9) is None
+    assert nearest_to_ray(places[2:], np.zeros(3), [0, 0, 1.0], np.radians(80)) is None
+    assert nearest_to_ray(places[:0], np.zeros(3), [0, 0, 1.0], 1.0) is None
