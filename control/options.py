@@ -27,7 +27,7 @@ class Settings:
     """Tangential step, mm [P]."""
     slowdown_angle_deg: float | None = within(0, 90, default=None)
     """Predicted tilt at which the tangential step would reach zero, degrees. The step shrinks linearly with the tilt,
-    below 20 % more slowly, so that it is zero at four times this tilt. 0 disables this, as in the paper. Default: 2 on
+    below 20 % more slowly, so it is zero at four times this tilt. 0 disables this, as in the paper. Default: 2 on
     surfaces (effect: docs/servo.md), 0 along edges."""
     contact_threshold: float = within(0.01, 0.99, default=0.12)
     """Difference between an image and that of the undeformed tip, 0 to 1, above which the tip is in contact [?]. Presses of

@@ -40,7 +40,7 @@ class TrackOptions:
     gains: GainsName = "paper"
     """Controller gains."""
     depth_mm: float = within(0.5, 5, default=4.0)
-    """Commanded contact depth, mm. A deep contact bears more shear before it slips."""
+    """Commanded contact depth, mm. A deep contact withstands more shear before it slips."""
     seconds: float = within(0.1, 10000, default=60.0)
     """Duration, s."""
     rate_hz: float = within(1, 200, default=30.0)

@@ -183,7 +183,7 @@ class TrainSettings:
     optics_ranges: OpticsName = "lens"
     """Ranges of the randomized optics (learning/optics_ranges.py); `-clean` leaves image noise out."""
     drawn_contacts: int = within(0, 10**6, default=0)
-    """Number of images per epoch that learned tips draw anew, beside those of the set and in its ranges, so that none is
+    """Number of images per epoch that learned tips draw anew, beside those of the set and in its ranges, so none is
     learned by heart: single contacts, or sliding paths if the set has them; 0 [P]."""
     drawn_epochs: int = within(1, 1000, default=1)
     """Number of epochs after which they are drawn anew. On a GPU, drawing them takes longer than an epoch."""

@@ -140,7 +140,7 @@ class TransferOptions:
 
 @dataclass(frozen=True)
 class HiddenSensorsOptions:
-    """Measure networks trained in simulation on hidden simulated sensors with rigs that have faults. Rerun to resume."""
+    """Measure networks trained in simulation on hidden simulated sensors with rigs that have errors. Rerun to resume."""
 
     only: tuple[str, ...] = ()
     """Names of the sensors to measure, as on the page; results of others remain. Default: all."""
@@ -185,7 +185,7 @@ class FastTipOptions:
     task: Task = "surface"
     """Task."""
     contacts: int = 2000
-    """Number of training contacts of the set, that of the networks (`tactip bench learning --large-contacts`)."""
+    """Number of training contacts; where the set of `tactip bench learning` is used, its `--large-contacts`."""
     test_contacts: int = 1000
     """Number of contacts for validation, and as many for testing."""
     counts: tuple[int, ...] = ()

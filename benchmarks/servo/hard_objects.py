@@ -204,7 +204,7 @@ def _runs(rows: dict[str, dict[str, Any]]) -> str:
         "angle, °",
         "95 %, °",
         "force, N",
-        "on the way, N",
+        "peak within a step, N",
         "penetration in bound",
         "left out, mm",
     ]
@@ -226,8 +226,8 @@ def _runs(rows: dict[str, dict[str, Any]]) -> str:
 
 def _rims(rows: dict[str, dict[str, Any]]) -> str:
     """Return the table of the rims."""
-    head = ["rim", "fidelity", "covered", "depth, mm", "lateral, mm", "angle, °", "95 %, °", "force, N", "on the way, N"]
-    head += ["left out, mm"]
+    head = ["rim", "fidelity", "covered", "depth, mm", "lateral, mm", "angle, °", "95 %, °"]
+    head += ["force, N", "peak within a step, N", "left out, mm"]
     cells = []
     for name, row in rows.items():
         left = sum(s["to_mm"] - s["from_mm"] for s in row["left_out"])
