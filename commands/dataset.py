@@ -166,7 +166,7 @@ class Make(Command):
             if self.object != ObjectOptions() or self.spread_mm:
                 raise TactipError("--unit, --scale, --rotation-deg, --at-mm and --spread-mm need an --object")
             return None, None
-        solid = self.object.solid()
+        solid = self.object.solid((lambda text: None) if self.json else print)
         data = pack_object(solid)
         chosen = PressedObject(Path(self.object.object).stem, checksum(data), self.object.at_mm, self.spread_mm)
         PressPlaces(chosen, solid).sample(default_rng(0))  # a place beside the object fails before anything is written

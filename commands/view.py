@@ -76,5 +76,5 @@ class View(Command):
             if self.object != ObjectOptions():
                 raise TactipError("--unit, --scale, --rotation-deg and --at-mm need an --object")
             return None
-        places = PressPlaces(PressedObject(self.object.object, "", self.object.at_mm), self.object.solid())
+        places = PressPlaces(PressedObject(self.object.object, "", self.object.at_mm), self.object.solid(print))
         return SolidStimulus(places.sample(np.random.default_rng(0)))

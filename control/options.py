@@ -106,7 +106,7 @@ class ServoOptions:
     object: str = "bust"
     """Object to follow: one of the project's, or a mesh file (.stl, .obj, .ply, .glb)."""
     unit: UnitName | None = None
-    """Unit of the mesh file. Default: mm."""
+    """Unit of the mesh file. Default: mm, or m for a mesh that is too small in mm."""
     scale: float = within(1e-6, 1e6, default=1.0)
     """Scale factor applied to the mesh."""
     position_mm: tuple[float, float, float] | None = within(-1e4, 1e4, default=None)

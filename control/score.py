@@ -157,14 +157,11 @@ def surface_targets(scene_object: SceneObject, corners: np.ndarray, up: ArrayLik
     low, high = flat.min(0), flat.max(0)
     grids = [np.arange(a, b + _SPACING_M / 2, _SPACING_M) for a, b in zip(low, high, strict=True)]
     T = np.linalg.inv(scene_object.T_base_object)
-    out = []
-    for u in grids[0]:
-        for v in grids[1]:
-            place = u * along + v * across + _FAR_M * up
-            hit = scene_object.solid.first_hit((T @ [*place, 1])[:3], -(T[:3, :3] @ up))
-            if np.isfinite(hit):
-                out.append(place - hit * up)
-    return np.array(out).reshape(-1, 3)
+    u, v = (grid.reshape(-1, 1) for grid in np.meshgrid(*grids, indexing="ij"))
+    places = u * along + v * across + _FAR_M * up
+    hits = scene_object.solid.first_hits(places @ T[:3, :3].T + T[:3, 3], -(T[:3, :3] @ up))
+    on = np.isfinite(hits)
+    return places[on] - hits[on, None] * up
 
 
 def angles_to_normal_deg(labels: np.ndarray) -> np.ndarray:

@@ -99,8 +99,8 @@ def prepare(
         what = "the methods move, reset and limited_to, which a subclass of tactip_twin.Controller has"
         raise TactipError(f"the controller must have {what}, got a {type(controller).__name__}")
     scene_object = load_object(options.object, options.unit, options.scale, options.position_mm, options.rotation_deg)
-    for repair in scene_object.notes:
-        log(f"{options.object}: {repair}")
+    for note in (scene_object.summary, *scene_object.notes):
+        log(f"{options.object}: {note}")
     design = _with_overrides(load_design(options.design), options)
     arm_model = arm_model_named(options.arm)
     gains = gains_named(options.gains, options.task)

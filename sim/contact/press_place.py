@@ -21,4 +21,4 @@ def in_contact_frame(solid: SignedDistanceMesh, place: np.ndarray) -> SignedDist
     can."""
     normal = solid.smooth_normal(place[None])[0]
     turn = Rotation.align_vectors([normal], [[0.0, 0.0, 1.0]])[0]  # the shortest turn from the vertical
-    return SignedDistanceMesh((solid.vertices - place) @ turn.as_matrix(), solid.triangles)
+    return solid.moved(turn.as_matrix(), place)

@@ -5,6 +5,7 @@ on 300,000 triangles in half a millisecond. The side comes from pseudonormals (B
 computation using the angle weighted pseudonormal", 2005), which are also correct at edges and corners.
 """
 
+import copy
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -27,6 +28,12 @@ _CREASE_DEG = 25.0
 _LONG = 8.0
 """Longest side of a triangle in the tree, in median lengths: boxes around long thin triangles, as of the walls of a CAD
 model, overlap, and a query takes up to eight times as long [M]."""
+
+_NO_NORMAL = 1e-6
+"""Length of a sum of unit normals below which it has no direction, -."""
+
+_MAX_PARTS = 1_000_000
+"""Number of triangles in the tree from which long ones are no longer halved, which only saves time."""
 
 _CORNER = 1e-7
 """Barycentric coordinate below which a point of a triangle counts as on its border, -."""
@@ -79,6 +86,29 @@ class SignedDistanceMesh:
         self.corner_normals = smooth.reshape(-1, 3, 3)
         """Normals (k, 3, 3) at each triangle's corners; triangles on the two sides of a crease do not share them."""
         self._edges = _edge_normals(self.triangles, self._faces)
+        self._measure_box()
+        self._frame: tuple[np.ndarray, np.ndarray] | None = None
+        """Axes (3, 3), as columns, and origin (3,) of this solid's frame in that of the tree; None: the same."""
+
+    def _measure_box(self) -> None:
+        low, high = self.vertices.min(0), self.vertices.max(0)
+        self._middle, self._half = (low + high) / 2, (high - low) / 2
+
+    def moved(self, axes: np.ndarray, origin: np.ndarray) -> "SignedDistanceMesh":
+        """Return the same solid in another frame, without building its tree again.
+
+        Args:
+            axes: (3, 3), axes of the other frame in this one, as columns.
+            origin: (3,) m, its origin in this one.
+        """
+        out = copy.copy(self)
+        out.vertices = np.ascontiguousarray((self.vertices - origin) @ axes)
+        for name in ("_faces", "_corners", "corner_normals", "_edges"):
+            setattr(out, name, getattr(self, name) @ axes)
+        before_axes, before_origin = (np.eye(3), np.zeros(3)) if self._frame is None else self._frame
+        out._frame = before_axes @ axes, before_origin + before_axes @ origin
+        out._measure_box()
+        return out
 
     def nearest(self, points: ArrayLike) -> Nearest:
         """Return the nearest surface points of points (n, 3) m."""
@@ -93,7 +123,10 @@ class SignedDistanceMesh:
         beside = np.union1d(beside, np.flatnonzero(distance < _ON_M)) if (distance < _ON_M).any() else beside
         if len(beside):
             outward = outward.copy()
-            outward[beside] = self._pseudonormals(which[beside], place[beside])
+            pseudonormals = self._pseudonormals(which[beside], place[beside])
+            # Where two triangles lie back to back, they add up to none.
+            known = np.linalg.norm(pseudonormals, axis=1) > _NO_NORMAL
+            outward[beside[known]] = pseudonormals[known]
             along[beside] = np.einsum("nk,nk->n", away[beside], outward[beside])
         distance = np.where(along < 0, -distance, distance)
         on = np.abs(distance) < _ON_M
@@ -125,7 +158,8 @@ class SignedDistanceMesh:
         """
         origin, direction = np.asarray(origin, float), np.asarray(direction, float)
         # Sphere tracing, because libigl's own rays miss three triangles in a hundred.
-        travelled, max_distance = 0.0, float(np.linalg.norm(self.vertices - origin, axis=1).max())
+        # No point of the surface is farther away than the box around it.
+        travelled, max_distance = 0.0, float(np.linalg.norm(np.abs(self._middle - origin) + self._half))
         while travelled <= max_distance:
             gap = float(self.distance(origin + travelled * direction))
             if gap < _HIT_M:
@@ -133,11 +167,29 @@ class SignedDistanceMesh:
             travelled += gap
         return np.inf
 
+    def first_hits(self, origins: np.ndarray, direction: ArrayLike) -> np.ndarray:
+        """Return `first_hit` (n,) of parallel rays from origins (n, 3), m."""
+        direction, out = np.asarray(direction, float), np.full(len(origins), np.inf)
+        left, travelled = np.arange(len(origins)), np.zeros(len(origins))
+        max_distance = np.linalg.norm(np.abs(self._middle - origins) + self._half, axis=1)
+        while len(left):
+            gap = self.distance(origins[left] + travelled[left, None] * direction)
+            hit = gap < _HIT_M
+            out[left[hit]] = travelled[left[hit]] + gap[hit]
+            travelled[left] += gap
+            left = left[~hit & (travelled[left] <= max_distance[left])]
+        return out
+
     def _place(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return squared distances (n,), m², nearest triangles (n,) and places (n, 3), m, of points (n, 3), m."""
-        vertices, triangles, origin = self._parts
-        squared, which, place = self._tree.squared_distance(vertices, triangles, points)
-        return np.asarray(squared, float), origin[np.atleast_1d(which)], np.asarray(place, float)
+        vertices, triangles, whole = self._parts
+        if self._frame is None:
+            squared, which, place = self._tree.squared_distance(vertices, triangles, points)
+        else:
+            axes, origin = self._frame
+            squared, which, place = self._tree.squared_distance(vertices, triangles, points @ axes.T + origin)
+            place = (place - origin) @ axes
+        return np.asarray(squared, float), whole[np.atleast_1d(which)], np.asarray(place, float)
 
     def _barycentric(self, which: np.ndarray, place: np.ndarray) -> np.ndarray:
         """Return the barycentric coordinates (n, 3) of places (n, 3) on triangles `which` (n,)."""
@@ -172,6 +224,9 @@ def _parts(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.
         return vertices, triangles, origin
     corners, done = vertices[triangles], []
     while len(corners):
+        if len(corners) + sum(len(part) for part, _ in done) > max(_MAX_PARTS, 2 * len(triangles)):
+            done.append((corners, origin))
+            break
         sides = np.linalg.norm(corners[:, [1, 2, 0]] - corners[:, [2, 0, 1]], axis=2)
         short = sides.max(1) <= limit
         done.append((corners[short], origin[short]))

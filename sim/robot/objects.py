@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 
-import igl
 import numpy as np
 import trimesh
 from scipy.spatial.transform import Rotation
@@ -14,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from tactip_twin.assets import MESHES
 from tactip_twin.sim.contact.signed_distance import SignedDistanceMesh
 from tactip_twin.sim.pose import matrix
+from tactip_twin.sim.robot.mesh_repair import MIN_SIZE_M, repaired
 from tactip_twin.tactip_model.bounds import require
 from tactip_twin.tactip_model.errors import TactipError, lookup
 from tactip_twin.tactip_model.input_files import read_file
@@ -24,19 +24,13 @@ FORMATS = ("stl", "obj", "ply", "glb")
 UNITS_M = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 25.4e-3}
 """Units of a file's coordinates, m."""
 
-MIN_SIZE_M, MAX_SIZE_M = 5e-3, 2.0
-"""Limits of an object's size, m: from a quarter of the tip to four times the arm's reach."""
+MAX_SIZE_M = 2.0
+"""Maximum size of an object, m: four times the arm's reach."""
 
 MAX_TRIANGLES = 2_000_000
 
 _MAX_FILE_BYTES = 2**30
 """Maximum size of a mesh file, bytes: several times that of MAX_TRIANGLES as text."""
-
-_MIN_VOLUME_M3 = 1e-12
-"""Volume below which a closed surface counts as empty, m^3: a cubic millimetre is a thousand times more."""
-
-_MAX_HOLE_UNEVENNESS = 0.02
-"""Height of a hole's border over its width up to which the hole is closed with a flat lid, -."""
 
 _FOOT_M = (0.38, 0.0, 0.0)
 """Default position of the middle of an object's underside, base frame, m."""
@@ -72,7 +66,13 @@ class SceneObject:
     middle_m: np.ndarray
     """(3,) m, base frame: the default middle of a route."""
     notes: tuple[str, ...] = ()
-    """Repairs of the mesh, as sentences."""
+    """Repairs of the mesh, and doubts about it, as sentences."""
+
+    @property
+    def summary(self) -> str:
+        """Size and number of triangles, for the user to check the unit."""
+        size = np.ptp(self.solid.vertices @ self.T_base_object[:3, :3].T, axis=0)
+        return f"{' × '.join(f'{1e3 * s:.0f}' for s in size)} mm, {len(self.solid.triangles)} triangles"
 
 
 _ROTATIONS = {"bust": Rotation.from_matrix(np.array([[0, 0, -1], [0, 1, 0], [1, 0, 0]], float))}
@@ -104,7 +104,8 @@ def load_object(
 
     Args:
         source: One of the project's names, a mesh file, or a mesh in memory (which is not changed).
-        unit: Unit of the coordinates, of UNITS_M. By default mm for a file, and m for a mesh in memory.
+        unit: Unit of the coordinates, of UNITS_M. By default m for a mesh in memory, and mm for a file, unless it would be
+            too small: then it is taken as m, as glTF files are, and this is noted.
         scale: Scale factor.
         position_mm: (3,) mm, position of the middle of the object's underside, base frame; in front of the arm if None.
         rotation_deg: (3,) degrees, rotation vector, applied before that.
@@ -125,11 +126,19 @@ def load_object(
         raise TactipError(f"unknown object {name!r}: choose one of {', '.join(object_names())}, or give a mesh file")
     if own and unit is not None:
         raise TactipError(f"unit applies to mesh files only, and {name!r} is a built-in object: leave --unit out")
-    size = (1.0 if own else lookup("unit", unit or ("m" if in_memory else "mm"), UNITS_M)) * scale
-    require(np.isfinite(size) and size > 0, "scale", scale, "above 0")
+    require(np.isfinite(scale) and scale > 0, "scale", scale, "above 0")
+    for what, values in (("position_mm", position_mm), ("rotation_deg", rotation_deg)):
+        require(values is None or np.isfinite(values).all(), what, values, "finite")
+    if unit is not None:
+        lookup("unit", unit, UNITS_M)
     mesh = source.copy() if in_memory else _read(path)
-    mesh.apply_scale(size)
-    mesh, notes = validate_mesh(mesh, name)
+    taken = []
+    if unit is None:
+        unit = "m" if own or in_memory else _likely_unit(mesh, scale)
+        if unit == "m" and not own and not in_memory:
+            taken = [f"its coordinates are taken as metres: as millimetres, it would be below {1e3 * MIN_SIZE_M:g} mm"]
+    mesh, notes = validate_mesh(mesh.apply_scale(UNITS_M[unit] * scale), name)
+    notes = taken + notes
     turn = (
         Rotation.from_rotvec(np.radians(rotation_deg))
         if rotation_deg is not None
@@ -139,13 +148,19 @@ def load_object(
     foot = np.array(_FEET_M.get(name, _FOOT_M)) if position_mm is None else np.array(position_mm, float) / 1e3
     T = matrix(foot - [*(low + high)[:2] / 2, low[2]], turn)
     edge = None if in_memory else _read_edge(path.with_suffix(".edge.csv"), scale)
-    middle = (mesh.vertices.min(0) + mesh.vertices.max(0)) / 2
+    middle = turn.inv().apply((low + high) / 2)
     if own and name in _MIDDLES_M:
         middle = scale * np.array(_MIDDLES_M[name])
     solid = SignedDistanceMesh(mesh.vertices, mesh.faces)
     if edge is not None:
         _check_edge(edge, solid, path.with_suffix(".edge.csv"))
     return SceneObject(path.stem, solid, T, edge, (T @ [*middle, 1])[:3], tuple(notes))
+
+
+def _likely_unit(mesh: trimesh.Trimesh, scale: float) -> str:
+    """Return the unit of a file's coordinates: mm, or m if only that gives an allowed size."""
+    size = float(mesh.extents.max()) * scale if len(mesh.faces) and np.isfinite(mesh.vertices).all() else np.nan
+    return "m" if size * UNITS_M["mm"] < MIN_SIZE_M <= size * UNITS_M["m"] <= MAX_SIZE_M else "mm"
 
 
 def validate_mesh(mesh: trimesh.Trimesh, name: str) -> tuple[trimesh.Trimesh, list[str]]:
@@ -161,7 +176,6 @@ def validate_mesh(mesh: trimesh.Trimesh, name: str) -> tuple[trimesh.Trimesh, li
     Raises:
         TactipError: If the mesh is empty, not finite, of a wrong size, too fine, open beyond repair, or encloses no volume.
     """
-    notes: list[str] = []
     if not len(mesh.faces):
         raise TactipError(f"{name} has no triangles: the file is empty or truncated")
     if not np.isfinite(mesh.vertices).all():
@@ -172,77 +186,9 @@ def validate_mesh(mesh: trimesh.Trimesh, name: str) -> tuple[trimesh.Trimesh, li
     if not MIN_SIZE_M <= size <= MAX_SIZE_M:
         raise TactipError(
             f"the size of {name} must be between {1e3 * MIN_SIZE_M:g} and {1e3 * MAX_SIZE_M:g} mm, got {1e3 * size:g} mm: "
-            f"check its unit (one of {', '.join(UNITS_M)})"
+            f"check its unit (one of {', '.join(UNITS_M)}) and its scale"
         )
-    mesh = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
-    mesh.merge_vertices()
-    before = len(mesh.faces)
-    mesh.update_faces(mesh.nondegenerate_faces() & mesh.unique_faces())
-    mesh.remove_unreferenced_vertices()
-    if not len(mesh.faces):
-        raise TactipError(f"{name} has no triangles of an area above 0")
-    if len(mesh.faces) < before:
-        notes.append(f"{before - len(mesh.faces)} degenerate or duplicate triangles were removed")
-    if not mesh.is_watertight:
-        notes += _fill_holes(mesh, name)
-    if not mesh.is_winding_consistent:
-        mesh.faces = np.asarray(igl.bfs_orient(np.ascontiguousarray(mesh.faces, np.int64))[0])
-        notes.append("triangles with inconsistent winding were flipped")
-    if not mesh.is_watertight:
-        raise TactipError(f"{name} is not a closed surface: some edges belong to more than two triangles; repair it first")
-    volume = _volume(mesh)
-    if volume < 0:
-        mesh.invert()
-        notes.append("triangles faced inward and were flipped")
-    if abs(volume) < _MIN_VOLUME_M3:
-        raise TactipError(f"{name} does not enclose a volume: {1e9 * abs(volume):g} mm^3")
-    return mesh, notes
-
-
-def _volume(mesh: trimesh.Trimesh) -> float:
-    """Return the volume, m^3, inside a closed mesh; negative if it is inside out."""
-    a, b, c = (mesh.vertices - mesh.vertices.mean(0))[mesh.faces].transpose(1, 0, 2)
-    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
-
-
-def _fill_holes(mesh: trimesh.Trimesh, name: str) -> list[str]:
-    """Fill the flat holes of a mesh, in place. Returns notes; raises TactipError if a hole is not flat."""
-    sides = mesh.edges_sorted
-    order = np.lexsort(sides.T)
-    _, first, count = np.unique(sides[order], axis=0, return_index=True, return_counts=True)
-    if (count > 2).any():
-        raise TactipError(
-            f"{name} is not a surface: {int((count > 2).sum())} edges belong to more than two triangles; repair it first"
-        )
-    open_sides = mesh.edges[order[first[count == 1]]]
-    if not len(open_sides):
-        return []
-    following = dict(open_sides.tolist())
-    if len(following) < len(open_sides):
-        raise TactipError(f"{name} is open, and its holes touch each other: close them first")
-    lids, vertices = [], [mesh.vertices]
-    new, holes = len(mesh.vertices), 0
-    while following:
-        start, here = next(iter(following.items()))
-        loop = [start]
-        del following[start]
-        while here != start:
-            loop.append(here)
-            here = following.pop(here, None)
-            if here is None:
-                raise TactipError(f"{name} is open, and the border of a hole is not a closed loop: close it first")
-        points = mesh.vertices[loop]
-        spread = np.linalg.svd(points - points.mean(0), compute_uv=False) / np.sqrt(len(points))
-        if spread[2] > _MAX_HOLE_UNEVENNESS * spread[0]:
-            raise TactipError(
-                f"{name} is open: a hole of {len(loop)} sides, {1e3 * np.ptp(points, axis=0).max():.0f} mm wide, is not "
-                "flat, so it cannot be filled; close it first"
-            )
-        vertices.append(points.mean(0)[None])
-        lids += [[b, a, new + holes] for a, b in zip(loop, loop[1:] + loop[:1], strict=True)]
-        holes += 1
-    mesh.vertices, mesh.faces = np.concatenate(vertices), np.concatenate([mesh.faces, np.array(lids)])
-    return [f"{holes} flat hole(s) were filled"]
+    return repaired(mesh, name)
 
 
 def _read(path: Path) -> trimesh.Trimesh:
@@ -252,8 +198,9 @@ def _read(path: Path) -> trimesh.Trimesh:
     data = read_file(path, _MAX_FILE_BYTES)
     try:
         # trimesh has no specific error for a damaged file; what it raises depends on the format. Without the file's
-        # folder it opens no materials or textures that the file names.
-        mesh = trimesh.load(io.BytesIO(data), file_type=path.suffix.lower().lstrip("."), force="mesh", process=False)
+        # folder it opens no materials that the file names, and textures in the file are not unpacked.
+        kind = path.suffix.lower().lstrip(".")
+        mesh = trimesh.load(io.BytesIO(data), file_type=kind, force="mesh", process=False, skip_materials=True)
     except Exception as error:
         raise TactipError(f"{path} cannot be read as a mesh: {error!r}") from error
     if not isinstance(mesh, trimesh.Trimesh):

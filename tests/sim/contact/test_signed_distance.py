@@ -4,6 +4,7 @@ import igl
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial.transform import Rotation
 
 from tactip_twin.assets.meshes.make import HOLLOW_MM, RIDGE_MM, SPHERE_MM
 from tactip_twin.assets.meshes.rims import RIMS
@@ -139,3 +140,46 @@ def test_long_triangles_are_measured_in_parts():
     found = solid.nearest(points)
     assert np.allclose(np.abs(found.distance), np.sqrt(squared), atol=1e-12)
     assert np.allclose(found.place, place, atol=1e-9)
+
+
+def test_moved_solid_is_one_built_there():
+    """Also moved twice, for what does not depend on the tree."""
+    rng = np.random.default_rng(0)
+    mesh = trimesh.creation.icosphere(3, 0.04)
+    mesh.vertices *= [1, 0.7, 1.2]
+    solid = moved = SignedDistanceMesh(mesh.vertices, mesh.faces)
+    vertices = solid.vertices
+    for _ in range(2):
+        axes, origin = Rotation.random(random_state=rng).as_matrix(), rng.normal(0, 0.1, 3)
+        moved, vertices = moved.moved(axes, origin), (vertices - origin) @ axes
+    built = SignedDistanceMesh(vertices, mesh.faces)
+    points = vertices[::5] * 1.1 + rng.normal(0, 0.01, vertices[::5].shape)
+    one, other = moved.nearest(points), built.nearest(points)
+    for name in ("distance", "place", "normal"):
+        assert np.allclose(getattr(one, name), getattr(other, name), atol=1e-9)
+    assert np.allclose(moved.smooth_normal(points), built.smooth_normal(points), atol=1e-9)
+    assert np.allclose(moved.corner_normals, built.corner_normals, atol=1e-9)
+    above = np.array([*vertices.mean(0)[:2], 1.0])
+    assert moved.first_hit(above, [0, 0, -1]) == pytest.approx(built.first_hit(above, [0, 0, -1]), abs=1e-6)
+    assert np.array_equal(solid.vertices, mesh.vertices)
+
+
+def test_parallel_rays_hit_as_each_alone():
+    box = trimesh.creation.box((0.05, 0.05, 0.02))
+    solid, rng = SignedDistanceMesh(box.vertices, box.faces), np.random.default_rng(0)
+    direction = np.array([0.1, 0.2, -1.0]) / np.linalg.norm([0.1, 0.2, -1.0])
+    origins = np.column_stack([rng.uniform(-0.05, 0.05, (40, 2)), np.full(40, 0.1)])
+    alone = [solid.first_hit(origin, direction) for origin in origins]
+    assert np.isinf(alone).any() and np.isfinite(alone).any()
+    assert np.array_equal(solid.first_hits(origins, direction), alone)
+
+
+def test_long_triangles_among_tiny_ones_do_not_fill_the_memory():
+    """A scan of 80,000 small triangles on a plate of a few large ones."""
+    small = trimesh.creation.icosphere(6, 0.001)
+    plate = trimesh.creation.box((0.6, 0.6, 0.02))
+    both = trimesh.util.concatenate([small.apply_translation([0, 0, 0.2]), plate])
+    vertices, triangles, origin = _parts(both.vertices, both.faces)
+    assert len(triangles) < 2.5e6 and len(origin) == len(triangles)
+    area = trimesh.Trimesh(vertices, triangles, process=False).area
+    assert area == pytest.approx(both.area, rel=1e-9)
