@@ -178,9 +178,7 @@ def _remove_fragments(mesh: trimesh.Trimesh, notes: list[str]) -> None:
         return
     area = np.bincount(parts, mesh.area_faces, count)
     low, high = _extents(mesh, parts, count)
-    sides = np.sort(mesh.edges, axis=1)
-    number = sides[:, 0].astype(np.int64) * len(mesh.vertices) + sides[:, 1]
-    _, inverse, uses = np.unique(number, return_inverse=True, return_counts=True)
+    _, inverse, uses = np.unique(_sides(mesh), return_inverse=True, return_counts=True)
     is_open = np.bincount(np.repeat(parts, 3), uses[inverse] == 1, count) > 0
     small = (high - low).max(1) < MIN_SIZE_M
     removed = (area < _FRAGMENT * area.max()) & (is_open | small)
@@ -190,9 +188,17 @@ def _remove_fragments(mesh: trimesh.Trimesh, notes: list[str]) -> None:
         notes.append(f"{int(removed.sum())} loose fragment(s) were removed")
 
 
+def _sides(mesh: trimesh.Trimesh) -> np.ndarray:
+    """Return a number (3 k,) for each side of each triangle, the same for the two directions."""
+    sides = mesh.edges_sorted.astype(np.int64)
+    return sides[:, 0] * len(mesh.vertices) + sides[:, 1]
+
+
 def _check_edges(mesh: trimesh.Trimesh, name: str) -> None:
     """Raise TactipError if edges belong to more than two triangles."""
-    _, count = np.unique(mesh.edges_sorted, axis=0, return_counts=True)
+    if mesh.is_watertight:
+        return
+    _, count = np.unique(_sides(mesh), return_counts=True)
     if (count > 2).any():
         raise TactipError(
             f"{name} is not a surface: {int((count > 2).sum())} edges belong to more than two triangles; repair it first"
@@ -202,10 +208,8 @@ def _check_edges(mesh: trimesh.Trimesh, name: str) -> None:
 def _fill_holes(mesh: trimesh.Trimesh, name: str) -> list[str]:
     """Fill the holes of an oriented mesh that are flat or small, in place. Returns notes; raises TactipError if others
     remain."""
-    sides = mesh.edges_sorted
-    order = np.lexsort(sides.T)
-    _, first, count = np.unique(sides[order], axis=0, return_index=True, return_counts=True)
-    loops = _loops(mesh.edges[order[first[count == 1]]])
+    _, first, count = np.unique(_sides(mesh), return_index=True, return_counts=True)
+    loops = _loops(mesh.edges[first[count == 1]])
     if loops is None:
         raise TactipError(f"{name} is open, and its open edges do not form closed loops: close it first")
     lids, vertices, widths, refused = [], [mesh.vertices], [], []
@@ -321,7 +325,8 @@ def _wrong_sides(mesh: trimesh.Trimesh) -> float:
     if not len(chosen):
         return 0.0
     middles, normals = mesh.vertices[mesh.faces[chosen]].mean(1), mesh.face_normals[chosen]
-    outside, inside = (_winding(mesh.vertices, mesh.faces, middles + sign * _PROBE_M * normals) for sign in (1, -1))
+    probes = np.concatenate([middles + _PROBE_M * normals, middles - _PROBE_M * normals])
+    outside, inside = _winding(mesh.vertices, mesh.faces, probes).reshape(2, -1)
     return float(np.mean((np.abs(outside) > 0.5) | (np.abs(inside - 1) > 0.5)))
 
 
