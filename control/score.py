@@ -92,7 +92,7 @@ def summary(figures: Mapping[str, Any]) -> list[str]:
 
     def mean(values: Mapping[str, Any]) -> str:
         found = [("depth", "depth_mae_mm", " mm"), ("lateral", "lateral_mae_mm", " mm"), ("angle", "angle_mean_deg", "°")]
-        found += [("95 % below", "angle_p95_deg", "°")]
+        found += [("95 % below", "angle_p95_deg", "°"), ("to the patch's mean normal", "angle_to_mean_normal_deg", "°")]
         texts = [f"{title} {values[key]:.2f}{unit}" for title, key, unit in found if values.get(key) is not None]
         return ", ".join(texts) or "none"
 

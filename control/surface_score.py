@@ -1,12 +1,13 @@
 """Scores of a trajectory over a surface by what the tip can touch and by the local curvature."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from tactip_twin.control.reach import fits, touchable
 from tactip_twin.control.score import COVERED_M, angles_to_normal_deg, coverage, mean_or_none, touched_places
+from tactip_twin.sim.contact.patch_normals import mean_normals, tangents
 from tactip_twin.sim.contact.signed_distance import SignedDistanceMesh
 from tactip_twin.sim.ground_truth import SurfaceGroundTruth
 from tactip_twin.sim.robot.objects import SceneObject
@@ -14,15 +15,6 @@ from tactip_twin.sim.robot.recording import PHASES
 
 _CURVATURE_SPAN_M = 2e-3
 """Distance over which the curvature of a surface is measured, m."""
-
-_DIRECTIONS = 8
-
-_PATCH_M = 1.5e-3
-"""Radius around a point within which the normal is averaged, m: half of the distance between the pins of `tactip-127`, which
-show nothing finer."""
-
-_RINGS_M = (_PATCH_M / 2, _PATCH_M)
-"""Radii of the circles on which it is taken, m: with the middle, they weigh the patch about evenly."""
 
 CURVATURE_BINS = {
     "hollow, radius below 20 mm": (-np.inf, -1 / 20e-3),
@@ -75,30 +67,11 @@ def extreme_curvature(solid: SignedDistanceMesh, places: np.ndarray) -> np.ndarr
     if not len(places):
         return np.zeros(0)
     h, found = _CURVATURE_SPAN_M, []
-    for along in _tangents(solid.smooth_normal(places), np.pi):
+    for along in tangents(solid.smooth_normal(places), np.pi):
         change = solid.smooth_normal(places + h * along) - solid.smooth_normal(places - h * along)
         found.append((change * along).sum(1) / (2 * h))
     curvatures = np.array(found)
     return np.take_along_axis(curvatures, np.abs(curvatures).argmax(0)[None], 0)[0]
-
-
-def mean_normals(solid: SignedDistanceMesh, places: np.ndarray) -> np.ndarray:
-    """Return the mean normals (n, 3), unit, of a solid around places (n, 3), m, on it, within `_PATCH_M`."""
-    if not len(places):
-        return np.zeros((0, 3))
-    normals = solid.smooth_normal(places)
-    around = [solid.smooth_normal(places + r * along) for along in _tangents(normals, 2 * np.pi) for r in _RINGS_M]
-    total = normals + sum(around)
-    return total / np.linalg.norm(total, axis=1, keepdims=True)
-
-
-def _tangents(normals: np.ndarray, span_rad: float) -> Iterator[np.ndarray]:
-    """Yield unit directions (n, 3) along a surface with unit normals (n, 3), spread over an angle."""
-    u = np.cross(normals, np.eye(3)[np.abs(normals).argmin(1)])
-    u /= np.linalg.norm(u, axis=1, keepdims=True)
-    v = np.cross(normals, u)
-    for angle in span_rad * np.arange(_DIRECTIONS) / _DIRECTIONS:
-        yield np.cos(angle) * u + np.sin(angle) * v
 
 
 def _errors(depth_errors_mm: np.ndarray, angles: np.ndarray, to_mean: np.ndarray) -> dict[str, Any]:

@@ -11,6 +11,7 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from tactip_twin.assets import MESHES
+from tactip_twin.sim.contact.patch_normals import PATCH_M, scatter_deg
 from tactip_twin.sim.contact.signed_distance import SignedDistanceMesh
 from tactip_twin.sim.pose import matrix
 from tactip_twin.sim.robot.mesh_repair import MIN_SIZE_M, repaired
@@ -31,6 +32,9 @@ MAX_TRIANGLES = 2_000_000
 
 _MAX_FILE_BYTES = 2**30
 """Maximum size of a mesh file, bytes: several times that of MAX_TRIANGLES as text."""
+
+_NOISY_DEG = 3.0
+"""Scatter of the normals, degrees, from which a mesh counts as noisy; smooth objects with details have less than 0.4 [M]."""
 
 _FOOT_M = (0.38, 0.0, 0.0)
 """Default position of the middle of an object's underside, base frame, m."""
@@ -152,6 +156,12 @@ def load_object(
     if own and name in _MIDDLES_M:
         middle = scale * np.array(_MIDDLES_M[name])
     solid = SignedDistanceMesh(mesh.vertices, mesh.faces)
+    scatter = 0.0 if own else scatter_deg(solid)
+    if scatter > _NOISY_DEG:
+        notes.append(
+            f"its normals scatter by {scatter:.0f}° within {1e3 * PATCH_M:g} mm, as those of a noisy scan: angles to the "
+            "normal at a point mean little; smooth it first"
+        )
     if edge is not None:
         _check_edge(edge, solid, path.with_suffix(".edge.csv"))
     return SceneObject(path.stem, solid, T, edge, (T @ [*middle, 1])[:3], tuple(notes))

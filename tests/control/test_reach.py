@@ -8,8 +8,9 @@ from scipy.special import j0
 from helpers.profiles import profiled_block
 from tactip_twin.control.reach import fits, touchable
 from tactip_twin.control.score import coverage, touched_places
-from tactip_twin.control.surface_score import extreme_curvature, mean_normals
+from tactip_twin.control.surface_score import extreme_curvature
 from tactip_twin.sim.contact.curved_surface import slab
+from tactip_twin.sim.contact.patch_normals import mean_normals
 from tactip_twin.sim.contact.signed_distance import SignedDistanceMesh
 from tactip_twin.sim.robot.recording import PHASES
 

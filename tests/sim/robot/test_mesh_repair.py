@@ -62,6 +62,13 @@ def test_surface_through_itself_is_noted_and_noise_is_not():
     assert loaded(rough).notes == ()
 
 
+def test_noise_of_a_scan_is_noted():
+    fine = ball(40, subdivisions=6)
+    fine.vertices += np.random.default_rng(0).normal(0, 0.2, fine.vertices.shape)
+    (note,) = loaded(fine).notes
+    assert "its normals scatter by" in note
+
+
 def test_loose_fragments_are_removed():
     """Single triangles above the surface, and closed specks; not a part of the size of an object."""
     rng = np.random.default_rng(0)
