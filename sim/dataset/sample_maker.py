@@ -232,6 +232,8 @@ class SampleMaker:
     def _write_images(self, contacts: list[Contact], indices: range, tries: int, made: _MadeContact) -> None:
         """Write the images of contacts, and note the contacts. The last contact of a set may have fewer indices."""
         contacts = contacts[: len(indices)]
+        if not contacts:
+            return
         pins = (np.stack([getattr(contact, name) for contact in contacts]) for name in ("pin_tips", "directions"))
         for index, contact, grey in zip(indices, contacts, self._render(*pins), strict=True):
             made.add(contact, index, tries)

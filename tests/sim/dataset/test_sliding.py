@@ -123,6 +123,12 @@ def test_set_of_snapshots_is_independent_of_workers(design, tmp_path):
     assert len({row["seed"] for row in rows}) == 3
 
 
+def test_set_that_ends_within_a_contact_has_its_samples_only(design, tmp_path):
+    made(tmp_path / "short", design, samples=2)
+    assert [row["index"] for row in table(tmp_path / "short")] == ["0", "1"]
+    assert verify(tmp_path / "short") == []
+
+
 def test_first_snapshot_is_the_contact_without_sliding(design, tmp_path):
     made(tmp_path / "walked", design)
     made(tmp_path / "plain", design, samples=3, snapshots_per_contact=1)
