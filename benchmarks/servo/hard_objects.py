@@ -267,8 +267,10 @@ def _starts(rows: dict[str, dict[str, Any]]) -> str:
 
 def _reason(row: dict[str, Any]) -> str:
     """Return why a run from a random start did not follow."""
-    events = f" ({events_text(row['events'])})" if row.get("events") else ""
-    return row.get("error") or row["stopped_because"] + events
+    if row.get("error"):
+        return row["error"]
+    events = f" ({events_text(row['events'])})" if row["events"] else ""
+    return f"{row['stopped_because']}, {row['steps_followed']} steps on it{events}"
 
 
 def _errors(errors: dict[str, Any]) -> list[str]:
