@@ -13,7 +13,7 @@ _CHUNK = 4
 """Number of images that are painted at once: more do not fit into a core's cache [M]."""
 
 _TINY = np.float32(1e-12)
-"""Smallest squared radius in the unit disc, -, that is told from zero."""
+"""Lower limit of the squared radius in the unit disc, -, because a quotient has no value at the centre."""
 
 
 @lru_cache(maxsize=4)

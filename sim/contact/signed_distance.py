@@ -91,6 +91,7 @@ class SignedDistanceMesh:
         """Axes (3, 3), as columns, and origin (3,) of this solid's frame in that of the tree; None: the same."""
 
     def _measure_box(self) -> None:
+        """Measure the box around the vertices."""
         low, high = self.vertices.min(0), self.vertices.max(0)
         self._middle, self._half = (low + high) / 2, (high - low) / 2
 

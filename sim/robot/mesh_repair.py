@@ -44,6 +44,7 @@ _MIN_VOLUME_M3 = 1e-12
 """Volume below which a closed surface counts as empty, m^3: a cubic millimetre is a thousand times more."""
 
 _FLIPPED = "triangles with inconsistent winding were flipped"
+"""Note after which a part that had to be turned outward is not noted again."""
 
 _MAX_COMPARED_PARTS = 200
 """Number of separate parts up to which it is checked which lie inside of others."""
@@ -76,9 +77,11 @@ def repaired(mesh: trimesh.Trimesh, name: str) -> tuple[trimesh.Trimesh, list[st
         mesh.faces = np.asarray(igl.bfs_orient(np.ascontiguousarray(mesh.faces, np.int64))[0])
         notes.append(_FLIPPED)
     if not mesh.is_watertight:
-        notes += _fill_holes(mesh, name)
+        notes.append(_fill_holes(mesh, name))
+    if not mesh.is_watertight:
+        raise TactipError(f"{name} is not a closed surface, also after its holes were filled; repair it first")
     _turn_outward(mesh, notes)
-    volume = signed_volume(mesh)
+    volume = _volumes(mesh, np.zeros(len(mesh.faces), int), 1)[0]
     if volume < _MIN_VOLUME_M3:
         raise TactipError(f"{name} does not enclose a volume: {1e9 * abs(volume):g} mm^3")
     wrong = _wrong_sides(mesh)
@@ -93,10 +96,10 @@ def repaired(mesh: trimesh.Trimesh, name: str) -> tuple[trimesh.Trimesh, list[st
     return mesh, notes
 
 
-def signed_volume(mesh: trimesh.Trimesh) -> float:
-    """Return the volume, m^3, inside a closed mesh; negative if it is inside out."""
+def _volumes(mesh: trimesh.Trimesh, parts: np.ndarray, count: int) -> np.ndarray:
+    """Return the volumes (count,), m^3, inside of the parts of a closed mesh; negative if they are inside out."""
     a, b, c = (mesh.vertices - mesh.vertices.mean(0))[mesh.faces].transpose(1, 0, 2)
-    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
+    return np.bincount(parts, np.einsum("ij,ij->i", a, np.cross(b, c)) / 6, count)
 
 
 def _remove_degenerate(mesh: trimesh.Trimesh, notes: list[str]) -> None:
@@ -205,12 +208,12 @@ def _check_edges(mesh: trimesh.Trimesh, name: str) -> None:
         )
 
 
-def _fill_holes(mesh: trimesh.Trimesh, name: str) -> list[str]:
-    """Fill the holes of an oriented mesh that are flat or small, in place. Returns notes; raises TactipError if others
-    remain."""
+def _fill_holes(mesh: trimesh.Trimesh, name: str) -> str:
+    """Fill the holes of an oriented mesh that are flat or small, in place, and return a note. Raises TactipError if other
+    holes remain."""
     _, first, count = np.unique(_sides(mesh), return_index=True, return_counts=True)
     loops = _loops(mesh.edges[first[count == 1]])
-    if loops is None:
+    if not loops:
         raise TactipError(f"{name} is open, and its open edges do not form closed loops: close it first")
     lids, vertices, widths, refused = [], [mesh.vertices], [], []
     for loop in loops:
@@ -231,7 +234,7 @@ def _fill_holes(mesh: trimesh.Trimesh, name: str) -> list[str]:
             f"filled, because a hole wider than {1e3 * _SMALL_HOLE_M:g} mm must be flat; close them first"
         )
     mesh.vertices, mesh.faces = np.concatenate(vertices), np.concatenate([mesh.faces, np.array(lids)])
-    return [f"{len(widths)} flat or small hole(s) were filled, up to {1e3 * max(widths):.1f} mm wide"]
+    return f"{len(widths)} flat or small hole(s) were filled, up to {1e3 * max(widths):.1f} mm wide"
 
 
 def _loops(sides: np.ndarray) -> list[list[int]] | None:
@@ -245,7 +248,7 @@ def _loops(sides: np.ndarray) -> list[list[int]] | None:
         place: dict[int, int] = {}
         here = next(iter(following))
         while True:
-            if here in place:  # a loop ends; where holes touch, the path before it goes on
+            if here in place:  # a loop ends; where holes touch, the path before it continues
                 start = place[here]
                 loops.append(path[start:])
                 for vertex in path[start:]:
@@ -268,9 +271,7 @@ def _turn_outward(mesh: trimesh.Trimesh, notes: list[str]) -> None:
     """Turn the separate parts of a closed mesh outward, and remove those inside of others, which nothing can touch, in
     place."""
     count, parts = _parts(mesh)
-    a, b, c = (mesh.vertices - mesh.vertices.mean(0))[mesh.faces].transpose(1, 0, 2)
-    volume = np.bincount(parts, np.einsum("ij,ij->i", a, np.cross(b, c)) / 6, count)
-    inward = volume < 0
+    inward = _volumes(mesh, parts, count) < 0
     if inward.any():
         faces = mesh.faces.copy()
         faces[inward[parts]] = faces[inward[parts]][:, ::-1]

@@ -174,17 +174,11 @@ def _likely_unit(mesh: trimesh.Trimesh, scale: float) -> str:
 
 
 def validate_mesh(mesh: trimesh.Trimesh, name: str) -> tuple[trimesh.Trimesh, list[str]]:
-    """Repair a mesh if that is safe, and check that it bounds a volume.
-
-    Args:
-        mesh: The mesh, in m. It is not changed.
-        name: Name of the object, for messages.
-
-    Returns:
-        The repaired mesh, and notes on the repairs.
+    """Check that a mesh, in m, is finite and of an allowed size, and repair it. Arguments and results are those of
+    `repaired`.
 
     Raises:
-        TactipError: If the mesh is empty, not finite, of a wrong size, too fine, open beyond repair, or encloses no volume.
+        TactipError: If the mesh is empty, not finite, of a wrong size, too fine, or cannot be repaired.
     """
     if not len(mesh.faces):
         raise TactipError(f"{name} has no triangles: the file is empty or truncated")

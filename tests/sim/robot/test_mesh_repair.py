@@ -1,4 +1,4 @@
-"""Defects of scans: what is repaired is the surface that it was before, and what is not is refused or noted."""
+"""Defects of scans: a repair restores the surface, and other defects are refused or noted."""
 
 import numpy as np
 import pytest
@@ -149,3 +149,19 @@ def test_middle_of_a_turned_object_is_that_of_its_box():
     found = load_object(trimesh.Trimesh(cone.vertices, cone.faces), unit="mm", rotation_deg=(0, 60, 0))
     placed = found.solid.vertices @ found.T_base_object[:3, :3].T + found.T_base_object[:3, 3]
     assert np.allclose(found.middle_m, (placed.min(0) + placed.max(0)) / 2)
+
+
+def test_surface_with_one_side_is_refused():
+    """A Möbius strip has a closed border, but neither it nor its lid has an inside."""
+    turns, across = np.linspace(0, 2 * np.pi, 60, endpoint=False), np.array([-8.0, 8.0])
+    radius = 40 + across * np.cos(turns[:, None] / 2)
+    rows = np.stack(
+        [radius * np.cos(turns[:, None]), radius * np.sin(turns[:, None]), across * np.sin(turns[:, None] / 2)], -1
+    )
+    faces = []
+    for k in range(60):
+        a, b = 2 * k, 2 * k + 1
+        c, d = (2 * k + 2, 2 * k + 3) if k < 59 else (1, 0)
+        faces += [[a, c, b], [b, c, d]]
+    with pytest.raises(TactipError, match="is open"):
+        loaded(trimesh.Trimesh(rows.reshape(-1, 3), faces, process=False))
