@@ -23,15 +23,15 @@ class Import(Command):
     example = "tactip import lab/set --out data/real --columns pose_z=-depth pose_Rx=roll pose_Ry=pitch"
 
     source: tyro.conf.Positional[Path]
-    """Folder of the set: a table, frames or videos (here or in images/, frames/ or videos/), and if there is one, a neutral
-    image init* or neutral*, here or beside the frames."""
+    """Folder of the set: a table, frames or videos (here or in a folder images, frames, frames_bw, sensor_images,
+    processed_images or videos) and perhaps a neutral image init*, neutral* or image_0, here or beside the frames."""
     out: Path
     """Folder of the imported set."""
     targets: Path | None = None
-    """Table of poses. Default: targets.csv in the folder, or its only table."""
+    """Table of poses. Default: targets.csv, targets_images.csv or targets_video.csv in the folder, or its only table."""
     neutral: Path | None = None
-    """Image of the undeformed tip. Default: init* or neutral* in the folder or beside the frames; without one, the frames
-    whose pins have moved least replace it."""
+    """Image of the undeformed tip. Default: init*, neutral* or image_0 in the folder or beside the frames, if the table does
+    not name it; without one, the frames whose pins have moved least replace it."""
     find: bool = False
     """Find which columns are which, their signs, the camera's rotation, the zero of depth and the tool centre by holding the
     frames against simulated contacts. Options that are given are kept and checked. Of an edge, give --task edge."""

@@ -3,6 +3,7 @@
 Every function raises TactipError, with one sentence that names the file, and uses bounded memory whatever the file holds.
 """
 
+import codecs
 import csv
 import hashlib
 import io
@@ -128,45 +129,70 @@ def _items(value: "dict[str, Any] | list[Any]") -> Any:
 
 
 def parse_table(data: bytes, name: str) -> tuple[list[str], list[dict[str, Any]]]:
-    """Return columns and rows of a table in UTF-8, of at most 4 million cells.
+    """Return columns and rows of a table in UTF-8 or UTF-16 with a byte-order mark, of at most 4 million cells.
 
-    Values are separated by commas or, if there is none in the first line, by semicolons or tabs; decimal commas then become
-    points.
+    Values are separated by commas or, if there is none in the first line, by semicolons or tabs. Decimal commas become
+    points, in a table that is separated by commas only where the number is quoted. Lines before the header that begin with #
+    are skipped, and so is the line with which spreadsheets name their separator (sep=;).
 
     Args:
         data: Content of the file.
         name: Its name, for messages.
 
     Returns:
-        The columns, and the cells of each row by column: None where a row ends before a column; further cells of a row
-        that is too long are a list under the key None.
+        The columns, and the cells of each row by column: None where a row ends before a column.
+
+    Raises:
+        TactipError: If the file is no such table, a column's name is there twice, or a row has more cells than the header.
     """
     if len(data) > _MAX_TABLE_BYTES:
         raise TactipError(f"{name} must have at most {_MAX_TABLE_BYTES / 2**20:.0f} MiB, got {len(data) / 2**20:.0f} MiB")
     rows, cells = [], 0
+    text = _NOTES.sub("", _decoded(data, name))
+    head = text.partition("\n")[0]
+    separator = "," if "," in head else max(";\t", key=head.count)
+    separator = separator if separator in head else ","
     try:
-        text = data.decode("utf-8-sig")
-        head = text.partition("\n")[0]
-        separator = "," if "," in head else max(";\t", key=head.count)
-        separator = separator if separator in head else ","
         reader = csv.DictReader(io.StringIO(text, newline=""), delimiter=separator)
         columns = list(reader.fieldnames or [])
         if len(columns) > _MAX_COLUMNS:
             raise TactipError(f"{name} must have at most {_MAX_COLUMNS} columns, got {len(columns)}")
+        twice = next((one for one in columns if one.strip() and columns.count(one) > 1), None)
+        if twice is not None:
+            raise TactipError(f"{name} must name each column once, got {twice!r} {columns.count(twice)} times")
         for row in reader:
-            rows.append(row if separator == "," else {name: _with_point(cell) for name, cell in row.items()})
-            cells += len(columns) + len(row.get(None, ()))
+            further = row.pop(None, [])
+            if any(cell.strip() for cell in further):
+                comma = ": separate them by semicolons, or quote numbers with a decimal comma" if separator == "," else ""
+                raise TactipError(
+                    f"{name} must have at most {len(columns)} cells in a row, as many as columns, got "
+                    f"{len(columns) + len(further)} in line {reader.line_num}{comma}"
+                )
+            rows.append({column: _with_point(cell) for column, cell in row.items()})
+            cells += len(columns)
             if cells > _MAX_CELLS:
                 raise TactipError(f"{name} must have at most {_MAX_CELLS} cells")
-    except (UnicodeDecodeError, csv.Error) as error:
+    except csv.Error as error:
         raise TactipError(f"{name} cannot be read: {error}") from error
     return columns, rows
+
+
+def _decoded(data: bytes, name: str) -> str:
+    """Return the text of a table. Raises TactipError if it is not text in UTF-8, or in UTF-16 with a byte-order mark."""
+    wide = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    try:
+        return data.decode("utf-16" if wide else "utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise TactipError(f"{name} must be text in UTF-8 (CSV): {error.reason} at byte {error.start}") from error
 
 
 def _with_point(cell: Any) -> Any:
     """Return the cell of a table with a point in place of a decimal comma, if it is a number with one."""
     return cell.replace(",", ".") if isinstance(cell, str) and _DECIMAL_COMMA.fullmatch(cell.strip()) else cell
 
+
+_NOTES = re.compile(r"\A(?:(?:#[^\n]*|sep=.\r?)\n)+")
+"""Lines before a table's header."""
 
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?")
 """A number with a decimal comma."""

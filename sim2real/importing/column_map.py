@@ -5,7 +5,9 @@ components is one of their columns, times a factor, plus an offset:
     shear_x=move_1        the motion in contact that led to the pose
     pose_Ry=0.5           a constant where there is no column
 
-A component that is not listed is the column of its own name, or 0 if there is none. Light to import, for commands.
+A component that is not listed is the column of its own name, whatever the case of its letters, or 0 if there is none. A
+column whose name is more than letters, digits and _ is written in brackets: pose_Ry=-[Ry (deg)]. Light to import, for
+commands.
 """
 
 import re
@@ -27,7 +29,10 @@ AnglesChoice = Literal["auto", Angles]
 """A convention of angles, or `auto`: vector, or what --find finds."""
 
 _NUMBER = r"\d+\.?\d*(?:[eE][+-]?\d+)?"
-_TERM = re.compile(rf"(?P<sign>[+-]?)(?:(?P<factor>{_NUMBER})\*)?(?P<column>[A-Za-z_]\w*)(?P<offset>[+-]{_NUMBER})?")
+_PLAIN = r"[^\W\d]\w*"
+_TERM = re.compile(
+    rf"(?P<sign>[+-]?)(?:(?P<factor>{_NUMBER})\*)?(?:(?P<column>{_PLAIN})|\[(?P<quoted>.+)\])(?P<offset>[+-]{_NUMBER})?"
+)
 
 
 _MAX_LENGTH = 200
@@ -50,7 +55,7 @@ class ColumnMap:
     scaled and shifted: pose_z=-pose_2-5."""
     image_column: str = ""
     """Column with the frames' file names. Default: the first that exists of sensor_image, image_name, image, filename,
-    sensor_video, video_name and video."""
+    file_name, file, frame, sensor_video, video_name and video."""
     video_frame: int = within(-100000, 100000, default=-1)
     """Frame to use if the table names videos: 0 is the first, -1 the last."""
     angles: AnglesChoice = "auto"
@@ -85,13 +90,20 @@ def parse_column(spec: str) -> tuple[str, tuple[float, str | None, float]]:
     if len(str(spec)) > _MAX_LENGTH:
         raise TactipError(f"a column must be written in at most {_MAX_LENGTH} characters, got {len(str(spec))}")
     ours, equals, theirs = (part.strip() for part in str(spec).partition("="))
-    theirs = theirs.replace(" ", "")
+    theirs = "".join(part if part.startswith("[") else part.replace(" ", "") for part in re.split(r"(\[.*\])", theirs))
     if ours not in (*LABELS, *SHEARS):
         raise TactipError(f"a column must be mapped to one of {', '.join((*LABELS, *SHEARS))}, got {spec!r}")
     match = _TERM.fullmatch(theirs)
     if match:
         factor = float(match["factor"] or 1) * (-1 if match["sign"] == "-" else 1)
-        return ours, (_possible(factor, spec), match["column"], _possible(float(match["offset"] or 0), spec))
+        column = match["column"] or match["quoted"]
+        return ours, (_possible(factor, spec), column, _possible(float(match["offset"] or 0), spec))
     if equals and re.fullmatch(rf"[+-]?{_NUMBER}", theirs):
         return ours, (0.0, None, _possible(float(theirs), spec))
-    raise TactipError(f"a column must be written like pose_z=-pose_2-5, pose_Ry=0.5*angle or shear_x=0, got {spec!r}")
+    forms = "pose_z=-pose_2-5, pose_Ry=0.5*angle, pose_Ry=[Ry (deg)] or shear_x=0"
+    raise TactipError(f"a column must be written like {forms}, got {spec!r}")
+
+
+def written(column: str) -> str:
+    """Return a column's name as `parse_column` reads it: in brackets unless it is plain."""
+    return column if re.fullmatch(_PLAIN, column) else f"[{column}]"

@@ -1,6 +1,7 @@
 """Conversion of a laboratory's table to labels in the conventions of sim/pose.py."""
 
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -9,9 +10,11 @@ from tactip_twin.sim.dataset.sampling import MAX_LABEL
 from tactip_twin.sim.labels import LABELS, SHEARS
 from tactip_twin.sim.pose import from_mm_deg, shear_between, to_mm_deg
 from tactip_twin.sim2real.importing.column_map import ColumnMap, parse_column
+from tactip_twin.sim2real.importing.table_columns import number
 from tactip_twin.tactip_model.errors import TactipError
 
-IMAGE_COLUMNS = ("sensor_image", "image_name", "image", "filename", "sensor_video", "video_name", "video")
+_IMAGES = ("sensor_image", "image_name", "image", "filename", "file_name", "file", "frame")
+IMAGE_COLUMNS = (*_IMAGES, "sensor_video", "video_name", "video")
 """Column names under which tables list their frames."""
 
 
@@ -21,7 +24,28 @@ def image_column(column_map: ColumnMap, columns: Sequence[str]) -> str:
     for name in names:
         if name in columns:
             return name
-    raise TactipError(f"the table has no column {' or '.join(names)} for the frames: its columns are {', '.join(columns)}")
+    raise TactipError(
+        f"the table has no column {' or '.join(names)} for the frames: give --image-column, one of {', '.join(columns)}"
+    )
+
+
+def own_columns(table: Iterable[str]) -> dict[str, str]:
+    """Return the columns of a table that have the name of a component, by component; case does not matter, if it is the
+    only such column."""
+    low = Counter(name.lower() for name in table)
+    by_low = {name.lower(): name for name in table}
+    return {
+        name: name if name in table else by_low[name.lower()]
+        for name in (*LABELS, *SHEARS)
+        if name in table or low[name.lower()] == 1
+    }
+
+
+def unused_columns(column_map: ColumnMap, table: Mapping[str, Sequence[str]]) -> list[str]:
+    """Return the columns of numbers that vary, but are no label in these conventions."""
+    given = dict(parse_column(spec) for spec in column_map.columns)
+    used = {column for _, column, _ in given.values()} | {c for ours, c in own_columns(table).items() if ours not in given}
+    return [name for name, cells in table.items() if name not in used and _span(cells)]
 
 
 def convert_labels(column_map: ColumnMap, table: Mapping[str, Sequence[str]]) -> tuple[np.ndarray, np.ndarray]:
@@ -36,7 +60,11 @@ def convert_labels(column_map: ColumnMap, table: Mapping[str, Sequence[str]]) ->
         TactipError: If a column is missing, or none is mapped and none has the name of a component.
     """
     given = dict(parse_column(spec) for spec in column_map.columns)
-    found = [name for name in (*LABELS, *SHEARS) if name in table]
+    for spec in column_map.columns:
+        constant = spec.partition("=")[2].strip().lstrip("+-")
+        if constant in table and given[spec.partition("=")[0].strip()][1] is None:
+            raise TactipError(f"{spec} is a number, but the table has a column {constant}: write [{constant}] to mean it")
+    found = own_columns(table)
     if not given and not found:
         raise TactipError(
             "the table has no column named pose_x … shear_Rz: map its columns with --columns, for example pose_z=-pose_2-5; "
@@ -45,7 +73,10 @@ def convert_labels(column_map: ColumnMap, table: Mapping[str, Sequence[str]]) ->
     count = len(next(iter(table.values())))
     values = {}
     for name in (*LABELS, *SHEARS):
-        values[name] = _column(table, *given.get(name, (1.0, name if name in found else None, 0.0)), count)
+        values[name] = _column(table, *given.get(name, (1.0, found.get(name), 0.0)), count)
+    for name in LABELS[3:]:  # a rotation vector of 350° is not that of -10° once it has other parts
+        whole = np.where(np.abs(values[name]) > 180, np.round(values[name] / 360), 0.0)
+        values[name] = values[name] - 360 * whole
     ends = from_mm_deg(np.stack([values[name] for name in LABELS], -1))
     moves = from_mm_deg(np.stack([values[name] for name in SHEARS], -1))
     known = np.isfinite(ends).all(1) & np.isfinite(moves).all(1)
@@ -77,18 +108,16 @@ def _column(table: Mapping[str, Sequence[str]], factor: float, column: str | Non
         return np.full(count, offset)
     if column not in table:
         raise TactipError(f"the table has no column {column!r}: its columns are {', '.join(table)}")
-    return factor * np.array([_number(cell) for cell in table[column]]) + offset
+    return factor * np.array([_label(cell) for cell in table[column]]) + offset
 
 
 def _span(cells: Sequence[str]) -> str:
     """Return the range of a column's cells as text; empty if not all of them are numbers, or all are equal."""
-    numbers = np.array([_number(cell) for cell in cells])
+    numbers = np.array([_label(cell) for cell in cells])
     return f" ({numbers.min():.3g} to {numbers.max():.3g})" if np.isfinite(numbers).all() and np.ptp(numbers) else ""
 
 
-def _number(cell: str | None) -> float:
-    try:
-        number = float("nan" if cell is None else cell)
-    except ValueError:
-        return float("nan")
-    return number if abs(number) <= MAX_LABEL else float("nan")
+def _label(cell: str | None) -> float:
+    """Return the number in a table's cell; NaN if it is none, or too large for a label."""
+    value = number(cell)
+    return value if abs(value) <= MAX_LABEL else float("nan")

@@ -21,6 +21,7 @@ from tactip_twin.sim.fast_tip.fast_tip import PinDecoder, any_materials, read_fa
 from tactip_twin.sim.fast_tip.materials import material_inputs
 from tactip_twin.sim.labels import Task
 from tactip_twin.sim2real.importing.source import PIN_DETECTION_FRAMES, Recording
+from tactip_twin.sim2real.importing.table_columns import complete_rows
 from tactip_twin.sim2real.sensor.preprocess import FrameReader
 from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.errors import TactipError
@@ -163,7 +164,10 @@ class _Frames(NamedTuple):
 
 def _read_frames(recording: Recording, reader: FrameReader, rng: np.random.Generator) -> _Frames:
     """Read up to FRAMES frames of a set, chosen at random. Raises TactipError if none can be used."""
-    rows = np.array([i for i, path in enumerate(recording.paths) if path])
+    complete = complete_rows(recording.table)
+    rows = np.array([i for i, path in enumerate(recording.paths) if path and complete[i]])
+    if not len(rows):
+        raise TactipError("the table must have a row whose frame is there and whose cells are numbers, got none")
     rows = np.sort(rng.choice(rows, min(FRAMES, len(rows)), replace=False))
     cropped: dict[int, np.ndarray] = {}
     with_rim, problem = [], ""

@@ -5,18 +5,28 @@ the point about which the rig rotates and the zero of depth follow. What the fra
 equally well for two readings that give different labels, both are named and none is taken.
 """
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from tactip_twin.sim2real.importing.column_map import ColumnMap, parse_column
+from tactip_twin.sim2real.importing.convert_labels import own_columns
 from tactip_twin.sim2real.importing.estimated_contacts import EstimatedContacts
 from tactip_twin.sim2real.importing.find_angles import angles_and_lever, by_axis, in_order
 from tactip_twin.sim2real.importing.find_on_edge import EdgeReading, on_edge, with_yaws_resolved
 from tactip_twin.sim2real.importing.find_on_surface import on_surface
-from tactip_twin.sim2real.importing.table_columns import MIN_CORRELATION, Columns, column_spec, nearest_unit, numeric_columns
+from tactip_twin.sim2real.importing.table_columns import (
+    MIN_CORRELATION,
+    Columns,
+    centred,
+    column_spec,
+    is_to_scale,
+    nearest_unit,
+    numeric_columns,
+)
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.input_files import read_json
 
@@ -65,7 +75,13 @@ def find_conventions(
         reading = on_edge(columns, free, contacts, known, given.angles)
     found |= reading.columns
     evidence += reading.evidence
-    found |= _by_name(columns, found)
+    by_name = _by_name(columns, found)
+    evidence += [f"{ours}={text}: by its name alone" for ours, text in by_name.items()]
+    found |= by_name
+    evidence += [f"{spec}: as given" for spec in given.columns]
+    unseen = [ours for ours, name in own_columns(table).items() if name in columns.names and ours not in {*found, *known}]
+    if unseen:
+        evidence.append(f"{', '.join(unseen)}: by their names alone, as the frames do not show them")
     if "pose_x" in known and "pose_x" in found:
         _check_sign("pose_x", known["pose_x"], found["pose_x"])
     specs = [*given.columns, *(f"{ours}={text}" for ours, text in found.items() if ours not in known)]
@@ -78,10 +94,15 @@ def find_conventions(
     return Conventions(column_map, turned, (*evidence, *told))
 
 
-def tap_of(folder: Path) -> float | None:
-    """Return the length, mm, of the tap in a set's meta.json (tap_move); None if there is none."""
+def tap_of(folder: Path, log: Callable[[str], object]) -> float | None:
+    """Return the length, mm, of the tap in a set's meta.json (tap_move); None if there is none, or the file cannot be read,
+    which `log` is told."""
     path = folder / "meta.json"
-    content = read_json(path, f"the file {path}") if path.is_file() else None
+    try:
+        content = read_json(path, f"the file {path}") if path.is_file() else None
+    except TactipError as error:
+        log(f"the tap is not known: {error}")
+        return None
     tap = content.get("tap_move") if isinstance(content, dict) else None
     if not isinstance(tap, list) or len(tap) < 3 or not all(isinstance(x, (int, float)) for x in tap[:3]):
         return None
@@ -94,14 +115,15 @@ def _depth(
 ) -> tuple[dict[str, str], list[str], list[str]]:
     """Return the reading of the depth, its evidence, and the columns that are left."""
     depth, free = contacts.poses[:, 2], list(columns.names)
-    r = {name: float(np.corrcoef(columns.of(name), depth)[0, 1]) for name in free}
+    to_scale = [name for name in free if is_to_scale(columns.of(name), centred(depth), "z")]
+    r = {name: float(np.corrcoef(columns.of(name), depth)[0, 1]) for name in to_scale}
     best = max(r, key=lambda name: abs(r[name])) if r else ""
     if not r or abs(r[best]) < MIN_CORRELATION:
         raise TactipError(
-            f"no column explains the depth that the frames show (the nearest is {best or 'none'}, correlation "
+            f"no column explains the depth that the frames show, in mm or m (the nearest is {best or 'none'}, correlation "
             f"{r.get(best, 0):.2f}): give --columns pose_z=…"
         )
-    best, same = columns.likeliest(best, free, ("z",))
+    best, same = columns.likeliest(best, to_scale, ("z",))
     raw = columns.values[:, columns.names.index(best)]
     # Deep contacts are read too shallow where the mechanics differ, so the zero is where the line meets no depth.
     slope = float((columns.of(best) * (depth - depth.mean())).sum() / (columns.of(best) ** 2).sum())
@@ -134,7 +156,7 @@ def _by_name(columns: Columns, found: Mapping[str, str]) -> dict[str, str]:
     shear's rotation, with the same sign."""
     poses = {ours[5:]: parse_column(f"{ours}={text}")[1] for ours, text in found.items() if ours.startswith("pose_R")}
     shears = [parse_column(f"{ours}={text}")[1][1] for ours, text in found.items() if ours in ("shear_x", "shear_y")]
-    stems = {name[:-1] for name in shears if name}
+    stems = {_stem(name) for name in shears if name}
     used = {parse_column(f"{ours}={text}")[1][1] for ours, text in found.items()}
     out = {}
     for component, (factor, column, _) in poses.items():
@@ -142,10 +164,15 @@ def _by_name(columns: Columns, found: Mapping[str, str]) -> dict[str, str]:
         if column is None or ours in found:
             continue
         for stem in stems:
-            twin = stem + column[-1]
+            twin = stem + column[len(_stem(column)) :]
             if twin in columns.names and twin not in used:
                 out[ours] = column_spec(factor, twin, 0.0)
     return out
+
+
+def _stem(column: str) -> str:
+    """Return a column's name without the component at its end: x, Rx or a digit."""
+    return re.sub(r"(?:[Rr]?[xyzXYZ]|\d)$", "", column)
 
 
 def _check_sign(ours: str, given: tuple[float, str | None, float], found: str) -> None:

@@ -1,5 +1,6 @@
 """A set's layout, found from its frames (find_conventions.py), and the picture that shows on what it rests."""
 
+import shlex
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -36,7 +37,7 @@ class FoundLayout:
     def options(self) -> str:
         """Return the options of `tactip import` that give this layout without another search."""
         table, frames = self.layout.column_map, self.layout.preprocessing
-        out = f"--task {table.task} --columns {' '.join(table.columns)} --angles {table.angles}"
+        out = f"--task {table.task} --columns {shlex.join(table.columns)} --angles {table.angles}"
         out += f" --camera-rotation-deg {table.camera_rotation_deg:g} --tcp-behind-apex-mm {table.tcp_behind_apex_mm:g}"
         if any(table.tcp_beside_axis_mm):
             out += f" --tcp-beside-axis-mm {' '.join(f'{x:g}' for x in table.tcp_beside_axis_mm)}"
@@ -64,7 +65,8 @@ def find_layout(recording: Recording, given: Layout, log: Callable[[str], object
     reader = frame_reader(recording, given.preprocessing, neutral)
     log("estimating the contacts of some frames from their pins")
     contacts = estimate_contacts(recording, reader, neutral, given.column_map.task)
-    found = _layout_of(recording, given, contacts)
+    tap_mm = tap_of(recording.folder, log)
+    found = _layout_of(recording, given, contacts, tap_mm)
     if neutral is not None:
         return found
     # The labels that were found tell where the pins are at rest, and with these, the frames tell more of the labels.
@@ -76,12 +78,12 @@ def find_layout(recording: Recording, given: Layout, log: Callable[[str], object
     log("estimating them again, with the pins at rest that follow from the labels found so far")
     turned = replace(given, preprocessing=found.layout.preprocessing)
     contacts = estimate_contacts(recording, reader, None, given.column_map.task, at_rest=reader.cropped(image))
-    return _layout_of(recording, turned, contacts)
+    return _layout_of(recording, turned, contacts, tap_mm)
 
 
-def _layout_of(recording: Recording, given: Layout, contacts: EstimatedContacts) -> FoundLayout:
+def _layout_of(recording: Recording, given: Layout, contacts: EstimatedContacts, tap_mm: float | None) -> FoundLayout:
     """Return the layout that agrees with estimated contacts, whose frames were read as the given layout says."""
-    found = find_conventions(recording.table, contacts, given.column_map, tap_of(recording.folder))
+    found = find_conventions(recording.table, contacts, given.column_map, tap_mm)
     turned = (given.preprocessing.rotate_image_deg + found.rotate_image_deg + 180) % 360 - 180
     preprocessing = replace(given.preprocessing, rotate_image_deg=turned)
     return FoundLayout(Layout(found.column_map, preprocessing), found.evidence, contacts)

@@ -184,7 +184,7 @@ def _edge_rotations(
         f"by {-offset:.0f}°; other readings that fit give the same labels within {apart[k]:.1f}°"
     ]
     if not tilts:
-        evidence.append("no column explains the tilts of the frames, so none is taken")
+        evidence.append("no column explains the tilts of the frames")
     return found, angles, offset, evidence, left
 
 

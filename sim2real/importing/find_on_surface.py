@@ -43,9 +43,9 @@ def on_surface(columns: Columns, free: list[str], contacts: EstimatedContacts, k
     shears, _ = explaining(columns, [one for one in free if one not in tilts], shear, ("x", "y"))
     evidence = []
     if not tilts:
-        evidence.append("no column explains the tilts of the frames, so none is taken")
+        evidence.append("no column explains the tilts of the frames")
     if not shears:
-        evidence.append("no column explains the shear of the frames, so none is taken")
+        evidence.append("no column explains the shear of the frames")
     if not tilts and not shears:
         return _SurfaceReading({}, 0.0, evidence)
     scored = []

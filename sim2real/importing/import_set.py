@@ -16,6 +16,7 @@ from tqdm import tqdm
 from tactip_twin.sim.dataset.configuration import digest_of
 from tactip_twin.sim.dataset.format import COLUMNS, FORMAT, VERSION, checksum, encode_image, image_name, read_meta, versions
 from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES, Ranges
+from tactip_twin.sim.labels import LABELS, SHEARS
 from tactip_twin.sim.parallel.file_lock import locked
 from tactip_twin.sim.parallel.resume import check_resumable
 from tactip_twin.sim2real.importing.column_map import ColumnMap
@@ -37,7 +38,15 @@ size of the tactile images (thresholded separately if frames are grey); the repo
 _MAX_LEFT_OUT_FRACTION = 0.5
 """Maximum fraction of frames left out; above it, the layout is more likely wrong than the frames."""
 
+_MIN_OF_NEUTRAL_PINS = 0.7
+"""Ratio of the median number of pins in the frames to that in the neutral image below which these are not thresholded
+alike [?]."""
+
 _KIND = "real data set"
+
+_POSSIBLE = np.array([[50, 50, 15, 80, 80, 360], [50, 50, 50, 120, 120, 360]], float)
+"""Largest magnitudes of a pose and a shear that a label can have, mm and degrees: a TacTip has a radius of 20 mm, and is not
+pressed with its side. Poses in the frame of a robot's base, or in other units, have larger ones [?]."""
 
 
 def import_set(
@@ -68,6 +77,9 @@ def import_set(
         del record["layout"]["grey"]
     record |= {"source": {"name": source.folder.resolve().name, "targets_sha256": source.digest}}
     record["source"]["neutral_sha256"] = source.neutral and checksum(read_file(source.neutral))
+    missing = sum(path is None for path in source.paths)
+    if missing:  # written only then, so older sets that are complete keep their digest
+        record["source"]["frames_missing"] = missing
     if not (out / _WORK).exists() and check_resumable(out, _KIND, _recorded(out, record), record):
         report = read_report(out)
         if report and ("camera" in report and (report["neutral_image"] or "press_removed" in report.get("stand_in", {}))):
@@ -135,14 +147,15 @@ def _import(
     bar = tqdm(source.names, unit="frame", file=sys.stderr, disable=quiet, mininterval=0.5 if sys.stderr.isatty() else 15)
     for i, name in enumerate(bar):
         try:
-            if not (np.isfinite(source.poses[i]).all() and np.isfinite(source.shears[i]).all()):
-                raise TactipError("its row has a value that is not a finite number")
+            _check_labels(source.poses[i], source.shears[i])
             frame = source.load(i)
             binary = reader.masked(frame)
             pins[i], images[i] = len(find_blobs(binary).centres), encode_image(reader.tactile(frame, binary))
         except TactipError as error:
             left_out.append({"row": i, "frame": name, "why": str(error)})
     usual = float(np.median(list(pins.values()))) if pins else 0.0
+    if neutral is not None and pins:
+        _check_pins(reader, neutral, usual)
     for i in [i for i, count in pins.items() if count < MIN_PIN_FRACTION * usual or not count]:
         left_out.append({"row": i, "frame": source.names[i], "why": f"{pins[i]} pins detected, the median is {usual:g}"})
         del images[i]
@@ -155,7 +168,7 @@ def _import(
         raise TactipError(f"{what}; check the layout")
     for k, i in enumerate(kept):
         write_file(out / "images" / image_name(k), images[i])
-    report = report_of(source, kept, pins, left_out) | {"neutral_image": neutral is not None}
+    report = report_of(source, layout.column_map, kept, pins, left_out) | {"neutral_image": neutral is not None}
     report["camera"] = None if neutral is None else _camera(source, kept, reader, neutral)
     if neutral is None:
         at_rest, report["stand_in"] = neutral_from_frames(source, kept, reader, usual, layout.column_map.task)
@@ -185,6 +198,35 @@ def _import(
     write_file(out / "meta.json", (json.dumps(meta, indent=1) + "\n").encode())
     (out / _WORK).unlink()
     return report
+
+
+def _check_labels(pose: np.ndarray, shear: np.ndarray) -> None:
+    """Raise TactipError if a pose or a shear (6,), mm and degrees, is not finite, or not possible with a TacTip."""
+    values = np.array([pose, shear])
+    if not np.isfinite(values).all():
+        raise TactipError("its row has a value that is not a finite number")
+    beyond = np.argwhere(np.abs(values) > _POSSIBLE)
+    if len(beyond):
+        which, k = beyond[0]
+        unit = "mm" if k < 3 else "°"
+        raise TactipError(
+            f"{(LABELS, SHEARS)[which][k]} must be between -{_POSSIBLE[which, k]:g} and {_POSSIBLE[which, k]:g} {unit}, got "
+            f"{values[which, k]:g}: labels are relative to the undeformed contact, in mm and degrees (--columns)"
+        )
+
+
+def _check_pins(reader: FrameReader, neutral: np.ndarray, usual: float) -> None:
+    """Raise TactipError if pins of the neutral image (h, w[, 3]) are cropped, or frames have far fewer, `usual` in the
+    median."""
+    binary = reader.masked(neutral)
+    at_rest, cropped = (len(find_blobs(image).centres) for image in (binary, reader.cropped(binary)))
+    if cropped < at_rest:
+        raise TactipError(f"the crop must keep all pins, got {cropped} of the {at_rest} in the neutral image: see --crop")
+    if usual < _MIN_OF_NEUTRAL_PINS * at_rest:
+        raise TactipError(
+            f"the frames must show about as many pins as the neutral image, got {usual:g} in the median instead of "
+            f"{at_rest}: the --threshold suits one of them only, or they are of different sensors"
+        )
 
 
 def _camera(source: Source, kept: np.ndarray, reader: FrameReader, neutral: np.ndarray) -> dict[str, Any] | None:

@@ -132,8 +132,11 @@ def _at_rest(
     for _ in range(_ROUNDS):
         moved = pins - _motion_px(design, task, source.poses[rows], source.shears[rows])
         rest[known] = np.nanmedian(moved[:, known], 0)
-        design, _ = fit_pins(design, rest)
-    if _scatter(moved[:, known]) > _scatter(pins[:, known]):
+        try:
+            design, _ = fit_pins(design, rest)
+        except TactipError:  # no tip has these pins, so the table does not explain how they have moved
+            return None
+    if _scatter(moved[:, known]) >= _scatter(pins[:, known]):
         return None
     # A pin that is pressed towards the camera looks larger.
     nearer = _distances(design, _tips(design, task, poses, shears)).mean(0) / _distances(design, neutral_pins(design)[0])

@@ -7,16 +7,21 @@ import cv2
 import numpy as np
 
 from tactip_twin.sim.labels import LABELS, SHEARS
+from tactip_twin.sim2real.importing.column_map import ColumnMap
+from tactip_twin.sim2real.importing.convert_labels import unused_columns
 from tactip_twin.sim2real.importing.source import Source
-from tactip_twin.sim2real.sensor.preprocess import FrameReader
+from tactip_twin.sim2real.sensor.preprocess import IMAGES, FrameReader
 from tactip_twin.tactip_model.pin_detection import find_blobs
 
 
-def report_of(source: Source, kept: np.ndarray, pins: Mapping[int, int], left_out: list[dict[str, Any]]) -> dict[str, Any]:
+def report_of(
+    source: Source, column_map: ColumnMap, kept: np.ndarray, pins: Mapping[int, int], left_out: list[dict[str, Any]]
+) -> dict[str, Any]:
     """Return the figures of an import.
 
     Args:
         source: The set.
+        column_map: Conventions of its table.
         kept: (n,) int, its rows that are kept.
         pins: Number of detected pins by row.
         left_out: Row, frame and reason of each frame that is left out.
@@ -32,8 +37,19 @@ def report_of(source: Source, kept: np.ndarray, pins: Mapping[int, int], left_ou
         "left_out": left_out,
         "pins": {"least": int(counts.min()), "median": float(np.median(counts)), "most": int(counts.max())},
         "ranges": spans,
-        "repeated": len(kept) - len({source.names[i] for i in kept}),
+        "repeated": len(kept) - len({source.paths[i] for i in kept}),
+        "unused_columns": unused_columns(column_map, source.table),
+        "unnamed_images": _unnamed(source),
     }
+
+
+def _unnamed(source: Source) -> int:
+    """Return the number of images beside the frames that the table does not name, the neutral image apart."""
+    named = {path for path in source.paths if path is not None}
+    if not any(path.suffix.lower() in IMAGES for path in named):
+        return 0  # a table of videos
+    beside = {p for place in {path.parent for path in named} for p in place.iterdir() if p.suffix.lower() in IMAGES}
+    return len(beside - named - {source.neutral})
 
 
 def _unlikely_units(ranges: Mapping[str, list[float]]) -> list[str]:
@@ -57,6 +73,10 @@ _MIN_DEPTH_MM, _MIN_TURN_DEG = 0.05, 0.8
 45 degrees [?]."""
 
 
+_MAX_NAMED = 12
+"""Maximum number of columns that a line names."""
+
+
 def report_lines(report: Mapping[str, Any]) -> list[str]:
     """Return a report as lines of text."""
     pins = report["pins"]
@@ -70,6 +90,12 @@ def report_lines(report: Mapping[str, Any]) -> list[str]:
     if report["ranges"]["pose_z"][0] + report["ranges"]["pose_z"][1] > 0:
         lines.append("pose_z is mostly positive, but must be negative into the object: check its sign (--columns pose_z=-…)")
     lines += [*_unlikely_units(report["ranges"])]
+    if report.get("unused_columns"):
+        names = report["unused_columns"]
+        more = f" and {len(names) - _MAX_NAMED} more" if len(names) > _MAX_NAMED else ""
+        lines.append(f"columns that vary, but are not used: {', '.join(names[:_MAX_NAMED])}{more}")
+    if report.get("unnamed_images"):
+        lines.append(f"{report['unnamed_images']} images beside the frames are not named in the table, so they are not used")
     if report["repeated"]:
         lines.append(f"{report['repeated']} rows name the frame of another row: training and test may share frames")
     if not report["neutral_image"]:

@@ -1,8 +1,10 @@
 """A laboratory's set as it was published: table, labels and paths of the frames."""
 
 import contextlib
+import itertools
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,14 +18,18 @@ from tactip_twin.sim2real.sensor.video_frames import VIDEOS
 from tactip_twin.tactip_model.bounds import require
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.input_files import parse_table, read_file
+from tactip_twin.tactip_model.mask import detect_pins
 
-FOLDERS = ("images", "frames", "frames_bw", "videos", "")
+FOLDERS = ("images", "frames", "frames_bw", "sensor_images", "processed_images", "videos", "")
 """Subfolders of the set in which frames are searched."""
 
 MAX_FRAMES = 150_000
 """Maximum number of frames: meta.json, which has a checksum of each, stays below its size limit."""
 
-_NEUTRALS = ("init*", "neutral*")
+_TABLES = ("targets.csv", "targets_images.csv", "targets_video.csv")
+"""Names of the table, in order, where a folder has several."""
+
+_NEUTRALS = ("init*", "neutral*", "image_0.*")
 """Names of neutral images."""
 
 PIN_DETECTION_FRAMES = 40
@@ -88,11 +94,12 @@ def read_recording(
     Args:
         folder: The folder.
         column_map: Conventions of its table, of which only those of the frames are used.
-        targets: The table; if None, targets.csv in the folder, or its only table.
+        targets: The table; if None, targets.csv, targets_images.csv or targets_video.csv in the folder, or its only table.
         neutral: The neutral image; if None, what `find_neutral_image` finds.
 
     Raises:
-        TactipError: If table, neutral image or all frames are missing, or the table has no rows.
+        TactipError: If table, neutral image or all frames are missing, the table has no rows, or two of its rows name
+            different frames of which only one is there.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -114,6 +121,7 @@ def read_recording(
     if not any(paths):
         places = ", ".join(str(folder / f) for f in FOLDERS)
         raise TactipError(f"none of the table's frames exists: {names[0]!r} was searched in {places}")
+    _check_distinct(names, paths)
     neutral = Path(neutral) if neutral else find_neutral_image(folder, paths)
     return Recording(folder, names, paths, table, neutral, checksum(data), column_map.video_frame)
 
@@ -134,56 +142,100 @@ def find_neutral_image(folder: Path, frames: Iterable[Path | None]) -> Path | No
 
 
 def _table_in(folder: Path) -> Path:
-    """Return the table in a folder: targets.csv, or its only table. Raises TactipError if there are several."""
-    tables = sorted(folder.glob("*.csv"))
-    path = folder / "targets.csv"
-    if path in tables or not tables:
+    """Return the table in a folder: one of _TABLES, or its only table. Raises TactipError if there is none, or several."""
+    tables = sorted(path for path in folder.glob("*.csv") if not path.name.startswith("."))
+    path = next((folder / name for name in _TABLES if folder / name in tables), None)
+    if path is not None:
         return path
-    if len(tables) > 1:
-        raise TactipError(f"{folder} has no targets.csv: name the table with --targets, {' or '.join(map(str, tables))}")
-    return tables[0]
+    if len(tables) == 1:
+        return tables[0]
+    further = sorted(path for path in folder.glob("*/*.csv") if not path.name.startswith("."))[:_MAX_NAMED]
+    several = f"name the table with --targets, {' or '.join(map(str, tables[:_MAX_NAMED]))}"
+    if tables:
+        raise TactipError(f"{folder} has no targets.csv: {several}")
+    hint = f", {' or '.join(map(str, further))}, or import its folder" if further else ""
+    raise TactipError(f"the table {folder / _TABLES[0]} does not exist: name the table with --targets{hint}")
+
+
+_MAX_NAMED = 5
+"""Maximum number of tables that a message names."""
 
 
 def _frame_path(folder: Path, name: str) -> Path | None:
-    """Return the file of a frame named in the table; None if there is none inside the set's folder."""
-    name = name.replace("\\", "/")
-    if Path(name).is_absolute():  # where the set was recorded: the part of it in this folder, or its last part
-        name = name.removeprefix(f"{folder.resolve()}/") if folder.resolve() in Path(name).parents else Path(name).name
-    if not name or ".." in Path(name).parts:
+    """Return the file of a frame named in the table; None if there is none inside the set's folder.
+
+    The longest end of the name that leads to a file counts, so `run2/frame_1` is not taken for another run's `frame_1`.
+    """
+    parts = name.replace("\\", "/")
+    if not parts or ".." in Path(parts).parts:
         return None
-    for place in FOLDERS:
-        for tail in dict.fromkeys((name, Path(name).name)):
-            for suffix in ("", ".png", ".jpg", *VIDEOS):
-                path = folder / place / f"{tail}{suffix}"
+    parts = parts.removeprefix(f"{folder.resolve()}/")  # of an absolute path, where the set was recorded
+    tails = [one for one in Path(parts).parts if one != "/"]
+    for first in range(len(tails)):
+        tail = "/".join(tails[first:])
+        for place, suffix in itertools.product(FOLDERS, ("", *IMAGES, *VIDEOS)):
+            whole = Path(tail).with_suffix("") if Path(tail).suffix.lower() == suffix else tail
+            for end in dict.fromkeys((suffix, suffix.upper())):
+                path = folder / place / f"{whole}{end}"
                 with contextlib.suppress(OSError):  # a name that is too long for a file
                     if path.is_file():
                         return path
     return None
 
 
+def _check_distinct(names: Sequence[str], paths: Sequence[Path | None]) -> None:
+    """Raise TactipError if two rows name different frames, but the same file is there for both."""
+    first: dict[Path, str] = {}
+    for name, path in zip(names, paths, strict=True):
+        if path is not None and first.setdefault(path, name) != name:
+            raise TactipError(
+                f"the table must name frames that can be told apart: {first[path]!r} and {name!r} are different names, but "
+                f"only {path} is there"
+            )
+
+
 def pin_detection_frames(recording: Recording) -> list[np.ndarray]:
-    """Return up to PIN_DETECTION_FRAMES frames, evenly spread over a Recording, that can be read and are as large as the
-    first."""
-    frames = []
+    """Return up to PIN_DETECTION_FRAMES frames, evenly spread over a Recording, that can be read and have the most common
+    size. Raises TactipError if none can be read."""
+    frames, problem = [], ""
     for i in spread([i for i, path in enumerate(recording.paths) if path]):
-        with contextlib.suppress(TactipError):  # the import leaves it out later, and reports it
+        try:
             frames.append(recording.load(i))
-    return [frame for frame in frames if frame.shape == frames[0].shape]
+        except TactipError as error:  # the import leaves it out later, and reports it
+            problem = problem or f"{recording.names[i]}: {error}"
+    if not frames:
+        raise TactipError(f"none of the frames can be read, for example {problem}")
+    usual = Counter(frame.shape for frame in frames).most_common(1)[0][0]
+    return [frame for frame in frames if frame.shape == usual]
 
 
 def frame_reader(recording: Recording, options: ImagePreprocessing, neutral: np.ndarray | None) -> FrameReader:
     """Return the FrameReader of a Recording, after trying it on one frame. Raises TactipError if the options do not fit."""
     others = [] if neutral is not None else pin_detection_frames(recording)
-    first = neutral if neutral is not None else next(iter(others), None)
+    first = neutral if neutral is not None else others[0]
     try:
-        if first is not None:
-            check_frame(first, options)
+        check_frame(first, options)
         reader = FrameReader(options, neutral, others)
-        if first is not None:
-            reader.read(first)
+        reader.read(first)
     except TactipError as error:
-        raise TactipError(f"the {'frames' if neutral is None else 'neutral image'} cannot be used: {error}") from error
+        what = "frames" if neutral is None else "neutral image"
+        raise TactipError(f"the {what} cannot be used: {error}{_hint(first, options)}") from error
     return reader
+
+
+def _hint(frame: np.ndarray, options: ImagePreprocessing) -> str:
+    """Return what may be wrong with a frame (h, w, 3) uint8 in which no pins are detected; empty if nothing is known."""
+    if frame.max() < _DARK:
+        return f"; its pixels have values up to {frame.max()} only, of 255"
+    try:
+        detect_pins(FrameReader(replace(options, dark_pins=not options.dark_pins, mask="none")).binary(frame))
+    except TactipError:
+        return ""
+    return "; if its pins are darker than what is around them, give --dark-pins" if not options.dark_pins else ""
+
+
+_DARK = 32
+"""Value of the brightest pixel below which a frame is called dark."""
 
 
 def spread(items: Sequence[int]) -> list[int]:

@@ -1,11 +1,13 @@
 """Columns of a laboratory's table, and what they explain of estimates from the frames."""
 
 import itertools
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from tactip_twin.sim2real.importing.column_map import written
 from tactip_twin.tactip_model.errors import TactipError
 
 MIN_CORRELATION = 0.35
@@ -58,19 +60,67 @@ class Columns:
 
 
 def numeric_columns(table: Mapping[str, Sequence[str]], rows: np.ndarray) -> Columns:
-    """Return the numeric columns of some rows (n,) of a table that vary. Raises TactipError if there is none."""
-    names, values = [], []
-    for name, cells in table.items():
-        try:
-            column = np.array([float(cells[int(i)]) for i in rows])
-        except (ValueError, TypeError):
-            continue
-        if np.isfinite(column).all() and len(np.unique(column)) > 2:
-            names.append(name)
-            values.append(column)
-    if not names:
+    """Return the numeric columns of some rows (n,) of a table that vary.
+
+    Angles from 0 to 360° become those from -180 to 180°. Columns that are named as forces, torques, times or counts are left
+    out: a force follows the depth, too.
+
+    Raises:
+        TactipError: If there is none, or four of them are a quaternion.
+    """
+    read = {name: np.array([number(cells[int(i)]) for i in rows]) for name, cells in table.items()}
+    read = {name: column for name, column in read.items() if np.isfinite(column).all()}
+    _refuse_quaternions(read)
+    found = {
+        name: _unwrapped(column)
+        for name, column in read.items()
+        if len(np.unique(column)) > 2 and not _NO_POSE.search(name.lower())
+    }
+    if not found:
         raise TactipError(f"the table has no column of numbers that vary: its columns are {', '.join(table)}")
-    return Columns(tuple(names), np.stack(values, -1))
+    return Columns(tuple(found), np.stack(list(found.values()), -1))
+
+
+def complete_rows(table: Mapping[str, Sequence[str]]) -> np.ndarray:
+    """Return which rows (n,) bool of a table have a number in each column that has one nearly everywhere."""
+    count = len(next(iter(table.values())))
+    complete = np.ones(count, bool)
+    for cells in table.values():
+        finite = np.array([np.isfinite(number(cell)) for cell in cells])
+        if finite.mean() > _NEARLY:
+            complete &= finite
+    return complete
+
+
+def number(cell: str | None) -> float:
+    """Return the number in a table's cell; NaN if it is none."""
+    try:
+        return float("nan" if cell is None else cell)
+    except ValueError:
+        return float("nan")
+
+
+_NEARLY = 0.8
+"""Fraction of a column's cells that are numbers above which the other cells are gaps in the record [?]."""
+
+_NO_POSE = re.compile(r"force|torque|wrench|time|stamp|index|count|\bn?id\b|^f_?[xyz]\b|unnamed")
+"""Names, in small letters, of columns that hold no pose."""
+
+
+def _unwrapped(column: np.ndarray) -> np.ndarray:
+    """Return a column (n,), its angles from 180 to 360° brought to -180 to 0 if it has values near 0 and 360 alone."""
+    wraps = column.min() >= 0 and 315 < column.max() <= 360 and not ((column > 135) & (column < 225)).any()
+    return np.where(wraps & (column > 180), column - 360, column)
+
+
+def _refuse_quaternions(columns: Mapping[str, np.ndarray]) -> None:
+    """Raise TactipError if four columns are a unit quaternion."""
+    parts = [name for name in columns if re.search(r"q_?[wxyz0-3]$", name.lower())]
+    if len(parts) == 4 and np.allclose(sum(columns[name] ** 2 for name in parts), 1, atol=1e-2):
+        raise TactipError(
+            f"the angles must be Euler angles or a rotation vector, got a quaternion ({', '.join(parts)}): add columns with "
+            "one of these to the table, and leave the quaternion out"
+        )
 
 
 def explaining(
@@ -129,13 +179,17 @@ def plainness(turn: float, *readings: Mapping[str, tuple[str, float]]) -> tuple[
 
 def _sounds_like(name: str, component: str) -> bool:
     """Return whether a column's name ends like one of our components, or says depth, roll, pitch or yaw."""
-    low = name.lower()
+    low = _UNIT.sub("", name.lower())
     if component == "z" and "depth" in low:
         return True
     if component.startswith("R"):
         words = {"Rx": ("roll",), "Ry": ("pitch",), "Rz": ("yaw",)}[component]
-        return low.endswith((component.lower(), *words)) or _SUFFIXES.get(name[-1]) == component
-    return (low == component or low.endswith("_" + component)) or _SUFFIXES.get(name[-1]) == component
+        return low.endswith((component.lower(), *words)) or _SUFFIXES.get(low[-1:]) == component
+    return low == component or low.endswith(("_" + component, " " + component)) or _SUFFIXES.get(low[-1:]) == component
+
+
+_UNIT = re.compile(r"[\s_]*[(\[]?(?:mm|cm|m|deg|degrees|rad|°)[)\]]?$")
+"""A unit at the end of a column's name, in small letters."""
 
 
 def is_to_scale(column: np.ndarray, estimate: np.ndarray, component: str) -> bool:
@@ -156,7 +210,7 @@ def nearest_unit(slope: float, kind: str) -> tuple[float, str]:
 def column_spec(factor: float, name: str, offset: float) -> str:
     """Return a column as the option --columns has it."""
     number = "" if abs(factor) == 1 else f"{abs(factor):.7g}*"
-    return f"{'-' if factor < 0 else ''}{number}{name}" + (f"{offset:+.7g}" if offset else "")
+    return f"{'-' if factor < 0 else ''}{number}{written(name)}" + (f"{offset:+.7g}" if offset else "")
 
 
 def centred(values: np.ndarray) -> np.ndarray:

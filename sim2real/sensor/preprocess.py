@@ -112,6 +112,7 @@ class FrameReader:
         self._image = TactileImage(crop=options.crop, threshold=None, size_px=options.size_px)
         self.shape = None if neutral is None else neutral.shape[:2]
         """Height and width of a frame, px; None before the first."""
+        self._like = "the others" if neutral is None else "the neutral image"
         self._mask = None
         if options.mask == "pins":
             # In pressed frames the pins have already moved outward.
@@ -134,7 +135,7 @@ class FrameReader:
             self.shape = frame.shape[:2]
         if frame.shape[:2] != self.shape:
             one, other = (f"{w}×{h} px" for h, w in (frame.shape[:2], self.shape))
-            raise TactipError(f"it must be {other} like the others, got {one}")
+            raise TactipError(f"it must be {other} like {self._like}, got {one}")
         binary = self.binary(frame)
         return binary if self._mask is None else np.where(self._mask, binary, 0).astype(np.uint8)
 

@@ -94,6 +94,28 @@ def test_json_within_limits_is_read():
 )
 def test_table_is_read_whatever_separates_its_values(text, cells):
     assert parse_table(text.encode("utf-8-sig"), "the file") == (list(cells), [cells])
+    assert parse_table(text.encode("utf-16"), "the file") == (list(cells), [cells])
+    assert parse_table(f"# of a rig\r\n# today\n{text}".encode(), "the file") == (list(cells), [cells])
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        (b"a,b\n1,2\n1,2,5\n", "the file must have at most 2 cells in a row, as many as columns, got 3 in line 3: separate"),
+        (b"a;b\n1;2;3\n", "the file must have at most 2 cells in a row, as many as columns, got 3 in line 2$"),
+        (b"a,b,a\n1,2,3\n", "the file must name each column once, got 'a' 2 times"),
+        ("grad \u00b0\n1\n".encode("latin-1"), r"the file must be text in UTF-8 \(CSV\): invalid start byte at byte 5"),
+    ],
+)
+def test_tables_whose_cells_could_shift_are_refused(data, words):
+    with pytest.raises(TactipError, match=words):
+        parse_table(data, "the file")
+    assert parse_table(b"a,b,,\n1,2,,\n3,4,,,\n", "the file")[1][1]["b"] == "4"  # empty cells shift nothing
+
+
+def test_quoted_decimal_commas_are_numbers():
+    assert parse_table(b'a,b\n"-4,83",x\n', "the file")[1] == [{"a": "-4.83", "b": "x"}]
+    assert parse_table(b"sep=;\r\na;b\r\n1,5;2\r\n", "the file")[1] == [{"a": "1.5", "b": "2"}]
 
 
 @pytest.mark.parametrize("shape", [(), (0,), (0, 3), (2, 3), (3,)])

@@ -125,7 +125,10 @@ def test_read_real_set_returns_frames_and_commands(folder):
         (lambda f: _replace(f / "targets.csv", "-2", "deep"), "deep"),
         (lambda f: _replace(f / "targets.csv", "-2,0,0,0,7,1,0,0,0,0,2", "-2,0"), "row 2 ends before pose_4"),
         (lambda f: _replace(f / "targets.csv", "frame_1.png,0,-2,0,0,0,7,1,0,0,0,0,2", "frame_1.png"), "row 2 ends before"),
-        (lambda f: (f / "targets.csv").write_bytes(b"image_name\nfr\xe4me.png\n"), "targets.csv cannot be read"),
+        (
+            lambda f: (f / "targets.csv").write_bytes(b"image_name\nfr\xe4me.png\n"),
+            r"targets.csv must be text in UTF-8 \(CSV\)",
+        ),
         (lambda f: (f / "images/frame_1.png").write_bytes(b"no"), "cannot be read"),
         (
             lambda f: cv2.imwrite(str(f / "images/frame_1.png"), np.zeros((32, 64), np.uint8)),

@@ -10,7 +10,7 @@ from tactip_twin.sim.labels import LABELS, SHEARS
 from tactip_twin.sim.pose import from_mm_deg, to_mm_deg
 from tactip_twin.sim2real.calibration.rig import Rig, RigMotion
 from tactip_twin.sim2real.importing.column_map import ColumnMap
-from tactip_twin.sim2real.importing.convert_labels import convert_labels, image_column
+from tactip_twin.sim2real.importing.convert_labels import convert_labels, image_column, unused_columns
 from tactip_twin.sim2real.importing.layout import Layout, read_layout
 from tactip_twin.sim2real.sensor.preprocessing_options import ImagePreprocessing
 from tactip_twin.tactip_model.errors import TactipError
@@ -83,6 +83,36 @@ def test_factors_offsets_and_numbers():
     poses, shears = convert_labels(column_map, table_of(d=4.0, angle=3.0, s=20.0))
     assert np.allclose(poses[0, 2:5], [-1, 3, 2.5])
     assert np.isclose(shears[0, 1], 2.0)
+
+
+def test_names_of_any_letters_are_written_in_brackets():
+    column_map = ColumnMap(columns=("pose_z=-[z [mm]]-5", "pose_Ry=0.5*[Ry (deg)] + 1", "pose_Rx=[0]", "shear_x=[move-x]"))
+    poses, shears = convert_labels(column_map, table_of(**{"z [mm]": -3.0, "Ry (deg)": 8.0, "0": 2.0, "move-x": 4.0}))
+    assert np.allclose(poses[0, 2:5], [-2, 2, 5])
+    assert np.isclose(shears[0, 0], 4.0)
+    with pytest.raises(TactipError, match=r"pose_z=-0 is a number, but the table has a column 0: write \[0\] to mean it"):
+        convert_labels(ColumnMap(columns=("pose_z=-0",)), table_of(**{"0": 2.0}))
+
+
+def test_own_names_count_whatever_their_case():
+    poses, _ = convert_labels(ColumnMap(), table_of(Pose_Z=-3.0, pose_rx=7.0, pose_ry=-4.0))
+    assert np.allclose(poses[0, 2:5], [-3, 7, -4])
+    poses, _ = convert_labels(ColumnMap(), table_of(pose_z=-3.0, POSE_Z=-1.0, pose_RX=1.0, pose_rx=2.0))
+    assert np.allclose(poses[0, 2:5], [-3, 0, 0])  # two names that differ in case alone say nothing
+
+
+@pytest.mark.parametrize("angles", ["vector", "xyz"])
+def test_angles_from_0_to_360_are_those_around_0(angles):
+    column_map = ColumnMap(angles=angles)
+    wrapped, plain = (convert_labels(column_map, table_of(pose_z=-3.0, pose_Rx=rx, pose_Ry=5.0))[0] for rx in (350.0, -10.0))
+    assert np.allclose(wrapped, plain)
+    assert np.allclose(convert_labels(ColumnMap(task="edge"), table_of(pose_z=-3.0, pose_Rz=-180.0))[0][0, 5], -180)
+
+
+def test_columns_that_are_not_used_are_listed():
+    table = {"pose_z": ["-1", "-2"], "Fz": ["0.5", "1.5"], "name": ["a", "b"], "still": ["1", "1"], "d": ["1", "2"]}
+    assert unused_columns(ColumnMap(), table) == ["Fz", "d"]
+    assert unused_columns(ColumnMap(columns=("pose_z=-d",)), table) == ["pose_z", "Fz"]
 
 
 def test_convert_labels_non_numeric_cell_is_nan():

@@ -15,6 +15,7 @@ from tactip_twin.sim2real.importing.convert_labels import convert_labels
 from tactip_twin.sim2real.importing.estimated_contacts import EstimatedContacts
 from tactip_twin.sim2real.importing.find_angles import angles_and_lever
 from tactip_twin.sim2real.importing.find_conventions import find_conventions, tap_of
+from tactip_twin.sim2real.importing.table_columns import complete_rows
 from tactip_twin.tactip_model.errors import TactipError
 
 COUNT = 120
@@ -91,6 +92,60 @@ def test_trace_of_the_shear_in_another_column_is_not_taken_for_it(task):
     cells = {name: [repr(float(value)) for value in column] for name, column in table.items()}
     columns = find_conventions(cells, contacts, ColumnMap(task=task), None).column_map.columns
     assert "shear_x=shear_x" in columns and "shear_z" not in " ".join(columns)
+
+
+def test_other_columns_that_follow_the_depth_are_not_taken_for_it():
+    """Forces, times and depths in other units follow it as well as the depth does."""
+    rng = np.random.default_rng(5)
+    poses, shears, contacts = contacts_of("surface", rng)
+    depth = contacts.poses[:, 2]
+    truth = {"Z_mm": poses[:, 2], "a": poses[:, 3], "b": poses[:, 4], "dx": shears[:, 0], "dy": shears[:, 1]}
+    others = {"Fz": -depth, "time_s": np.argsort(np.argsort(depth)) * 1.0, "microns": 1e3 * depth}
+    cells = {name: [f"{x:.6g}" for x in column] for name, column in (others | truth).items()}
+    found = find_conventions(cells, contacts, ColumnMap())
+    assert found.column_map.columns[0].startswith("pose_z=Z_mm")
+    del cells["Z_mm"]
+    with pytest.raises(TactipError, match="no column explains the depth that the frames show, in mm or m"):
+        find_conventions(cells, contacts, ColumnMap())
+
+
+def test_rotation_of_a_shear_is_not_taken_from_a_displacement():
+    rng = np.random.default_rng(6)
+    poses, shears, contacts = contacts_of("surface", rng)
+    truth = {"pose_z": poses[:, 2], "pose_Ry": poses[:, 4], "shear_x": shears[:, 0], "shear_y": rng.normal(0, 1, COUNT)}
+    cells = {name: [f"{x:.6g}" for x in column] for name, column in truth.items()}
+    found = find_conventions(cells, contacts, ColumnMap())
+    assert not any(spec.startswith("shear_R") for spec in found.column_map.columns)
+    assert "shear_y: by their names alone, as the frames do not show them" in found.evidence
+    cells["shear_Ry"] = [f"{x:.6g}" for x in shears[:, 4]]
+    assert "shear_Ry=shear_Ry: by its name alone" in find_conventions(cells, contacts, ColumnMap()).evidence
+
+
+def test_quaternions_are_refused_by_name():
+    rng = np.random.default_rng(7)
+    poses, _, contacts = contacts_of("surface", rng)
+    turns = Rotation.from_rotvec(np.radians(poses[:, 3:])).as_quat()
+    columns = {"z": poses[:, 2], **{f"q{c}": turns[:, k] for k, c in enumerate("xyzw")}}
+    cells = {name: [f"{x:.6g}" for x in column] for name, column in columns.items()}
+    with pytest.raises(TactipError, match=r"got a quaternion \(qx, qy, qz, qw\)"):
+        find_conventions(cells, contacts, ColumnMap())
+
+
+def test_angles_from_0_to_360_are_found():
+    rng = np.random.default_rng(8)
+    poses, shears, contacts = contacts_of("surface", rng)
+    columns = {"z": poses[:, 2], "rx": poses[:, 3] % 360, "ry": poses[:, 4] % 360, "dx": shears[:, 0], "dy": shears[:, 1]}
+    cells = {name: [f"{x:.6g}" for x in column] for name, column in columns.items()}
+    found = find_conventions(cells, contacts, ColumnMap())
+    labels, _ = convert_labels(found.column_map, cells)
+    for part in (3, 4):
+        assert np.corrcoef(labels[:, part], poses[:, part])[0, 1] > 0.98
+
+
+def test_rows_with_an_empty_cell_are_left_out_of_the_search():
+    numbers = [str(k) for k in range(10)]
+    table = {"z": [*numbers[:8], "", "9"], "note": ["", "1", *8 * [""]], "rx": [*numbers[:9], "nan"], "name": 10 * ["a"]}
+    assert complete_rows(table).tolist() == [*8 * [True], False, False]
 
 
 def test_columns_that_explain_nothing_are_refused():
@@ -192,12 +247,16 @@ def test_zero_of_depth_is_not_changed_where_frames_at_rest_touch(touching, expec
 
 
 def test_tap_is_read_from_meta_and_nonsense_is_not(tmp_path):
-    assert tap_of(tmp_path) is None
+    assert tap_of(tmp_path, print) is None
     (tmp_path / "meta.json").write_text('{"tap_move": [0, 3, 4, 0, 0, 0]}')
-    assert tap_of(tmp_path) == pytest.approx(5.0)
+    assert tap_of(tmp_path, print) == pytest.approx(5.0)
     for text in ('{"tap_move": "deep"}', '{"tap_move": [0, 0]}', "[1, 2]", '{"tap_move": [0, 0, 1e9]}'):
         (tmp_path / "meta.json").write_text(text)
-        assert tap_of(tmp_path) is None
+        assert tap_of(tmp_path, print) is None
+    (tmp_path / "meta.json").write_text('{"tap_move": [0, 3, 4], "limit": Infinity}')
+    told = []
+    assert tap_of(tmp_path, told.append) is None
+    assert "the tap is not known" in told[0] and "the number inf" in told[0]
 
 
 COLUMNS = ("pose_z=pose_z", "pose_Rx=pose_Rx", "pose_Ry=pose_Ry")

@@ -82,7 +82,7 @@ def test_import_unusable_frames_are_left_out_and_named(tmp_path, capsys):
     assert why["frame_1.png"] == "the file does not exist"
     assert why["frame_2.png"] == "it cannot be read as an image"
     assert why["frame_3.png"] == "0 pins detected, the median is 127"
-    assert why["frame_4.png"] == "it must be 256×256 px like the others, got 300×256 px"
+    assert why["frame_4.png"] == "it must be 256×256 px like the neutral image, got 300×256 px"
     assert why["frame_5.png"] == "its row has a value that is not a finite number"
     assert tactip.main(["dataset", "verify", str(tmp_path / "set")]) == 0
 

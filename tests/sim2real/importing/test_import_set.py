@@ -1,21 +1,23 @@
 """Import of a laboratory's set: what is written, what is refused, and interruptions."""
 
+import csv
 import json
 import os
+import shutil
 
 import cv2
 import numpy as np
 import pytest
 
 from helpers.kills import Killed, contents
-from helpers.laboratory import COLUMNS, bring, frame, write_set, write_table
+from helpers.laboratory import COLUMNS, SIZE, bring, frame, redraw, write_set, write_table
 from tactip_twin.commands import main as tactip
 from tactip_twin.learning.data import read_samples
 from tactip_twin.sim.dataset.format import image_name, read_dataset
 from tactip_twin.sim.parallel.file_lock import locked
 from tactip_twin.sim2real.importing import import_set as importing
 from tactip_twin.sim2real.importing.column_map import ColumnMap
-from tactip_twin.sim2real.importing.source import MAX_FRAMES
+from tactip_twin.sim2real.importing.source import MAX_FRAMES, read_source
 from tactip_twin.sim2real.sensor import preprocess
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.input_files import MAX_JSON_BYTES
@@ -233,3 +235,107 @@ def test_import_into_a_folder_in_use_is_refused(tmp_path, capsys):
     with locked(tmp_path / "set" / importing._WORK, "importing"):
         assert bring(tmp_path / "lab", tmp_path / "set") == 1
     assert f"another command is importing a set into {tmp_path / 'set'}" in capsys.readouterr().err
+
+
+def test_import_takes_the_frame_whose_path_ends_as_the_table_has_it(tmp_path, capsys):
+    """Two runs with frames of the same names: each row gets its own, wherever the set was recorded."""
+    rows = write_set(tmp_path / "lab")
+    (tmp_path / "lab" / "images").rename(tmp_path / "lab" / "run1")
+    (tmp_path / "lab" / "run2").mkdir()
+    for row in rows:
+        place = tmp_path / "lab" / "run2" / row["image_name"]
+        cv2.imwrite(str(place), frame(1.15))
+    named = [row | {"image_name": f"{place}{row['image_name']}"} for place in ("/data/run1/", "run2/") for row in rows]
+    write_table(tmp_path / "lab", named)
+    source = read_source(tmp_path / "lab", ColumnMap(columns=tuple(COLUMNS)))
+    assert [path.parent.name for path in source.paths] == ["run1"] * 12 + ["run2"] * 12
+    # Without the second run, its rows would get the first one's frames.
+    write_table(tmp_path / "lab", [row | {"image_name": f"run{1 + k % 2}/frame_{k // 2}.png"} for k, row in enumerate(rows)])
+    (tmp_path / "lab" / "run1").rename(tmp_path / "lab" / "images")
+    shutil.rmtree(tmp_path / "lab" / "run2")
+    assert bring(tmp_path / "lab", tmp_path / "set") == 1
+    assert "'run1/frame_0.png' and 'run2/frame_0.png' are different names, but only" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("columns", "words"),
+    [
+        (["pose_z=1000*pose_2", "pose_Ry=pose_6"], "pose_z must be between -15 and 15 mm, got -"),
+        (["pose_z=-pose_2-5", "pose_Ry=pose_6+180"], "pose_Ry must be between -80 and 80 °, got "),
+        (["pose_z=-pose_2-5", "shear_x=move_1+300"], "shear_x must be between -50 and 50 mm, got "),
+    ],
+)
+def test_import_impossible_labels_are_refused(tmp_path, capsys, columns, words):
+    write_set(tmp_path / "lab")
+    assert bring(tmp_path / "lab", tmp_path / "set", "--columns", *columns) == 1
+    output = capsys.readouterr().err
+    assert "12 of 12 frames cannot be used" in output
+    assert words in output
+
+
+def test_import_compares_the_pins_with_the_neutral_image(tmp_path, capsys):
+    write_set(tmp_path / "lab")
+    assert bring(tmp_path / "lab", tmp_path / "set", "--crop", "0", "0", "140", "140") == 1
+    assert "the crop must keep all pins, got " in capsys.readouterr().err
+    cover = np.zeros((SIZE, SIZE), np.uint8)
+    cv2.circle(cover, (SIZE // 2, SIZE // 2), 60, 255, -1)
+    redraw(tmp_path / "lab", lambda image: np.minimum(image, cover))
+    cv2.imwrite(str(tmp_path / "lab" / "init_0.png"), frame())
+    assert bring(tmp_path / "lab", tmp_path / "set") == 1
+    assert "must show about as many pins as the neutral image, got " in capsys.readouterr().err
+
+
+def test_import_names_what_it_does_not_use(tmp_path, capsys):
+    write_set(tmp_path / "lab", pose_5=0.0)
+    rows = [row | {"force": k} for k, row in enumerate(rows_of(tmp_path / "lab"))]
+    write_table(tmp_path / "lab", rows[:10])
+    assert bring(tmp_path / "lab", tmp_path / "set") == 0
+    output = capsys.readouterr().out
+    assert "columns that vary, but are not used: force\n" in output
+    assert "2 images beside the frames are not named in the table, so they are not used" in output
+
+
+def test_import_again_after_a_missing_frame_came_is_not_taken_for_the_same(tmp_path, capsys):
+    write_set(tmp_path / "lab")
+    gone = tmp_path / "lab" / "images" / "frame_3.png"
+    gone.rename(tmp_path / "frame_3.png")
+    assert bring(tmp_path / "lab", tmp_path / "set") == 0
+    assert bring(tmp_path / "lab", tmp_path / "set") == 0
+    assert "already holds this set" in capsys.readouterr().out
+    (tmp_path / "frame_3.png").rename(gone)
+    assert bring(tmp_path / "lab", tmp_path / "set") == 1
+    assert "source.frames_missing is 1 there, null here" in capsys.readouterr().err
+
+
+def test_import_reads_published_layouts(tmp_path):
+    """Frames in sensor_images/ as JPEG, named without an ending; tables of images and videos beside macOS's own files."""
+    write_set(tmp_path / "lab")
+    (tmp_path / "lab" / "images").rename(tmp_path / "lab" / "sensor_images")
+    for path in (tmp_path / "lab" / "sensor_images").iterdir():
+        cv2.imwrite(str(path.with_suffix(".JPG")), cv2.imread(str(path)), [cv2.IMWRITE_JPEG_QUALITY, 100])
+        path.unlink()
+    rows = [row | {"image_name": row["image_name"].removesuffix(".png")} for row in rows_of(tmp_path / "lab")]
+    write_table(tmp_path / "lab", rows)
+    (tmp_path / "lab" / "targets.csv").rename(tmp_path / "lab" / "targets_images.csv")
+    for name in ("targets_video.csv", "._targets_images.csv"):
+        (tmp_path / "lab" / name).write_bytes(b"\xff")
+    assert bring(tmp_path / "lab", tmp_path / "set") == 0
+    assert len(read_dataset(tmp_path / "set").images) == 12
+
+
+def rows_of(lab):
+    """Return the rows of a set's table."""
+    with (lab / "targets.csv").open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_dark_frames_and_dark_pins_are_told_apart(tmp_path, capsys):
+    write_set(tmp_path / "lab")
+    neutral = tmp_path / "lab" / "init_0.png"
+    image = cv2.imread(str(neutral), cv2.IMREAD_GRAYSCALE)
+    cv2.imwrite(str(neutral), 255 - frame())
+    assert bring(tmp_path / "lab", tmp_path / "set") == 1
+    assert "give --dark-pins" in capsys.readouterr().err
+    cv2.imwrite(str(neutral), image // 255)
+    assert bring(tmp_path / "lab", tmp_path / "set") == 1
+    assert "its pixels have values up to 1 only, of 255" in capsys.readouterr().err
