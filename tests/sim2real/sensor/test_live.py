@@ -96,7 +96,7 @@ def test_live_sensor_unusable_frame_is_fault_and_next_is_read(presses):
     readings = list(LiveSensor(shots, ImagePreprocessing(threshold=(61, -5.0), crop=CROP)))
     assert [bool(s.fault) for s in readings] == [False, True, True, False]
     assert "pins detected, the undeformed tip has 127" in readings[1].fault
-    assert "it must be 640×480 px like the others, got 640×100 px" in readings[2].fault
+    assert "it must be 640×480 px like the neutral image, got 640×100 px" in readings[2].fault
     assert not readings[1].predicted and "fault" in readings[1].as_json()
 
 
