@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial.transform import Rotation
 
 from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.fast_tip.sliding_tip import read_sliding_tip, shipped_sliding_tip
@@ -59,3 +60,28 @@ def test_arm_stops_where_the_housing_runs_against_the_object(fidelity, tmp_path)
     # It can move away from there.
     T[0, 3] = 455e-3
     assert not tip.go(T, 4.5).stopped_by and tip.arm_model.pose[0, 3] == pytest.approx(455e-3)
+
+
+def test_a_turn_does_not_throw_the_flank_at_a_wall(tmp_path):
+    """A wall 12 mm high stands beside a flank, which a turn of 4° presses into it: nearly all force is that at the end."""
+    plate, wall = trimesh.creation.box((120, 60, 20)), trimesh.creation.box((20, 60, 32))
+    plate.apply_translation([0, 0, -10])
+    wall.apply_translation([28.2, 0, -4])  # from 18.2 mm beside the tip's axis
+    trimesh.boolean.union([plate, wall]).export(tmp_path / "corner.stl")
+    corner = load_object(str(tmp_path / "corner.stl"), "mm", position_mm=(400.0, 0.0, 100.0))
+    ends = corner.solid.vertices @ corner.T_base_object[:3, :3].T + corner.T_base_object[:3, 3]
+    _, top, _ = np.unique(ends[:, 2].round(6))
+    axis = np.unique(ends[:, 0].round(6))[1] - 18.2e-3
+    standard = fidelity_named("standard")
+    tip = MountedTip(design_named("tactip-127"), corner.solid, standard, arm_model_named("none"), corner.T_base_object)
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = np.diag([1.0, -1, -1]), [axis, 0, top + 3e-3]
+    tip.reset_to(T)
+    T[2, 3] = top - 1e-3
+    tip.go(T)
+    T[:3, :3] = Rotation.from_euler("y", 4, degrees=True).as_matrix() @ T[:3, :3]
+    T[2, 3] = top - 1.9e-3
+    turned = tip.go(T, 20.0)
+    force_n = float(np.linalg.norm(turned.force))
+    assert force_n > 1.0 and not turned.stopped_by
+    assert turned.peak_force_n < 1.3 * force_n  # 1.7 in four time steps
