@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from tactip_twin.benchmarks.hardware import machine, machine_text
 from tactip_twin.benchmarks.learning.learning_sets import DESIGN, jobs
@@ -27,7 +28,9 @@ from tactip_twin.sim.fast_tip.corrected_contacts import CorrectedContacts
 from tactip_twin.sim.fast_tip.fast_contacts import FastContacts
 from tactip_twin.sim.fast_tip.fast_tip import FastTip
 from tactip_twin.sim.parallel.worker_pool import worker_count
+from tactip_twin.sim.pose import before_shear, label_of, matrix, sensor_in_contact, shear_between
 from tactip_twin.sim.view.plot import COLORS, figure_of, save_figure
+from tactip_twin.tactip_model.pins import SkinReader, neutral_pins, pin_lever_m
 from tactip_twin.tactip_model.raster_renderer import Raster
 from tactip_twin.tactip_model.tactile_image import tactile_image
 
@@ -61,6 +64,7 @@ def run(options: FastTipOptions, log: Callable[[str], None] = print) -> dict[str
             "rows": rows,
             "rates": _rates(tips[-1], test),
             "ways": _ways(tips[-1], test, options.compared_contacts, log),
+            "turned": _turned(tips[-1], test, options.compared_contacts, log),
             "machine": machine(),
         }
     }
@@ -143,6 +147,49 @@ def _ways(tip: FastTip, test: TipContacts, count: int, log: Callable[[str], None
     return rows
 
 
+def _turned(tip: FastTip, test: TipContacts, count: int, log: Callable[[str], None]) -> dict[str, float]:
+    """Return how far the pins of the first `count` test contacts at `standard` are from those of the same contacts after the
+    tip, but not its pins, was turned about its axis, and from predicted ones.
+
+    The tip is round, but its mesh is not, so the difference is what the mesh adds at random.
+    """
+    design, predictor = test.configuration.design, FastContacts(tip, test.configuration.design)
+    simulator = ContactSimulator(design, tip.task, fidelity_named("standard"))
+    rest, inward = neutral_pins(design)
+    turns = [Rotation.from_euler("z", angle, degrees=True) for angle in (0.0, *_TURNS_DEG)]
+    readers = [SkinReader(simulator.scene.mesh, turn.inv().apply(-inward)) for turn in turns]
+    between, predicted, from_mean = [], [], []
+    for k, (pose, shear) in enumerate(zip(test.poses[:count], test.shears[:count], strict=True)):
+        found = []
+        for turn, reader in zip(turns, readers, strict=True):
+            T_sensor_turned = matrix([0, 0, 0], turn)
+            end, start = (
+                label_of(sensor_in_contact(label) @ T_sensor_turned) for label in (pose, before_shear(pose, shear))
+            )
+            if simulator.simulate(end, shear_between(start, end)) is None:
+                break
+            moved, tilted = reader.read(simulator.scene.vertices()[: simulator.scene.mesh.surface_count])
+            found.append(rest + turn.apply(moved - pin_lever_m(design) * tilted))
+        log(f"{k + 1} of {count} contacts turned")
+        if len(found) == len(turns):
+            pins, _ = predictor.pins(pose[None], shear[None])
+            pairs = [(a, b) for i, a in enumerate(found) for b in found[:i]]
+            between.append(np.mean([_apart_mm(a, b) for a, b in pairs]))
+            predicted.append(np.mean([_apart_mm(pins[0], one) for one in found]))
+            from_mean.append(_apart_mm(pins[0], np.mean(found, 0)))
+    values = (float(np.mean(one)) for one in (between, predicted, from_mean))
+    return {"contacts": len(between), **dict(zip(("turned_mm", "predicted_mm", "from_mean_mm"), values, strict=True))}
+
+
+_TURNS_DEG = (17.0, 43.0)
+"""Angles by which the tip is turned, degrees: neither is a symmetry of the mesh."""
+
+
+def _apart_mm(a: np.ndarray, b: np.ndarray) -> float:
+    """Return the mean distance, mm, of pins (p, 3), m, from others."""
+    return float(1e3 * np.linalg.norm(a - b, axis=-1).mean())
+
+
 def plot(result: dict[str, Any], path: Path) -> None:
     """Plot the mean pin error against `reference` over the CPU time per contact, one panel per task, into a PNG file."""
     compared = {task: found for task, found in result.items() if "ways" in found}
@@ -221,9 +268,17 @@ def tables(result: dict[str, Any]) -> dict[str, str]:
     ]
     way_head = ["task", "method", "CPU time, ms", "relative to standard", "contacts", "pins from standard, mm"]
     way_head += ["pins from reference, mm", "worst contact from standard, mm", "force from standard"]
+    turned = [
+        [task, f"{row['contacts']:.0f}", *(f"{row[key]:.3f}" for key in ("turned_mm", "predicted_mm", "from_mean_mm"))]
+        for task, found in result.items()
+        if (row := found.get("turned"))
+    ]
+    turned_head = ["task", "contacts", "simulated, tip turned, from each other, mm", "predicted from simulated, mm"]
+    turned_head += ["predicted from the mean of three turns, mm"]
     machines = sorted({machine_text(found["machine"]) for found in result.values()})
     return {
         "errors": table(head, errors),
+        "turned": table(turned_head, turned),
         "ways": table(way_head, ways),
         "rates": table(["task", "contacts in a batch", "contacts one by one", "contacts with images"], rates)
         + "".join(f"\n\nMachine: {one}." for one in machines),
