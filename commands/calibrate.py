@@ -16,13 +16,14 @@ from tactip_twin.tactip_model.errors import TactipError
 class Calibrate(Command):
     """Fit the sensor to real frames: lens, pins, materials, friction, rig. Rerun to resume."""
 
-    example = "tactip calibrate lab/set --design nominal-127 --out mine.json"
+    example = "tactip calibrate lab/set --out mine.json"
 
     real: tyro.conf.Positional[Path]
     """Folder of the real set: frames, targets.csv and a neutral image init* or neutral*; also meta.json with the tap, unless
     `tactip protocol` wrote the table (sim2real/calibration/real_set.py)."""
-    design: str = "nominal-127"
-    """Design to start from: nominal-127, nominal-331, another preset, or a design file (.json)."""
+    design: str | None = None
+    """Design to start from: nominal-127, nominal-331, another preset, or a design file (.json). Default: a nominal design
+    with the pins of the neutral image."""
     out: Path = Path("design.json")
     """Design file to write; --design of other commands takes it."""
     report: Path | None = None
@@ -44,7 +45,7 @@ class Calibrate(Command):
             require(count >= 10, name, count, "at least 10")
         report = self.report or self.out.with_name(f"{self.out.stem}_calibration")
         settings = Settings(**vars(self.selection))
-        result = calibrate(self.real, load_design(self.design), settings, report / "state.json")
+        result = calibrate(self.real, load_design(self.design) if self.design else None, settings, report / "state.json")
         design = replace(result.twin.design, name=self.out.stem)
         result = replace(result, twin=replace(result.twin, design=design))
         figures = write_report(result, self.real.resolve().name, settings, self.out, report)

@@ -4,12 +4,13 @@ Sources, here and below: [P] Lepora & Lloyd, RAM 2020; [M] measured on public im
 [R] read in a public source; [?] disputed, a prior to calibrate.
 """
 
+import math
 from dataclasses import dataclass, field
 from typing import Literal
 
 from tactip_twin.tactip_model.bounds import check, require, within
 
-PinLayout = Literal["hexagonal", "circular"]
+PinLayout = Literal["hexagonal", "circular", "free"]
 """hexagonal: a hexagon of a triangular lattice; circular: rings of 6k pins. Both surround a centre pin [R]."""
 
 MAX_LAYOUT_RADIUS = 0.95
@@ -80,11 +81,13 @@ class Pins:
     """The white pins inside the skin."""
 
     layout: PinLayout = "hexagonal"
-    """Arrangement of the pins: `hexagonal` or `circular`."""
+    """Arrangement of the pins: `hexagonal` or `circular`; `free`: no lattice, `as_built_m` has each pin's position."""
     rings: int = within(1, 20, default=6)
-    """Number of rings around the centre pin; 6 hexagonal rings make 127 pins, 10 circular ones 331 [R]."""
+    """Number of rings around the centre pin; 6 hexagonal rings make 127 pins, 10 circular ones 331 [R].
+    If `free`, only the extent in pitches."""
     pitch_m: float = within(0.5e-3, 10e-3, default=3.0e-3)
-    """Distance between neighbouring pins in plan view, m; 2.8e-3 to 3.1e-3 in the neutral images [M]."""
+    """Distance between neighbouring pins in plan view, m; 2.8e-3 to 3.1e-3 in the neutral images [M]. If `free`, only the
+    unit of `Optics.neutral_radius`, and the largest diameter."""
     length_m: float = within(0.5e-3, 5e-3, default=1.8e-3)
     """Depth of the pin tip below the outer surface, m; 1.8e-3 fits the depth response of the 127-pin tip best [M], the
     estimate before was about 2e-3 [?]."""
@@ -98,12 +101,16 @@ class Pins:
     """Rotation of the lattice from the image's x axis towards its y axis (down), degrees."""
     as_built_m: tuple[tuple[float, float], ...] = ()
     """Offset of each pin's root from the lattice in plan, x and y, m, in the layout's order; empty for a perfect tip.
-    Offsets of printed tips are about 0.15 mm. Measured from the neutral image (neutral_image.py)."""
+    Offsets of printed tips are about 0.15 mm. Measured from the neutral image (neutral_image.py). If the layout is `free`,
+    the positions themselves, from the tip's axis."""
 
     def __post_init__(self) -> None:
         check(self)
+        free = self.layout == "free"
+        if free:
+            require(bool(self.as_built_m), "as_built_m", self.as_built_m, "the positions of the pins, if the layout is free")
         for offset in self.as_built_m:
-            close = len(offset) == 2 and all(abs(x) <= self.pitch_m / 2 for x in offset)
+            close = len(offset) == 2 and all(math.isfinite(x) and (free or abs(x) <= self.pitch_m / 2) for x in offset)
             require(close, "as_built_m", offset, "an x and a y of at most half the pitch for each pin")
 
 
@@ -194,8 +201,12 @@ class Design:
         )
         require(pins.length_m <= radius / 4, "length_m", pins.length_m, "at most a quarter of the dome's radius")
         max_extent = MAX_LAYOUT_RADIUS * radius
+        if pins.layout == "free":
+            extent = max(math.hypot(*place) for place in pins.as_built_m)
+            allowed = f"at most {max_extent:g} m from the tip's axis, {MAX_LAYOUT_RADIUS} of the dome's radius"
+            require(extent <= max_extent, "as_built_m", extent, allowed)
         require(
-            pins.rings * pins.pitch_m <= max_extent,
+            pins.layout == "free" or pins.rings * pins.pitch_m <= max_extent,
             "pitch_m",
             pins.pitch_m,
             f"at most {max_extent / pins.rings:g} m with {pins.rings} rings, "

@@ -1,7 +1,8 @@
 """Fit of a design to the neutral image: the camera's image of the undeformed tip.
 
 Only the design's layout is known beforehand. The blobs give the pattern's middle, size and rotation; then the lens's radial
-map, the camera's axis and the rotation are fitted together, and each pin's residual is its offset from the lattice.
+map, the camera's axis and the rotation are fitted together, and each pin's residual is its offset from the lattice. Pins of
+a `free` layout are where the image shows them (free_pins.py).
 """
 
 from collections.abc import Iterable
@@ -13,11 +14,12 @@ from scipy.optimize import least_squares, linear_sum_assignment
 
 from tactip_twin.tactip_model.design import Design, Optics
 from tactip_twin.tactip_model.errors import TactipError
+from tactip_twin.tactip_model.free_pins import with_free_pins
 from tactip_twin.tactip_model.optics import REFERENCE_PX, Lens
 from tactip_twin.tactip_model.pin_detection import find_blobs, find_reflections
-from tactip_twin.tactip_model.pins import LAYOUTS, neutral_pins, plan_positions
+from tactip_twin.tactip_model.pins import LATTICES, neutral_pins, plan_positions
 
-_MIN_PIN_FRACTION = 0.95
+MIN_PIN_FRACTION = 0.95
 """Smallest fraction of the pins that must be detected."""
 
 _SYMMETRY_DEG = {"hexagonal": 60.0, "circular": 60.0}
@@ -31,9 +33,10 @@ class NeutralFit:
     pins_px: np.ndarray
     """(p, 2) float: detected position of each pin, px of a 256 px image; NaN where it is not detected."""
     before_px: float
-    """Distance between detected pins and those of the design before the fit, rms over pins, px of 256."""
+    """Distance between detected pins and those of the design before the fit, rms over pins, px of 256; of
+    free pins, those of the first guess."""
     lattice_px: float
-    """Distance after fitting lens, camera and rotation, with the pins on the lattice."""
+    """Distance after fitting lens, camera and rotation, with the pins on the lattice; of free pins, that after the fit."""
     after_px: float
     """Distance after fitting each pin's offset from the lattice too."""
 
@@ -53,7 +56,7 @@ def fit_neutral(design: Design, image: np.ndarray) -> tuple[Design, NeutralFit]:
     """Fit a design's optics and pins to a binary neutral image.
 
     Args:
-        design: Design whose layout, number of pins and dimensions are kept.
+        design: Design whose layout, number of pins and dimensions are kept; of a `free` layout, the number is the image's.
         image: (h, w) uint8, pins white.
 
     Returns:
@@ -65,17 +68,22 @@ def fit_neutral(design: Design, image: np.ndarray) -> tuple[Design, NeutralFit]:
     if image.shape[0] != image.shape[1]:
         raise TactipError(f"the neutral image must be square, got {image.shape[1]}×{image.shape[0]} px")
     blobs = reference_pixels(find_blobs(image).centres, image.shape[1])
+    if design.pins.layout == "free":
+        guess_of_free, seen = with_free_pins(design, blobs)
+        fitted = with_pin_offsets(guess_of_free, seen)
+        left = _rms(neutral_px(fitted), seen)
+        return fitted, NeutralFit(seen, _rms(neutral_px(guess_of_free), seen), left, left)
     count = len(plan_positions(replace(design.pins, as_built_m=())))
-    if not _MIN_PIN_FRACTION * count <= len(blobs) <= 1.2 * count:
+    if not MIN_PIN_FRACTION * count <= len(blobs) <= 1.2 * count:
         raise TactipError(f"the neutral image must show the {count} pins of the design {design.name!r}, got {len(blobs)}")
     before = neutral_px(design)
-    lattice = LAYOUTS[design.pins.layout](design.pins.rings)
+    lattice = LATTICES[design.pins.layout](design.pins.rings)
     detected = 0
     for scale in _SCALES:
         guess, seen = _mapping(_first_guess(design, lattice, blobs, scale), lattice, blobs)
         known = np.isfinite(seen[:, 0])
         detected = int(known.sum())
-        if known.mean() >= _MIN_PIN_FRACTION:
+        if known.mean() >= MIN_PIN_FRACTION:
             break
     else:
         raise TactipError(
@@ -245,7 +253,7 @@ def with_pin_offsets(design: Design, seen: np.ndarray) -> Design:
         design: The design.
         seen: Detected positions (p, 2), px of 256; NaN where a pin is not detected.
     """
-    offsets = np.zeros_like(seen)
+    offsets = plan_positions(design.pins) if design.pins.layout == "free" else np.zeros_like(seen)
     known = np.isfinite(seen[:, 0])
     tiny, then = 1e-6, replace(design, optics=_when_neutral(design.optics))
     for _ in range(5):

@@ -26,7 +26,8 @@ class Lens:
     def __init__(self, design: Design) -> None:
         """Fit the coefficients to a design."""
         optics = design.optics
-        lattice = replace(design, pins=replace(design.pins, as_built_m=()))
+        free = design.pins.layout == "free"
+        lattice = design if free else replace(design, pins=replace(design.pins, as_built_m=()))
         self.width = optics.frame_px
         self.centre = (np.array(optics.centre) + optics.drift) * self.width
         self.position = np.array([*optics.camera_offset_m, -design.shape.radius_m - optics.camera_height_m])

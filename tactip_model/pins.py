@@ -28,8 +28,8 @@ def circular(rings: int) -> np.ndarray:
     return np.concatenate(points)
 
 
-LAYOUTS: dict[PinLayout, Callable[[int], np.ndarray]] = {"hexagonal": hexagonal, "circular": circular}
-"""Functions that return plan positions, in pitches, for a number of rings; by layout."""
+LATTICES: dict[PinLayout, Callable[[int], np.ndarray]] = {"hexagonal": hexagonal, "circular": circular}
+"""Functions that return plan positions, in pitches, for a number of rings; by layout; `free` has none."""
 
 
 def plan_positions(pins: Pins) -> np.ndarray:
@@ -38,7 +38,9 @@ def plan_positions(pins: Pins) -> np.ndarray:
     Raises:
         TactipError: The layout is unknown, or `as_built_m` does not have one offset per pin.
     """
-    points = pins.pitch_m * lookup("pin layout", pins.layout, LAYOUTS)(pins.rings)
+    if pins.layout == "free":
+        return np.array(pins.as_built_m, float)
+    points = pins.pitch_m * lookup("pin layout", pins.layout, LATTICES)(pins.rings)
     c, s = np.cos(np.radians(pins.rotation_deg)), np.sin(np.radians(pins.rotation_deg))
     points = points @ np.array([[c, s], [-s, c]])
     count = len(pins.as_built_m)

@@ -32,6 +32,9 @@ NOMINAL = {
 }
 """Nominal designs, by name."""
 
+PINS_EXTENT_M = 18e-3
+"""Distance of their outermost pins from the axis in plan view, m."""
+
 FITTED = {name: Path(__file__).with_name("designs") / f"{name}.json" for name in ("tactip-127", "tactip-331")}
 """Files of the fitted designs, by name."""
 

@@ -24,7 +24,7 @@ from tactip_twin.tactip_model.design_file import read_design_with_drift
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.neutral_image import neutral_px, reference_pixels
 from tactip_twin.tactip_model.optics import REFERENCE_PX, Lens
-from tactip_twin.tactip_model.pins import LAYOUTS, neutral_pins
+from tactip_twin.tactip_model.pins import LATTICES, neutral_pins
 from tactip_twin.tactip_model.presets import FITTED
 from tactip_twin.tactip_model.pyrender_renderer import PinCamera
 from tactip_twin.tactip_model.tactile_image import tactile_image
@@ -71,7 +71,7 @@ OFFSETS_MM = np.arange(-0.5, 0.51, 0.25)
 
 def shells(pins: Pins) -> np.ndarray:
     """Return N of each pin (p,) in a hexagonal layout."""
-    return np.rint((LAYOUTS[pins.layout](pins.rings) ** 2).sum(1)).astype(int)
+    return np.rint((LATTICES[pins.layout](pins.rings) ** 2).sum(1)).astype(int)
 
 
 def at_rest(design: Design) -> Design:

@@ -32,6 +32,7 @@ from tactip_twin.tactip_model.files import remove_leftovers
 from tactip_twin.tactip_model.neutral_image import NeutralFit, camera_change, fit_neutral
 from tactip_twin.tactip_model.optics import REFERENCE_PX
 from tactip_twin.tactip_model.pin_detection import PinMatcher
+from tactip_twin.tactip_model.sensor_of_image import sensor_of
 
 _CAMERA_SPREAD = np.array([0.0005, 0.001, 0.001])
 """Minimum standard deviations of zoom and drift estimated from reflections."""
@@ -61,7 +62,7 @@ class Result:
 
 def calibrate(
     real_dir: str | Path,
-    design: Design,
+    design: Design | None,
     settings: Settings,
     state_path: str | Path,
     log: Callable[[str], object] = print,
@@ -70,7 +71,7 @@ def calibrate(
 
     Args:
         real_dir: Folder of a real set (sim2real/calibration/real_set.py).
-        design: Design to start from.
+        design: Design to start from; None: a nominal one with the pins of the neutral image.
         settings: Settings of the calibration.
         state_path: File of the state, written after each round: an interrupted run resumes from there.
         log: Callback for messages to the user.
@@ -82,15 +83,15 @@ def calibrate(
     state_path = Path(state_path)
     remove_leftovers(state_path.parent)
     real = read_real_set(real_dir, settings.angles)
+    design = design or sensor_of(real.neutral)
     fitted_design, neutral = fit_neutral(design, real.neutral)
     log(
-        f"neutral image: {neutral.before_px:.2f} px rms before the fit, {neutral.lattice_px:.2f} px with lens, camera and "
-        "rotation fitted; the rest is fitted by offsets of the pins (256 px image)"
+        f"neutral image: {design.name}, {neutral.before_px:.2f} px rms before the fit, {neutral.lattice_px:.2f} px with "
+        "lens, camera and rotation fitted; the rest is fitted by offsets of the pins (256 px image)"
     )
-    width = real.neutral.shape[1]
-    matcher = PinMatcher((neutral.pins_px[np.isfinite(neutral.pins_px[:, 0])] + 0.5) * width / REFERENCE_PX - 0.5)
     if not np.isfinite(neutral.pins_px).all():
         raise TactipError("every pin must be visible in the neutral image, but some are hidden")
+    matcher = PinMatcher((neutral.pins_px + 0.5) * real.neutral.shape[1] / REFERENCE_PX - 0.5)
     rngs = np.random.default_rng(np.random.SeedSequence(settings.seed)).spawn(2)
     fit_frames = sample_frames(real, matcher, False, settings.fit_frames, rngs[0])
     chosen = parameters(design, _camera_prior(real, fit_frames, fitted_design, log))

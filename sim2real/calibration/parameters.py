@@ -83,6 +83,9 @@ class Parameter:
         return twin.rig if self.part == "rig" else getattr(twin.design, self.part)
 
 
+_FREE_MARGIN = 0.99
+"""Largest distance of free pins from the axis, in the largest that a design may have: a new fit moves them a little."""
+
 UNKNOWN_CAMERA = np.array([1.0, 0.0, 0.0]), np.array([0.01, 0.004, 0.004])
 """Zoom and drift (3,), and their standard deviations (3,), if reflections do not show them."""
 
@@ -101,6 +104,9 @@ def parameters(design: Design, camera: tuple[np.ndarray, np.ndarray] = UNKNOWN_C
     zoom, x, y = zip(*camera, strict=True)
     pitch = design.pins.pitch_m
     widest = MAX_LAYOUT_RADIUS * design.shape.radius_m / design.pins.rings
+    if design.pins.layout == "free":
+        outermost = np.linalg.norm(design.pins.as_built_m, axis=1).max()
+        widest = float(_FREE_MARGIN * pitch * MAX_LAYOUT_RADIUS * design.shape.radius_m / outermost)
     return (
         Parameter("azimuth", "deg", -360, 360, 2.0, None, "rig", "azimuth_deg"),
         Parameter("depth_zero", "m", -2e-3, 2e-3, 0.1e-3, (0.0, 0.5e-3), "rig", "depth_zero_m"),

@@ -28,8 +28,8 @@ from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.neutral_image import NeutralFit, camera_change, fit_neutral, reference_pixels
 from tactip_twin.tactip_model.optics import REFERENCE_PX, Lens
 from tactip_twin.tactip_model.pin_detection import PinMatcher, find_blobs
-from tactip_twin.tactip_model.pins import neutral_pins
-from tactip_twin.tactip_model.presets import NOMINAL, design_named, nearest_nominal
+from tactip_twin.tactip_model.presets import design_named
+from tactip_twin.tactip_model.sensor_of_image import lattices_of, sensor_of
 
 FRAMES = 120
 """Number of frames that are read."""
@@ -119,18 +119,17 @@ def estimate_contacts(
         seed: Seed of the choice of frames and of the starts.
 
     Raises:
-        TactipError: If the pins at rest have no known layout, or pins are not detected in enough frames.
+        TactipError: If the image at rest shows no pins, or pins are not detected in enough frames.
     """
     rng = np.random.default_rng(seed)
     frames = _read_frames(recording, reader, rng)
     at_rest = at_rest if neutral is None else reader.cropped(reader.masked(neutral))
-    candidates = list(frames.cropped.values()) if at_rest is None else [at_rest]
-    layout = nearest_nominal(float(np.median([len(find_blobs(image).centres) for image in candidates])))
-    nominal = replace(NOMINAL[layout], materials=design_named(_PRESET).materials)
-    design, fit = _least_deformed(nominal, candidates) if at_rest is None else fit_neutral(nominal, at_rest)
+    cropped = list(frames.cropped.values())
+    design, fit = _least_deformed(cropped) if at_rest is None else fit_neutral(sensor_of(at_rest), at_rest)
+    design = replace(design, materials=design_named(_PRESET).materials)
     if neutral is not None:
         design = _with_camera_of(design, reader.with_rim(neutral), frames.with_rim[:PIN_DETECTION_FRAMES])
-    pins, good = detected_pins(list(frames.cropped.values()), fit.pins_px)
+    pins, good = detected_pins(cropped, fit.pins_px)
     rows, pins = np.array(list(frames.cropped))[good], pins[good]
     model = contact_model(design, pins, task, rng).model
     noise = _noise(pins)
@@ -277,25 +276,27 @@ def chosen_of(optima: Sequence[EstimatedContacts], which: np.ndarray) -> Estimat
     return replace(optima[0], **parts)
 
 
-def _least_deformed(nominal: Design, images: list[np.ndarray]) -> tuple[Design, NeutralFit]:
-    """Return the fit of a design to the binary image whose pins are nearest to a lattice that a lens shows, among those
-    whose pins are closest together, because a contact spreads and distorts them.
+def _least_deformed(images: list[np.ndarray]) -> tuple[Design, NeutralFit]:
+    """Return the fit of a nominal design to the binary image whose pins are nearest to a lattice that a lens shows, among
+    those whose pins are closest together, because a contact spreads and distorts them.
 
     Raises:
-        TactipError: If none of these images shows the pins of the design.
+        TactipError: If none of these images shows a lattice.
     """
-    count, spreads = len(neutral_pins(nominal)[0]), []
-    for image in images:
-        centres = find_blobs(image).centres
-        whole = abs(len(centres) - count) <= (1 - _MIN_DETECTED) * count
-        spreads.append(float(np.linalg.norm(centres - centres.mean(0), axis=1).mean()) if whole else np.inf)
+    centres = [find_blobs(image).centres for image in images]
+    usual = float(np.median([len(c) for c in centres]))
+    spreads = [
+        float(np.linalg.norm(c - c.mean(0), axis=1).mean()) if abs(len(c) - usual) <= (1 - _MIN_DETECTED) * usual else np.inf
+        for c in centres
+    ]
     fits = []
     for k in np.argsort(spreads, kind="stable")[:_TRIED_AT_REST]:
-        with suppress(TactipError):  # another image may do
-            fits.append(fit_neutral(nominal, images[k]))
+        for nominal in lattices_of(usual):
+            with suppress(TactipError):  # another image, or another lattice, may do
+                fits.append(fit_neutral(nominal, images[k]))
     if not fits:
         raise TactipError(
-            f"no frame shows the {count} pins of {nominal.name} nearly at rest, and there is no neutral image: give one "
-            "with --neutral, or give --columns instead of --find"
+            f"no frame shows its {usual:.0f} pins nearly at rest on a hexagonal or circular lattice, and there is no "
+            "neutral image: give one with --neutral, or give --columns instead of --find"
         )
     return min(fits, key=lambda fit: fit[1].lattice_px)

@@ -6,6 +6,7 @@ predicted motion leaves of the pins' positions, in the median of more such frame
 nominal, so some of the press remains: least where pins have moved little, and tilts and shears average out.
 """
 
+from contextlib import suppress
 from typing import Any
 
 import cv2
@@ -25,6 +26,7 @@ from tactip_twin.tactip_model.optics import REFERENCE_PX, Lens
 from tactip_twin.tactip_model.pin_detection import PinMatcher, find_blobs
 from tactip_twin.tactip_model.pins import neutral_pins
 from tactip_twin.tactip_model.presets import NOMINAL, nearest_nominal
+from tactip_twin.tactip_model.sensor_of_image import lattices_of
 
 _MAX_CONSIDERED = 2000
 """Largest number of frames whose motion is predicted, evenly spaced in the table: more would take memory for nothing."""
@@ -68,7 +70,7 @@ def neutral_from_frames(
     stand_in, rows = _layout_image(source, order[: _count(len(kept), _LAYOUT_FRACTION, _LAYOUT_FRAMES)], reader, usual)
     pressed = order[: _count(len(kept), _PRESSED_FRACTION, _PRESSED_FRAMES)]
     layout = reader.cropped(stand_in), source.poses[rows], source.shears[rows]
-    rest = _at_rest(source, pressed, reader, layout, nominal, task)
+    rest = _at_rest(source, pressed, reader, layout, usual, task)
     if rest is not None:
         image, rows = rest
         stand_in = reader.uncropped(image, stand_in.shape)
@@ -97,11 +99,11 @@ def _at_rest(
     rows: np.ndarray,
     reader: FrameReader,
     layout: tuple[np.ndarray, np.ndarray, np.ndarray],
-    nominal: Design,
+    usual: float,
     task: Task,
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Return a cropped binary image (h, w) uint8 of the pins at rest, and the rows of the frames that it is made of; None if
-    the pins are not those of the nominal design, or the table does not explain how they move.
+    the pins are on no lattice, or the table does not explain how they move.
 
     Args:
         source: The set.
@@ -109,15 +111,18 @@ def _at_rest(
         reader: Reader of its frames.
         layout: Cropped binary image (h, w) that shows which blob is which pin, and the poses and shears (k, 6), mm and
             degrees, of the frames that it is made of.
-        nominal: Design with as many pins.
+        usual: Median number of pins.
         task: Task of the set.
     """
     image, poses, shears = layout
     width = image.shape[1]
-    try:
-        design, fit = fit_neutral(nominal, image)
-    except TactipError:  # whoever needs the pins says so
+    fits = []
+    for nominal in lattices_of(usual):
+        with suppress(TactipError):  # not on this lattice
+            fits.append(fit_neutral(nominal, image))
+    if not fits:  # whoever needs the pins says so
         return None
+    design, fit = min(fits, key=lambda fit: fit[1].lattice_px)
     known = np.isfinite(fit.pins_px[:, 0])
     matcher = PinMatcher(_pixels(fit.pins_px[known], width))
     pins = np.full((len(rows), len(known), 2), np.nan)

@@ -20,6 +20,7 @@ from tactip_twin.tactip_model.pin_detection import find_blobs
 from tactip_twin.tactip_model.pins import neutral_pins
 from tactip_twin.tactip_model.presets import NOMINAL, nearest_nominal
 from tactip_twin.tactip_model.raster_renderer import Raster
+from tactip_twin.tactip_model.sensor_of_image import sensor_of
 from tactip_twin.tactip_model.tactile_image import tactile_image
 
 _ROUNDS = 4
@@ -38,7 +39,7 @@ def fit_design_to_neutral_image(folder: Path, size_px: int) -> tuple[Design, dic
         size_px: Width of its tactile images, px.
 
     Raises:
-        TactipError: If there is no neutral image, or its pins have no known layout.
+        TactipError: If there is no neutral image, or it does not show pins.
     """
     image, tactile = (read_image(folder / name) if (folder / name).exists() else None for name in (NEUTRAL, NEUTRAL_TACTILE))
     if image is None:
@@ -56,15 +57,14 @@ def fit_design_to_neutral_image(folder: Path, size_px: int) -> tuple[Design, dic
             f"{folder} has no neutral image, and an earlier version made its replacement: import the set again"
         )
     blobs = len(find_blobs(image).centres)
-    name = nearest_nominal(blobs)
-    nominal = NOMINAL[name]
+    nominal = sensor_of(image)
     materials = replace(nominal.materials, kinetic_fraction=_KINETIC_FRACTION)
     design, fit = fit_neutral(replace(nominal, name=folder.resolve().name, materials=materials), image)
     design = replace(design, image=replace(design.image, size_px=size_px))
     design = with_pin_sizes(design, tactile > 127)
     camera = camera_of(folder)
     design = with_camera_drift(design, camera)
-    found = {"layout": name, "pins": blobs, "before_px": fit.before_px, "lattice_px": fit.lattice_px}
+    found = {"layout": nominal.name, "pins": blobs, "before_px": fit.before_px, "lattice_px": fit.lattice_px}
     return design, found | {"camera": camera}
 
 

@@ -1,0 +1,85 @@
+"""The nominal design of a sensor whose neutral image is all that is known: a lattice that the image shows, or free pins."""
+
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import replace
+
+import numpy as np
+
+from tactip_twin.tactip_model.design import Design, Pins
+from tactip_twin.tactip_model.errors import TactipError
+from tactip_twin.tactip_model.neutral_image import MIN_PIN_FRACTION, NeutralFit, fit_neutral
+from tactip_twin.tactip_model.pin_detection import find_blobs
+from tactip_twin.tactip_model.pins import LATTICES
+from tactip_twin.tactip_model.presets import NOMINAL, PINS_EXTENT_M, nearest_nominal
+
+_MAX_EXTRA = 1.2
+"""Largest ratio of the numbers of white spots and of a lattice's pins: some spots are light."""
+
+_MAX_OFF_LATTICE = 0.15
+"""Largest rms distance of the pins from a lattice that they are on, in their median spacing: 0.04 to 0.06 on real tips [M],
+above 0.2 where the lattice is another one [M]."""
+
+_DIAMETER = 0.3
+"""Diameter of pins that are not known yet, in pitches, as of both calibrated tips [M]."""
+
+
+def sensor_of(image: np.ndarray) -> Design:
+    """Return the nominal design of the sensor that made a neutral image.
+
+    Args:
+        image: (h, w) uint8, binary, pins white.
+
+    Returns:
+        A design whose pins lie on the lattice that explains the image; without one, their layout is `free`. Its other
+        dimensions are those of the nominal preset with the most similar number of pins.
+
+    Raises:
+        TactipError: The image is not square, or does not show pins.
+    """
+    count = len(find_blobs(image).centres)
+    for nominal in lattices_of(count):
+        with suppress(TactipError):  # not on this lattice
+            if off_lattice(fit_neutral(nominal, image)[1]) < _MAX_OFF_LATTICE:
+                return nominal
+    nominal = NOMINAL[nearest_nominal(count)]
+    # Any position: the fit takes them from the image.
+    pins = replace(nominal.pins, layout="free", as_built_m=((0.0, 0.0),))
+    return fit_neutral(replace(nominal, name=f"free-{count}", pins=pins), image)[0]
+
+
+def lattices_of(count: float) -> Iterator[Design]:
+    """Yield the nominal designs with lattices of about `count` pins, presets first."""
+    others: list[Design] = []
+    for rings in range(2, 21):
+        size = len(LATTICES["hexagonal"](rings))
+        if not MIN_PIN_FRACTION * size <= count <= _MAX_EXTRA * size:
+            continue
+        for layout in LATTICES:
+            presets = [n for n in NOMINAL.values() if (n.pins.layout, n.pins.rings) == (layout, rings)]
+            yield from presets
+            if not presets:
+                pins = Pins(layout, rings, PINS_EXTENT_M / rings)
+                others.append(with_pins(NOMINAL[nearest_nominal(size)], pins, f"{layout}-{size}"))
+    yield from others
+
+
+def with_pins(design: Design, pins: Pins, name: str) -> Design:
+    """Return a design with other pins, of the pitch, layout and offsets of `pins`; lens and lengths of pins are kept."""
+    ratio = pins.pitch_m / design.pins.pitch_m
+    c1, c3, c5 = design.optics.neutral_radius
+    sized = replace(
+        pins,
+        length_m=design.pins.length_m,
+        diameter_m=_DIAMETER * pins.pitch_m,
+        rim_diameter_m=_DIAMETER * pins.pitch_m,
+    )
+    optics = replace(design.optics, neutral_radius=(c1 * ratio, c3 * ratio**3, c5 * ratio**5))
+    return replace(design, name=name, pins=sized, optics=optics)
+
+
+def off_lattice(fit: NeutralFit) -> float:
+    """Return the rms distance of the pins of a fit from their lattice, in their median spacing, -."""
+    seen = fit.pins_px[np.isfinite(fit.pins_px[:, 0])]
+    spacing = np.sort(np.linalg.norm(seen[:, None] - seen[None], axis=2), 1)[:, 1]
+    return float(fit.lattice_px / np.median(spacing))
