@@ -4,11 +4,17 @@ import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from tactip_twin.commands._parsing import Command
 from tactip_twin.commands._progress import DelayedStatus
 from tactip_twin.learning.configuration import DeviceName
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from tactip_twin.learning.data import Samples
+    from tactip_twin.learning.model import Model
 
 
 @dataclass(frozen=True)
@@ -42,15 +48,19 @@ class Evaluate(Command):
             from tactip_twin.learning.evaluation_page import write_evaluation
             from tactip_twin.learning.image_check import MAX_UNLIKE_FRACTION
             from tactip_twin.learning.model import load_network
+            from tactip_twin.sim2real.importing.import_set import pins_at_rest
 
             set_threads(self.threads)
             model, samples = load_network(self.model, device_named(self.device)), read_samples(self.data)
+            at_rest = pins_at_rest(samples.folder)
             if not self.any_sensor:
-                check_same_pins(model, samples)
+                check_same_pins(model, samples, 0 if at_rest is None else len(at_rest))
             evaluation = evaluate(model, samples)
         if self.out:
             write_evaluation(evaluation, samples, model, self.out)
         figures = evaluation.figures
+        for line in _doubts(figures, model, samples, at_rest):
+            print(line, file=sys.stderr)
         if figures["outside_fraction"] > MAX_OUTSIDE_FRACTION:
             print(
                 f"{figures['outside_fraction']:.0%} of the predictions are far outside the range that the network learned: "
@@ -75,6 +85,33 @@ class Evaluate(Command):
         if self.out:
             print(f"{self.out / 'evaluation.md'} written")
         return 0
+
+
+_MIN_COVERAGE = 0.7
+"""Fraction of the labels inside of the 95 % intervals below which these are called wrong. An estimate [?]."""
+
+
+def _doubts(figures: Mapping[str, Any], model: "Model", samples: "Samples", at_rest: "np.ndarray | None") -> Iterator[str]:
+    """Yield lines on why the figures may mean little: another sensor, or intervals that do not hold. at_rest: (n, 2) px of
+    256, the pins in the neutral image of a real set."""
+    from tactip_twin.learning.image_check import MAX_APART_PX, design_of, pins_apart_px, recorded_design
+    from tactip_twin.tactip_model.neutral_image import neutral_px
+
+    shown, learned = recorded_design(samples.dataset.meta["configuration"]), design_of(model)
+    pins = at_rest if shown is None else neutral_px(shown)
+    apart = 0.0 if pins is None or learned is None else pins_apart_px(learned, pins)
+    if apart > MAX_APART_PX:
+        yield (
+            f"the pins at rest are {apart:.1f} px of 256 from those that the network learned (at most {MAX_APART_PX:g}): "
+            "it was trained for another sensor or camera; tactip transfer trains one for this sensor"
+        )
+    for row in figures.get("reliability", []):
+        worst = min(figures["mae"], key=lambda name: row["coverage"][name])
+        if row["level"] == 0.95 and row["coverage"][worst] < _MIN_COVERAGE:
+            yield (
+                f"only {row['coverage'][worst]:.0%} of the labels of {worst} are inside of the network's 95 % intervals: "
+                "do not rely on its deviations for these images"
+            )
 
 
 def _beside_the_pose(figures: Mapping[str, Any]) -> Iterator[str]:

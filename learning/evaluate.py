@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 
 from tactip_twin.learning.data import Samples, check_compatible
-from tactip_twin.learning.image_check import image_check
+from tactip_twin.learning.image_check import design_of, image_check, recorded_design
 from tactip_twin.learning.labels import Labels
 from tactip_twin.learning.model import Estimates, Model
 from tactip_twin.learning.posenet import parameter_count
 from tactip_twin.learning.quantities import forces_of
 from tactip_twin.learning.uncertainty import by_force, by_rejection, contact_figures, negative_log_likelihood, reliability
-from tactip_twin.tactip_model.design_file import design_from_dict
+from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.pin_detection import find_blobs
 from tactip_twin.tactip_model.pins import neutral_pins
@@ -46,15 +46,20 @@ class Evaluation:
     """Figures that `tactip evaluate --json` prints, as JSON."""
 
 
-def check_same_pins(model: Model, samples: Samples) -> None:
+def check_same_pins(model: Model, samples: Samples, at_rest: int = 0) -> None:
     """Check that the images of a model's training and of a set show about as many pins.
+
+    Args:
+        model: The model.
+        samples: The set.
+        at_rest: Number of pins in the set's neutral image; 0 if there is none.
 
     Raises:
         TactipError: If the numbers of pins differ by more than a fifth. A training that does not record its design passes,
             and so do grey frames, in which pins cannot be counted.
     """
-    learned = _pin_count(model.provenance.get("train", {}).get("configuration"))
-    shown = _pin_count(samples.dataset.meta["configuration"]) or _detected_pins(samples)
+    learned = _pin_count(design_of(model))
+    shown = _pin_count(recorded_design(samples.dataset.meta["configuration"])) or at_rest or _detected_pins(samples)
     if learned and shown and abs(shown - learned) > _MAX_PIN_DIFFERENCE * learned:
         raise TactipError(
             f"the images in {samples.folder} show {shown} pins, but the network was trained on images of {learned}, so its "
@@ -69,11 +74,9 @@ _DETECTION_FRAMES = 20
 """Number of images in which the pins of an imported set are detected."""
 
 
-def _pin_count(configuration: Any) -> int:
-    """Return the number of pins of the design in a configuration (a JSON value); 0 if it has none."""
-    if not isinstance(configuration, dict) or "design" not in configuration:
-        return 0
-    return len(neutral_pins(design_from_dict(configuration["design"], "the design of the training"))[0])
+def _pin_count(design: Design | None) -> int:
+    """Return the number of pins of a design; 0 if there is none."""
+    return 0 if design is None else len(neutral_pins(design)[0])
 
 
 def _detected_pins(samples: Samples) -> int:

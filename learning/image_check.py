@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.spatial import cKDTree
 
+from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.design_file import design_from_dict
+from tactip_twin.tactip_model.neutral_image import neutral_px
 from tactip_twin.tactip_model.pin_detection import find_blobs
 from tactip_twin.tactip_model.pins import neutral_pins
 from tactip_twin.tactip_model.raster_renderer import Raster
@@ -88,16 +90,40 @@ class ImageCheck:
         return len(problems) / len(chosen), max(_WORDS.values(), key=problems.count) if problems else ""
 
 
+def design_of(model: "Model") -> Design | None:
+    """Return the design of the sensor on whose images a network was trained; None where that is not recorded."""
+    return recorded_design(model.provenance.get("train", {}).get("configuration"))
+
+
+def recorded_design(configuration: Any) -> Design | None:
+    """Return the design in the configuration of a set (a JSON value); None if it has none, because its frames are real."""
+    if not isinstance(configuration, dict) or "design" not in configuration:
+        return None
+    return design_from_dict(configuration["design"], "the design of the training")
+
+
 def image_check(model: "Model") -> ImageCheck | None:
     """Return the check of a network's images; None where its training records no design, or grey images or of another
     size."""
-    configuration: Any = model.provenance.get("train", {}).get("configuration")
-    if not isinstance(configuration, dict) or "design" not in configuration:
-        return None
-    design = design_from_dict(configuration["design"], "the design of the training")
-    if design.image.size_px != model.size or design.image.grey:
+    design = design_of(model)
+    if design is None or design.image.size_px != model.size or design.image.grey:
         return None
     return ImageCheck(tactile_image(Raster(design).render(*neutral_pins(design)), design.image))
+
+
+MAX_APART_PX = 2.0
+"""Distance of the pins at rest from those that a network learned, px of 256, above which the sensor or its camera is another
+one: 0.0 px for the tips of shipped networks, 3.4 to 6.4 px for 40 other tips [M]."""
+
+
+def pins_apart_px(design: Design, centres_px: np.ndarray) -> float:
+    """Return the median distance of a tip's pins at rest from the nearest ones of a design, px of 256.
+
+    Args:
+        design: The design.
+        centres_px: (n, 2) px of a 256 px image, n > 0, the pins of the neutral image.
+    """
+    return float(np.median(cKDTree(neutral_px(design)).query(centres_px)[0]))
 
 
 def _raw(image: np.ndarray, centre: np.ndarray) -> np.ndarray:

@@ -109,8 +109,12 @@ def fit_pins(design: Design, seen: np.ndarray) -> tuple[Design, np.ndarray]:
         seen: Detected positions (p, 2), px of 256; NaN where a pin is not detected.
 
     Returns:
-        The fitted design, and the positions (p, 2), px of 256, its pins would have on the lattice.
+        The fitted design, and the positions (p, 2), px of 256, its pins would have on the lattice. Of free pins, only the
+        positions are refined.
     """
+    if design.pins.layout == "free":
+        fitted = with_pin_offsets(design, seen)
+        return fitted, neutral_px(fitted)
     known, optics, pins = np.isfinite(seen[:, 0]), design.optics, design.pins
     centre, offset = np.array(optics.centre) * REFERENCE_PX, np.array(optics.camera_offset_m) / pins.pitch_m
     guess = np.array([np.radians(pins.rotation_deg), *centre, *optics.neutral_radius, *offset])

@@ -21,6 +21,10 @@ _LOCAL = 9
 """Number of pins to which the affine map for the next one is fitted."""
 
 
+MIN_AREA_PX = 4
+"""Smallest area of a pin, px."""
+
+
 @dataclass(frozen=True)
 class Blobs:
     """White blobs of an image that can be pins."""
@@ -45,6 +49,11 @@ def find_blobs(image: np.ndarray, max_area: float = 2.6, min_area: float = 0.15)
     middle = np.median(area[roundish])
     keep = roundish & (area < max_area * middle) & (area > min_area * middle)
     return Blobs(centres[keep])
+
+
+def count_small_spots(image: np.ndarray) -> int:
+    """Return the number of white patches of a binary image that are too small for pins. image: (h, w) uint8."""
+    return int((_components(image)[2] < MIN_AREA_PX).sum())
 
 
 def find_reflections(image: np.ndarray) -> np.ndarray:
@@ -80,7 +89,7 @@ def _components(image: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, 
         labels,
         centres[1:],
         area,
-        (roundness > 0.45) & (area >= 4) & (np.maximum(width, height) < 0.2 * max(labels.shape)),
+        (roundness > 0.45) & (area >= MIN_AREA_PX) & (np.maximum(width, height) < 0.2 * max(labels.shape)),
     )
 
 

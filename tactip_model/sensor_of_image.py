@@ -9,7 +9,7 @@ import numpy as np
 from tactip_twin.tactip_model.design import Design, Pins
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.neutral_image import MIN_PIN_FRACTION, NeutralFit, fit_neutral
-from tactip_twin.tactip_model.pin_detection import find_blobs
+from tactip_twin.tactip_model.pin_detection import MIN_AREA_PX, count_small_spots, find_blobs
 from tactip_twin.tactip_model.pins import LATTICES
 from tactip_twin.tactip_model.presets import NOMINAL, PINS_EXTENT_M, nearest_nominal
 
@@ -19,6 +19,9 @@ _MAX_EXTRA = 1.2
 _MAX_OFF_LATTICE = 0.15
 """Largest rms distance of the pins from a lattice that they are on, in their median spacing: 0.04 to 0.06 on real tips [M],
 above 0.2 where the lattice is another one [M]."""
+
+_MAX_SMALL = 0.05
+"""Largest ratio of the numbers of spots that are too small and of pins, where no lattice tells the number of pins [?]."""
 
 _DIAMETER = 0.3
 """Diameter of pins that are not known yet, in pitches, as of both calibrated tips [M]."""
@@ -35,17 +38,28 @@ def sensor_of(image: np.ndarray) -> Design:
         dimensions are those of the nominal preset with the most similar number of pins.
 
     Raises:
-        TactipError: The image is not square, or does not show pins.
+        TactipError: The image is not square, does not show pins, or shows some of them too small.
     """
     count = len(find_blobs(image).centres)
     for nominal in lattices_of(count):
         with suppress(TactipError):  # not on this lattice
             if off_lattice(fit_neutral(nominal, image)[1]) < _MAX_OFF_LATTICE:
                 return nominal
+    small = count_small_spots(image)
+    if small > _MAX_SMALL * count:
+        raise TactipError(
+            f"the neutral image shows {count} pins, and {small} white spots of less than {MIN_AREA_PX} px, which may be "
+            "pins, too: use larger frames, or another --threshold"
+        )
+    design, _ = fit_neutral(free_sensor(count), image)
+    return replace(design, name=f"free-{len(design.pins.as_built_m)}")
+
+
+def free_sensor(count: float) -> Design:
+    """Return a nominal design with free pins, whose positions a fit takes from an image, for about `count` pins."""
     nominal = NOMINAL[nearest_nominal(count)]
-    # Any position: the fit takes them from the image.
     pins = replace(nominal.pins, layout="free", as_built_m=((0.0, 0.0),))
-    return fit_neutral(replace(nominal, name=f"free-{count}", pins=pins), image)[0]
+    return replace(nominal, name="free", pins=pins)
 
 
 def lattices_of(count: float) -> Iterator[Design]:

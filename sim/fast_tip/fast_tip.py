@@ -16,7 +16,7 @@ import numpy as np
 
 from tactip_twin.assets import FAST_TIPS
 from tactip_twin.sim.fast_tip.archive import check_numbers, pack, unpack
-from tactip_twin.sim.fast_tip.features import COUNT, features
+from tactip_twin.sim.fast_tip.features import COUNT, features, without_yaw
 from tactip_twin.sim.fast_tip.materials import (
     INPUTS,
     are_learned,
@@ -124,6 +124,14 @@ class FastTip:
 
     def outside(self, poses: np.ndarray, shears: np.ndarray) -> np.ndarray:
         """Return whether contacts (k, 6), (k, 6) lie outside the learned ranges, (k,) bool."""
+        beyond = self._beyond(poses, shears)
+        if self.task == "edge" and beyond.any():
+            # The tip is round, so any yaw is known: the sensor is turned about its own axis until it has none.
+            beyond[beyond] = self._beyond(without_yaw(poses[beyond]), shears[beyond])
+        return beyond
+
+    def _beyond(self, poses: np.ndarray, shears: np.ndarray) -> np.ndarray:
+        """Return whether poses and shears (k, 6), (k, 6) lie outside the ranges of the tip's training, (k,) bool."""
         both = np.concatenate([poses, shears], 1)
         return np.any((both < self.ranges[:, 0] - 1e-9) | (both > self.ranges[:, 1] + 1e-9), axis=1)
 

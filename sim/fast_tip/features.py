@@ -47,13 +47,23 @@ def features(task: Task, poses: np.ndarray, shears: np.ndarray) -> tuple[np.ndar
     """
     poses, shears = np.asarray(poses, float), np.asarray(shears, float)
     into_label = Rotation.from_rotvec(poses[:, 3:]).inv()
-    yaw = np.zeros(len(poses))
-    if task == "edge":
-        along = into_label.apply([0.0, 1.0, 0.0])
-        yaw = np.arctan2(-along[:, 0], along[:, 1])
+    yaw = _yaw(into_label) if task == "edge" else np.zeros(len(poses))
     into_axes = Rotation.from_rotvec(-yaw[:, None] * [0.0, 0.0, 1.0]) * into_label
     normal = into_axes.apply([0.0, 0.0, 1.0])[:, :2]
     columns = [_MM * poses[:, 2:3], 10 * normal, _MM * into_axes.apply(shears[:, :3]), _DEG * into_axes.apply(shears[:, 3:])]
     if task == "edge":
         columns.insert(0, _MM * poses[:, :1])
     return np.concatenate(columns, 1), yaw
+
+
+def without_yaw(poses: np.ndarray) -> np.ndarray:
+    """Return poses (n, 6), m and rad, on an edge, of sensors turned about their own axis until y is parallel to the edge."""
+    turned = Rotation.from_rotvec(poses[:, 3:])
+    upright = turned * Rotation.from_rotvec(_yaw(turned.inv())[:, None] * [0.0, 0.0, 1.0])
+    return np.concatenate([poses[:, :3], upright.as_rotvec()], 1)
+
+
+def _yaw(into_label: Rotation) -> np.ndarray:
+    """Return the yaw (n,), rad, about z of the label axes, of rotations from the sensor's axes."""
+    along = into_label.apply([0.0, 1.0, 0.0])
+    return np.arctan2(-along[:, 0], along[:, 1])

@@ -165,7 +165,7 @@ def write_report(result: Result, real_name: str, settings: Settings, out: str | 
 
 def page(figures: dict[str, Any]) -> str:
     """Return a report as Markdown."""
-    n, f, shear = figures["neutral_px"], figures["frames_px"], figures["shear"]
+    n, f, depth, shear = (figures[name] for name in ("neutral_px", "frames_px", "depth", "shear"))
     names = {
         "fitted_fraction": "frames, fraction of the motion fitted to each",
         "before_or_after_motion": "frames, taken either before or after the motion",
@@ -182,9 +182,9 @@ def page(figures: dict[str, Any]) -> str:
         f"| neutral image, initial | {n['initial']:.2f} | | |",
         f"| neutral image, lens and camera fitted | {n['lens_and_camera']:.2f} | | |",
         *(f"| {text} | {f[k]['rms']:.2f} | {f[k]['median']:.2f} | {f[k]['p90']:.2f} |" for k, text in names.items()),
-        f"| outward motion of {RINGS} rings of pins by depth, upright frames | {figures['depth']['rms_px']:.2f} | | |",
-        f"| mean shift of pins by depth and shear | {shear['rms_px']:.2f} | | |",
-        f"| the same, as commanded | {shear['as_commanded_rms_px']:.2f} | | |",
+        f"| outward motion of {RINGS} rings of pins by depth, upright frames | {_rms_text(depth['rms_px'])} | | |",
+        f"| mean shift of pins by depth and shear | {_rms_text(shear['rms_px'])} | | |",
+        f"| the same, as commanded | {_rms_text(shear['as_commanded_rms_px'])} | | |",
         "",
         "| depth on a flat surface | simulated force, N | load cell, N |",
         "|---|---|---|",
@@ -204,6 +204,11 @@ def page(figures: dict[str, Any]) -> str:
         "![Response to depth and shear](curves.png)",
     ]
     return "\n".join(lines) + "\n"
+
+
+def _rms_text(rms_px: float | None) -> str:
+    """Return a cell with a deviation that no frame may show."""
+    return "no such frames" if rms_px is None else f"{rms_px:.2f}"
 
 
 def _plot_pins(result: Result, path: Path) -> None:
@@ -236,7 +241,7 @@ def plot_curves(figures: dict[str, Any], path: Path) -> None:
     figure, axes = figure_of(1, 2, (11, 5.2))
     depths, shears = figures["depth"]["rows"], figures["shear"]["rows"]
     for axis, rows in zip(axes, (depths, shears), strict=True):
-        colors = colormaps["viridis"](np.linspace(0, 0.9, max(1, len(rows))))
+        colors = colormaps["viridis"](np.linspace(0, 0.9, len(rows)))
         for color, row in zip(colors, rows, strict=True):
             if axis is axes[0]:
                 x, text = np.arange(1, RINGS + 1), f"{row['depth_mm']:.1f} mm deep"
@@ -244,7 +249,8 @@ def plot_curves(figures: dict[str, Any], path: Path) -> None:
                 x, text = row["shear_mm"], "{:.0f}–{:.0f} mm deep".format(*row["depth_mm"])
             axis.plot(x, row["real_px"], "o", color=color, ms=4)
             axis.plot(x, row["simulated_px"], "-" if axis is axes[0] else "x", color=color, label=text)
-        axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=3)
+        if rows:
+            axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=3)
     axes[0].set(xlabel="ring of pins, inner to outer", ylabel="outward motion, px of 256", title="Upright presses")
     axes[1].set(xlabel="commanded motion, mm", ylabel="mean shift of the pins, px of 256", title="Motions in contact")
     figure.suptitle("dots: real; lines and crosses: simulated", fontsize=9)

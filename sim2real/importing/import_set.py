@@ -28,7 +28,8 @@ from tactip_twin.sim2real.sensor.preprocess import MIN_PIN_FRACTION, FrameReader
 from tactip_twin.tactip_model.errors import Interrupted, TactipError
 from tactip_twin.tactip_model.files import remove_leftovers, write_file
 from tactip_twin.tactip_model.input_files import read_file, read_json
-from tactip_twin.tactip_model.neutral_image import camera_change
+from tactip_twin.tactip_model.input_images import read_image
+from tactip_twin.tactip_model.neutral_image import camera_change, reference_pixels
 from tactip_twin.tactip_model.pin_detection import find_blobs
 
 NEUTRAL, NEUTRAL_TACTILE, REPORT, PICTURE = "neutral.png", "neutral_tactile.png", "import.json", "import.png"
@@ -82,7 +83,7 @@ def import_set(
         record["source"]["frames_missing"] = missing
     if not (out / _WORK).exists() and check_resumable(out, _KIND, _recorded(out, record), record):
         report = read_report(out)
-        if report and ("camera" in report and (report["neutral_image"] or "press_removed" in report.get("stand_in", {}))):
+        if report and ("camera" in report and (report["neutral_image"] or _is_press_removed(report) is not None)):
             log(f"{out} already holds this set")
             return report
         log(f"{out} was imported by an earlier version, whose report is incomplete: importing it again")
@@ -112,6 +113,26 @@ def _recorded(out: Path, record: dict[str, Any]) -> dict[str, Any] | None:
     if not isinstance(configuration, dict) or "layout" not in configuration:
         return None
     return {key: configuration.get(key) for key in record}
+
+
+def pins_at_rest(folder: Path) -> np.ndarray | None:
+    """Return the pins (n, 2), px of 256, in the neutral image of an imported set; None if the folder has none, or one that
+    was made from frames that touch, whose press was not removed.
+
+    Raises:
+        TactipError: The image, or the report of the import, cannot be read.
+    """
+    report = read_report(folder)
+    if not (folder / NEUTRAL).exists() or (report and not (report["neutral_image"] or _is_press_removed(report))):
+        return None
+    image = read_image(folder / NEUTRAL)
+    centres = reference_pixels(find_blobs(image).centres, image.shape[1])
+    return centres if len(centres) else None
+
+
+def _is_press_removed(report: dict[str, Any]) -> bool | None:
+    """Return whether the press was removed from the frames that replace a neutral image; None if the report does not say."""
+    return report.get("stand_in", {}).get("press_removed")
 
 
 def read_report(folder: str | Path) -> dict[str, Any] | None:
@@ -174,8 +195,11 @@ def _import(
         at_rest, report["stand_in"] = neutral_from_frames(source, kept, reader, usual, layout.column_map.task)
     else:
         at_rest = reader.masked(neutral)
+    cropped, tactile = reader.cropped(at_rest), reader.shrunk(at_rest)
+    report["pins_at_rest"], report["pins_apart"] = (len(find_blobs(image).centres) for image in (cropped, tactile))
+    report["size_px"] = len(tactile)
     files = {"targets.csv": _targets(source, kept), REPORT: (json.dumps(report, indent=1) + "\n").encode()}
-    files[NEUTRAL], files[NEUTRAL_TACTILE] = encode_image(reader.cropped(at_rest)), encode_image(reader.shrunk(at_rest))
+    files[NEUTRAL], files[NEUTRAL_TACTILE] = encode_image(cropped), encode_image(tactile)
     files[PICTURE] = encode_image(picture(source, kept, pins, reader, neutral))
     for name, data in files.items():
         write_file(out / name, data)

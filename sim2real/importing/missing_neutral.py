@@ -26,7 +26,7 @@ from tactip_twin.tactip_model.optics import REFERENCE_PX, Lens
 from tactip_twin.tactip_model.pin_detection import PinMatcher, find_blobs
 from tactip_twin.tactip_model.pins import neutral_pins
 from tactip_twin.tactip_model.presets import NOMINAL, nearest_nominal
-from tactip_twin.tactip_model.sensor_of_image import lattices_of
+from tactip_twin.tactip_model.sensor_of_image import free_sensor, lattices_of
 
 _MAX_CONSIDERED = 2000
 """Largest number of frames whose motion is predicted, evenly spaced in the table: more would take memory for nothing."""
@@ -103,7 +103,7 @@ def _at_rest(
     task: Task,
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Return a cropped binary image (h, w) uint8 of the pins at rest, and the rows of the frames that it is made of; None if
-    the pins are on no lattice, or the table does not explain how they move.
+    no pins are seen, or the table does not explain how they move.
 
     Args:
         source: The set.
@@ -120,7 +120,10 @@ def _at_rest(
     for nominal in lattices_of(usual):
         with suppress(TactipError):  # not on this lattice
             fits.append(fit_neutral(nominal, image))
-    if not fits:  # whoever needs the pins says so
+    if not fits:
+        with suppress(TactipError):  # whoever needs the pins says so
+            fits.append(fit_neutral(free_sensor(usual), image))
+    if not fits:
         return None
     design, fit = min(fits, key=lambda fit: fit[1].lattice_px)
     known = np.isfinite(fit.pins_px[:, 0])

@@ -73,6 +73,10 @@ _MIN_DEPTH_MM, _MIN_TURN_DEG = 0.05, 0.8
 45 degrees [?]."""
 
 
+_MIN_APART_FRACTION = 0.8
+"""Fraction of the pins that must be apart in the images, or a larger size is suggested [?]."""
+
+
 _MAX_NAMED = 12
 """Maximum number of columns that a line names."""
 
@@ -116,6 +120,11 @@ def report_lines(report: Mapping[str, Any]) -> list[str]:
         )
     else:
         lines.append("too little light at the rim to measure the camera's change since the neutral image")
+    if report["pins_apart"] < _MIN_APART_FRACTION * report["pins_at_rest"]:
+        lines.append(
+            f"in images of {report['size_px']} px, {report['pins_apart']} of the {report['pins_at_rest']} pins can be told "
+            f"apart: larger ones may be read better (--size-px {2 * report['size_px']})"
+        )
     lines += [f"left out: {one['frame'] or 'row ' + str(one['row'])}: {one['why']}" for one in report["left_out"][:5]]
     if len(report["left_out"]) > 5:
         lines.append(f"and {len(report['left_out']) - 5} more: see import.json")

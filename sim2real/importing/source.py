@@ -1,9 +1,9 @@
 """A laboratory's set as it was published: table, labels and paths of the frames."""
 
-import contextlib
 import itertools
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
@@ -177,7 +177,7 @@ def _frame_path(folder: Path, name: str) -> Path | None:
             whole = Path(tail).with_suffix("") if Path(tail).suffix.lower() == suffix else tail
             for end in dict.fromkeys((suffix, suffix.upper())):
                 path = folder / place / f"{whole}{end}"
-                with contextlib.suppress(OSError):  # a name that is too long for a file
+                with suppress(OSError):  # a name that is too long for a file
                     if path.is_file():
                         return path
     return None
@@ -227,12 +227,25 @@ def _hint(frame: np.ndarray, options: ImagePreprocessing) -> str:
     """Return what may be wrong with a frame (h, w, 3) uint8 in which no pins are detected; empty if nothing is known."""
     if frame.max() < _DARK:
         return f"; its pixels have values up to {frame.max()} only, of 255"
-    try:
-        detect_pins(FrameReader(replace(options, dark_pins=not options.dark_pins, mask="none")).binary(frame))
-    except TactipError:
-        return ""
-    return "; if its pins are darker than what is around them, give --dark-pins" if not options.dark_pins else ""
+    thresholds = [(options.threshold, "")]
+    if options.threshold is None:
+        block = min(frame.shape[:2]) // _BLOCKS | 1
+        thresholds.append(((block, _CONSTANT), f"if it is grey, give --threshold {block} {_CONSTANT:g}"))
+    for threshold, grey in thresholds:
+        for dark in (options.dark_pins, not options.dark_pins):
+            darker = "if its pins are darker than what is around them, give --dark-pins" if dark > options.dark_pins else ""
+            said = " and ".join(text for text in (grey, darker) if text)
+            with suppress(TactipError):  # no pins this way either
+                detect_pins(FrameReader(replace(options, dark_pins=dark, threshold=threshold, mask="none")).binary(frame))
+                return f"; {said}" if said else ""
+    return ""
 
+
+_BLOCKS = 6
+"""Height of a frame in blocks of the threshold that is suggested: a block of 61 px of 360, as the presets have."""
+
+_CONSTANT = -5.0
+"""Constant of that threshold, grey levels, as of the presets."""
 
 _DARK = 32
 """Value of the brightest pixel below which a frame is called dark."""

@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tactip_twin.learning.filter_settings import FilterSettings
-from tactip_twin.learning.image_check import image_check
+from tactip_twin.learning.image_check import MAX_APART_PX, design_of, image_check, pins_apart_px
 from tactip_twin.learning.pose_filter import PoseFilter
 from tactip_twin.sim.labels import COMPONENTS
 from tactip_twin.sim.pose import from_mm_deg, to_mm_deg
 from tactip_twin.sim2real.sensor.preprocess import MIN_PIN_FRACTION, FrameReader
 from tactip_twin.sim2real.sensor.preprocessing_options import ImagePreprocessing
 from tactip_twin.tactip_model.errors import TactipError
+from tactip_twin.tactip_model.neutral_image import reference_pixels
 from tactip_twin.tactip_model.pin_detection import find_blobs
 
 if TYPE_CHECKING:
@@ -100,12 +101,13 @@ class LiveSensor:
         Raises:
             TactipError: If the first frame shows no tip, or the source of the frames fails.
         """
-        reader, rest, start = None, np.zeros((0, 2)), 0.0
+        reader, rest, start, foreign = None, np.zeros((0, 2)), 0.0, ""
         check = None if self._model is None else image_check(self._model)
         for number, frame in enumerate(self._frames):
             if reader is None:
                 neutral = frame if self._neutral is None else self._neutral
                 reader, rest, start = self._reader(neutral)
+                foreign = self._foreign(rest)
             try:
                 binary = reader.masked(frame)
                 image = reader.tactile(frame, binary)
@@ -119,7 +121,7 @@ class LiveSensor:
             pins, usual = len(blobs), len(rest)
             fault = "" if pins >= MIN_PIN_FRACTION * usual else f"{pins} pins detected, the undeformed tip has {usual}"
             predicted, deviations = ({}, {}) if fault or self._model is None else self._predicted(self._model, image)
-            unlike = check.problem(image) if check and predicted else ""
+            unlike = (foreign or check.problem(image)) if check and predicted else ""
             yield Reading(
                 number, time.perf_counter() - start, pins, image, predicted, fault, deviations, blobs, rest, unlike
             )
@@ -137,6 +139,15 @@ class LiveSensor:
                 f"the first frame must show at least {_MIN_PINS} pins, got {len(rest)}: check light, threshold and crop"
             )
         return reader, rest, time.perf_counter()
+
+    def _foreign(self, rest: np.ndarray) -> str:
+        """Return in what the places (p, 2), px, of the undeformed tip's pins differ from those that the network learned, in
+        words; empty if in nothing, or without a network."""
+        design = None if self._model is None else design_of(self._model)
+        apart = 0.0 if design is None else pins_apart_px(design, reference_pixels(rest, self._options.size_px))
+        if apart <= MAX_APART_PX:
+            return ""
+        return f"the places of the pins at rest, {apart:.1f} px of 256 away"
 
     def _predicted(self, model: "Model", image: np.ndarray) -> tuple[dict[str, float], dict[str, float]]:
         """Return a network's estimates and their standard deviations by column, from a tactile image (size, size)."""

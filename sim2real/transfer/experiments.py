@@ -17,6 +17,7 @@ import numpy as np
 
 from tactip_twin.learning.configuration import DeviceName, Recipe
 from tactip_twin.learning.data import Samples, read_samples
+from tactip_twin.learning.image_check import MAX_APART_PX, pins_apart_px
 from tactip_twin.learning.model import Model, load_model, load_network, shipped_models
 from tactip_twin.learning.optics_ranges import noiseless
 from tactip_twin.learning.recipes import recipe_named
@@ -30,7 +31,7 @@ from tactip_twin.sim.dataset.sampling import SHEAR_RANGES, Ranges, Split
 from tactip_twin.sim.fast_tip.fast_tip import any_materials, read_fast_tip
 from tactip_twin.sim.labels import FidelityName, Task
 from tactip_twin.sim.parallel.worker_pool import worker_count
-from tactip_twin.sim2real.importing.import_set import read_report
+from tactip_twin.sim2real.importing.import_set import pins_at_rest, read_report
 from tactip_twin.sim2real.transfer.estimated_materials import AFTER, BEFORE, with_estimated_materials
 from tactip_twin.sim2real.transfer.fine_tune import FineTuning, fine_tune
 from tactip_twin.sim2real.transfer.linear_correction import MIN_FRAMES, corrected, write_corrected
@@ -242,8 +243,13 @@ class Experiment:
         return name if variant.noise else noiseless(name)
 
     def design(self) -> Design:
-        """Return the sensor's design: the given one, or one fitted to the neutral image."""
+        """Return the sensor's design: the given one, or one fitted to the neutral image.
+
+        Raises:
+            TactipError: The given one is of another sensor or camera, or the neutral image shows no pins.
+        """
         if self._given_design:
+            self._check_given(self._given_design)
             design = with_camera_drift(self._given_design, camera_of(self.real))
             return replace(design, image=replace(design.image, size_px=self.samples.size))
         if self._fitted is None:
@@ -255,6 +261,16 @@ class Experiment:
             about = {"neutral_image_of": self.real.name, "estimated_materials": materials, **figures}
             write_design(self.out / "design.json", self._fitted, about)
         return self._fitted
+
+    def _check_given(self, design: Design) -> None:
+        """Raise TactipError if a design's pins are not where the set's neutral image has them."""
+        pins = pins_at_rest(self.real)
+        apart = 0.0 if pins is None else pins_apart_px(design, pins)
+        if apart > MAX_APART_PX:
+            raise TactipError(
+                f"the pins of the design {design.name!r} must be within {MAX_APART_PX:g} px of 256 of those in the neutral "
+                f"image, got {apart:.1f} px: give the design that tactip calibrate has fitted to this sensor, or none"
+            )
 
     def _with_materials(self, design: Design) -> tuple[Design, dict[str, float] | None]:
         """Return a design with the materials that the frames show, and these; the design itself and None if they are not to

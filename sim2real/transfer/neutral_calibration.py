@@ -16,7 +16,6 @@ from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.input_images import read_image
 from tactip_twin.tactip_model.neutral_image import fit_neutral
-from tactip_twin.tactip_model.pin_detection import find_blobs
 from tactip_twin.tactip_model.pins import neutral_pins
 from tactip_twin.tactip_model.presets import NOMINAL, nearest_nominal
 from tactip_twin.tactip_model.raster_renderer import Raster
@@ -56,7 +55,6 @@ def fit_design_to_neutral_image(folder: Path, size_px: int) -> tuple[Design, dic
         raise TactipError(
             f"{folder} has no neutral image, and an earlier version made its replacement: import the set again"
         )
-    blobs = len(find_blobs(image).centres)
     nominal = sensor_of(image)
     materials = replace(nominal.materials, kinetic_fraction=_KINETIC_FRACTION)
     design, fit = fit_neutral(replace(nominal, name=folder.resolve().name, materials=materials), image)
@@ -64,7 +62,12 @@ def fit_design_to_neutral_image(folder: Path, size_px: int) -> tuple[Design, dic
     design = with_pin_sizes(design, tactile > 127)
     camera = camera_of(folder)
     design = with_camera_drift(design, camera)
-    found = {"layout": nominal.name, "pins": blobs, "before_px": fit.before_px, "lattice_px": fit.lattice_px}
+    found = {
+        "layout": nominal.name,
+        "pins": len(neutral_pins(design)[0]),
+        "before_px": fit.before_px,
+        "lattice_px": fit.lattice_px,
+    }
     return design, found | {"camera": camera}
 
 

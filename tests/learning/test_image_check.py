@@ -1,6 +1,7 @@
 """Images unlike those that a network learned are counted: the reason in words, and no false alarm on the same sensor."""
 
 import json
+import re
 import shutil
 from dataclasses import replace
 
@@ -14,6 +15,7 @@ from tactip_twin.learning.image_check import image_check
 from tactip_twin.learning.model import Model, load_network
 from tactip_twin.sim2real.sensor.live import LiveSensor
 from tactip_twin.sim2real.sensor.preprocessing_options import ImagePreprocessing
+from tactip_twin.tactip_model.design_file import write_design
 from tactip_twin.tactip_model.pins import neutral_pins
 from tactip_twin.tactip_model.presets import design_named
 from tactip_twin.tactip_model.raster_renderer import Raster
@@ -114,11 +116,41 @@ def write_changed(source, folder, images):
     mend_checksums(folder)
 
 
+def in_color(*images):
+    """Return images (n, n) with three channels."""
+    return [np.repeat(image[..., None], 3, axis=-1) for image in images]
+
+
+def test_live_sensor_tells_another_sensor_by_its_pins_at_rest(images):
+    """As many pins, but elsewhere: no frame has another fault."""
+    frame, at_rest = in_color(images[0], neutral("nominal-127"))
+    moved = np.roll(at_rest, 5, 1)
+    (own,) = LiveSensor([frame], ImagePreprocessing(), load_network("surface-tactip-127"), at_rest)
+    (other,) = LiveSensor([frame], ImagePreprocessing(), load_network("surface-tactip-127"), moved)
+    assert own.unlike == "" and re.fullmatch(r"the places of the pins at rest, \d\.\d px of 256 away", other.unlike)
+
+
+def test_evaluate_of_another_sensor_is_doubted(pressed, tmp_path, capsys):
+    given = ["--samples", "8", "--fidelity", "fast", "--renderer", "raster", "--workers", "1"]
+    design = tmp_path / "turned.json"
+    own = design_named("tactip-127")
+    write_design(design, replace(own, pins=replace(own.pins, rotation_deg=own.pins.rotation_deg + 20)), {})
+    out = str(tmp_path / "set")
+    assert tactip.main(["dataset", "make", "--design", str(design), "--split", "test", "--out", out, *given]) == 0
+    capsys.readouterr()
+    assert tactip.main(["evaluate", "--model", "surface-tactip-127", "--data", out]) == 0
+    said = capsys.readouterr().err
+    assert re.search(r"the pins at rest are \d\.\d px of 256 from those that the network learned \(at most 2\)", said)
+    assert re.search(r"only \d+% of the labels of pose_\w+ are inside of the network's 95 % intervals", said)
+    assert tactip.main(["evaluate", "--model", "surface-tactip-127", "--data", str(pressed)]) == 0
+    assert "the pins at rest" not in capsys.readouterr().err
+
+
 def test_live_sensor_tells_unlike_frames(images):
     """A sector of the lens is covered after the first frame: most pins are there, so the frame has no other fault."""
     masked = images[0].copy()
     masked[:40, 40:88] = 0
-    frames = [np.repeat(image[..., None], 3, axis=-1) for image in (images[0], masked)]
-    whole, part = LiveSensor(frames, ImagePreprocessing(), load_network("surface-tactip-127"))
+    *frames, at_rest = in_color(images[0], masked, neutral("tactip-127"))
+    whole, part = LiveSensor(frames, ImagePreprocessing(), load_network("surface-tactip-127"), at_rest)
     assert whole.unlike == "" and "unlike" not in whole.as_json()
     assert part.as_json()["unlike"] == "the white area of the emptiest sector" and part.predicted

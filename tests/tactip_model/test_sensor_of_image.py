@@ -11,6 +11,7 @@ from tactip_twin.tactip_model.design_file import read_design, write_design
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.neutral_image import fit_neutral, neutral_px
 from tactip_twin.tactip_model.optics import Lens
+from tactip_twin.tactip_model.pin_detection import find_blobs
 from tactip_twin.tactip_model.pins import LATTICES, neutral_pins, plan_positions
 from tactip_twin.tactip_model.presets import NOMINAL
 from tactip_twin.tactip_model.raster_renderer import Raster
@@ -97,12 +98,22 @@ def test_pins_on_no_lattice_are_where_the_image_shows_them(places):
     assert fit.after_px < 0.1 and np.allclose(neutral_px(again), seen, atol=0.1)
 
 
-def test_specks_away_from_free_pins_are_no_pins():
+def test_specks_away_from_free_pins_or_beside_them_are_no_pins():
     hidden = of_places(square_array(7, 14e-3))
     image = neutral_image(hidden)
-    for place in ((12, 240), (468, 240)):
-        cv2.circle(image, place, 6, 255, -1)
-    assert len(sensor_of(image).pins.as_built_m) == 49
+    corner = (neutral_px(hidden)[-1] + 0.5) * 480 / 256 + 6
+    for place in ((12, 240), (468, 240), corner.round().astype(int).tolist()):
+        cv2.circle(image, place, 2, 255, -1)
+    assert len(find_blobs(image).centres) == 52
+    assert sensor_of(image).name == "free-49" and len(sensor_of(image).pins.as_built_m) == 49
+
+
+def test_free_pins_that_are_too_small_to_be_counted_are_refused():
+    image = neutral_image(of_places(square_array(7, 14e-3)))
+    for x, y in (neutral_px(of_places(square_array(3, 9e-3))) + 3) * 480 / 256:
+        image[round(y), round(x)] = 255
+    with pytest.raises(TactipError, match=r"shows 49 pins, and \d white spots of less than 4 px, .* use larger frames"):
+        sensor_of(image)
 
 
 def test_spots_that_are_no_pins_are_refused():

@@ -5,8 +5,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tactip_twin.sim.dataset.symmetry import SYMMETRIES
-from tactip_twin.sim.fast_tip.features import COUNT, features, mirrored, pairs
-from tactip_twin.sim.pose import before_shear, label_of, sensor_in_contact, shear_between
+from tactip_twin.sim.fast_tip.fast_tip import any_materials, read_fast_tip
+from tactip_twin.sim.fast_tip.features import COUNT, features, mirrored, pairs, without_yaw
+from tactip_twin.sim.pose import before_shear, from_mm_deg, label_of, sensor_in_contact, shear_between
 
 TASKS = ("surface", "edge")
 
@@ -29,6 +30,18 @@ def test_features_of_an_edge_do_not_depend_on_the_sensors_rotation(contacts):
     again, turned_yaw = features("edge", np.array(moved), between)
     assert np.allclose(again, plain, atol=1e-9)
     assert np.allclose(turned_yaw - yaw, -0.4, atol=1e-9)
+
+
+def test_any_yaw_of_an_edge_is_known_as_that_of_a_sensor_turned_about_its_axis(contacts):
+    poses, shears = contacts
+    turned = without_yaw(poses + np.array([0, 0, 0, 0, 0, 2.2]))
+    assert np.allclose(features("edge", turned, shears)[1], 0, atol=1e-9)
+    poses = poses * np.array([1, 1, 1, 1, 1, 0]) + from_mm_deg([0, 0, 0, 0, 0, 170])
+    assert np.allclose(features("edge", without_yaw(poses), shears)[0], features("edge", poses, shears)[0], atol=1e-9)
+    tip = read_fast_tip(any_materials("edge"))
+    steep, far = poses + from_mm_deg([0, 0, 0, 40, 0, 0]), poses + from_mm_deg([20, 0, 0, 0, 0, 0])
+    assert not tip.outside(poses, shears).any()
+    assert tip.outside(steep, shears).all() and tip.outside(far, shears).all()
 
 
 @pytest.mark.parametrize("task", TASKS)

@@ -30,6 +30,7 @@ from tactip_twin.sim2real.transfer.real_shear import real_shear
 from tactip_twin.sim2real.transfer.score import score
 from tactip_twin.sim2real.transfer.settings import TransferSettings
 from tactip_twin.sim2real.transfer.sim_gap import sim_to_real_gap
+from tactip_twin.tactip_model.design_file import write_design
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.neutral_image import neutral_px
 from tactip_twin.tactip_model.pins import neutral_pins
@@ -198,8 +199,14 @@ def test_experiment_optics_follow_camera_measurement(lab, tmp_path):
     (known / "import.json").unlink()  # as of a simulated set given instead of a real one
     assert names(known, design="tactip-127") == ["real", "real", "real-clean"]
     (known / "import.json").write_text(json.dumps(report))
-    output = Experiment(known, tmp_path / "out", replace(settings, design="tactip-127")).design()
-    assert output.optics.zoom == 1.01 and output.pins == design_named("tactip-127").pins
+    own = fit_design_to_neutral_image(lab, 128)[0]
+    write_design(tmp_path / "own.json", own, {})
+    given = Experiment(known, tmp_path / "out", replace(settings, design=str(tmp_path / "own.json"))).design()
+    assert given.optics.zoom == 1.01 and given.pins == own.pins
+    with pytest.raises(
+        TactipError, match=r"the pins of the design 'tactip-127' must be within 2 px of 256 .* got \d\.\d px"
+    ):
+        Experiment(known, tmp_path / "out", replace(settings, design="tactip-127")).design()
 
 
 @pytest.mark.slow
