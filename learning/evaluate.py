@@ -112,7 +112,7 @@ def evaluate(model: Model, samples: Samples) -> Evaluation:
     check_compatible(samples, model.labels.task, model.size, model.grey, "the model")
     estimates = model.estimate(samples.images)
     k = len(model.labels.names)
-    predictions = estimates.means[:, :k]
+    predictions = model.labels.unwrapped(estimates.means[:, :k], samples.targets)
     check = image_check(model)
     unlike = check.of(samples.images) if check else (None, "")
     errors = predictions - samples.targets
@@ -149,7 +149,7 @@ def _of_quantities(model: Model, samples: Samples, estimates: Estimates) -> dict
     """Return the figures of what a network estimates beside the pose, and of its deviations, as JSON; empty if nothing."""
     names, k, out = list(model.columns), len(model.labels.names), {}
     targets = np.concatenate([samples.targets, samples.quantities], 1)[:, : len(names)]
-    errors = estimates.means - targets
+    errors = model.labels.unwrapped(estimates.means, targets) - targets
     known = np.asarray(np.isfinite(errors).any(0))
     if known[k:].any():
         chosen = [i for i in range(k, len(names)) if known[i]]

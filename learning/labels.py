@@ -15,6 +15,11 @@ _RANGES = tuple(field.name for field in fields(Ranges))
 """Names of the components' ranges in a configuration, in the order of COMPONENTS."""
 
 
+_ALL_ROUND_DEG = 300.0
+"""Width of a yaw's range above which the network estimates sine and cosine: a number would have to jump by a turn where the
+range ends. Up to it, no yaw is near both ends [?]."""
+
+
 @dataclass(frozen=True)
 class Labels:
     """The k learned components of a task."""
@@ -55,6 +60,24 @@ class Labels:
     def scale(self) -> np.ndarray:
         """Maximum absolute values (k,); squared errors are divided by their squares [P]."""
         return np.abs([self.low, self.high]).max(0)
+
+    @property
+    def circular(self) -> int | None:
+        """Index of the component that comes back to where it began, a yaw all round an edge; None if there is none."""
+        for k, (component, low, high) in enumerate(zip(self.components, self.low, self.high, strict=True)):
+            if component == "Rz" and high - low > _ALL_ROUND_DEG:
+                return k
+        return None
+
+    def unwrapped(self, predictions: np.ndarray, targets: np.ndarray) -> np.ndarray:
+        """Return predictions (n, c), mm and degrees, whose circular component, if there is one, is at most half a turn from
+        that of the targets (n, c)."""
+        k = self.circular
+        if k is None:
+            return predictions
+        out = predictions.copy()
+        out[:, k] -= 360 * np.round((out[:, k] - targets[:, k]) / 360)
+        return out
 
     def of(self, poses: ArrayLike) -> np.ndarray:
         """Return the learned components (n, k) of poses (n, 6), mm and degrees."""

@@ -122,7 +122,7 @@ class Model:
             )
         if images.size and images.max() == 1:
             raise TactipError("images must have values from 0 to 255, and binary ones 0 and 255, got 0 and 1")
-        device, layout = next(self.net.parameters()).device, Layout(self.config, len(self.labels.components))
+        device, layout = next(self.net.parameters()).device, Layout(self.config, self.labels)
         if self.net.training:  # setting it again takes 4 % of an estimate [M]
             self.net.eval()
         out = [torch.zeros((0, layout.size))]
@@ -164,7 +164,8 @@ class Model:
         found = plain.estimate(images)
         assert found.deviations is not None  # noqa: S101
         forces = self._forces(found.means) if self.config.quantities else None
-        return replace(plain, deviation_scale=fit_deviation_scale(found.means - targets, found.deviations, forces))
+        errors = self.labels.unwrapped(found.means, targets) - targets
+        return replace(plain, deviation_scale=fit_deviation_scale(errors, found.deviations, forces))
 
 
 def to_input(images: torch.Tensor) -> torch.Tensor:
@@ -329,7 +330,7 @@ def load_model(folder: str | Path, device: str = "cpu") -> Model:
         raise TactipError(
             f"the weights in {folder} do not match the checksum in {path}: train again, or copy both files again"
         )
-    net = PoseNet(config, size, Layout(config, len(labels.components)).size)
+    net = PoseNet(config, size, Layout(config, labels).size)
     try:
         state = tensors_from_bytes(data)
         if not all(isinstance(tensor, torch.Tensor) and torch.isfinite(tensor).all() for tensor in state.values()):

@@ -181,7 +181,7 @@ class _Estimator(nn.Module):
     def __init__(self, model: Model) -> None:
         super().__init__()
         self._net, self._quantities = copy.deepcopy(model.net).cpu(), model.config.quantities
-        self._layout = Layout(model.config, len(model.labels.components))
+        self._layout = Layout(model.config, model.labels)
         self._scales = torch.from_numpy(model.scales).float()
         self._forces = [model.columns.index(name) for name in FORCES] if self._quantities else []
         self._factors = None if model.deviation_scale is None else _Factors(model.deviation_scale)

@@ -1,8 +1,9 @@
 """Outputs of a network and their loss: means of pose and other quantities, with standard deviations.
 
-    n components: means (n), if `deviations` log standard deviations (n)
+    n components: means (n), if `deviations` log standard deviations (n), if one is circular its cosine
 
-All are over the components' scales. Components are those of the pose, then, if `quantities`, QUANTITIES.
+All but a circular component's sine (in its place among the means) and cosine are over the components' scales. Components are
+those of the pose, then, if `quantities`, QUANTITIES.
 
 Without deviations, the loss of a sample is the sum of the squared errors [P]. With them it is the sum of the negative log
 likelihoods of a normal distribution, each times the 2β-th power of its deviation, taken as a constant: otherwise components
@@ -17,6 +18,7 @@ import torch
 from torch.nn.functional import softplus
 
 from tactip_twin.learning.configuration import PoseNetConfig
+from tactip_twin.learning.labels import Labels
 from tactip_twin.learning.quantities import QUANTITIES
 
 _MIN_LOG_DEVIATION = float(np.log(1e-3))
@@ -38,13 +40,52 @@ class Split:
     """(m, n)."""
     log_deviations: torch.Tensor | None
     """(m, n), or None if the network does not estimate them."""
+    circular: "Circular | None" = None
+    """The component that comes back to where it began, if there is one."""
+
+    def squares(self, targets: torch.Tensor) -> torch.Tensor:
+        """Return the squared errors (m, n) of targets (m, n), over the scales; 0 where a target is NaN.
+
+        That of a circular component is the squared chord between the estimated sine and cosine and those of the target: for
+        small errors that of the angle, and without a jump.
+        """
+        known = torch.isfinite(targets)
+        wanted = torch.where(known, targets, 0.0)
+        squares = (self.means - wanted).square()
+        if self.circular is not None:
+            c = self.circular
+            angle = c.scale_rad * wanted[:, c.index]
+            chord = (c.sine - angle.sin()).square() + (c.cosine - angle.cos()).square()
+            columns = list(squares.unbind(1))
+            columns[c.index] = chord / c.scale_rad**2
+            squares = torch.stack(columns, 1)
+        return torch.where(known, squares, 0.0)
+
+
+@dataclass(frozen=True)
+class Circular:
+    """A circular component as a network estimates it."""
+
+    index: int
+    """Its place among the components."""
+    scale_rad: float
+    """Its scale, rad."""
+    sine: torch.Tensor
+    """(m,), about the sine."""
+    cosine: torch.Tensor
+    """(m,), about the cosine."""
 
 
 class Layout:
     """Arrangement of a network's outputs."""
 
-    def __init__(self, config: PoseNetConfig, components: int) -> None:
-        """Take the network, and the number of its components of the pose."""
+    def __init__(self, config: PoseNetConfig, labels: Labels) -> None:
+        """Take the network, and the components of the pose that it estimates."""
+        components = len(labels.components)
+        self.circular, self._scale_rad = labels.circular, 1.0
+        """Place of the circular component; None if there is none."""
+        if self.circular is not None:
+            self._scale_rad = float(np.radians(labels.scale[self.circular]))
         self.components = components + (len(QUANTITIES) if config.quantities else 0)
         """Number of means."""
         self._deviations = config.deviations
@@ -52,7 +93,7 @@ class Layout:
     @property
     def size(self) -> int:
         """Number of outputs."""
-        return self.components * (2 if self._deviations else 1)
+        return self.components * (2 if self._deviations else 1) + (self.circular is not None)
 
     def split(self, raw: torch.Tensor) -> Split:
         """Return the parts of outputs (m, size)."""
@@ -62,14 +103,23 @@ class Layout:
             # Above the minimum, and nearly the identity well above it.
             logs = _MIN_LOG_DEVIATION + softplus(raw[:, n : 2 * n] + _INITIAL_LOG_DEVIATION - _MIN_LOG_DEVIATION)
             logs = logs.clamp(max=_MAX_LOG_DEVIATION)
-        return Split(raw[:, :n], logs)
+        means = raw[:, :n]
+        if self.circular is None:
+            return Split(means, logs)
+        sine, cosine = means[:, self.circular], raw[:, -1]
+        columns = list(means.unbind(1))
+        columns[self.circular] = torch.atan2(sine, cosine) / self._scale_rad
+        return Split(torch.stack(columns, 1), logs, Circular(self.circular, self._scale_rad, sine, cosine))
 
     def rows_of(self, earlier: "Layout") -> list[tuple[int, int]]:
         """Return pairs of output rows, of this layout and of an `earlier` one of the same pose, that mean the same."""
         shared = min(self.components, earlier.components)
-        pairs = [(k, k) for k in range(shared)]
+        same = self.circular == earlier.circular
+        pairs = [(k, k) for k in range(shared) if same or k not in (self.circular, earlier.circular)]
         if self._deviations and earlier._deviations:
             pairs += [(self.components + k, earlier.components + k) for k in range(shared)]
+        if self.circular is not None and self.circular == earlier.circular:
+            pairs.append((self.size - 1, earlier.size - 1))
         return pairs
 
 
@@ -81,12 +131,11 @@ def losses(split: Split, targets: torch.Tensor, beta: float) -> torch.Tensor:
         targets: (m, n) over the components' scales.
         beta: Exponent β of the negative log likelihoods; 0: without weights.
     """
-    known = torch.isfinite(targets)
-    errors = torch.where(known, split.means - torch.where(known, targets, 0.0), 0.0)
+    known, squares = torch.isfinite(targets), split.squares(targets)
     if split.log_deviations is None:
-        return errors.square().sum(1)
+        return squares.sum(1)
     logs = split.log_deviations
-    each = 0.5 * errors.square() * torch.exp(-2 * logs) + logs
+    each = 0.5 * squares * torch.exp(-2 * logs) + logs
     if beta:
         each = each * torch.exp(2 * beta * logs.detach())
     return torch.where(known, each, 0.0).sum(1)
@@ -104,8 +153,7 @@ def scaled_loss(split: Split, targets: torch.Tensor) -> torch.Tensor:
     if split.log_deviations is None:
         return losses(split, targets, beta=0.0).mean()
     known = torch.isfinite(targets)
-    errors = torch.where(known, split.means - torch.where(known, targets, 0.0), 0.0)
     logs, count = torch.where(known, split.log_deviations, 0.0), known.sum(0).clamp(min=1)
-    square = (errors * torch.exp(-logs)).square().sum(0) / count
+    square = (split.squares(targets) * torch.exp(-2 * logs)).sum(0) / count
     each = 0.5 + 0.5 * square.clamp(min=1e-12).log() + logs.sum(0) / count
     return (each * known.to(each.dtype).mean(0)).sum()

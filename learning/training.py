@@ -101,7 +101,7 @@ class Training:
             raise TactipError(
                 f"the set in {train.folder} has no forces to learn from, as simulated sets have: add --network.no-quantities"
             )
-        self.layout = Layout(config, len(self.labels.components))
+        self.layout = Layout(config, self.labels)
         """Arrangement of the outputs."""
         self.device = device_named(device)
         self._half = is_half(settings.precision, self.device)
@@ -355,13 +355,15 @@ def initial_state(
     ratio = torch.from_numpy((init_from.labels.scale / samples.labels.scale).astype(np.float32))
     last = len(init_from.net.dense) - 1
     components = len(samples.labels.components)
-    old, new = Layout(init_from.config, components), Layout(config, components)
+    old, new = Layout(init_from.config, init_from.labels), Layout(config, samples.labels)
+    if old.circular is not None and old.circular == new.circular:
+        ratio[old.circular] = 1.0  # a sine has no scale
     weight, bias = f"dense.{last}.weight", f"dense.{last}.bias"
     state[weight][:components] *= ratio[:, None]
     state[bias][:components] *= ratio
     if init_from.config.deviations:
         state[bias][old.components : old.components + components] += ratio.log()
-    if random is not None and old.size != new.size:
+    if random is not None and (old.size, old.circular) != (new.size, new.circular):
         own, old_rows = zip(*new.rows_of(old), strict=True)
         for name in (weight, bias):
             values = random[name].clone()

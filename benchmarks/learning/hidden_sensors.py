@@ -33,7 +33,9 @@ from tactip_twin.sim2real.transfer.pseudo_real import FRAME_PX, HiddenSet, hidde
 from tactip_twin.sim2real.transfer.rig_faults import typical_rig_faults
 from tactip_twin.sim2real.transfer.score import score
 from tactip_twin.sim2real.transfer.settings import PseudoKind
+from tactip_twin.tactip_model.design import Pins
 from tactip_twin.tactip_model.errors import TactipError, lookup
+from tactip_twin.tactip_model.pins import neutral_pins
 
 SHOTS = 50
 """Number of labelled frames of the linear correction."""
@@ -46,6 +48,18 @@ TARGETS = {
 
 _EDGE = Ranges(x_mm=(-5, 5), depth_mm=(-5.5, -1.5), yaw_deg=(-45, 45))
 """Poses on edges: published sets have no tilts."""
+
+_ALL_ROUND = Ranges(x_mm=(-5, 5), depth_mm=(-5.5, -1.5), yaw_deg=(-180, 180))
+"""Poses on an edge that the sensor meets from every side."""
+
+_SIDE = np.linspace(-12e-3, 12e-3, 7)
+_SQUARE = Pins(
+    "free",
+    rings=4,
+    pitch_m=4e-3,
+    as_built_m=tuple((float(x), float(y)) for x in _SIDE for y in _SIDE),
+)
+"""A square array of 49 pins."""
 
 _DEEP = Ranges(depth_mm=(-5.5, -2.5), roll_deg=(-15, 15), pitch_deg=(-15, 15))
 """Poses on a surface that show no light touch."""
@@ -67,6 +81,8 @@ class Sensor:
     """Whether its set has a neutral image."""
     poses: Ranges | None = None
     """Ranges of its poses. Default: those of its task."""
+    pins: Pins | None = None
+    """Its pins. Default: those of the preset."""
 
 
 SENSORS = {
@@ -75,10 +91,13 @@ SENSORS = {
     "surface-c": Sensor("surface", "nominal-331", 103, 0.8, neutral_image=False),
     "surface-d": Sensor("surface", "nominal-127", 104, 1.8),
     "surface-e": Sensor("surface", "nominal-331", 109, 1.0, neutral_image=False, poses=_DEEP),
+    "surface-f": Sensor("surface", "nominal-127", 110, 0.8, pins=Pins("hexagonal", rings=4, pitch_m=4.4e-3)),
+    "surface-g": Sensor("surface", "nominal-127", 111, 0.6, pins=_SQUARE),
     "edge-a": Sensor("edge", "nominal-127", 105, 1.2),
     "edge-b": Sensor("edge", "nominal-331", 106, 0.5),
     "edge-c": Sensor("edge", "nominal-127", 107, 1.8),
     "edge-d": Sensor("edge", "nominal-331", 108, 0.3, neutral_image=False),
+    "edge-e": Sensor("edge", "nominal-127", 112, 0.6, poses=_ALL_ROUND),
 }
 """Hidden sensors by name. Frictions span 0.3 to 1.8."""
 
@@ -116,14 +135,14 @@ def _measured(sensor: Sensor, folder: Path, options: HiddenSensorsOptions, log: 
         faults,
         sensor.neutral_image,
     )
-    design = hidden_design(sensor.design, sensor.seed, sensor.friction)
+    design = hidden_design(sensor.design, sensor.seed, sensor.friction, sensor.pins)
     lab = make_lab(folder, design, what, worker_count(options.workers), log)
     start, resumed = time.perf_counter(), (folder / "transfer").exists()
     given = Layout(ColumnMap(task=sensor.task))
     recording = read_recording(lab, given.column_map)
     outcome = {
         "task": sensor.task,
-        "pins": int(sensor.design.rpartition("-")[2]),
+        "pins": len(neutral_pins(design)[0]),
         "friction": sensor.friction,
         "neutral_image": sensor.neutral_image,
     }
@@ -161,7 +180,8 @@ def _with_truth(samples: Samples, contacts: Path, found: FoundLayout) -> Samples
 def _figures(values: np.ndarray, samples: Samples) -> dict[str, dict[str, float]]:
     """Return mean absolute errors of values (n, k or more) on samples, with and without their median, and that median, by
     component."""
-    errors = values[:, : samples.targets.shape[1]] - samples.targets
+    found = samples.labels.unwrapped(values[:, : samples.targets.shape[1]], samples.targets)
+    errors = found - samples.targets
     offsets = np.median(errors, 0)
     columns = {"mae": np.abs(errors).mean(0), "mae_zeroed": np.abs(errors - offsets).mean(0), "offset": offsets}
     return {

@@ -24,6 +24,7 @@ from tactip_twin.learning.recipes import recipe_named
 from tactip_twin.learning.train import train
 from tactip_twin.learning.training import initial_state
 from tactip_twin.sim.contact.fidelity import fidelity_named
+from tactip_twin.sim.contact.limits import MAX_TILT_RAD, exceeds_max_tilt
 from tactip_twin.sim.dataset.configuration import Configuration
 from tactip_twin.sim.dataset.generate import Job, make
 from tactip_twin.sim.dataset.mechanics_randomization import MECHANICS_RANDOMIZATIONS
@@ -31,6 +32,7 @@ from tactip_twin.sim.dataset.sampling import SHEAR_RANGES, Ranges, Split
 from tactip_twin.sim.fast_tip.fast_tip import any_materials, read_fast_tip
 from tactip_twin.sim.labels import FidelityName, Task
 from tactip_twin.sim.parallel.worker_pool import worker_count
+from tactip_twin.sim.pose import from_mm_deg
 from tactip_twin.sim2real.importing.import_set import pins_at_rest, read_report
 from tactip_twin.sim2real.transfer.estimated_materials import AFTER, BEFORE, with_estimated_materials
 from tactip_twin.sim2real.transfer.fine_tune import FineTuning, fine_tune
@@ -93,6 +95,21 @@ class RealSplit:
     """Frames whose labels may be used."""
     test: Samples
     """Frames for testing only."""
+
+
+def _possible(samples: Samples, log: Callable[[str], None]) -> Samples:
+    """Return the samples without those that are tilted more than any simulated contact, and say how many these are."""
+    poses = from_mm_deg(samples.dataset.poses[samples.rows])
+    steep = exceeds_max_tilt(poses, from_mm_deg(samples.shears))
+    limit = f"{np.degrees(MAX_TILT_RAD):g} degrees"
+    if steep.all():
+        raise TactipError(
+            f"some frames in {samples.folder} must be tilted by at most {limit}, as simulated contacts are, got none of "
+            f"{len(samples)}"
+        )
+    if steep.any():
+        log(f"{steep.sum()} of {len(samples)} frames are left out: no simulated contact is tilted by more than {limit}")
+    return samples.take(~steep) if steep.any() else samples
 
 
 def split_of(samples: Samples, settings: TransferSettings) -> RealSplit:
@@ -174,7 +191,7 @@ class Experiment:
         self._device: DeviceName = device
         self._workers, self.log = worker_count(workers), log
         remove_leftovers(self.out)
-        self.samples = read_samples(self.real)
+        self.samples = _possible(read_samples(self.real), log)
         if self.samples.grey:
             raise TactipError(f"experiments need binary images, but those in {self.real} are grey: import without --grey")
         self.split = split_of(self.samples, settings)
@@ -378,6 +395,7 @@ class Experiment:
         ranges["depth_mm"] = (low, min(high, 0.0))
         if self.task == "surface":
             widest = max(abs(x) for name in ("roll_deg", "pitch_deg") for x in ranges[name])
+            widest = min(widest, round(float(np.degrees(MAX_TILT_RAD)), 9))
             ranges |= {"roll_deg": (-widest, widest), "pitch_deg": (-widest, widest)}
             ranges |= {name: (0.0, 0.0) for name in ("x_mm", "y_mm", "yaw_deg")}
         return Ranges(**ranges)

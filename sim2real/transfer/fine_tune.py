@@ -116,7 +116,7 @@ def recorded(folder: Path, record: dict[str, Any], kind: str) -> dict[str, Any] 
 
 def _steps(model: Model, simulated: Samples, real: Samples, settings: FineTuning, device: str) -> dict[str, torch.Tensor]:
     """Return the state dict of the network after the steps."""
-    net, layout = model.net.to(device), Layout(model.config, len(model.labels.components))
+    net, layout = model.net.to(device), Layout(model.config, model.labels)
     before = {name: tensor.clone() for name, tensor in net.state_dict().items()}
     augmented = OpticsAugmentation(simulated, 1.0, OPTICS[settings.optics_ranges], device)
     images = torch.from_numpy(real.images).to(device)

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from scipy.spatial.transform import Rotation
 from torch import nn
 
 from tactip_twin.learning.data import Samples
@@ -112,12 +113,15 @@ def corrected(model: Model, real: Samples) -> tuple[Model, LinearCorrection]:
     if len(real) < MIN_FRAMES:
         raise TactipError(f"a linear correction needs at least {MIN_FRAMES} real frames, got {len(real)}")
     estimates, count = model.estimate(real.images), len(model.labels.components)
+    poses = model.labels.unwrapped(estimates.means[:, :count], real.targets)
     varies = real.targets.std(0) > MIN_SPREAD * model.labels.scale  # the others get an offset only
-    correction = fit_linear_correction(estimates.means[:, :count], real.targets, model.labels.units, varies)
+    if model.labels.circular is not None:
+        varies[model.labels.circular] = False
+    correction = fit_linear_correction(poses, real.targets, model.labels.units, varies)
     net = _with_outputs(model, correction)
     if estimates.deviations is None:
         return replace(model, net=net), correction
-    errors = correction(estimates.means[:, :count]) - real.targets
+    errors = correction(poses) - real.targets
     errors = errors * np.sqrt(len(real) / np.maximum(len(real) - correction.freedoms, 1.0))
     found = fit_deviation_scale(errors, estimates.deviations[:, :count], None).factors[0]
     factors = np.ones(len(model.columns))
@@ -133,10 +137,18 @@ def _with_outputs(model: Model, correction: LinearCorrection) -> PoseNet:
     shift = correction.middle + correction.offset - correction.matrix @ correction.middle
     last = net.dense[-1]
     assert isinstance(last, nn.Linear)  # noqa: S101
+    k = model.labels.circular
+    if k is not None:
+        shift[k] = 0.0
     with torch.no_grad():
         weight, bias = last.weight[:count].double().cpu(), last.bias[:count].double().cpu()
         last.weight[:count] = (matrix @ weight).to(last.weight)
         last.bias[:count] = (matrix @ bias + torch.from_numpy(shift / scale)).to(last.bias)
+        if k is not None:  # its outputs are a sine, and last a cosine
+            turn = Rotation.from_rotvec([0, 0, np.radians(correction.offset[k])]).as_matrix()[:2, :2]
+            for outputs in (last.weight, last.bias):
+                both = torch.stack([outputs[-1], outputs[k]])
+                outputs[-1], outputs[k] = torch.tensordot(torch.from_numpy(turn).to(both), both, 1)
     return net
 
 

@@ -27,12 +27,13 @@ from tactip_twin.sim2real.importing.layout import Layout
 from tactip_twin.sim2real.importing.source import read_source
 from tactip_twin.sim2real.transfer.rig_faults import RigFaults
 from tactip_twin.sim2real.transfer.settings import PseudoKind
-from tactip_twin.tactip_model.design import Design
+from tactip_twin.tactip_model.design import Design, Pins
 from tactip_twin.tactip_model.design_file import design_as_dict
 from tactip_twin.tactip_model.files import remove_leftovers, write_file
 from tactip_twin.tactip_model.pins import neutral_pins
 from tactip_twin.tactip_model.presets import design_named
 from tactip_twin.tactip_model.raster_renderer import Raster
+from tactip_twin.tactip_model.sensor_of_image import with_pins
 from tactip_twin.tactip_model.tactile_image import tactile_image
 
 FRAME_PX = {"nominal-127": 256, "nominal-331": 360}
@@ -54,12 +55,21 @@ _COLUMNS = {
 }
 
 
-def hidden_design(name: str, seed: int, friction: float | None = None) -> Design:
-    """Return the design of a hidden sensor similar to a preset; with the friction, if it is given."""
+def hidden_design(name: str, seed: int, friction: float | None = None, pins: Pins | None = None) -> Design:
+    """Return the design of a hidden sensor similar to a preset.
+
+    Args:
+        name: Name of the preset.
+        seed: Seed of what is random.
+        friction: Its friction, -; None: random.
+        pins: Layout and pitch of its pins, or, if `free`, their places; None: those of the preset.
+    """
     rng = np.random.default_rng((seed, 77))
     plain = MECHANICS_RANDOMIZATIONS["real"].sample(design_named(name), rng)
     if friction is not None:
         plain = replace(plain, materials=replace(plain.materials, friction=friction))
+    if pins is not None:
+        plain = with_pins(plain, pins, plain.name)
     o, p = plain.optics, plain.pins
     optics = replace(
         o,
@@ -69,12 +79,13 @@ def hidden_design(name: str, seed: int, friction: float | None = None) -> Design
         camera_offset_m=tuple(float(x) for x in rng.uniform(-0.3e-3, 0.3e-3, 2)),
     )
     count = len(neutral_pins(plain)[0])
+    places = np.array(p.as_built_m) if p.layout == "free" else np.zeros((count, 2))
     pins = replace(
         p,
         rotation_deg=float(p.rotation_deg + rng.uniform(-6, 6)),
         diameter_m=float(p.diameter_m * rng.uniform(0.9, 1.15)),
         rim_diameter_m=float(p.rim_diameter_m * rng.uniform(*_RIM_DIAMETERS[name])),
-        as_built_m=tuple((float(x), float(y)) for x, y in rng.normal(0, 0.08e-3, (count, 2))),
+        as_built_m=tuple((float(x), float(y)) for x, y in places + rng.normal(0, 0.08e-3, (count, 2))),
     )
     return replace(plain, name=f"hidden-{seed}", optics=optics, pins=pins)
 

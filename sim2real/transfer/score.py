@@ -33,7 +33,7 @@ def score(model: Estimator, samples: Samples) -> dict[str, Any]:
     network's intervals of that probability, if it has standard deviations.
     """
     estimates, count = model.estimate(samples.images), len(samples.labels.components)
-    predictions = estimates.means[:, :count]
+    predictions = samples.labels.unwrapped(estimates.means[:, :count], samples.targets)
     errors = predictions - samples.targets
     names = samples.labels.names
     zeroed = errors - np.where([name == "pose_z" for name in names], np.median(errors, 0), 0.0)

@@ -243,7 +243,7 @@ def write_model(folder, root):
     config = PoseNetConfig(conv_layers=2, filters=2, dense_units=4, deviations=True, quantities=True)
     labels = labels_of({"task": "surface", "pose": {"depth_mm": [-5, -1], "roll_deg": [-15, 15], "pitch_deg": [-15, 15]}})
     torch.manual_seed(0)
-    layout = OutputLayout(config, len(labels.components))
+    layout = OutputLayout(config, labels)
     scale = DeviationScale((0.1, 1.0), ((1.5,) * layout.components, (1.1,) * layout.components))
     save_model(folder, PoseNet(config, 40, layout.size).state_dict(), config, labels, 40, {}, scale)
 

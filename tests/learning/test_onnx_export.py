@@ -2,6 +2,7 @@
 
 import json
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -21,15 +22,16 @@ from tactip_twin.tactip_model.errors import TactipError
 SMALL = {"conv_layers": 2, "filters": 4, "dense_units": 8}
 
 
-def untrained(config, size=40, scale=None, task="edge"):
+def untrained(config, size=40, scale=None, task="edge", ranges=POSE_RANGES):
     """Return a model with random weights."""
-    low, high = np.delete(POSE_RANGES[task].bounds(), 1, 0).T.tolist()  # an edge has no place along it
+    low, high = np.delete(ranges[task].bounds(), 1, 0).T.tolist()  # an edge has no place along it
     torch.manual_seed(0)
-    net = PoseNet(config, size, Layout(config, 5).size)
+    labels = Labels(task, tuple(low), tuple(high))
+    net = PoseNet(config, size, Layout(config, labels).size)
     for layer in net.modules():
         if isinstance(layer, torch.nn.BatchNorm2d):
             layer.running_mean.uniform_(-0.1, 0.1)
-    return Model(net, config, Labels(task, tuple(low), tuple(high)), size, {}, scale)
+    return Model(net, config, labels, size, {}, scale)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -51,6 +53,13 @@ def installed():
 )
 def test_every_kind_of_network_agrees_with_torch(config):
     model = untrained(config)
+    images = np.random.default_rng(1).integers(0, 2, (5, 40, 40), np.uint8) * 255
+    assert difference(model, onnx_bytes(model), images) <= MAX_DIFFERENCE
+
+
+def test_yaw_all_round_agrees_with_torch():
+    ranges = {"edge": replace(POSE_RANGES["edge"], yaw_deg=(-180.0, 180.0))}
+    model = untrained(PoseNetConfig(**SMALL, deviations=True, quantities=True), ranges=ranges)
     images = np.random.default_rng(1).integers(0, 2, (5, 40, 40), np.uint8) * 255
     assert difference(model, onnx_bytes(model), images) <= MAX_DIFFERENCE
 

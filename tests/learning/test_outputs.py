@@ -12,6 +12,7 @@ from helpers.learning_sets import add_pins, write_fake_set, write_fake_splits
 from helpers.trainings import NET, QUICK, quiet
 from tactip_twin.learning.configuration import PoseNetConfig
 from tactip_twin.learning.data import read_samples, read_splits
+from tactip_twin.learning.labels import Labels
 from tactip_twin.learning.model import load_model
 from tactip_twin.learning.outputs import Layout, Split, losses, scaled_loss
 from tactip_twin.learning.quantities import CONTACT_FORCE_N, QUANTITIES, contact_probability, forces_of
@@ -25,6 +26,8 @@ from tactip_twin.tactip_model.raster_renderer import Raster
 from tactip_twin.tactip_model.tactile_image import tactile_image
 
 FULL = replace(NET, deviations=True, quantities=True)
+SURFACE = Labels("surface", (-5.0, -15.0, -15.0), (-1.0, 15.0, 15.0))
+ALL_ROUND = Labels("edge", (-5.0, -5.0, -15.0, -15.0, -180.0), (5.0, -1.0, 15.0, 15.0, 180.0))
 
 
 def random_split(m=40, n=3):
@@ -36,7 +39,7 @@ def random_split(m=40, n=3):
 @pytest.mark.parametrize("raw_log_deviation", [-1e4, 0.0, 271.0, 1e4])
 def test_loss_is_finite_whatever_a_network_says(raw_log_deviation):
     """A network trained on 127 pins said 271 for the image of a 331-pin tip, and the weight of its loss overflowed."""
-    layout = Layout(FULL, 3)
+    layout = Layout(FULL, SURFACE)
     raw = torch.full((2, layout.size), 60.0)
     raw[:, layout.components :] = raw_log_deviation
     raw.requires_grad_()
@@ -97,9 +100,38 @@ def test_losses_unknown_targets_do_not_count():
     assert found[5] == 0
 
 
+@pytest.mark.parametrize("deviations", [False, True])
+def test_circular_component_has_no_end(deviations):
+    """A yaw of 179 degrees is 2 degrees from one of -179, in the loss and in the estimates."""
+    assert ALL_ROUND.circular == 4 and SURFACE.circular is None
+    assert replace(ALL_ROUND, low=(*ALL_ROUND.low[:4], -100.0), high=(*ALL_ROUND.high[:4], 100.0)).circular is None
+    layout = Layout(replace(NET, deviations=deviations, quantities=False), ALL_ROUND)
+    assert layout.size == 5 * (1 + deviations) + 1
+    raw = torch.zeros(3, layout.size, dtype=torch.float64)
+    angles = torch.tensor([179.0, -179.0, 30.0], dtype=torch.float64).deg2rad()
+    raw[:, 4], raw[:, -1] = angles.sin(), angles.cos()
+    split, targets = layout.split(raw), torch.zeros(3, 5, dtype=torch.float64)
+    assert torch.allclose(split.means[:, 4] * 180, torch.tensor([179.0, -179.0, 30.0], dtype=torch.float64))
+    targets[:, 4] = torch.tensor([-179.0, 179.0, 28.0]) / 180
+    assert torch.allclose(split.squares(targets)[:, 4], torch.tensor((2 / 180) ** 2, dtype=torch.float64), rtol=1e-3)
+    targets[0, 4] = torch.nan
+    assert split.squares(targets)[0, 4] == 0
+    predictions = np.array([[0, 0, 0, 0, 179.0], [0, 0, 0, 0, -179.0], [0, 0, 0, 0, 30.0]])
+    near = ALL_ROUND.unwrapped(predictions, np.array([[0.0, 0, 0, 0, -179], [0, 0, 0, 0, 179], [0, 0, 0, 0, 28]]))
+    assert near[:, 4].tolist() == [-181.0, 181.0, 30.0]
+    assert SURFACE.unwrapped(predictions[:, :3], predictions[:, :3]) is not None
+
+
+def test_rows_of_a_circular_component_are_shared_with_its_like_only():
+    round_edge, plain = (Layout(FULL, one) for one in (ALL_ROUND, replace(ALL_ROUND, high=(5.0, -1.0, 15.0, 15.0, 45.0))))
+    assert (4, 4) in plain.rows_of(plain) and (4, 4) in round_edge.rows_of(round_edge)
+    assert (round_edge.size - 1, round_edge.size - 1) in round_edge.rows_of(round_edge)
+    assert (4, 4) not in round_edge.rows_of(plain) and (4, 4) not in plain.rows_of(round_edge)
+
+
 @pytest.mark.parametrize(("deviations", "quantities"), [(False, False), (True, False), (False, True), (True, True)])
 def test_layout_parts_fill_the_outputs(deviations, quantities):
-    layout = Layout(PoseNetConfig(deviations=deviations, quantities=quantities), 3)
+    layout = Layout(PoseNetConfig(deviations=deviations, quantities=quantities), SURFACE)
     split = layout.split(torch.randn(2, layout.size))
     assert layout.components == split.means.shape[1] == 3 + quantities * len(QUANTITIES)
     assert (split.log_deviations is not None) == deviations

@@ -22,7 +22,7 @@ from tactip_twin.sim.contact.simulator import ContactSimulator
 from tactip_twin.sim.dataset.format import read_meta, read_rows
 from tactip_twin.sim.fast_tip.fast_tip import any_materials, read_fast_tip
 from tactip_twin.sim.pose import from_mm_deg
-from tactip_twin.sim2real.transfer.experiments import ABLATIONS, Experiment, split_of
+from tactip_twin.sim2real.transfer.experiments import ABLATIONS, Experiment, _possible, split_of
 from tactip_twin.sim2real.transfer.fine_tune import FineTuning, fine_tune
 from tactip_twin.sim2real.transfer.neutral_calibration import fit_design_to_neutral_image
 from tactip_twin.sim2real.transfer.pseudo_real import hidden_design
@@ -177,6 +177,19 @@ def test_training_sets_are_predicted_by_the_learned_tip(lab, tiny, tmp_path, cap
         assert meta["configuration"]["fast_tip"] == read_fast_tip(any_materials("surface")).digest
         assert meta["configuration"]["mechanics_randomization"]["friction"] > 1
         assert "0" in {row["steps"] for row in read_rows(folder, meta)}
+
+
+def test_frames_steeper_than_simulated_contacts_are_left_out(lab):
+    samples, said = read_samples(lab), []
+    poses = samples.dataset.poses.copy()
+    poses[:5, 4] = 34.0
+    found = _possible(replace(samples, dataset=replace(samples.dataset, poses=poses)), said.append)
+    assert found.rows.tolist() == list(range(5, len(samples)))
+    assert said == [f"5 of {len(samples)} frames are left out: no simulated contact is tilted by more than 30 degrees"]
+    assert _possible(samples, said.append) is samples
+    poses[:, 4] = 34.0
+    with pytest.raises(TactipError, match=f"tilted by at most 30 degrees, .* got none of {len(samples)}"):
+        _possible(replace(samples, dataset=replace(samples.dataset, poses=poses)), said.append)
 
 
 def test_experiment_optics_follow_camera_measurement(lab, tmp_path):

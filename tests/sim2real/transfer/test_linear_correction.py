@@ -9,7 +9,9 @@ from helpers.learning_sets import write_fake_splits
 from helpers.trainings import NET, QUICK, quiet
 from tactip_twin.learning.data import read_splits
 from tactip_twin.learning.model import load_model
+from tactip_twin.sim.dataset.sampling import POSE_RANGES
 from tactip_twin.sim2real.transfer.linear_correction import corrected, fit_linear_correction, write_corrected
+from tactip_twin.sim2real.transfer.score import score
 from tactip_twin.tactip_model.errors import TactipError
 
 UNITS = ("mm", "°", "°")
@@ -80,6 +82,28 @@ def test_correction_is_in_the_weights(trained):
     assert np.allclose(ratio[:, 3:], 1, atol=1e-6) and np.allclose(ratio, ratio[0], rtol=1e-5)
     inside = (np.abs(after.means[:, :3] - samples.targets) < 2 * after.deviations[:, :3]).mean(0)
     assert (inside > 0.85).all()
+
+
+def test_yaw_all_round_is_corrected_by_a_turn(tmp_path):
+    """Without a jump where the yaw begins again: its outputs are a sine and a cosine."""
+    pose = replace(POSE_RANGES["edge"], yaw_deg=(-180.0, 180.0))
+    splits = read_splits(write_fake_splits(tmp_path / "set", "edge", samples=48, pose=pose))
+    quiet(*splits, replace(NET, deviations=True), QUICK, tmp_path / "network")
+    model, samples = load_model(tmp_path / "network"), splits[0]
+    yaw = model.labels.circular
+    estimates = model.predict(samples.images)
+    assert yaw == 4 and np.abs(estimates[:, yaw]).max() <= 180
+    # Labels of a rig whose zero is turned by 100 degrees.
+    labels = estimates.copy()
+    labels[:, yaw] = (labels[:, yaw] + 100 + 180) % 360 - 180
+    found, correction = corrected(model, replace(samples, targets=labels))
+    after = found.predict(samples.images)
+    assert np.allclose(found.labels.unwrapped(after, labels), labels, atol=0.5)
+    assert correction.offset[yaw] == pytest.approx(100, abs=0.5) and not correction.matrix[:yaw, yaw].any()
+    assert np.abs(after[:, yaw]).max() <= 180
+    # And the score counts 359 degrees as one.
+    whole = score(found, replace(samples, targets=np.where(np.arange(5) == yaw, labels + 359, labels)))
+    assert whole["mae"]["pose_Rz"] == pytest.approx(1.0, abs=0.5)
 
 
 def test_written_network_is_kept_and_is_of_its_frames(trained, tmp_path):
