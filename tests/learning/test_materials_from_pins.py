@@ -21,7 +21,7 @@ def model_of(task):
 
 
 @pytest.mark.parametrize("task", ["surface", "edge"])
-@pytest.mark.parametrize("where", [0.25, 0.75])
+@pytest.mark.parametrize("where", [0.25, pytest.param(0.75, marks=pytest.mark.slow)])
 def test_materials_and_better_poses_follow_from_pins_alone(task, where):
     model, rng = model_of(task), np.random.default_rng(0)
     low, high = model.material_ranges.T

@@ -34,7 +34,7 @@ def frames_of(design, count=60):
     return np.stack([tactile_image(frame, design.image) for frame in frames])
 
 
-@pytest.mark.parametrize(("friction", "stiffness"), [(0.5, 1.4), (0.9, 0.6)])
+@pytest.mark.parametrize(("friction", "stiffness"), [(0.5, 1.4), pytest.param(0.9, 0.6, marks=pytest.mark.slow)])
 def test_materials_are_those_that_made_the_frames(friction, stiffness):
     m = DESIGN.materials
     true = replace(m, friction=friction, skin_young_pa=stiffness * m.skin_young_pa, kinetic_fraction=0.75)
