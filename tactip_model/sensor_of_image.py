@@ -55,6 +55,18 @@ def sensor_of(image: np.ndarray) -> Design:
     return replace(design, name=f"free-{len(design.pins.as_built_m)}")
 
 
+def fit_lattice(image: np.ndarray, count: float) -> tuple[Design, NeutralFit] | None:
+    """Return the fit of the lattice of about `count` pins that explains a binary image (h, w) uint8 best; None if there is
+    none. The first that explains it well is taken."""
+    fits: list[tuple[Design, NeutralFit]] = []
+    for nominal in lattices_of(count):
+        with suppress(TactipError):  # not on this lattice
+            fits.append(fit_neutral(nominal, image))
+            if off_lattice(fits[-1][1]) < _MAX_OFF_LATTICE:
+                return fits[-1]
+    return min(fits, key=lambda fit: fit[1].lattice_px) if fits else None
+
+
 def free_sensor(count: float) -> Design:
     """Return a nominal design with free pins, whose positions a fit takes from an image, for about `count` pins."""
     nominal = NOMINAL[nearest_nominal(count)]

@@ -8,7 +8,6 @@ large, but their signs and axes are right.
 
 import itertools
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -29,7 +28,7 @@ from tactip_twin.tactip_model.neutral_image import NeutralFit, camera_change, fi
 from tactip_twin.tactip_model.optics import REFERENCE_PX, Lens
 from tactip_twin.tactip_model.pin_detection import PinMatcher, find_blobs
 from tactip_twin.tactip_model.presets import design_named
-from tactip_twin.tactip_model.sensor_of_image import lattices_of, sensor_of
+from tactip_twin.tactip_model.sensor_of_image import fit_lattice, sensor_of
 
 FRAMES = 120
 """Number of frames that are read."""
@@ -289,11 +288,8 @@ def _least_deformed(images: list[np.ndarray]) -> tuple[Design, NeutralFit]:
         float(np.linalg.norm(c - c.mean(0), axis=1).mean()) if abs(len(c) - usual) <= (1 - _MIN_DETECTED) * usual else np.inf
         for c in centres
     ]
-    fits = []
-    for k in np.argsort(spreads, kind="stable")[:_TRIED_AT_REST]:
-        for nominal in lattices_of(usual):
-            with suppress(TactipError):  # another image, or another lattice, may do
-                fits.append(fit_neutral(nominal, images[k]))
+    tried = (fit_lattice(images[k], usual) for k in np.argsort(spreads, kind="stable")[:_TRIED_AT_REST])
+    fits = [fit for fit in tried if fit is not None]
     if not fits:
         raise TactipError(
             f"no frame shows its {usual:.0f} pins nearly at rest on a hexagonal or circular lattice, and there is no "

@@ -83,7 +83,7 @@ def import_set(
         record["source"]["frames_missing"] = missing
     if not (out / _WORK).exists() and check_resumable(out, _KIND, _recorded(out, record), record):
         report = read_report(out)
-        if report and ("camera" in report and (report["neutral_image"] or _is_press_removed(report) is not None)):
+        if report and _is_complete(report):
             log(f"{out} already holds this set")
             return report
         log(f"{out} was imported by an earlier version, whose report is incomplete: importing it again")
@@ -128,6 +128,11 @@ def pins_at_rest(folder: Path) -> np.ndarray | None:
     image = read_image(folder / NEUTRAL)
     centres = reference_pixels(find_blobs(image).centres, image.shape[1])
     return centres if len(centres) else None
+
+
+def _is_complete(report: dict[str, Any]) -> bool:
+    """Return whether a report has all that this version writes."""
+    return {"camera", "pins_apart"} <= set(report) and (report["neutral_image"] or _is_press_removed(report) is not None)
 
 
 def _is_press_removed(report: dict[str, Any]) -> bool | None:

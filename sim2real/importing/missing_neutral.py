@@ -6,7 +6,6 @@ predicted motion leaves of the pins' positions, in the median of more such frame
 nominal, so some of the press remains: least where pins have moved little, and tilts and shears average out.
 """
 
-from contextlib import suppress
 from typing import Any
 
 import cv2
@@ -26,7 +25,7 @@ from tactip_twin.tactip_model.optics import REFERENCE_PX, Lens
 from tactip_twin.tactip_model.pin_detection import PinMatcher, find_blobs
 from tactip_twin.tactip_model.pins import neutral_pins
 from tactip_twin.tactip_model.presets import NOMINAL, nearest_nominal
-from tactip_twin.tactip_model.sensor_of_image import free_sensor, lattices_of
+from tactip_twin.tactip_model.sensor_of_image import fit_lattice, free_sensor
 
 _MAX_CONSIDERED = 2000
 """Largest number of frames whose motion is predicted, evenly spaced in the table: more would take memory for nothing."""
@@ -116,16 +115,10 @@ def _at_rest(
     """
     image, poses, shears = layout
     width = image.shape[1]
-    fits = []
-    for nominal in lattices_of(usual):
-        with suppress(TactipError):  # not on this lattice
-            fits.append(fit_neutral(nominal, image))
-    if not fits:
-        with suppress(TactipError):  # whoever needs the pins says so
-            fits.append(fit_neutral(free_sensor(usual), image))
-    if not fits:
+    try:
+        design, fit = fit_lattice(image, usual) or fit_neutral(free_sensor(usual), image)
+    except TactipError:  # whoever needs the pins says so
         return None
-    design, fit = min(fits, key=lambda fit: fit[1].lattice_px)
     known = np.isfinite(fit.pins_px[:, 0])
     matcher = PinMatcher(_pixels(fit.pins_px[known], width))
     pins = np.full((len(rows), len(known), 2), np.nan)
