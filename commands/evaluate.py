@@ -105,8 +105,9 @@ def _doubts(figures: Mapping[str, Any], model: "Model", samples: "Samples", at_r
             f"the pins at rest are {apart:.1f} px of 256 from those that the network learned (at most {MAX_APART_PX:g}): "
             "it was trained for another sensor or camera; tactip transfer trains one for this sensor"
         )
-    for row in figures.get("reliability", []):
-        worst = min(figures["mae"], key=lambda name: row["coverage"][name])
+    names = [name for name, varies in figures["varies"].items() if varies]  # others show a rig's zero only
+    for row in figures.get("reliability", []) if names else []:
+        worst = min(names, key=lambda name: row["coverage"][name])
         if row["level"] == 0.95 and row["coverage"][worst] < _MIN_COVERAGE:
             yield (
                 f"only {row['coverage'][worst]:.0%} of the labels of {worst} are inside of the network's 95 % intervals: "
