@@ -113,7 +113,7 @@ def image_check(model: "Model") -> ImageCheck | None:
 
 MAX_APART_PX = 2.0
 """Distance of the pins at rest from those that a network learned, px of 256, above which the sensor or its camera is another
-one: 0.0 px for the tips of shipped networks, 3.4 to 6.4 px for 40 other tips [M]."""
+one: 0.0 px for the tips of shipped networks, 3.5 to 6.4 px for 40 other tips [M]."""
 
 
 def pins_apart_px(design: Design, centres_px: np.ndarray) -> float:

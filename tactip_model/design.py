@@ -111,7 +111,8 @@ class Pins:
             require(bool(self.as_built_m), "as_built_m", self.as_built_m, "the positions of the pins, if the layout is free")
         for offset in self.as_built_m:
             close = len(offset) == 2 and all(math.isfinite(x) and (free or abs(x) <= self.pitch_m / 2) for x in offset)
-            require(close, "as_built_m", offset, "an x and a y of at most half the pitch for each pin")
+            allowed = "an x and a y for each pin" if free else "an x and a y of at most half the pitch for each pin"
+            require(close, "as_built_m", offset, allowed)
 
 
 @dataclass(frozen=True)

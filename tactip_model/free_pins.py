@@ -22,13 +22,12 @@ _LENSES = np.linspace(-0.5, 1.5, 81)
 _MIN_PINS = 12
 """Smallest number of pins whose spacing tells something [?]."""
 
-_MAX_SCATTER = 0.3
-"""Largest standard deviation of the logarithm of the pins' spacing: 0.05 to 0.15 for square arrays, rings and spirals, above
-0.35 for random points [M]."""
+_MAX_SCATTER = 0.15
+"""Largest standard deviation of the logarithm of the pins' spacing: 0.02 to 0.06 for hexagons, square arrays, rings and
+spirals with pins 0.08 mm off their places, at least 0.23 for 200 sets of random points [M]."""
 
 _MAX_DISTANCE = 2.0
-"""Distance from which a spot is not a pin of the pattern, in median spacings."""
-
+"""Distance from which a spot is not a pin of the pattern, in median spacings [?]."""
 
 _MIN_DISTANCE = 0.5
 """Distance below which one of two spots is not a pin, in median distances from the nearest spot: 0.34 to 0.38 for light at

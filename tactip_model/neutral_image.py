@@ -22,6 +22,9 @@ from tactip_twin.tactip_model.pins import LATTICES, neutral_pins, plan_positions
 MIN_PIN_FRACTION = 0.95
 """Smallest fraction of the pins that must be detected."""
 
+MAX_EXTRA = 1.2
+"""Largest ratio of the numbers of white spots and of pins: some spots are light."""
+
 _SYMMETRY_DEG = {"hexagonal": 60.0, "circular": 60.0}
 """Rotation under which a layout repeats, degrees. Of the equivalent rotations the one nearest to the design's is used."""
 
@@ -74,7 +77,7 @@ def fit_neutral(design: Design, image: np.ndarray) -> tuple[Design, NeutralFit]:
         left = _rms(neutral_px(fitted), seen)
         return fitted, NeutralFit(seen, _rms(neutral_px(guess_of_free), seen), left, left)
     count = len(plan_positions(replace(design.pins, as_built_m=())))
-    if not MIN_PIN_FRACTION * count <= len(blobs) <= 1.2 * count:
+    if not MIN_PIN_FRACTION * count <= len(blobs) <= MAX_EXTRA * count:
         raise TactipError(f"the neutral image must show the {count} pins of the design {design.name!r}, got {len(blobs)}")
     before = neutral_px(design)
     lattice = LATTICES[design.pins.layout](design.pins.rings)
