@@ -105,8 +105,9 @@ _NOISE_TRAINING = {
 _ANY_TRAINING = {"augmented_fraction": 0.6, "augmentation_strength": 1.0, "optics_ranges": "real"}
 """Settings of networks that know any materials and cameras, as in a transfer [?]."""
 
-_MORE_PINS_EPOCHS, _ANY_EPOCHS = 60, 16
-"""Numbers of epochs of such networks: from random weights, on a GPU, and from a shipped network [?]."""
+_MORE_PINS_EPOCHS, _ANY_EPOCHS, _ANY_YAW_EPOCHS = 60, 16, 40
+"""Numbers of epochs of such networks: from random weights, on a GPU, from a shipped network, and from one that knows fewer
+yaws [?]."""
 
 BETAS = (0.0, 0.5, 1.0)
 """Exponents of the weighted likelihood that are compared; recipes have the middle one."""
@@ -145,7 +146,8 @@ class Row:
     what: str
     """Description in the tables."""
     kind: str
-    """Training set: plain, symmetric, large, fast, snapshots, taps, 256px, 331, any, drawn, slides or 256px-slides."""
+    """Training set: plain, symmetric, large, fast, snapshots, taps, 256px, 331, any, any-yaw, drawn, slides or
+    256px-slides."""
     recipe: Recipe
     """Network and training."""
     init_from: str = ""
@@ -191,6 +193,8 @@ def rows(task: Task, paper: bool) -> list[Row]:
     rates = {"learning_rate": 1e-3, "muon_learning_rate": 0.01}
     same = Recipe(many.network, replace(many.settings, epochs=_ANY_EPOCHS, **rates))
     out.append(Row("laptop-any", f"`{start}` fine-tuned on drawn contacts, {known}", "any", same, start))
+    if task == "edge":
+        out.append(_any_yaw(same, f"{task}-any-{DESIGN}", known))
     what = f"`{start}` fine-tuned on a million contacts that the learned tip draws, on a GPU"
     long = Recipe(replace(laptop.network, batch_size=256), replace(laptop.settings, **_LONG_TRAINING))
     out.append(Row("laptop-long", what, "drawn", long, start))
@@ -211,6 +215,14 @@ def rows(task: Task, paper: bool) -> list[Row]:
         what = "`laptop-256px` fine-tuned on such slides, with images of a noisy camera"
         out.append(Row("laptop-256px-slides", what, "256px-slides", wide_slides, "laptop-256px"))
     return out
+
+
+def _any_yaw(recipe: Recipe, start: str, known: str) -> Row:
+    """Return the training on edges that are met from every side."""
+    longer = replace(recipe, settings=replace(recipe.settings, epochs=_ANY_YAW_EPOCHS))
+    return Row(
+        "laptop-any-yaw", f"`{start}` fine-tuned on drawn contacts at yaws all round, {known}", "any-yaw", longer, start
+    )
 
 
 def run(options: LearningOptions, log: Callable[[str], None] = print) -> dict[str, Any]:

@@ -69,12 +69,14 @@ DESIGN, FIDELITY = "tactip-127", "standard"
 MORE_PINS_DESIGN = "tactip-331"
 """Sensor of the row `laptop-331`."""
 
-ANY_DESIGNS = {"331": MORE_PINS_DESIGN, "any": DESIGN}
+ANY_DESIGNS = {"331": MORE_PINS_DESIGN, "any": DESIGN, "any-yaw": DESIGN}
 """Sensors by kind of rows (Row.kind) with any materials."""
 
 _DEEP_MM = (-5.5, -0.2)
 """Depths of their contacts: all that the learned tip of any materials knows."""
 
+_ALL_ROUND_DEG = (-180.0, 180.0)
+"""Yaws of rows of the kind `any-yaw`, whose edges are met from every side."""
 
 WIDE_KINDS = ("256px", "256px-slides")
 """Kinds of rows (Row.kind) with wide images."""
@@ -113,10 +115,11 @@ def jobs(options: LearningOptions, kinds: Collection[str]) -> list[Job]:
             wanted += [_Wanted(kind, "test", options.test_contacts, usual, SHEAR_RANGES)]
     for kind in ANY_DESIGNS:
         if kind in kinds:
-            deep = replace(usual, depth_mm=_DEEP_MM)
+            pose = replace(usual, yaw_deg=_ALL_ROUND_DEG) if kind == "any-yaw" else usual
+            deep = replace(pose, depth_mm=_DEEP_MM)
             wanted += [_Wanted(kind, "train", _DRAWN_SET, deep, SHEAR_RANGES, _FAST_SEED)]
             wanted += [_Wanted(kind, "val", options.other_test_contacts, deep, SHEAR_RANGES, _FAST_VAL_SEED)]
-            wanted += [_Wanted(kind, "test", options.test_contacts, usual, SHEAR_RANGES)]
+            wanted += [_Wanted(kind, "test", options.test_contacts, pose, SHEAR_RANGES)]
     if {"plain", "symmetric", "large", "snapshots"} & set(kinds):
         wanted += [_Wanted("plain", "val", options.test_contacts, usual, SHEAR_RANGES)]
     if "snapshots" in kinds:

@@ -55,7 +55,8 @@ def release_model(options: ReleaseModelsOptions, log: Callable[[str], None] = pr
     """
     source = options.runs / options.task / options.row
     if options.evaluate_only:
-        kinds = {"laptop-256px": "256px-", "laptop-any": "any-", "laptop-256px-slides": "curved-256px-"}
+        kinds = {"laptop-256px": "256px-", "laptop-any": "any-", "laptop-any-yaw": "any-yaw-"}
+        kinds["laptop-256px-slides"] = "curved-256px-"
         kind = kinds.get(options.row, "curved-" if (options.row, options.task) == ("laptop-slides", "surface") else "")
         source = options.out / f"{options.task}-{kind}{MORE_PINS_DESIGN if options.row == 'laptop-331' else DESIGN}"
     size = (source / WEIGHTS).stat().st_size if (source / WEIGHTS).exists() else 0
@@ -112,7 +113,9 @@ def _name(model: Model) -> str:
 def _kind(model: Model) -> str:
     """Return what the name of a released model has between task and design."""
     curved, wide = ("curved-" if _is_curved(model) else ""), (f"{WIDE_PX}px-" if model.size == WIDE_PX else "")
-    return curved + wide or ("any-" if _is_of_any_materials(model) and _design(model) == DESIGN else "")
+    if curved or wide or not _is_of_any_materials(model) or _design(model) != DESIGN:
+        return curved + wide
+    return "any-" if model.labels.circular is None else "any-yaw-"
 
 
 def _initial_weights(model: Model, options: ReleaseModelsOptions) -> list[str]:
@@ -178,8 +181,8 @@ def card(model: Model, record: Mapping[str, Any], options: ReleaseModelsOptions)
         varying = " (varying on half of them)" if made.get("varying_curvature_fraction") else ""
         what = "surfaces with curvatures of {:g} to {:g} /m{}".format(*made["curvature_per_m"], varying)
     known = "It knows tips of other materials and cameras, too. " if _is_of_any_materials(model) else ""
-    # The paper's results and the targets are for flat surfaces and straight edges.
-    beside = {} if _is_curved(model) else {"the paper, real sensor": PAPER, "target": TARGETS}
+    # The paper's results and the targets are for flat surfaces, and for straight edges at yaws of -45 to 45 degrees.
+    beside = {} if _is_curved(model) or labels.circular is not None else {"the paper, real sensor": PAPER, "target": TARGETS}
     lines = [
         f"# {_name(model)}",
         "",

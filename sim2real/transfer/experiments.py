@@ -7,7 +7,6 @@ Each finished step is kept in OUT and not repeated, so an interrupted command re
 """
 
 import json
-import re
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -18,11 +17,10 @@ import numpy as np
 from tactip_twin.learning.configuration import DeviceName, Recipe
 from tactip_twin.learning.data import Samples, read_samples
 from tactip_twin.learning.image_check import MAX_APART_PX, pins_apart_px
-from tactip_twin.learning.model import Model, load_model, load_network, shipped_models
+from tactip_twin.learning.model import Model, load_model, load_network
 from tactip_twin.learning.optics_ranges import noiseless
 from tactip_twin.learning.recipes import recipe_named
 from tactip_twin.learning.train import train
-from tactip_twin.learning.training import initial_state
 from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.contact.limits import MAX_TILT_RAD, exceeds_max_tilt
 from tactip_twin.sim.dataset.configuration import Configuration
@@ -36,6 +34,7 @@ from tactip_twin.sim.pose import from_mm_deg
 from tactip_twin.sim2real.importing.import_set import pins_at_rest, read_report
 from tactip_twin.sim2real.transfer.estimated_materials import AFTER, BEFORE, with_estimated_materials
 from tactip_twin.sim2real.transfer.fine_tune import FineTuning, fine_tune
+from tactip_twin.sim2real.transfer.initial_network import shipped_network_for
 from tactip_twin.sim2real.transfer.linear_correction import MIN_FRAMES, corrected, write_corrected
 from tactip_twin.sim2real.transfer.neutral_calibration import (
     camera_of,
@@ -52,7 +51,6 @@ from tactip_twin.tactip_model.design_file import write_design
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.files import remove_leftovers, write_file
 from tactip_twin.tactip_model.input_files import read_json
-from tactip_twin.tactip_model.pins import neutral_pins
 from tactip_twin.tactip_model.presets import load_design
 
 RESULTS = "results.json"
@@ -65,14 +63,6 @@ _MAX_VAL_FRACTION = 0.2
 
 _STEPS, _STEPS_FROM_NETWORK = 3000, 1500
 """Default numbers of training steps from random weights and from those of a network [M] (docs/transfer.md)."""
-
-_MAX_PIN_DIFFERENCE = 0.05
-"""Largest difference of the numbers of pins, as a fraction, of a sensor and of a shipped network that its training starts
-from. On 331 pins, weights for 127 pins made the tilt 0.5° worse than random ones [M]."""
-
-_NO_START = ("surface-tactip-331",)
-"""Shipped networks that no training starts from: on real-331, depth was 0.165 mm off in place of 0.120 with random weights,
-because its gain became 0.85 in place of 0.91 [M]. On a hidden simulated sensor it made the tilt 0.1° better."""
 
 _CONTACTS = {"surface": 700, "edge": 2000}
 """Default number of simulated contacts to train on, by task. On a surface, 2000 took three times as long, and the errors on
@@ -236,20 +226,7 @@ class Experiment:
         if read_report(self.real) is None:  # the number of pins is unknown
             return None
         config = recipe_named(self.settings.recipe, self.task, self.samples.size).network
-        for name in shipped_models():
-            found = re.fullmatch(rf"{self.task}(?:-\d+px|-any)?-(tactip-\d+)", name)
-            if not found or name in _NO_START:
-                continue
-            pins = len(neutral_pins(load_design(found[1]))[0])
-            if abs(pins / self._pins() - 1) > _MAX_PIN_DIFFERENCE:
-                continue
-            network = load_network(name)
-            try:
-                initial_state(network, config, self.samples)
-            except TactipError:  # other images or layers
-                continue
-            return network
-        return None
+        return shipped_network_for(self.samples, self._pins(), config)
 
     def optics(self, variant: Variant = Variant()) -> str:
         """Return the name of the OpticsRanges of a variant's images; without calibration, those of an unknown camera."""

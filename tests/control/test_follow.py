@@ -91,6 +91,7 @@ def test_follower_single_failure_is_recorded_and_recovered(failure, kind):
     assert [e.kind for e in follower.events] == [kind]
 
 
+@pytest.mark.slow
 def test_follower_failure_that_remains_is_left_out_to_the_end_of_the_route():
     world = World("plate")
     replaced = dict.fromkeys(range(12, 4000), wild)
@@ -153,6 +154,7 @@ def test_follower_same_route_twice_gives_equal_steps():
     assert np.array_equal(ends[0].touch.pin_tips, ends[1].touch.pin_tips)
 
 
+@pytest.mark.slow
 def test_follower_with_slowdown_lags_less_and_takes_more_steps():
     """On a ball, where the sensor lags behind the normal."""
     tilts, counts = {}, {}

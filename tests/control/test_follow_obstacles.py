@@ -249,7 +249,10 @@ def test_follower_that_cannot_lift_in_the_air_goes_back_until_it_can(monkeypatch
     assert sum(stretch.to_mm - stretch.from_mm for stretch in follower.left_out) < 10
 
 
-@pytest.mark.parametrize(("from_mm", "needed_n", "pulled"), [(-np.inf, 9.0, True), (-np.inf, 9.1, True), (2.5, 99.0, False)])
+@pytest.mark.parametrize(
+    ("from_mm", "needed_n", "pulled"),
+    [pytest.param(-np.inf, 9.0, True, marks=pytest.mark.slow), (-np.inf, 9.1, True), (2.5, 99.0, False)],
+)
 def test_follower_frees_a_held_tip(from_mm, needed_n, pulled, monkeypatch):
     """The arm stops at its limit of force where it would lift the tip, as in a hollow with an undercut: beyond a place of
     the route, from which the tip goes back the way it came, or wherever it is, so that it must be pulled. No pull exceeds

@@ -63,6 +63,7 @@ def test_finished_training_of_another_torch_is_kept(splits, tmp_path, monkeypatc
         quiet(*splits, NET, settings, tmp_path / "cut")
 
 
+@pytest.mark.slow
 def test_train_command_killed_resumes_to_same_weights(data, tmp_path, monkeypatch):
     settings = ["--training.epochs", "40", "--training.patience", "40", "--training.learning-rate", "0.003"]
     network = ["--network.conv-layers", "2", "--network.filters", "6", "--network.dense_units", "24"]

@@ -43,6 +43,14 @@ def press_tips(samples) -> list[FastTip]:
     return [tip for tip in drawing_tips(samples) if isinstance(tip, FastTip)]
 
 
+def with_pose(samples, **ranges):
+    """Return samples whose set names other ranges of poses."""
+    meta = samples.dataset.meta
+    configuration = meta["configuration"]
+    changed = configuration | {"pose": configuration["pose"] | ranges}
+    return replace(samples, dataset=replace(samples.dataset, meta=meta | {"configuration": changed}))
+
+
 @pytest.fixture(scope="module")
 def samples(tmp_path_factory):
     """A set of edges that the learned tip predicts."""
@@ -134,13 +142,18 @@ def test_draw_takes_the_mechanics_randomization_of_the_set(samples):
     assert 1.1 < np.quantile(ratio, 0.9) < 2 and 0.5 < np.quantile(ratio, 0.1) < 0.95
 
 
+def test_edges_at_yaws_all_round_are_drawn(samples):
+    """A tip that learned yaws of -45 to 45 degrees knows them all."""
+    around = with_pose(samples, yaw_deg=[-180.0, 180.0])
+    tips = press_tips(around)
+    assert not_drawn(around, tips) == []
+    yaws = ContactSource(around, tips).draw(400, np.random.default_rng(7)).targets[:, 4]
+    assert np.histogram(yaws, 4, (-180, 180))[0].min() > 70
+
+
 def test_light_contacts_are_drawn_by_the_tip_of_any_materials(samples):
     """The tip of the sensor itself knows depths from 1 mm. Together they draw as many light contacts as the ranges have."""
-    meta = samples.dataset.meta
-    pose = meta["configuration"]["pose"] | {"depth_mm": [-5.0, 0.0]}
-    lighter = replace(
-        samples, dataset=replace(samples.dataset, meta=meta | {"configuration": meta["configuration"] | {"pose": pose}})
-    )
+    lighter = with_pose(samples, depth_mm=[-5.0, 0.0])
     own, other = press_tips(lighter)
     assert press_tips(samples)[0].digest == own.digest and len(press_tips(samples)) == 1
     assert not_drawn(lighter, (own, other)) == not_drawn(samples, (own,)) == []
@@ -159,7 +172,7 @@ def test_light_contacts_are_drawn_by_the_tip_of_any_materials(samples):
     np.testing.assert_allclose([c.pin_tips for c in contacts], drawn.pin_tips[light], atol=1e-8)
 
 
-@pytest.mark.parametrize("task", ["surface", "edge"])
+@pytest.mark.parametrize("task", ["surface", pytest.param("edge", marks=pytest.mark.slow)])
 def test_tip_of_any_materials_knows_contacts_lighter_than_it_learned(task):
     """Between no touch and 0.2 mm, where it is trusted to draw, its pins are 0.02 mm from simulated ones in the mean."""
     design, tip = load_design("tactip-127"), read_fast_tip(any_materials(task))

@@ -108,6 +108,7 @@ def without_seconds(results):
     return [{k: v for k, v in r.items() if k != "seconds"} for r in results]
 
 
+@pytest.mark.slow
 def test_tune_command_killed_resumes_to_same_results(data, tmp_path):
     whole, killed = tmp_path / "whole", tmp_path / "killed"
     assert run(search_command(data, whole)).returncode == 0

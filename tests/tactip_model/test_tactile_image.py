@@ -186,6 +186,7 @@ def resident_mib():
     return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
 
 
+@pytest.mark.slow
 def test_pyrender_does_not_leak_memory(camera, design):
     """300 images add less than 10 MiB, 35 KiB per image; a single RGB frame has 390 KB."""
     pins = neutral_pins(design)

@@ -10,14 +10,14 @@ from tactip_twin.commands.main import main
 
 
 @pytest.mark.parametrize(
-    ("chosen", "spins", "policy"),
+    ("module", "chosen", "spins", "policy"),
     [
-        ({}, "'1000'", None),
-        ({"GOMP_SPINCOUNT": "77"}, "'77'", None),
-        ({"OMP_WAIT_POLICY": "ACTIVE"}, None, "'ACTIVE'"),
+        ("learning.model", {}, "'1000'", None),
+        ("sim.tactip", {}, "'1000'", None),
+        ("sim.tactip", {"GOMP_SPINCOUNT": "77"}, "'77'", None),
+        ("learning.model", {"OMP_WAIT_POLICY": "ACTIVE"}, None, "'ACTIVE'"),
     ],
 )
-@pytest.mark.parametrize("module", ["learning.model", "sim.tactip"])
 def test_threads_sleep_soon_unless_user_has_chosen(module, chosen, spins, policy):
     environment = {k: v for k, v in os.environ.items() if not k.startswith(("OMP_WAIT", "GOMP_"))}
     environment |= {"OMP_DISPLAY_ENV": "VERBOSE"} | chosen

@@ -173,6 +173,7 @@ def small(monkeypatch, tmp_path):
     return FidelityOptions(contacts=1, sweep_contacts=1, out=tmp_path / "docs", cache=tmp_path / "kept")
 
 
+@pytest.mark.slow
 def test_interrupted_measurement_resumes_to_the_same_result(small, monkeypatch):
     wanted = jobs(small)
     assert len(set(wanted)) == len(wanted)

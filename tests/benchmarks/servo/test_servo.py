@@ -63,6 +63,7 @@ def test_runs_are_made_once_and_stand_on_the_page(options):
     assert kept["patches"] == record["patches"]
 
 
+@pytest.mark.slow
 def test_groups_keep_the_machine_that_made_them(options, monkeypatch):
     """They also keep the number of runs at a time."""
     monkeypatch.setattr(followed, "machine", lambda: {"processor": "old"})

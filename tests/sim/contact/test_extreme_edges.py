@@ -68,6 +68,7 @@ def test_extreme_edges_agree_with_reference(design):
         assert max(means) <= MAX_MEAN_MM, name
 
 
+@pytest.mark.slow
 def test_edge_that_moves_the_skin_far_is_repeated_at_standard(design):
     draft, standard = (
         RetryingSimulator(design, "edge", fidelity_named(name), QualityLimits()) for name in ("draft", "standard")

@@ -28,6 +28,7 @@ def test_order_of_motions_matters_only_with_friction(orders, order):
     assert rubber["pins_mm"][0] > 0.2
 
 
+@pytest.mark.slow
 def test_unloading_loses_work_only_with_friction():
     ice, rubber = friction.unloading(0.0, step_mm=0.5), friction.unloading(MU, step_mm=0.5)
     assert ice["pins_mm"][1] < 0.01

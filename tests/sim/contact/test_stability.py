@@ -143,6 +143,7 @@ def test_start_inside_plane_equals_approach(design, standard):
     assert contact.normal_force_n == pytest.approx(approached.normal_force_n, rel=0.05)
 
 
+@pytest.mark.slow
 def test_snagging_stimulus_needs_agreement_of_two_steps(design, standard):
     """Neither a single good record nor two that differ suffice."""
     simulator = RetryingSimulator(design, "knife", standard, QualityLimits())

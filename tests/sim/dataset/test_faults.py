@@ -96,7 +96,14 @@ def test_make_complete_set_makes_nothing(whole, tmp_path):
     assert contents(folder) == contents(whole)
 
 
-@pytest.mark.parametrize(("after", "number"), [(0, signal.SIGINT), (3, signal.SIGINT), (3, signal.SIGTERM)])
+@pytest.mark.parametrize(
+    ("after", "number"),
+    [
+        pytest.param(0, signal.SIGINT, marks=pytest.mark.slow),
+        (3, signal.SIGINT),
+        pytest.param(3, signal.SIGTERM, marks=pytest.mark.slow),
+    ],
+)
 def test_make_interrupted_keeps_finished_samples(tmp_path, after, number):
     """Ctrl-C while the workers start and while they work, and the SIGTERM of a scheduler."""
     folder = tmp_path / "stopped"

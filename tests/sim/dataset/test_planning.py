@@ -38,6 +38,7 @@ def test_planning_memory_does_not_grow_with_samples(design, tmp_path, samples):
     assert len(list((tmp_path / "set").glob("shard-*"))) == (0 if samples == 10**4 else 2)
 
 
+@pytest.mark.slow
 def test_memory_of_all_contacts_is_that_of_one_shard(design, tmp_path):
     """All contacts are assigned and reported as made; workers would write their records and finish the shards."""
     peaks = {}

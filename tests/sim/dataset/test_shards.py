@@ -126,7 +126,7 @@ def test_unfinished_shard_is_closed_on_resuming(copy, whole, capsys):
     assert contents(copy) == contents(whole)
 
 
-@pytest.mark.parametrize("before", [3, pytest.param(4, marks=pytest.mark.slow), 6])
+@pytest.mark.parametrize("before", [3, *(pytest.param(n, marks=pytest.mark.slow) for n in (4, 6))])
 def test_set_grows_from_one_folder_or_fewer_shards(whole, tmp_path, before):
     assert tactip.main(options(tmp_path / "set", samples=before)) == 0
     assert (tmp_path / "set" / "targets.csv").exists() == (before <= SHARD)
@@ -157,6 +157,7 @@ def test_growth_that_is_killed_while_it_moves_goes_on(whole, tmp_path, monkeypat
     assert contents(folder) == contents(whole)
 
 
+@pytest.mark.slow
 def test_kill_loses_no_shard(whole, tmp_path):
     folder = tmp_path / "set"
     command = options(folder, "--workers", "2")

@@ -101,7 +101,10 @@ def test_import_without_neutral_image_uses_shallowest_frames(tmp_path, capsys):
     assert "import.json is not JSON" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(("low_mm", "high_mm", "tilt_deg", "shear_mm", "max_px"), [(1, 2, 0, 0, 0.3), (2.5, 4, 10, 3, 0.6)])
+@pytest.mark.parametrize(
+    ("low_mm", "high_mm", "tilt_deg", "shear_mm", "max_px"),
+    [(1, 2, 0, 0, 0.3), pytest.param(2.5, 4, 10, 3, 0.6, marks=pytest.mark.slow)],
+)
 def test_press_of_frames_that_replace_a_neutral_image_is_removed(tmp_path, low_mm, high_mm, tilt_deg, shear_mm, max_px):
     """Frames of a stiffer tip: the twin's pins are where that tip's are when nothing touches, although some have moved by
     more than their spacing."""
