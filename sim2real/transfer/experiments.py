@@ -16,6 +16,7 @@ import numpy as np
 
 from tactip_twin.learning.configuration import DeviceName, Recipe
 from tactip_twin.learning.data import Samples, read_samples
+from tactip_twin.learning.drawn_contacts import configuration_of
 from tactip_twin.learning.image_check import MAX_APART_PX, pins_apart_px
 from tactip_twin.learning.model import Model, load_model, load_network
 from tactip_twin.learning.optics_ranges import noiseless
@@ -27,7 +28,7 @@ from tactip_twin.sim.dataset.configuration import Configuration
 from tactip_twin.sim.dataset.generate import Job, make
 from tactip_twin.sim.dataset.mechanics_randomization import MECHANICS_RANDOMIZATIONS
 from tactip_twin.sim.dataset.sampling import SHEAR_RANGES, Ranges, Split
-from tactip_twin.sim.fast_tip.fast_tip import any_materials, read_fast_tip
+from tactip_twin.sim.fast_tip.fast_tip import FastTip, any_materials, read_fast_tip
 from tactip_twin.sim.labels import FidelityName, Task
 from tactip_twin.sim.parallel.worker_pool import worker_count
 from tactip_twin.sim.pose import from_mm_deg
@@ -381,8 +382,15 @@ class Experiment:
         """Return the network trained on simulated samples of a variant only; it is trained if it does not exist."""
         folder, recipe = self.out / f"network-{variant.name}", self.recipe(variant)
         sets = self.simulated(variant)
-        train(*sets, recipe.network, recipe.settings, folder, self._device, self.log, init_from=self._init_from)
+        tips = self._drawing_tips(sets[0])
+        settings = replace(recipe.settings, drawn_contacts=self.settings.drawn_contacts if tips else 0)
+        train(*sets, recipe.network, settings, folder, self._device, self.log, init_from=self._init_from, tips=tips)
         return load_model(folder)
+
+    def _drawing_tips(self, samples: Samples) -> list[FastTip]:
+        """Return the learned tip that draws more contacts like those of a set: the one that predicted them, if one did."""
+        predicted = configuration_of(samples).fast_tip
+        return [read_fast_tip(any_materials("edge" if self.task == "edge" else "surface"))] if predicted else []
 
     def real_network(self, count: int) -> Model:
         """Return the network trained on `count` real frames only, some of which are validation frames."""

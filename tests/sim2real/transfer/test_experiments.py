@@ -168,11 +168,14 @@ def test_training_on_wide_frames_starts_from_the_shipped_network_for_them_and_ta
     assert (usual.recipe().network.downsample, experiment.recipe().network.downsample) == (2, 4)
 
 
-def test_training_sets_are_predicted_by_the_learned_tip(lab, tmp_path):
-    few = TransferSettings(contacts=10, val_contacts=10, real_train_frames=30)
-    for samples in Experiment(lab, tmp_path / "out", few, 1).simulated():
+def test_training_contacts_are_predicted_and_drawn_by_the_learned_tip(lab, tiny, tmp_path):
+    few = TransferSettings(contacts=10, val_contacts=10, drawn_contacts=20, steps=2, init_from="none", real_train_frames=30)
+    experiment, tip = Experiment(lab, tmp_path / "out", few, 1), read_fast_tip(any_materials("surface"))
+    assert experiment.network().provenance["fast_tip"] == tip.digest
+    assert experiment.network().provenance["settings"]["drawn_contacts"] == 20
+    for samples in experiment.simulated():
         folder, meta = samples.folder, samples.dataset.meta
-        assert meta["configuration"]["fast_tip"] == read_fast_tip(any_materials("surface")).digest
+        assert meta["configuration"]["fast_tip"] == tip.digest
         assert meta["configuration"]["mechanics_randomization"]["friction"] > 1
         assert "0" in {row["steps"] for row in read_rows(folder, meta)}
 
