@@ -384,7 +384,7 @@ def plot(whole: Mapping[str, Any], path: Path) -> None:
     """Plot error against latency of the networks, one panel per task, into a PNG file."""
     figure, axes = figure_of(1, len(whole), (6 * len(whole), 5.5))
     kinds = ("plain", "taps", "symmetric", "large", "slides", "snapshots", "fast", *WIDE_KINDS, *ANY_DESIGNS, "drawn")
-    colors = dict(zip(kinds, (*COLORS, "0.5", "0.7", "0.8", "0.2", "0.3"), strict=True))
+    colors = dict(zip(kinds, (*COLORS, "0.5", "0.7", "0.8", "0.2", "0.3", "0.4"), strict=True))
     box = {"fc": "white", "ec": "none", "pad": 0.5}
     for axis, (task, record) in zip(axes, whole.items(), strict=True):
         rows = [row for row in record["rows"] if not row["name"].startswith("laptop-beta-")]

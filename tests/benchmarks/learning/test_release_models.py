@@ -29,7 +29,8 @@ from tactip_twin.tactip_model.raster_renderer import Raster
 from tactip_twin.tactip_model.tactile_image import tactile_image
 
 CONTACTS = 8
-NAMES = ["edge-256px-tactip-127", "edge-any-tactip-127", "edge-tactip-127", "edge-tactip-331", "surface-256px-tactip-127"]
+NAMES = ["edge-256px-tactip-127", "edge-any-tactip-127", "edge-any-yaw-tactip-127", "edge-tactip-127", "edge-tactip-331"]
+NAMES += ["surface-256px-tactip-127"]
 NAMES += ["surface-curved-256px-tactip-127", "surface-curved-tactip-127", "surface-tactip-127", "surface-tactip-331"]
 TINY = Recipe(PoseNetConfig(conv_layers=1, filters=2, dense_units=4, batch_size=8), TrainSettings(epochs=1))
 
