@@ -19,6 +19,7 @@ from tactip_twin.benchmarks.learning.conventions import as_in_frames
 from tactip_twin.benchmarks.learning.options import HiddenSensorsOptions
 from tactip_twin.benchmarks.report import read_results, table, write_results
 from tactip_twin.learning.data import Samples
+from tactip_twin.learning.model import Estimates
 from tactip_twin.sim.dataset.format import read_dataset, read_rows
 from tactip_twin.sim.dataset.sampling import Ranges
 from tactip_twin.sim.labels import LABELS
@@ -39,6 +40,9 @@ from tactip_twin.tactip_model.pins import neutral_pins
 
 SHOTS = 50
 """Number of labelled frames of the linear correction."""
+
+CERTAIN = 0.9
+"""Fraction of the frames whose estimates are certain enough to be kept, where the least certain ones are left out."""
 
 TARGETS = {
     "surface": {"pose_z": 0.1, "pose_Rx": 0.8, "pose_Ry": 0.8},
@@ -157,9 +161,11 @@ def _measured(sensor: Sensor, folder: Path, options: HiddenSensorsOptions, log: 
     truth = _with_truth(test, folder / "contacts", found)
     if not resumed:
         outcome["seconds"] = round(time.perf_counter() - start)
+    estimates = network.estimate(test.images)
     return outcome | {
         "options": found.options(),
-        "zero_shot": _figures(network.estimate(test.images).means, truth),
+        "zero_shot": _figures(estimates.means, truth),
+        "certain": _certain(estimates, truth),
         "labels": _figures(test.targets, truth),
         "coverage": {k: v for k, v in score(network, truth).items() if k.startswith("coverage")},
         "corrected": _figures(experiment.corrected(SHOTS).estimate(test.images).means, test),
@@ -190,6 +196,15 @@ def _figures(values: np.ndarray, samples: Samples) -> dict[str, dict[str, float]
     }
 
 
+def _certain(estimates: Estimates, samples: Samples) -> dict[str, float]:
+    """Return mean absolute errors of estimates of samples, by component, without the least certain ones of each."""
+    count = samples.targets.shape[1]
+    assert estimates.deviations is not None  # noqa: S101
+    errors = np.abs(samples.labels.unwrapped(estimates.means[:, :count], samples.targets) - samples.targets)
+    kept = np.argsort(estimates.deviations[:, :count], 0)[: round(CERTAIN * len(samples))]
+    return dict(zip(samples.labels.names, np.take_along_axis(errors, kept, 0).mean(0).tolist(), strict=True))
+
+
 _SHOWN = {
     "surface": {"pose_z": "depth, mm", "pose_Rx": "roll, °", "pose_Ry": "pitch, °"},
     "edge": {"pose_x": "beside, mm", "pose_z": "depth, mm", "pose_Rz": "yaw, °"},
@@ -203,7 +218,7 @@ def tables(result: dict[str, Any]) -> dict[str, str]:
     for task, shown in _SHOWN.items():
         head = ["sensor", "pins", "friction", "neutral image", "time, min", *shown.values()]
         head += [f"{what} after {SHOTS} frames" for what in shown.values()]
-        rows, inside = [], []
+        rows, inside, certain = [], [], []
         for name, one in result["sensors"].items():
             if one["task"] != task:
                 continue
@@ -215,8 +230,12 @@ def tables(result: dict[str, Any]) -> dict[str, str]:
             cells += [f"{one['corrected']['mae'][c]:.2f}" for c in shown]
             rows.append([*what, "" if one["seconds"] is None else f"{one['seconds'] / 60:.0f}", *cells])
             inside.append([name, *(f"{100 * one['coverage'][f'coverage_{p}'][c]:.0f}" for c in shown for p in (68, 95))])
+            if "certain" in one:  # results of an earlier state of this benchmark have none
+                certain.append([name, *(f"{one['certain'][c]:.2f}" for c in shown)])
         target = ["target", "", "", "", "", *(f"{TARGETS[task][c]:g}" for c in shown), *[""] * len(shown)]
         out[task] = table(head, [*rows, target])
         covered = [f"{what.partition(',')[0]}, {p} %" for what in shown.values() for p in (68, 95)]
         out[f"{task}-coverage"] = table(["sensor", *covered], inside)
+        if task == "edge":  # on surfaces, all estimates are about as certain
+            out["certain"] = table(["sensor", *shown.values()], certain)
     return out | {"machine": machine_text(result["machine"])}
