@@ -79,7 +79,7 @@ transfer: $(READY)
 
 # One test process per core, with one thread each.
 test: $(READY)
-	@OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses auto --dist worksteal
+	@OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses auto --dist loadscope
 
 test-all: $(READY)
 	@$(BIN)/python -m pytest -m ""

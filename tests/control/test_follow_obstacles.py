@@ -201,6 +201,7 @@ def test_follower_search_without_detection_stops_at_the_force_limit():
     assert follower.left_out[-1].to_mm == pytest.approx(12)
 
 
+@pytest.mark.slow
 def test_follower_beyond_the_arms_reach_leaves_the_rest_out():
     world = World("plate", "kinematic")
     T = world.scene_object.T_base_object.copy()

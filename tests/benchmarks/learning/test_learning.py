@@ -185,6 +185,7 @@ def test_networks_are_compared_by_the_exponent_of_the_likelihood():
     assert learned._betas("surface", [row | {"name": "laptop"}]) == ""
 
 
+@pytest.mark.slow
 def test_noise_makes_pixels_white_and_keeps_labels(tmp_path):
     path = shipped_fast_tip("surface", "tactip-127")
     (job,) = (j for j in learning_sets.jobs(LearningOptions(data=tmp_path), ("drawn",)) if j.configuration.split == "train")

@@ -29,6 +29,7 @@ from tactip_twin.tactip_model.raster_renderer import Raster
 from tactip_twin.tactip_model.tactile_image import tactile_image
 
 CONTACTS = 8
+SLOWER = ("edge-256px-tactip-127", "edge-tactip-331")
 NAMES = ["edge-256px-tactip-127", "edge-any-tactip-127", "edge-any-yaw-tactip-127", "edge-tactip-127", "edge-tactip-331"]
 NAMES += ["surface-256px-tactip-127"]
 NAMES += ["surface-curved-256px-tactip-127", "surface-curved-tactip-127", "surface-tactip-127", "surface-tactip-331"]
@@ -77,7 +78,9 @@ def contacts_of():
     return simulated
 
 
-@pytest.mark.parametrize("name", shipped_models())
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=[pytest.mark.slow] if n in SLOWER else []) for n in shipped_models()]
+)
 def test_shipped_model_predicts_contacts_of_another_seed(contacts_of, name):
     """On a few contacts that are simulated here, the mean error is below 2.5 times that of the card."""
     model, of = load_network(name), re.sub(".*-(tactip-)", r"\1", name)

@@ -37,6 +37,7 @@ def cache(tmp_path_factory):
     return ContactCache(tmp_path_factory.mktemp("cache"))
 
 
+@pytest.mark.slow
 def test_finer_presets_cost_more(cache):
     contacts = [cache(CHEAP[0], Variant(FIDELITIES[name])) for name in ("draft", "standard", "reference")]
     for coarse, fine in pairwise(contacts):

@@ -72,6 +72,7 @@ def test_meshes_lie_on_their_solids():
     assert np.abs(1e3 * radii - SPHERE_MM).max() < 1e-3
 
 
+@pytest.mark.slow
 def test_bust_has_documented_roundness():
     """A ball of 36 mm that touches it from outside, and one of 12.5 mm from inside, touch it at one point only.
 
