@@ -42,7 +42,7 @@ SHOTS = 50
 """Number of labelled frames of the linear correction."""
 
 CERTAIN = 0.9
-"""Fraction of the frames whose estimates are certain enough to be kept, where the least certain ones are left out."""
+"""Fraction of the estimates that remain where the least certain ones are left out."""
 
 TARGETS = {
     "surface": {"pose_z": 0.1, "pose_Rx": 0.8, "pose_Ry": 0.8},
@@ -236,6 +236,6 @@ def tables(result: dict[str, Any]) -> dict[str, str]:
         out[task] = table(head, [*rows, target])
         covered = [f"{what.partition(',')[0]}, {p} %" for what in shown.values() for p in (68, 95)]
         out[f"{task}-coverage"] = table(["sensor", *covered], inside)
-        if task == "edge":  # on surfaces, all estimates are about as certain
+        if task == "edge":  # light touches of edges are the uncertain ones
             out["certain"] = table(["sensor", *shown.values()], certain)
     return out | {"machine": machine_text(result["machine"])}

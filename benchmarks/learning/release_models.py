@@ -55,8 +55,12 @@ def release_model(options: ReleaseModelsOptions, log: Callable[[str], None] = pr
     """
     source = options.runs / options.task / options.row
     if options.evaluate_only:
-        kinds = {"laptop-256px": "256px-", "laptop-any": "any-", "laptop-any-yaw": "any-yaw-"}
-        kinds["laptop-256px-slides"] = "curved-256px-"
+        kinds = {
+            "laptop-256px": "256px-",
+            "laptop-any": "any-",
+            "laptop-any-yaw": "any-yaw-",
+            "laptop-256px-slides": "curved-256px-",
+        }
         kind = kinds.get(options.row, "curved-" if (options.row, options.task) == ("laptop-slides", "surface") else "")
         source = options.out / f"{options.task}-{kind}{MORE_PINS_DESIGN if options.row == 'laptop-331' else DESIGN}"
     size = (source / WEIGHTS).stat().st_size if (source / WEIGHTS).exists() else 0

@@ -394,7 +394,10 @@ class Experiment:
         folder, recipe = self.out / f"network-{variant.name}", self.recipe(variant)
         sets = self.simulated(variant)
         tips = self._drawing_tips(sets[0])
-        settings = replace(recipe.settings, drawn_contacts=self.drawn_contacts if tips else 0)
+        drawn = self.drawn_contacts
+        if drawn and not tips:
+            self.log(f"no contacts are drawn anew (--drawn-contacts): no learned tip predicted those in {sets[0].folder}")
+        settings = replace(recipe.settings, drawn_contacts=drawn if tips else 0)
         train(*sets, recipe.network, settings, folder, self._device, self.log, init_from=self._init_from, tips=tips)
         return load_model(folder)
 
@@ -445,11 +448,7 @@ class Experiment:
         path = self.out / RESULTS
         record = read_json(path) if path.exists() else {}
         record["real"] = {"set": self.real.name, "digest": self.samples.dataset.meta["digest"], "test": len(self.split.test)}
-        counts = {
-            "contacts": self.contacts,
-            "drawn_contacts": self.drawn_contacts,
-            "real_train_frames": len(self.split.known),
-        }
+        counts = {"contacts": self.contacts, "real_train_frames": len(self.split.known)}
         record["settings"] = json.loads(json.dumps(asdict(self.settings) | counts))
         record[name] = results
         write_file(path, (json.dumps(record, indent=1) + "\n").encode())

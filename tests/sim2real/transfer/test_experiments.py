@@ -110,7 +110,7 @@ FEW += ["--steps", "6", "--fine-tuning-steps", "4", "--workers", "1"]
 
 
 def test_zero_and_few_shot_from_the_command_line(lab, tiny, tmp_path, capsys):
-    command = ["--real", str(lab), "--out", str(tmp_path / "out"), *FEW, "--shots", "10", "30"]
+    command = ["--real", str(lab), "--out", str(tmp_path / "out"), *FEW, "--shots", "10", "30", "--drawn-contacts", "5"]
     command += ["--randomize-mechanics", "real"]  # the next test but one estimates the materials
     assert tactip.main(["transfer", "zero-shot", *command, "--json"]) == 0
     output = json.loads(capsys.readouterr().out)
@@ -119,6 +119,7 @@ def test_zero_and_few_shot_from_the_command_line(lab, tiny, tmp_path, capsys):
     assert output["simulation"]["varies"] == {"pose_z": True, "pose_Rx": False, "pose_Ry": True}
     assert all(np.isfinite(v) for part in output.values() for v in part["mae"].values())
     assert tactip.main(["transfer", "few-shot", *command]) == 0
+    assert "no contacts are drawn anew (--drawn-contacts): no learned tip predicted those in" in capsys.readouterr().out
     record = json.loads((tmp_path / "out" / "results.json").read_text())
     assert list(record["few-shot"]) == ["0", "10", "30"]
     assert list(record["few-shot"]["10"]) == ["corrected", "fine_tuned"]
