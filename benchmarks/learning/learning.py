@@ -200,6 +200,9 @@ def rows(task: Task, paper: bool) -> list[Row]:
     out.append(Row("laptop-long", what, "drawn", long, start))
     noisy = Recipe(replace(laptop.network, batch_size=64), replace(laptop.settings, **_NOISE_TRAINING))
     out.append(Row("laptop-noise", "`laptop-long` fine-tuned with images of a noisy camera", "drawn", noisy, "laptop-long"))
+    if task == "surface":
+        what = f"`{start}` fine-tuned in the same way, light contacts among the drawn ones"
+        out.append(Row("laptop-light", what, "drawn", noisy, start))
     for beta in BETAS:
         weighted = replace(drawn, epochs=_BETA_EPOCHS, beta=beta)
         what = f"recipe `laptop` on drawn contacts, likelihood weighted by the variance to the power of {beta:g}"
