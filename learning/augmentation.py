@@ -56,7 +56,7 @@ class OpticsAugmentation:
         if samples.grey:
             raise TactipError(
                 f"the images in {samples.folder} are grey, but images that are rendered again are binary: set "
-                "augmented_fraction and undeformed_fraction to 0"
+                "augmented_fraction, undeformed_fraction and validation_renderings to 0"
             )
         tips, directions = _read_pins(samples)
         self.undeformed = len(tips)

@@ -182,6 +182,10 @@ class TrainSettings:
     """Factor on the ranges of `optics_ranges`."""
     optics_ranges: OpticsName = "lens"
     """Ranges of the randomized optics (learning/optics_ranges.py); `-clean` leaves image noise out."""
+    validation_renderings: int = within(0, 100, default=0)
+    """Number of renderings with randomized optics by which each validation image is replaced. For sensors whose camera is
+    known within these ranges only: standard deviations then include what this makes uncertain. 0 uses the images of the
+    set [P]."""
     drawn_contacts: int = within(0, 10**6, default=0)
     """Number of images per epoch that learned tips draw anew, beside those of the set and in its ranges, so none is
     learned by heart: single contacts, or sliding paths if the set has them; 0 [P]."""

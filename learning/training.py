@@ -11,7 +11,8 @@ The order and dropout of each epoch are sampled from (seed, epoch), so an epoch 
 import json
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any, Protocol
 
 import numpy as np
@@ -127,6 +128,8 @@ class Training:
         if self._augmentation:
             self._add_undeformed_tip(self._augmentation)
         self._val_images, self._val_targets = self._to_device(val)
+        if settings.validation_renderings:
+            self._randomize_validation(val)
         self.epoch = 0
         self.history: list[dict[str, float]] = []
         """Figures of each epoch so far."""
@@ -148,6 +151,15 @@ class Training:
         image = augmentation.render_plain(torch.tensor([augmentation.undeformed], device=self.device))
         self._images = torch.cat([self._images, image])
         self._targets = torch.cat([self._targets, targets[None].to(self._targets.dtype)])
+
+    def _randomize_validation(self, val: Samples) -> None:
+        """Replace the validation images by several renderings of each, all with randomized optics."""
+        s, count = self.settings, self.settings.validation_renderings
+        augmentation = OpticsAugmentation(val, s.augmentation_strength, OPTICS[s.optics_ranges], self.device)
+        with self._seeded(self._generator(0, 1)):
+            every = torch.arange(len(val), device=self.device)
+            self._val_images = torch.cat([augmentation.render(every) for _ in range(count)])
+        self._val_targets = self._val_targets.repeat(count, 1)
 
     @property
     def steps_per_epoch(self) -> int:
@@ -192,9 +204,7 @@ class Training:
             # The undeformed tip lies between the contacts of the set and the drawn ones.
             choices = np.concatenate([choices, self._count + 1 + np.arange(self.settings.drawn_contacts)])
         order = torch.from_numpy(rng.permutation(choices)).to(self.device)
-        devices = [torch.cuda.current_device()] if self.device == "cuda" else []
-        with torch.random.fork_rng(devices=devices):
-            torch.manual_seed(int(rng.integers(2**62)))
+        with self._seeded(rng):
             loss = self._train_steps(order, progress)
         val = self.validation_loss()
         if not math.isfinite(loss) or not math.isfinite(val):
@@ -209,9 +219,16 @@ class Training:
         self.epoch += 1
         return figures
 
-    def _generator(self, epoch: int) -> np.random.Generator:
-        """Return the generator of an epoch."""
-        return np.random.Generator(np.random.PCG64(np.random.SeedSequence(self.settings.seed, spawn_key=(epoch,))))
+    def _generator(self, *key: int) -> np.random.Generator:
+        """Return the generator of an epoch, or of another key."""
+        return np.random.Generator(np.random.PCG64(np.random.SeedSequence(self.settings.seed, spawn_key=key)))
+
+    @contextmanager
+    def _seeded(self, rng: np.random.Generator) -> Iterator[None]:
+        """Seed torch's generator by a number of another one, and restore it afterwards."""
+        with torch.random.fork_rng(devices=[torch.cuda.current_device()] if self.device == "cuda" else []):
+            torch.manual_seed(int(rng.integers(2**62)))
+            yield
 
     def _draw(self, source: ContactSource | SlideSource, augmentation: OpticsAugmentation, rng: np.random.Generator) -> None:
         """Replace the drawn contacts by others."""

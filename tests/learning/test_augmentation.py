@@ -12,8 +12,10 @@ from tactip_twin.learning.augmentation import OpticsAugmentation
 from tactip_twin.learning.checkpoint import read_metrics
 from tactip_twin.learning.configuration import PoseNetConfig, TrainSettings
 from tactip_twin.learning.data import read_samples
+from tactip_twin.learning.model import load_network
 from tactip_twin.learning.optics_ranges import OPTICS, OpticsRanges
 from tactip_twin.learning.train import train
+from tactip_twin.learning.training import Training
 from tactip_twin.tactip_model.errors import Interrupted, TactipError
 from tactip_twin.tactip_model.pins import neutral_pins
 from tactip_twin.tactip_model.raster_renderer import Raster
@@ -124,6 +126,24 @@ def test_train_augmented_is_resumable_and_differs_from_plain(samples, tmp_path):
     losses = [[h["loss"] for h in read_metrics(tmp_path / name)] for name in ("whole", "interrupted", "plain")]
     assert losses[0] == losses[1]
     assert losses[0] != losses[2]
+
+
+def test_deviations_include_what_an_unknown_camera_makes_uncertain(samples):
+    """The shipped network errs more on images of other cameras, which their own rendering of the validation images shows."""
+    start = load_network("surface-tactip-127")
+    known = replace(samples, targets=np.array([[-d, 0.0, 0.0] for d in (1, 2, 3, 4)]))
+    assert known.labels.names == start.labels.names
+
+    def trained(ranges, renderings):
+        settings = TrainSettings(epochs=1, learning_rate=1e-7, optics_ranges=ranges, augmented_fraction=0.5)
+        training = Training(known, known, start.config, replace(settings, validation_renderings=renderings), init_from=start)
+        training.train_epoch()
+        return training.deviation_scale().factors[0][0], training.best_error  # of depth
+
+    plain, lens, real = trained("real", 0), trained("lens", 20), trained("real", 20)
+    assert real[0] > 1.2 * lens[0] and lens[0] > 1.5 * plain[0]
+    assert plain[1] < lens[1] < real[1]
+    assert real[1] == trained("real", 20)[1]
 
 
 def test_cameras_zero_offset_match_lens(samples, design):
