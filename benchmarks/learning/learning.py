@@ -201,13 +201,9 @@ def rows(task: Task, paper: bool) -> list[Row]:
     noisy = Recipe(replace(laptop.network, batch_size=64), replace(laptop.settings, **_NOISE_TRAINING))
     out.append(Row("laptop-noise", "`laptop-long` fine-tuned with images of a noisy camera", "drawn", noisy, "laptop-long"))
     if task == "surface":
-        what = f"`{start}` fine-tuned in the same way, light contacts among the drawn ones"
-        out.append(Row("laptop-light", what, "drawn", noisy, start))
-    for beta in BETAS:
-        weighted = replace(drawn, epochs=_BETA_EPOCHS, beta=beta)
-        what = f"recipe `laptop` on drawn contacts, likelihood weighted by the variance to the power of {beta:g}"
-        recipe = Recipe(replace(laptop.network, batch_size=64), weighted)
-        out.append(Row(f"laptop-beta-{beta:g}", what, "drawn", recipe))
+        light = f"`{start}` fine-tuned in the same way, light contacts among the drawn ones"
+        out.append(Row("laptop-light", light, "drawn", noisy, start))
+    out += [_weighted(Recipe(noisy.network, drawn), beta) for beta in BETAS]
     settings = replace(laptop.settings, **_SLIDE_TRAINING | {"epochs": _SLIDE_EPOCHS[task]})
     where = "on curved surfaces, " if task == "surface" else ""
     what = f"`laptop-noise` fine-tuned on slides {where}which the learned tip draws anew every second epoch"
@@ -218,6 +214,13 @@ def rows(task: Task, paper: bool) -> list[Row]:
         what = "`laptop-256px` fine-tuned on such slides, with images of a noisy camera"
         out.append(Row("laptop-256px-slides", what, "256px-slides", wide_slides, "laptop-256px"))
     return out
+
+
+def _weighted(recipe: Recipe, beta: float) -> Row:
+    """Return a training with another exponent of the weighted likelihood."""
+    settings = replace(recipe.settings, epochs=_BETA_EPOCHS, beta=beta)
+    what = f"recipe `laptop` on drawn contacts, likelihood weighted by the variance to the power of {beta:g}"
+    return Row(f"laptop-beta-{beta:g}", what, "drawn", replace(recipe, settings=settings))
 
 
 def _any_yaw(recipe: Recipe, start: str, known: str) -> Row:
