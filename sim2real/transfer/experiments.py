@@ -17,7 +17,6 @@ import numpy as np
 from tactip_twin.learning.configuration import DeviceName, Recipe
 from tactip_twin.learning.data import Samples, read_samples
 from tactip_twin.learning.drawn_contacts import configuration_of
-from tactip_twin.learning.image_check import MAX_APART_PX, pins_apart_px
 from tactip_twin.learning.model import Model, load_model, load_network
 from tactip_twin.learning.optics_ranges import noiseless
 from tactip_twin.learning.recipes import recipe_named
@@ -32,27 +31,20 @@ from tactip_twin.sim.fast_tip.fast_tip import FastTip, any_materials, read_fast_
 from tactip_twin.sim.labels import FidelityName, Task
 from tactip_twin.sim.parallel.worker_pool import worker_count
 from tactip_twin.sim.pose import from_mm_deg
-from tactip_twin.sim2real.importing.import_set import pins_at_rest, read_report
-from tactip_twin.sim2real.transfer.estimated_materials import AFTER, BEFORE, with_estimated_materials
+from tactip_twin.sim2real.importing.import_set import read_report
 from tactip_twin.sim2real.transfer.fine_tune import FineTuning, fine_tune
 from tactip_twin.sim2real.transfer.initial_network import shipped_network_for
 from tactip_twin.sim2real.transfer.linear_correction import MIN_FRAMES, corrected, write_corrected
-from tactip_twin.sim2real.transfer.neutral_calibration import (
-    camera_of,
-    fit_design_to_neutral_image,
-    nearest_nominal_design,
-    with_camera_drift,
-)
+from tactip_twin.sim2real.transfer.neutral_calibration import camera_of, nearest_nominal_design
+from tactip_twin.sim2real.transfer.real_sensor import RealSensor
 from tactip_twin.sim2real.transfer.real_shear import real_shear
 from tactip_twin.sim2real.transfer.score import Estimator, score
 from tactip_twin.sim2real.transfer.settings import AUTO, GAP, NONE, TransferSettings
 from tactip_twin.sim2real.transfer.sim_gap import plot_gap, sim_to_real_gap
 from tactip_twin.tactip_model.design import Design
-from tactip_twin.tactip_model.design_file import write_design
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.files import remove_leftovers, write_file
 from tactip_twin.tactip_model.input_files import read_json
-from tactip_twin.tactip_model.presets import load_design
 
 RESULTS = "results.json"
 
@@ -77,11 +69,6 @@ _DRAWN_CONTACTS = {"surface": 0, "edge": 4000}
 _VALIDATION_RENDERINGS = 5
 """Number of renderings of a validation image, of whose camera no more is known than of the real one. With the images of the
 design's own camera, intervals of depth became 1.6 times too narrow [M]."""
-
-_MAX_RESIDUAL = 0.75
-"""Largest distance of the pins with estimated materials, as a fraction of that with usual ones, for them to be believed. It
-is 0.4 to 0.5 on hidden sensors with other mechanics, and 0.85 to 0.9 on real-127 and real-331, on which narrow mechanics
-around the estimate made depth 0.01 mm worse or changed nothing [M]."""
 
 _TRAIN_FRAMES, _MAX_TRAIN_FRACTION, _MIN_TRAIN_FRAMES = 1500, 0.6, 20
 """Default number of real training frames, its maximum as a fraction of the set, and its minimum."""
@@ -204,9 +191,8 @@ class Experiment:
             )
         self._init_from = self._initial_network()
         self.recipe()  # an unknown name is reported before any work starts
-        self._given_design = load_design(settings.design) if settings.design else None
-        self._fitted: Design | None = None
-        self._estimated = False
+        task: Task = "edge" if self.task == "edge" else "surface"
+        self._sensor = RealSensor(self.real, self.out, settings, self.samples.size, self.split.known.images, task, log)
 
     def recipe(self, variant: Variant = Variant()) -> Recipe:
         """Return the recipe of a training on simulated samples of a variant."""
@@ -253,63 +239,12 @@ class Experiment:
         Raises:
             TactipError: The given one is of another sensor or camera, or the neutral image shows no pins.
         """
-        if self._given_design:
-            self._check_given(self._given_design)
-            design = with_camera_drift(self._given_design, camera_of(self.real))
-            return replace(design, image=replace(design.image, size_px=self.samples.size))
-        if self._fitted is None:
-            self.log("fitting tip and camera to the neutral image")
-            fitted, figures = fit_design_to_neutral_image(self.real, self.samples.size)
-            self._fitted, materials = self._with_materials(fitted)
-            self._estimated = materials is not None
-            self.out.mkdir(parents=True, exist_ok=True)
-            about = {"neutral_image_of": self.real.name, "estimated_materials": materials, **figures}
-            write_design(self.out / "design.json", self._fitted, about)
-        return self._fitted
-
-    def _check_given(self, design: Design) -> None:
-        """Raise TactipError if a design's pins are not where the set's neutral image has them."""
-        pins = pins_at_rest(self.real)
-        apart = 0.0 if pins is None else pins_apart_px(design, pins)
-        if apart > MAX_APART_PX:
-            raise TactipError(
-                f"the pins of the design {design.name!r} must be within {MAX_APART_PX:g} px of 256 of those in the neutral "
-                f"image, got {apart:.1f} px: give the design that tactip calibrate has fitted to this sensor, or none"
-            )
-
-    def _with_materials(self, design: Design) -> tuple[Design, dict[str, float] | None]:
-        """Return a design with the materials that the frames show, and these; the design itself and None if they are not to
-        be estimated, or cannot be."""
-        name = self.settings.randomize_mechanics
-        if name not in (AUTO, "estimated"):
-            return design, None
-        self.log("estimating the materials from the pins of some frames")
-        frames, around = self.split.known.images, MECHANICS_RANDOMIZATIONS["estimated"]
-        task: Task = "edge" if self.task == "edge" else "surface"
-        try:
-            estimated, found = with_estimated_materials(design, frames, task, around, self.settings.seed)
-        except TactipError as error:
-            if name == "estimated":
-                raise
-            self.log(f"the materials are not estimated, and vary more: {error}")
-            return design, None
-        if name == AUTO and found[AFTER] > _MAX_RESIDUAL * found[BEFORE]:
-            self.log(
-                f"the materials vary more, because none explain the pins much better: {found[AFTER]:.2f} px of 256 from the "
-                f"frames, {found[BEFORE]:.2f} px with usual ones"
-            )
-            return design, None
-        return estimated, found
+        return self._sensor.design()
 
     def _mechanics(self, variant: Variant) -> str:
         """Return the name of the randomization of the mechanics of a variant's contacts."""
         name = variant.randomize_mechanics or self.settings.randomize_mechanics
-        if name != AUTO:
-            return name
-        if self._given_design or not variant.calibrated:
-            return "real"
-        self.design()
-        return "estimated" if self._estimated else "real"
+        return name if name != AUTO else self._sensor.mechanics() if variant.calibrated else "real"
 
     def simulated(self, variant: Variant = Variant()) -> tuple[Samples, Samples]:
         """Return training and validation samples of a variant, simulated if they do not exist."""
