@@ -229,13 +229,16 @@ def tables(result: dict[str, Any]) -> dict[str, str]:
             cells = [f"{one['zero_shot']['mae'][c]:.2f} ({one['zero_shot']['mae_zeroed'][c]:.2f})" for c in shown]
             cells += [f"{one['corrected']['mae'][c]:.2f}" for c in shown]
             rows.append([*what, "" if one["seconds"] is None else f"{one['seconds'] / 60:.0f}", *cells])
-            inside.append([name, *(f"{100 * one['coverage'][f'coverage_{p}'][c]:.0f}" for c in shown for p in (68, 95))])
+            inside.append([name, *(100 * one["coverage"][f"coverage_{p}"][c] for c in shown for p in (68, 95))])
             if "certain" in one:  # results of an earlier state of this benchmark have none
                 certain.append([name, *(f"{one['certain'][c]:.2f}" for c in shown)])
         target = ["target", "", "", "", "", *(f"{TARGETS[task][c]:g}" for c in shown), *[""] * len(shown)]
         out[task] = table(head, [*rows, target])
         covered = [f"{what.partition(',')[0]}, {p} %" for what in shown.values() for p in (68, 95)]
-        out[f"{task}-coverage"] = table(["sensor", *covered], inside)
+        if inside:
+            inside.append(["mean", *np.mean([numbers for _, *numbers in inside], 0).tolist()])
+        texts = [[name, *(f"{number:.0f}" for number in numbers)] for name, *numbers in inside]
+        out[f"{task}-coverage"] = table(["sensor", *covered], texts)
         if task == "edge":  # light touches of edges are the uncertain ones
             out["certain"] = table(["sensor", *shown.values()], certain)
     return out | {"machine": machine_text(result["machine"])}

@@ -55,6 +55,8 @@ class LearningOptions:
 class UncertaintyOptions:
     """Measure the shipped networks by normal force, their standard deviations, and images unlike those in training."""
 
+    only: tuple[Task, ...] = ()
+    """Tasks to measure. Default: all. Results of others remain on the page."""
     data: Path = Path("data/learning")
     """Folder of the data sets of `tactip bench learning`."""
     test_contacts: int = 1000

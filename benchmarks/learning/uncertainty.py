@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 from tactip_twin.benchmarks.hardware import machine, machine_text
 from tactip_twin.benchmarks.learning.learning_sets import DESIGN, jobs
 from tactip_twin.benchmarks.learning.options import LearningOptions, UncertaintyOptions
-from tactip_twin.benchmarks.report import table, write_results
+from tactip_twin.benchmarks.report import read_results, table, write_results
 from tactip_twin.learning.data import Samples, read_samples
 from tactip_twin.learning.evaluate import Evaluation, evaluate
 from tactip_twin.learning.image_check import ImageCheck, image_check
@@ -55,8 +55,8 @@ _ODD_IMAGES = 200
 
 def run(options: UncertaintyOptions, log: Callable[[str], None] = print) -> dict[str, Any]:
     """Evaluate the networks, write page and figure, and return the results. Raises TactipError."""
-    result: dict[str, Any] = {"tasks": {}}
-    for task in TASKS:
+    measured = read_results(options.out / "uncertainty.json").get("tasks", {})
+    for task in options.only or TASKS:
         sets = jobs(
             LearningOptions(
                 task=task,
@@ -70,8 +70,8 @@ def run(options: UncertaintyOptions, log: Callable[[str], None] = print) -> dict
         make(needed, worker_count(options.workers), log)
         usual, light = (read_samples(job.folder) for job in needed)
         log(f"{task}: {len(usual)} test contacts, {len(light)} with light ones")
-        result["tasks"][task] = _task(load_network(f"{task}-{DESIGN}"), usual, light)
-    result["machine"] = machine()
+        measured[task] = _task(load_network(f"{task}-{DESIGN}"), usual, light)
+    result = {"tasks": {task: measured[task] for task in TASKS if task in measured}, "machine": machine()}
     write_results("uncertainty", result, tables(result), options.out)
     plot(result, options.out / "uncertainty.png")
     return result
