@@ -187,8 +187,8 @@ def _job(options: LearningOptions, wanted: _Wanted) -> Job:
         split=split,
         samples=wanted.samples,
         seed=wanted.seed,
-        # OpenGL takes longer for eight images than the contact itself. Sets to test with, or to fit deviations to, are rendered
-        # by it nevertheless: on light contacts, networks that learned from the raster err more on its images.
+        # OpenGL takes longer for eight images than the contact itself. Sets to test with, or to fit deviations to, are
+        # rendered by it nevertheless: on light contacts, networks that learned from the raster err more on its images.
         renderer="raster" if augmented or (kind in _OWN_TESTS and split == "train") else "pyrender",
         design=design,
         fidelity=fidelity_named(FIDELITY),
