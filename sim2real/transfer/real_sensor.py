@@ -53,7 +53,8 @@ class RealSensor:
             TactipError: The named design cannot be read.
         """
         self._real, self._out, self._settings, self._log = real, out, settings, log
-        self._size_px, self._images, self._task = size_px, images, task
+        self._size_px, self._images = size_px, images
+        self._task: Task = task
         self._given = load_design(settings.design) if settings.design else None
         self._fitted: Design | None = None
         self._estimated = False
