@@ -75,7 +75,7 @@ MechanicsName = Literal["none", "estimated", "real", "wide"]
 MECHANICS_RANDOMIZATIONS: dict[str, MechanicsRandomization] = {
     "none": MechanicsRandomization(),
     "estimated": MechanicsRandomization(
-        friction=1.12, kinetic_fraction=1.4, skin_young=1.2, skin_thickness=1.08, pin_length=1.1
+        friction=1.2, kinetic_fraction=1.57, skin_young=1.2, skin_thickness=1.08, pin_length=1.1
     ),
     "real": MechanicsRandomization(
         friction=1.6, kinetic_fraction=1.57, skin_young=1.5, gel_young=1.5, skin_thickness=1.15, pin_length=1.1
@@ -88,5 +88,6 @@ MECHANICS_RANDOMIZATIONS: dict[str, MechanicsRandomization] = {
 of a load cell [R]; kinetic fraction from 0.4 to 0.99 around the 0.63 of designs fitted to a neutral image, because
 calibrated tips have 0.55 [M]; the rest is estimated [?], and exceeds the deviations of a calibration (docs/calibration).
 `estimated`: around materials that were estimated from the pins of unlabelled frames, which are about as far off on
-simulated sensors [M]; the kinetic fraction hardly shows. `wide`: what a calibration may meet around the 127-pin tip, for a
-learned tip that knows materials. Deformations depend on the moduli by their ratio alone, so only one varies."""
+simulated sensors [M]; the kinetic fraction, which pins hardly show, as in `real`. `wide`: what a calibration may meet around
+the 127-pin tip, for a learned tip that knows materials. Deformations depend on the moduli by their ratio alone, so only one
+varies."""
