@@ -23,8 +23,9 @@ _MARGIN = 1e-3
 def with_estimated_materials(
     design: Design, images: np.ndarray, task: Task, around: MechanicsRandomization, seed: int = 0
 ) -> tuple[Design, dict[str, float]]:
-    """Return a design with the materials that explain the pins of some frames best, whatever their poses; and these
-    materials by name (sim/fast_tip/materials.py), with the distance of detected and simulated pins before and with them.
+    """Return a design with materials that explain the pins of some frames best, whatever their poses; and its materials by
+    name (sim/fast_tip/materials.py), with the distance of detected and simulated pins, px of 256, before and with the most
+    likely ones.
 
     The kinetic fraction and the slip weakening remain the design's, because pins hardly show them: on 17 simulated sensors,
     the true ones were 1.0 to 2.3 and 0.4 to 1.4 times the most likely ones [M].

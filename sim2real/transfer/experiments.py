@@ -191,8 +191,9 @@ class Experiment:
             )
         self._init_from = self._initial_network()
         self.recipe()  # an unknown name is reported before any work starts
-        task: Task = "edge" if self.task == "edge" else "surface"
-        self._sensor = RealSensor(self.real, self.out, settings, self.samples.size, self.split.known.images, task, log)
+        self._stimulus: Task = "edge" if self.task == "edge" else "surface"
+        frames = self.split.known.images
+        self._sensor = RealSensor(self.real, self.out, settings, self.samples.size, frames, self._stimulus, log)
 
     def recipe(self, variant: Variant = Variant()) -> Recipe:
         """Return the recipe of a training on simulated samples of a variant."""
@@ -307,7 +308,7 @@ class Experiment:
         name = self.settings.fidelity
         if name not in (AUTO, "fast"):
             return None, ""
-        path = any_materials("edge" if self.task == "edge" else "surface")
+        path = any_materials(self._stimulus)
         tip = read_fast_tip(path)
         try:
             tip.check_design(design, randomized)
@@ -344,7 +345,7 @@ class Experiment:
     def _drawing_tips(self, samples: Samples) -> list[FastTip]:
         """Return the learned tip that draws more contacts like those of a set: the one that predicted them, if one did."""
         predicted = configuration_of(samples).fast_tip
-        return [read_fast_tip(any_materials("edge" if self.task == "edge" else "surface"))] if predicted else []
+        return [read_fast_tip(any_materials(self._stimulus))] if predicted else []
 
     def real_network(self, count: int) -> Model:
         """Return the network trained on `count` real frames only, some of which are validation frames."""

@@ -80,7 +80,7 @@ class RealSensor:
         return self._fitted
 
     def mechanics(self) -> str:
-        """Return the name of the randomization of mechanics that suits the design."""
+        """Return the name of the randomization of mechanics that suits the design. Raises TactipError as `design`."""
         if self._given:
             return "real"
         self.design()
