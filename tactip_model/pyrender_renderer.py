@@ -4,6 +4,10 @@ pyrender has no wide-angle lens. Each vertex is placed at its pixel as the lens 
 an orthographic camera renders the result: the lens is exact at every vertex, and the edges between vertices are shorter
 than a pixel. Light is computed per vertex from the LED ring (optics.py), so the scene needs no lights.
 
+A pixel at a pin's edge is covered in part. pyrender samples four points of it, which moves a blob of six pixels by 0.03
+pixels and made networks err by a fifth more at light touch. So each disc has a soft edge instead: its cover, which is
+the green of a vertex, falls from one to zero over the width of a pixel. Its grey level is the red.
+
 Run as a program (`python -m tactip_twin.tactip_model.pyrender_renderer`) it renders a square and exits with status 0,
 or prints one sentence and exits with status 1.
 """
@@ -25,11 +29,17 @@ from tactip_twin.tactip_model.raster_renderer import blur_and_quantize
 if TYPE_CHECKING:
     import pyrender
 
-_SIDES = 24
-"""Sides of the polygon that approximates a pin's round tip; its radius makes up for the 1 % of the area it lacks."""
+_SIDES = 16
+"""Sides of the polygon that approximates a pin's round tip; its radius makes up for the 3 % of the area it lacks."""
 
 _BACKDROP_DEPTH = 9.0
 """Depth of the backdrop, in the renderer's range."""
+
+_EDGE_DEPTH = 8.0
+"""Depth of the outer side of soft edges: behind all pins, so the edge of a near pin covers no other."""
+
+_EDGE_PX = 1.25
+"""Reach of the ring of a soft edge to both sides, px. Where its cover is between zero and one, whole pixels lie in it."""
 
 
 @cache
@@ -57,7 +67,7 @@ def check_opengl() -> None:
     """Render a square off screen; raise TactipError if OpenGL cannot be used."""
     renderer = OffscreenRenderer(16, 16)
     corners = np.array([[-1, -1, 1.0], [40, -1, 1.0], [-1, 40, 1.0]])
-    image, _ = renderer.render(renderer.mesh(corners, np.array([[0, 1, 2]]), np.full(3, 255.0)))
+    image = renderer.render(renderer.mesh(corners, np.array([[0, 1, 2]]), np.full((3, 2), 255.0)))
     if image.min() < 255:
         raise TactipError(
             f"OpenGL renders incorrectly here: a white square must have the grey level 255, got {image.min():.0f}; "
@@ -79,34 +89,30 @@ class OffscreenRenderer:
         pose[:3, 3] = (width - 1) / 2, (height - 1) / 2, 0.0
         self._scene.add(camera, pose=pose)
 
-    def mesh(self, vertices: np.ndarray, triangles: np.ndarray, grey: np.ndarray) -> "pyrender.Mesh":
+    def mesh(self, vertices: np.ndarray, triangles: np.ndarray, levels: np.ndarray) -> "pyrender.Mesh":
         """Return a mesh.
 
         Args:
             vertices: (n, 3): pixels x, y and depth 0.01 to 10.
             triangles: (m, 3).
-            grey: Grey levels (n,), 0 to 255.
+            levels: Two levels of each vertex (n, 2), 0 to 255, which are interpolated between vertices.
         """
         colour = np.ones((len(vertices), 4), np.float32)
-        colour[:, :3] = grey[:, None] / 255
+        colour[:, :2] = levels / 255
         material = self._pyrender.MetallicRoughnessMaterial(doubleSided=True, baseColorFactor=[1.0, 1.0, 1.0, 1.0])
         primitive = self._pyrender.Primitive(
             positions=vertices.astype(np.float32), indices=triangles, color_0=colour, material=material
         )
         return self._pyrender.Mesh([primitive])
 
-    def render(self, mesh: "pyrender.Mesh") -> tuple[np.ndarray, np.ndarray]:
-        """Render a mesh on black.
-
-        Returns:
-            The image (h, w) float, 0 to 255, and the fraction (h, w) of each pixel that the mesh covers.
-        """
+    def render(self, mesh: "pyrender.Mesh") -> np.ndarray:
+        """Render a mesh on black; return its two levels (h, w, 2) float32, 0 to 255."""
         node = self._scene.add(mesh)
         flags = self._pyrender.RenderFlags
         self._renderer.viewport_width, self._renderer.viewport_height = self._size
-        colour = self._renderer.render(self._scene, flags=flags.FLAT | flags.RGBA)[0]
+        colour = self._renderer.render(self._scene, flags=flags.FLAT)[0]
         self._scene.remove_node(node)
-        return colour[..., 0].astype(np.float64), colour[..., 3] / 255
+        return colour[..., :2].astype(np.float32)
 
 
 def _gl_error() -> tuple[type[Exception], ...]:
@@ -135,11 +141,16 @@ class PinCamera:
         radius = np.sqrt(np.pi / (_SIDES / 2 * np.sin(2 * np.pi / _SIDES)))
         self._rim = radius * np.stack([np.cos(angle), np.sin(angle)], 1)
         self._radii = pin_radii(design)
-        fan = np.stack([np.zeros(_SIDES, int), 1 + np.arange(_SIDES), 1 + (np.arange(_SIDES) + 1) % _SIDES], 1)
-        self._fans = (fan + (_SIDES + 1) * np.arange(len(self._radii))[:, None, None]).reshape(-1, 3)
+        # Vertices of a disc: its centre, the inner and the outer side of its soft edge.
+        inner, following = 1 + np.arange(_SIDES), 1 + (np.arange(_SIDES) + 1) % _SIDES
+        outer = inner + _SIDES
+        fan = np.stack([np.zeros(_SIDES, int), inner, following], 1)
+        edge = np.concatenate([np.stack([inner, outer, following], 1), np.stack([following, outer, following + _SIDES], 1)])
+        triangles, pins = np.concatenate([fan, edge]), np.arange(len(self._radii))
+        self._triangles = (triangles + (1 + 2 * _SIDES) * pins[:, None, None]).reshape(-1, 3)
         self._renderer = OffscreenRenderer(self._lens.width, self._lens.width)
         # The backdrop never moves, so it is rendered once, which saves more than half of an image's time.
-        self._backdrop, _ = self._renderer.render(self._skin())
+        self._backdrop = self._renderer.render(self._skin())[..., 0]
 
     def render(self, pin_tips: ArrayLike, directions: ArrayLike) -> np.ndarray:
         """Return the grey frames (..., h, w) uint8 of pins.
@@ -152,17 +163,20 @@ class PinCamera:
         if pin_tips.ndim > 2:
             return np.stack([self.render(*one) for one in zip(pin_tips, directions, strict=True)])
         plane = np.einsum("sk,kpj->psj", self._rim, perpendicular_axes(directions))
-        discs = np.concatenate([pin_tips[:, None], pin_tips[:, None] + self._radii[:, None, None] * plane], 1)
+        centres, rims = self._project(pin_tips), self._project(pin_tips[:, None] + self._radii[:, None, None] * plane)
         grey = self._leds.grey(pin_tips, directions, self._design.optics.pin_albedo)
-        mesh = self._renderer.mesh(self._project(discs.reshape(-1, 3)), self._fans, np.repeat(grey, _SIDES + 1))
-        image, covered = self._renderer.render(mesh)
-        return blur_and_quantize(image + (1 - covered) * self._backdrop, self._design.optics)
+        vertices, cover = _soft_discs(centres, rims)
+        # Beyond 0 to 255, the renderer clips the cover where it is interpolated.
+        levels = np.stack([np.broadcast_to(grey[:, None], cover.shape), 255 * cover], 2)
+        image = self._renderer.render(self._renderer.mesh(vertices.reshape(-1, 3), self._triangles, levels.reshape(-1, 2)))
+        cover = image[..., 1] / 255
+        return blur_and_quantize(cover * image[..., 0] + (1 - cover) * self._backdrop, self._design.optics)
 
     def _project(self, points: np.ndarray) -> np.ndarray:
-        """Return pixels and depth (n, 3) of points (n, 3), m."""
-        depth = np.linalg.norm(points - self._lens.position, axis=1)
+        """Return pixels and depth (..., 3) of points (..., 3), m."""
+        depth = np.linalg.norm(points - self._lens.position, axis=-1)
         # Depth in units of 10 mm, inside the renderer's range.
-        return np.concatenate([self._lens.project(points), depth[:, None] * 100], 1)
+        return np.concatenate([self._lens.project(points), depth[..., None] * 100], -1)
 
     def _skin(self) -> "pyrender.Mesh":
         """Return the undeformed inner skin as a mesh behind all pins, because the real skin moves with them."""
@@ -180,7 +194,33 @@ class PinCamera:
         i, j = (a.ravel() for a in np.meshgrid(np.arange(rings + 1), np.arange(sides), indexing="ij"))
         a, b, c, d = i * sides + j, i * sides + (j + 1) % sides, (i + 1) * sides + j, (i + 1) * sides + (j + 1) % sides
         triangles = np.concatenate([np.stack([a, c, b], 1), np.stack([b, c, d], 1)])
-        return self._renderer.mesh(np.concatenate([vertices, rim]), triangles, np.concatenate([grey, grey[-sides:]]))
+        levels = np.concatenate([grey, grey[-sides:]])
+        return self._renderer.mesh(np.concatenate([vertices, rim]), triangles, np.repeat(levels[:, None], 2, 1))
+
+
+def _soft_discs(centres: np.ndarray, rims: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the vertices (p, 1 + 2 s, 3) of discs with soft edges, and their cover (p, 1 + 2 s).
+
+    The order is the centre, the inner, then the outer side of the soft edge. Along the normal of the disc's edge, the cover
+    is one half less the distance outward in pixels, so it is below zero outside and above one inside.
+
+    Args:
+        centres: (p, 3) and
+        rims: (p, s, 3), points on the discs' edges: pixels x, y and depth.
+    """
+    spokes = rims[..., :2] - centres[:, None, :2]
+    along = np.roll(rims[..., :2], -1, 1) - np.roll(rims[..., :2], 1, 1)
+    normals = np.stack([along[..., 1], -along[..., 0]], 2) / np.linalg.norm(along, axis=2, keepdims=True)
+    # A projection may turn the polygon's sense, so the side that is farther from the centre is outside.
+    normals *= np.sign(np.sum(normals * spokes, 2, keepdims=True))
+    # The edge of a disc of few pixels ends before its centre.
+    inward_px = np.minimum(_EDGE_PX, 0.9 * np.linalg.norm(spokes, axis=2))
+    inner, outer = rims.copy(), rims.copy()
+    inner[..., :2] -= inward_px[..., None] * normals
+    outer[..., :2] += _EDGE_PX * normals
+    outer[..., 2] = _EDGE_DEPTH
+    covers = [inward_px.max(1, keepdims=True), inward_px, np.full(inward_px.shape, -_EDGE_PX)]
+    return np.concatenate([centres[:, None], inner, outer], 1), 0.5 + np.concatenate(covers, 1)
 
 
 if __name__ == "__main__":
