@@ -164,7 +164,7 @@ class ReleaseModelsOptions:
 
     task: Task = "surface"
     """Task."""
-    row: str = "laptop-noise"
+    row: str = "laptop-light"
     """Row of `tactip bench learning`."""
     data: Path = Path("data/learning")
     """Folder of the data sets of `tactip bench learning`."""

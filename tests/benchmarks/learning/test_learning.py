@@ -135,7 +135,7 @@ def test_fine_tuned_networks_have_the_shape_of_their_initial_weights():
             *(["laptop-any-yaw"] if task == "edge" else []),
             "laptop-long",
             "laptop-noise",
-            *(["laptop-light"] if task == "surface" else []),
+            "laptop-light",
             "laptop-slides",
         ]
         expected += ["laptop-256px-slides"] if task == "surface" else []
