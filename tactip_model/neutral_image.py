@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import least_squares, linear_sum_assignment
 
-from tactip_twin.tactip_model.design import Design, Optics
+from tactip_twin.tactip_model.design import MAX_LAYOUT_RADIUS, Design, Optics
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.free_pins import with_free_pins
 from tactip_twin.tactip_model.optics import REFERENCE_PX, Lens
@@ -269,6 +269,31 @@ def with_pin_offsets(design: Design, seen: np.ndarray) -> Design:
         jacobian = np.stack(slopes, -1)
         offsets[known] += np.linalg.solve(jacobian[known], (seen - here)[known][..., None])[..., 0]
     return _moved(design, offsets)
+
+
+def widest_spacing(design: Design) -> float:
+    """Return the factor by which a design's pins can be farther apart within its dome."""
+    pins, limit = design.pins, MAX_LAYOUT_RADIUS * design.shape.radius_m
+    extent = pins.rings * pins.pitch_m
+    if pins.layout == "free":
+        extent = float(np.linalg.norm(pins.as_built_m, axis=1).max())
+    return limit / extent
+
+
+def with_spacing(design: Design, factor: float) -> Design:
+    """Return the design with pins `factor` times as far apart, and with the lens that shows them at the same places in the
+    neutral image. Raises TactipError if they would lie outside the dome."""
+    pins, optics = design.pins, design.optics
+    wider = replace(
+        pins,
+        pitch_m=factor * pins.pitch_m,
+        diameter_m=factor * pins.diameter_m,
+        rim_diameter_m=factor * pins.rim_diameter_m,
+        as_built_m=tuple((factor * x, factor * y) for x, y in pins.as_built_m),
+    )
+    moved = replace(optics, camera_offset_m=tuple(factor * x for x in optics.camera_offset_m))
+    seen = neutral_px(replace(design, optics=_when_neutral(optics)))
+    return with_pin_offsets(replace(design, pins=wider, optics=moved), seen)
 
 
 def _when_neutral(optics: Optics) -> Optics:

@@ -130,7 +130,7 @@ def estimate_contacts(
         design = _with_camera_of(design, reader.with_rim(neutral), frames.with_rim[:PIN_DETECTION_FRAMES])
     pins, good = detected_pins(cropped, fit.pins_px)
     rows, pins = np.array(list(frames.cropped))[good], pins[good]
-    model = contact_model(design, pins, task, rng).model
+    model = contact_model(design, some_of(pins, rng), task, rng).model
     noise = _noise(pins)
     optima = []
     for found in _optima(model, pins, noise, task, rng):
@@ -227,24 +227,48 @@ class ContactModel(NamedTuple):
     """Median distance of detected and simulated pins with the design's own materials, px of 256."""
     after_px: float
     """The same with the estimated ones."""
+    contacts: np.ndarray
+    """(n, 12) most likely poses and shears of the frames, mm and degrees."""
 
 
-def contact_model(design: Design, pins: np.ndarray, task: Task, rng: np.random.Generator) -> ContactModel:
-    """Return a model of the pins of a tip of some design, with the materials that explain pins (n, p, 2), px of 256, of some
-    frames best, whatever their contacts."""
+def some_of(pins: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Return the pins (m, p, 2) of at most _MATERIAL_FRAMES of n frames (n, p, 2), which are enough for the materials."""
+    return pins[rng.choice(len(pins), min(_MATERIAL_FRAMES, len(pins)), replace=False)]
+
+
+def contact_model(
+    design: Design, pins: np.ndarray, task: Task, rng: np.random.Generator, start: np.ndarray | None = None
+) -> ContactModel:
+    """Return a model of the pins of a tip of some design, with the materials that explain the pins of some frames best,
+    whatever their contacts.
+
+    Args:
+        design: The design.
+        pins: (n, p, 2) px of 256, from some_of; NaN where a pin is not detected.
+        task: Stimulus of the frames.
+        rng: Generator of contacts from which to start.
+        start: (n, 12) contacts from which to start instead, mm and degrees.
+    """
     tip = read_fast_tip(any_materials(task))
     model = PinModel(tip, PinDecoder(design, tip.modes), _POSES[task], _SHEARS, Lens(design))
     model = model.with_materials(np.clip(material_inputs(design.materials), *model.material_ranges.T))
-    some, noise = pins[rng.choice(len(pins), min(_MATERIAL_FRAMES, len(pins)), replace=False)], _noise(pins)
-    start, residuals = _likeliest(_optima(model, some, noise, task, rng))
+    noise = _noise(pins)
+
+    def contacts() -> tuple[np.ndarray, np.ndarray]:
+        if start is None:
+            return _likeliest(_optima(model, pins, noise, task, rng))
+        return _likeliest([most_likely(model, pins, start, noise, outlier=_OUTLIER_PX)])
+
+    found, residuals = contacts()
     before_px = float(np.median(residuals))
     for k in range(_MATERIAL_ROUNDS):
         if k:
-            start, residuals = _likeliest(_optima(model, some, noise, task, rng))
+            found, residuals = contacts()
         good = residuals <= _BAD_FIT * np.median(residuals)
-        model = model.with_materials(most_likely_materials(model, some[good], start[good], noise, outlier=_OUTLIER_PX))
-    after = most_likely(model, some, start, noise, outlier=_OUTLIER_PX)
-    return ContactModel(model, before_px, float(np.median(after.residuals)))
+        model = model.with_materials(most_likely_materials(model, pins[good], found[good], noise, outlier=_OUTLIER_PX))
+    after = most_likely(model, pins, found, noise, outlier=_OUTLIER_PX)
+    contacts_after = np.concatenate([after.poses, after.shears], 1)
+    return ContactModel(model, before_px, float(np.median(after.residuals)), contacts_after)
 
 
 def _likeliest(optima: Sequence[MostLikely]) -> tuple[np.ndarray, np.ndarray]:

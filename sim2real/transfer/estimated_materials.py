@@ -8,7 +8,7 @@ from tactip_twin.learning.pose_from_pins import PinModel
 from tactip_twin.sim.dataset.mechanics_randomization import MechanicsRandomization
 from tactip_twin.sim.fast_tip.materials import INPUTS, material_inputs
 from tactip_twin.sim.labels import Task
-from tactip_twin.sim2real.importing.estimated_contacts import FRAMES, contact_model, detected_pins
+from tactip_twin.sim2real.importing.estimated_contacts import FRAMES, contact_model, detected_pins, some_of
 from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.neutral_image import neutral_px
@@ -43,7 +43,7 @@ def with_estimated_materials(
     rng = np.random.default_rng(seed)
     chosen = images[rng.choice(len(images), min(FRAMES, len(images)), replace=False)]
     pins, good = detected_pins(list(chosen), neutral_px(design))
-    model, before_px, after_px = contact_model(design, pins[good], task, rng)
+    model, before_px, after_px, _ = contact_model(design, some_of(pins[good], rng), task, rng)
     likely = dict(zip(INPUTS, (float(value) for value in _within(model, around)), strict=True))
     materials = replace(
         design.materials,

@@ -1,5 +1,5 @@
-"""Design of the sensor of a real set, for contacts like its own: given, or fitted to its neutral image, with the materials
-that its frames show."""
+"""Design of the sensor of a real set, for contacts like its own: given, or fitted to its neutral image, with the pitch of
+its pins and the materials that its frames show."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -12,6 +12,7 @@ from tactip_twin.sim.dataset.mechanics_randomization import MECHANICS_RANDOMIZAT
 from tactip_twin.sim.labels import Task
 from tactip_twin.sim2real.importing.import_set import pins_at_rest
 from tactip_twin.sim2real.transfer.estimated_materials import AFTER, BEFORE, with_estimated_materials
+from tactip_twin.sim2real.transfer.estimated_pitch import with_estimated_pitch
 from tactip_twin.sim2real.transfer.neutral_calibration import camera_of, fit_design_to_neutral_image, with_camera_drift
 from tactip_twin.sim2real.transfer.settings import AUTO, TransferSettings
 from tactip_twin.tactip_model.design import Design
@@ -72,10 +73,16 @@ class RealSensor:
         if self._fitted is None:
             self._log("fitting tip and camera to the neutral image")
             fitted, figures = fit_design_to_neutral_image(self._real, self._size_px)
+            fitted, by_pitch = self._with_pitch(fitted)
             self._fitted, materials = self._with_materials(fitted)
             self._estimated = materials is not None
             self._out.mkdir(parents=True, exist_ok=True)
-            about = {"neutral_image_of": self._real.name, "estimated_materials": materials, **figures}
+            about = {
+                "neutral_image_of": self._real.name,
+                "px_by_factor_of_pitch": by_pitch,
+                "estimated_materials": materials,
+                **figures,
+            }
             write_design(self._out / "design.json", self._fitted, about)
         return self._fitted
 
@@ -95,6 +102,18 @@ class RealSensor:
                 f"the pins of the design {design.name!r} must be within {MAX_APART_PX:g} px of 256 of those in the neutral "
                 f"image, got {apart:.1f} px: give the design that tactip calibrate has fitted to this sensor, or none"
             )
+
+    def _with_pitch(self, design: Design) -> tuple[Design, dict[str, float] | None]:
+        """Return a design with the pitch that the frames show, and how well they show it; the design itself and None if they
+        do not."""
+        self._log("estimating the pitch of the pins from some frames")
+        try:
+            estimated, by_factor = with_estimated_pitch(design, self._images, self._task, self._settings.seed)
+        except TactipError as error:
+            self._log(f"the pitch remains {1e3 * design.pins.pitch_m:.2f} mm: {error}")
+            return design, None
+        self._log(f"the pitch is {1e3 * estimated.pins.pitch_m:.2f} mm; usual is {1e3 * design.pins.pitch_m:.2f} mm")
+        return estimated, by_factor
 
     def _with_materials(self, design: Design) -> tuple[Design, dict[str, float] | None]:
         """Return a design with the materials that the frames show, and these; the design itself and None if they are not to

@@ -1,4 +1,4 @@
-"""How OpenMP threads wait: chosen before torch loads, unless the user has chosen."""
+"""How the threads of numerical libraries wait: chosen before they load, unless the user has chosen."""
 
 import os
 import subprocess
@@ -29,6 +29,16 @@ def test_threads_sleep_soon_unless_user_has_chosen(module, chosen, spins, policy
     assert shown["OMP_WAIT_POLICY"] == (policy or shown["OMP_WAIT_POLICY"])
     assert spins is None or shown["GOMP_SPINCOUNT"] == spins
     assert spins is not None or shown["GOMP_SPINCOUNT"] != "'1000'"
+
+
+@pytest.mark.skipif(not os.path.exists("/proc/self/task"), reason="counts threads as Linux does")
+@pytest.mark.parametrize("chosen", [{}, {"OPENBLAS_NUM_THREADS": "2"}, {"OMP_NUM_THREADS": "2"}], ids=str)
+def test_numpy_multiplies_in_one_thread_unless_user_has_chosen(chosen):
+    environment = {k: v for k, v in os.environ.items() if not k.endswith("_NUM_THREADS")} | chosen
+    code = "import os, tactip_twin.sim.pose, numpy as np; a = np.ones((999, 999)); a @ a; "
+    code += "print(len(os.listdir('/proc/self/task')))"
+    run = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    assert (int(run.stdout) > 1) == (bool(chosen) and len(os.sched_getaffinity(0)) > 1)
 
 
 @pytest.mark.parametrize("count", ["0", "-1", "1000000"])

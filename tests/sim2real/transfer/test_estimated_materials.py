@@ -5,33 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tactip_twin.learning.pose_from_pins import PinModel
+from helpers.predicted_frames import TIP, frames_of
 from tactip_twin.sim.dataset.mechanics_randomization import MECHANICS_RANDOMIZATIONS
-from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES
-from tactip_twin.sim.fast_tip.fast_tip import PinDecoder, any_materials, read_fast_tip
 from tactip_twin.sim.fast_tip.materials import INPUTS, are_learned, material_inputs
-from tactip_twin.sim.pose import from_mm_deg
 from tactip_twin.sim2real.transfer.estimated_materials import with_estimated_materials
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.presets import design_named
-from tactip_twin.tactip_model.raster_renderer import Raster
-from tactip_twin.tactip_model.tactile_image import tactile_image
 
 DESIGN = design_named("nominal-127")
-TIP = read_fast_tip(any_materials("surface"))
 AROUND = MECHANICS_RANDOMIZATIONS["estimated"]
-
-
-def frames_of(design, count=60):
-    """Return tactile images of random presses of a tip with a design, as the learned tip predicts them."""
-    decoder, rng = PinDecoder(design, TIP.modes), np.random.default_rng(1)
-    model = PinModel(TIP, decoder, POSE_RANGES["surface"], SHEAR_RANGES)
-    values = model.low + (model.high - model.low) * rng.uniform(0.1, 0.9, (count, len(model.low)))
-    contacts = from_mm_deg(model.whole(values).reshape(-1, 2, 6))
-    found = TIP.predict(decoder, contacts[:, 0], contacts[:, 1], material_inputs(design.materials))
-    raster = Raster(design)
-    frames = (raster.render(tips, towards) for tips, towards in zip(found.pin_tips, found.directions, strict=True))
-    return np.stack([tactile_image(frame, design.image) for frame in frames])
 
 
 @pytest.mark.parametrize(("friction", "stiffness"), [(0.5, 1.4), pytest.param(0.9, 0.6, marks=pytest.mark.slow)])

@@ -1,0 +1,72 @@
+"""Pitch of the pins of a real tip, which its neutral image cannot tell from the lens, estimated from pressed frames.
+
+Pins that are closer together lie farther from the clamped rim of the skin, so the outer ones move more. For each pitch that
+is tried, the lens shows the pins where the neutral image has them, and the learned tip explains the frames as well as it
+can, with the most likely materials. A parabola through the squared distances tells which pitch explains them best.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from tactip_twin.sim.labels import Task
+from tactip_twin.sim2real.importing.estimated_contacts import FRAMES, contact_model, detected_pins, some_of
+from tactip_twin.tactip_model.design import Design
+from tactip_twin.tactip_model.neutral_image import neutral_px, widest_spacing, with_spacing
+
+_STEP = 0.05
+"""Step of the factors of the pitch that are tried, in logarithms [?]."""
+
+_MAX_STEPS = 5
+"""Largest number of steps to each side [?]."""
+
+
+def with_estimated_pitch(design: Design, images: np.ndarray, task: Task, seed: int = 0) -> tuple[Design, dict[str, float]]:
+    """Return a design with the pitch that explains the pins of some frames best, whatever their poses; and the distance of
+    detected and simulated pins, px of 256, by the factor of each pitch that was tried.
+
+    Args:
+        design: The design, fitted to the sensor's neutral image.
+        images: (n, size, size) uint8, tactile images of presses.
+        task: Their stimulus.
+        seed: Seed of the choice of frames.
+
+    Raises:
+        TactipError: If too few frames show their pins.
+    """
+    rng = np.random.default_rng(seed)
+    chosen = images[rng.choice(len(images), min(FRAMES, len(images)), replace=False)]
+    pins, good = detected_pins(list(chosen), neutral_px(design))
+    pins = some_of(pins[good], rng)
+    first = contact_model(design, pins, task, rng)
+    widest = min(_MAX_STEPS, int(np.log(widest_spacing(design)) / _STEP))
+
+    def apart_px(step: int) -> float:
+        if step == 0:
+            return first.after_px
+        wider = with_spacing(design, float(np.exp(step * _STEP)))
+        return contact_model(wider, pins, task, rng, first.contacts).after_px
+
+    step, found = lowest(apart_px, -_MAX_STEPS, widest)
+    by_factor = {f"{np.exp(k * _STEP):.3f}": px for k, px in sorted(found.items())}
+    return with_spacing(design, float(np.exp(step * _STEP))), by_factor
+
+
+def lowest(values: Callable[[int], float], low: int, high: int) -> tuple[float, dict[int, float]]:
+    """Return where a positive function of the whole numbers from `low` to `high` is lowest, and its values that were needed.
+
+    The search goes downhill from 0, and a parabola through squared values tells the place between whole numbers. There must
+    be at least three of these, 0 among them.
+    """
+    found = {0: values(0)}
+    while True:
+        best = min(found, key=found.__getitem__)
+        middle = min(max(best, low + 1), high - 1)
+        around = range(middle - 1, middle + 2)
+        if found.keys() >= set(around):
+            break
+        found |= {k: values(k) for k in around if k not in found}
+    before, here, after = (found[k] ** 2 for k in around)
+    bend = before - 2 * here + after
+    vertex = middle + 0.5 * (before - after) / bend if bend > 0 else best
+    return float(np.clip(vertex, min(found), max(found))), found
