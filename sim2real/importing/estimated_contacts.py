@@ -237,7 +237,7 @@ def some_of(pins: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 def contact_model(
-    design: Design, pins: np.ndarray, task: Task, rng: np.random.Generator, start: np.ndarray | None = None
+    design: Design, pins: np.ndarray, task: Task, rng: np.random.Generator, similar: ContactModel | None = None
 ) -> ContactModel:
     """Return a model of the pins of a tip of some design, with the materials that explain the pins of some frames best,
     whatever their contacts.
@@ -247,28 +247,26 @@ def contact_model(
         pins: (n, p, 2) px of 256, from some_of; NaN where a pin is not detected.
         task: Stimulus of the frames.
         rng: Generator of contacts from which to start.
-        start: (n, 12) contacts from which to start instead, mm and degrees.
+        similar: Model of a similar tip for the same frames, whose materials and contacts are the start instead.
     """
     tip = read_fast_tip(any_materials(task))
     model = PinModel(tip, PinDecoder(design, tip.modes), _POSES[task], _SHEARS, Lens(design))
-    model = model.with_materials(np.clip(material_inputs(design.materials), *model.material_ranges.T))
     noise = _noise(pins)
-
-    def contacts() -> tuple[np.ndarray, np.ndarray]:
-        if start is None:
-            return _likeliest(_optima(model, pins, noise, task, rng))
-        return _likeliest([most_likely(model, pins, start, noise, outlier=_OUTLIER_PX)])
-
-    found, residuals = contacts()
+    if similar is None:
+        model = model.with_materials(np.clip(material_inputs(design.materials), *model.material_ranges.T))
+        found, residuals = _likeliest(_optima(model, pins, noise, task, rng))
+    else:
+        model = model.with_materials(similar.model.materials)
+        found, residuals = _likeliest([most_likely(model, pins, similar.contacts, noise, outlier=_OUTLIER_PX)])
     before_px = float(np.median(residuals))
-    for k in range(_MATERIAL_ROUNDS):
+    for k in range(_MATERIAL_ROUNDS if similar is None else 1):
         if k:
-            found, residuals = contacts()
+            found, residuals = _likeliest(_optima(model, pins, noise, task, rng))
         good = residuals <= _BAD_FIT * np.median(residuals)
         model = model.with_materials(most_likely_materials(model, pins[good], found[good], noise, outlier=_OUTLIER_PX))
     after = most_likely(model, pins, found, noise, outlier=_OUTLIER_PX)
-    contacts_after = np.concatenate([after.poses, after.shears], 1)
-    return ContactModel(model, before_px, float(np.median(after.residuals)), contacts_after)
+    contacts = np.concatenate([after.poses, after.shears], 1)
+    return ContactModel(model, before_px, float(np.median(after.residuals)), contacts)
 
 
 def _likeliest(optima: Sequence[MostLikely]) -> tuple[np.ndarray, np.ndarray]:

@@ -45,7 +45,7 @@ def with_estimated_pitch(design: Design, images: np.ndarray, task: Task, seed: i
         if step == 0:
             return first.after_px
         wider = with_spacing(design, float(np.exp(step * _STEP)))
-        return contact_model(wider, pins, task, rng, first.contacts).after_px
+        return contact_model(wider, pins, task, rng, first).after_px
 
     step, found = lowest(apart_px, -_MAX_STEPS, widest)
     by_factor = {f"{np.exp(k * _STEP):.3f}": px for k, px in sorted(found.items())}

@@ -19,7 +19,7 @@ DESIGN = design_named("nominal-127")
 def test_pitch_is_that_of_the_pins_that_made_the_frames(factor):
     """The frames' tip has other materials, too."""
     materials = replace(DESIGN.materials, friction=0.8, skin_young_pa=1.3 * DESIGN.materials.skin_young_pa)
-    frames = frames_of(replace(with_spacing(DESIGN, factor), materials=materials))
+    frames = frames_of(replace(with_spacing(DESIGN, factor), materials=materials), 30)
     design, apart_px = with_estimated_pitch(DESIGN, frames, "surface")
     assert design.pins.pitch_m / DESIGN.pins.pitch_m == pytest.approx(factor, abs=0.015)
     assert apart_px["1.000"] > min(apart_px.values())
