@@ -252,7 +252,7 @@ def contact_model(
     tip = read_fast_tip(any_materials(task))
     model = PinModel(tip, PinDecoder(design, tip.modes), _POSES[task], _SHEARS, Lens(design))
     noise = _noise(pins)
-    if similar is None:
+    if similar is None or similar.model.materials is None:
         model = model.with_materials(np.clip(material_inputs(design.materials), *model.material_ranges.T))
         found, residuals = _likeliest(_optima(model, pins, noise, task, rng))
     else:
