@@ -30,7 +30,8 @@ if TYPE_CHECKING:
     import pyrender
 
 _SIDES = 16
-"""Sides of the polygon that approximates a pin's round tip; its radius makes up for the 3 % of the area it lacks."""
+"""Sides of the polygon that approximates a pin's round tip; its radius makes up for the 3 % of the area it lacks.
+With 24 sides, frames are 6 % closer to the exact ones and take a third longer [M]."""
 
 _BACKDROP_DEPTH = 9.0
 """Depth of the backdrop, in the renderer's range."""
@@ -39,7 +40,8 @@ _EDGE_DEPTH = 8.0
 """Depth of the outer side of soft edges: behind all pins, so the edge of a near pin covers no other."""
 
 _EDGE_PX = 1.25
-"""Reach of the ring of a soft edge to both sides, px. Where its cover is between zero and one, whole pixels lie in it."""
+"""Reach of the ring of a soft edge to both sides, px: the half pixel over which its cover falls, and half a
+pixel's diagonal, so pixels whose cover is between zero and one lie in it as a whole."""
 
 
 @cache

@@ -24,7 +24,7 @@ from tactip_twin.sim2real.importing.table_columns import complete_rows
 from tactip_twin.sim2real.sensor.preprocess import FrameReader
 from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.errors import TactipError
-from tactip_twin.tactip_model.neutral_image import NeutralFit, camera_change, fit_neutral, reference_pixels
+from tactip_twin.tactip_model.neutral_image import NeutralFit, camera_change, fit_neutral, neutral_px, reference_pixels
 from tactip_twin.tactip_model.optics import REFERENCE_PX, Lens
 from tactip_twin.tactip_model.pin_detection import PinMatcher, find_blobs
 from tactip_twin.tactip_model.presets import design_named
@@ -227,8 +227,18 @@ class ContactModel(NamedTuple):
     """Median distance of detected and simulated pins with the design's own materials, px of 256."""
     after_px: float
     """The same with the estimated ones."""
+    materials: np.ndarray
+    """(5,) the estimated materials, inputs of FastTip.coefficients."""
     contacts: np.ndarray
     """(n, 12) most likely poses and shears of the frames, mm and degrees."""
+
+
+def pins_of_some(images: np.ndarray, design: Design, rng: np.random.Generator) -> np.ndarray:
+    """Return the pins (m, p, 2), px of 256, of a few images (n, size, size) uint8 of a sensor, chosen at random, for
+    contact_model; NaN where one is not detected. Raises TactipError if too few images show their pins."""
+    chosen = images[rng.choice(len(images), min(FRAMES, len(images)), replace=False)]
+    pins, good = detected_pins(list(chosen), neutral_px(design))
+    return some_of(pins[good], rng)
 
 
 def some_of(pins: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -244,7 +254,7 @@ def contact_model(
 
     Args:
         design: The design.
-        pins: (n, p, 2) px of 256, from some_of; NaN where a pin is not detected.
+        pins: (n, p, 2) px of 256, from some_of or pins_of_some; NaN where a pin is not detected.
         task: Stimulus of the frames.
         rng: Generator of contacts from which to start.
         similar: Model of a similar tip for the same frames, whose materials and contacts are the start instead.
@@ -252,21 +262,24 @@ def contact_model(
     tip = read_fast_tip(any_materials(task))
     model = PinModel(tip, PinDecoder(design, tip.modes), _POSES[task], _SHEARS, Lens(design))
     noise = _noise(pins)
-    if similar is None or similar.model.materials is None:
-        model = model.with_materials(np.clip(material_inputs(design.materials), *model.material_ranges.T))
+    if similar is None:
+        rounds, materials = _MATERIAL_ROUNDS, np.clip(material_inputs(design.materials), *model.material_ranges.T)
+        model = model.with_materials(materials)
         found, residuals = _likeliest(_optima(model, pins, noise, task, rng))
     else:
-        model = model.with_materials(similar.model.materials)
+        rounds, materials = 1, similar.materials
+        model = model.with_materials(materials)
         found, residuals = _likeliest([most_likely(model, pins, similar.contacts, noise, outlier=_OUTLIER_PX)])
     before_px = float(np.median(residuals))
-    for k in range(_MATERIAL_ROUNDS if similar is None else 1):
+    for k in range(rounds):
         if k:
             found, residuals = _likeliest(_optima(model, pins, noise, task, rng))
         good = residuals <= _BAD_FIT * np.median(residuals)
-        model = model.with_materials(most_likely_materials(model, pins[good], found[good], noise, outlier=_OUTLIER_PX))
+        materials = most_likely_materials(model, pins[good], found[good], noise, outlier=_OUTLIER_PX)
+        model = model.with_materials(materials)
     after = most_likely(model, pins, found, noise, outlier=_OUTLIER_PX)
     contacts = np.concatenate([after.poses, after.shears], 1)
-    return ContactModel(model, before_px, float(np.median(after.residuals)), contacts)
+    return ContactModel(model, before_px, float(np.median(after.residuals)), materials, contacts)
 
 
 def _likeliest(optima: Sequence[MostLikely]) -> tuple[np.ndarray, np.ndarray]:

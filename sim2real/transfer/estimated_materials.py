@@ -4,14 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from tactip_twin.learning.pose_from_pins import PinModel
 from tactip_twin.sim.dataset.mechanics_randomization import MechanicsRandomization
 from tactip_twin.sim.fast_tip.materials import INPUTS, material_inputs
 from tactip_twin.sim.labels import Task
-from tactip_twin.sim2real.importing.estimated_contacts import FRAMES, contact_model, detected_pins, some_of
+from tactip_twin.sim2real.importing.estimated_contacts import ContactModel, contact_model, pins_of_some
 from tactip_twin.tactip_model.design import Design
-from tactip_twin.tactip_model.errors import TactipError
-from tactip_twin.tactip_model.neutral_image import neutral_px
 
 BEFORE, AFTER = "before_px", "after_px"
 """Names of the distances of the pins."""
@@ -41,10 +38,8 @@ def with_estimated_materials(
         TactipError: If too few frames show their pins.
     """
     rng = np.random.default_rng(seed)
-    chosen = images[rng.choice(len(images), min(FRAMES, len(images)), replace=False)]
-    pins, good = detected_pins(list(chosen), neutral_px(design))
-    model, before_px, after_px, _ = contact_model(design, some_of(pins[good], rng), task, rng)
-    likely = dict(zip(INPUTS, (float(value) for value in _within(model, around)), strict=True))
+    fit = contact_model(design, pins_of_some(images, design, rng), task, rng)
+    likely = dict(zip(INPUTS, (float(value) for value in _within(fit, around)), strict=True))
     materials = replace(
         design.materials,
         skin_young_pa=float(np.exp(likely["log_modulus_ratio"])) * design.materials.gel_young_pa,
@@ -52,13 +47,11 @@ def with_estimated_materials(
         skin_thickness_m=float(np.exp(likely["log_thickness"])),
     )
     found = dict(zip(INPUTS, material_inputs(materials).tolist(), strict=True))
-    return replace(design, materials=materials), found | {BEFORE: before_px, AFTER: after_px}
+    return replace(design, materials=materials), found | {BEFORE: fit.before_px, AFTER: fit.after_px}
 
 
-def _within(model: PinModel, around: MechanicsRandomization) -> np.ndarray:
-    """Return the materials (5,) of a model, moved so that a randomization around them is within what the tip knows."""
-    if model.materials is None:
-        raise TactipError("the learned tip knows the materials of one design only")
+def _within(fit: ContactModel, around: MechanicsRandomization) -> np.ndarray:
+    """Return the materials (5,) of a fit, moved so that a randomization around them is within what the tip knows."""
     factors = {
         "log_modulus_ratio": around.skin_young * around.gel_young,
         "friction": around.friction,
@@ -67,8 +60,8 @@ def _within(model: PinModel, around: MechanicsRandomization) -> np.ndarray:
         "log_thickness": around.skin_thickness,
     }
     reach = np.log([factors[name] for name in INPUTS]) + _MARGIN
-    low, high = (_logarithms(end) for end in model.material_ranges.T)
-    inside = np.clip(_logarithms(model.materials), low + reach, high - reach)
+    low, high = (_logarithms(end) for end in fit.model.material_ranges.T)
+    inside = np.clip(_logarithms(fit.materials), low + reach, high - reach)
     return np.array([x if name.startswith("log_") else np.exp(x) for name, x in zip(INPUTS, inside, strict=True)])
 
 

@@ -10,9 +10,9 @@ from collections.abc import Callable
 import numpy as np
 
 from tactip_twin.sim.labels import Task
-from tactip_twin.sim2real.importing.estimated_contacts import FRAMES, contact_model, detected_pins, some_of
+from tactip_twin.sim2real.importing.estimated_contacts import contact_model, pins_of_some
 from tactip_twin.tactip_model.design import Design
-from tactip_twin.tactip_model.neutral_image import neutral_px, widest_spacing, with_spacing
+from tactip_twin.tactip_model.neutral_image import widest_spacing, with_spacing
 
 _STEP = 0.05
 """Step of the factors of the pitch that are tried, in logarithms [?]."""
@@ -35,9 +35,7 @@ def with_estimated_pitch(design: Design, images: np.ndarray, task: Task, seed: i
         TactipError: If too few frames show their pins.
     """
     rng = np.random.default_rng(seed)
-    chosen = images[rng.choice(len(images), min(FRAMES, len(images)), replace=False)]
-    pins, good = detected_pins(list(chosen), neutral_px(design))
-    pins = some_of(pins[good], rng)
+    pins = pins_of_some(images, design, rng)
     first = contact_model(design, pins, task, rng)
     widest = min(_MAX_STEPS, int(np.log(widest_spacing(design)) / _STEP))
 

@@ -36,8 +36,8 @@ def test_pins_at_rest_stay_where_they_are_in_the_image(name, factor):
     wider = with_spacing(design, factor)
     assert np.abs(neutral_px(wider) - neutral_px(design)).max() < 0.02
     assert wider.optics.zoom == 1.01 and wider.optics.drift == (0.002, -0.001)
-    spacing = plan_positions(wider.pins) / plan_positions(design.pins).clip(1e-9)
-    assert np.isfinite(spacing).all()
+    # What the lens cannot show of a camera beside the axis, the pins' places absorb.
+    assert np.abs(plan_positions(wider.pins) - factor * plan_positions(design.pins)).max() < 0.1e-3
     assert wider.pins.pitch_m == pytest.approx(factor * design.pins.pitch_m)
 
 
