@@ -26,7 +26,7 @@ def write_design(path: str | Path, design: Design, provenance: dict[str, Any]) -
     Args:
         path: File to write.
         design: The design.
-        provenance: How the design was obtained, for the reader; it is not read back.
+        provenance: How the design was obtained; `read_design` ignores it.
 
     Raises:
         OSError: The file cannot be written.

@@ -1,6 +1,8 @@
 """Design of the sensor of a real set, for contacts like its own: given, or fitted to its neutral image, with the pitch of
 its pins and the materials that its frames show."""
 
+import hashlib
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -16,8 +18,9 @@ from tactip_twin.sim2real.transfer.estimated_pitch import with_estimated_pitch
 from tactip_twin.sim2real.transfer.neutral_calibration import camera_of, fit_design_to_neutral_image, with_camera_drift
 from tactip_twin.sim2real.transfer.settings import AUTO, TransferSettings
 from tactip_twin.tactip_model.design import Design
-from tactip_twin.tactip_model.design_file import write_design
+from tactip_twin.tactip_model.design_file import design_as_dict, read_design, write_design
 from tactip_twin.tactip_model.errors import TactipError
+from tactip_twin.tactip_model.input_files import read_json
 from tactip_twin.tactip_model.presets import load_design
 
 _MAX_RESIDUAL = 0.75
@@ -25,9 +28,13 @@ _MAX_RESIDUAL = 0.75
 is 0.4 to 0.5 on hidden sensors with other mechanics, and 0.85 to 0.9 on real-127 and real-331, on which narrow mechanics
 around the estimate made depth 0.01 mm worse or changed nothing [M]."""
 
+_MATERIALS, _INPUTS = "estimated_materials", "inputs_sha256"
+"""Names in the provenance of a design: what was found of the materials, or null; checksum of all that the design was
+estimated from."""
+
 
 class RealSensor:
-    """Sensor of a real set. Its design is found when it is first asked for."""
+    """Sensor of a real set. Its design is found when it is first asked for, and kept in a file for later commands."""
 
     def __init__(
         self,
@@ -71,19 +78,7 @@ class RealSensor:
             design = with_camera_drift(self._given, camera_of(self._real))
             return replace(design, image=replace(design.image, size_px=self._size_px))
         if self._fitted is None:
-            self._log("fitting tip and camera to the neutral image")
-            fitted, figures = fit_design_to_neutral_image(self._real, self._size_px)
-            fitted, by_pitch = self._with_pitch(fitted)
-            self._fitted, materials = self._with_materials(fitted)
-            self._estimated = materials is not None
-            self._out.mkdir(parents=True, exist_ok=True)
-            about = {
-                "neutral_image_of": self._real.name,
-                "px_by_factor_of_pitch": by_pitch,
-                "estimated_materials": materials,
-                **figures,
-            }
-            write_design(self._out / "design.json", self._fitted, about)
+            self._fitted = self._found()
         return self._fitted
 
     def mechanics(self) -> str:
@@ -92,6 +87,41 @@ class RealSensor:
             return "real"
         self.design()
         return "estimated" if self._estimated else "real"
+
+    def _found(self) -> Design:
+        """Return the design that neutral image and frames show; that of an earlier command if it was estimated from them."""
+        self._log("fitting tip and camera to the neutral image")
+        fitted, figures = fit_design_to_neutral_image(self._real, self._size_px)
+        inputs, path = self._checksum(fitted), self._out / "design.json"
+        if path.exists() and (kept := self._kept(path, inputs)):
+            self._log(f"pitch and materials are those in {path}, which were estimated from the same frames")
+            return kept
+        fitted, by_pitch = self._with_pitch(fitted)
+        fitted, materials = self._with_materials(fitted)
+        self._estimated = materials is not None
+        self._out.mkdir(parents=True, exist_ok=True)
+        pitch = {"neutral_image_of": self._real.name, "px_by_factor_of_pitch": by_pitch}
+        write_design(path, fitted, pitch | {_MATERIALS: materials} | figures | {_INPUTS: inputs})
+        return fitted
+
+    def _checksum(self, fitted: Design) -> str:
+        """Return a checksum of all that pitch and materials are estimated from."""
+        name = self._settings.randomize_mechanics
+        of_materials = name if name in (AUTO, "estimated") else None
+        record = [design_as_dict(fitted), self._task, self._settings.seed, of_materials, self._images.shape]
+        return hashlib.sha256(json.dumps(record).encode() + self._images.tobytes()).hexdigest()
+
+    def _kept(self, path: Path, inputs: str) -> Design | None:
+        """Return the design in a file; None if it was estimated from other inputs or is damaged."""
+        try:
+            design, provenance = read_design(path), read_json(path)["provenance"]
+        except TactipError as error:
+            self._log(f"pitch and materials are estimated again: {error}")
+            return None
+        if provenance.get(_INPUTS) != inputs:
+            return None
+        self._estimated = provenance.get(_MATERIALS) is not None
+        return design
 
     def _check_given(self, design: Design) -> None:
         """Raise TactipError if a design's pins are not where the set's neutral image has them."""

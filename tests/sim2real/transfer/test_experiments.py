@@ -22,6 +22,7 @@ from tactip_twin.sim.contact.simulator import ContactSimulator
 from tactip_twin.sim.dataset.format import read_rows
 from tactip_twin.sim.fast_tip.fast_tip import any_materials, read_fast_tip
 from tactip_twin.sim.pose import from_mm_deg
+from tactip_twin.sim2real.transfer import real_sensor
 from tactip_twin.sim2real.transfer.experiments import ABLATIONS, Experiment, _possible, split_of
 from tactip_twin.sim2real.transfer.fine_tune import FineTuning, fine_tune
 from tactip_twin.sim2real.transfer.neutral_calibration import fit_design_to_neutral_image
@@ -87,6 +88,14 @@ def lab(tmp_path_factory):
     return out
 
 
+@pytest.fixture(scope="session")
+def designed(lab, tmp_path_factory):
+    """A folder of results with only the sensor's design, which takes long to estimate."""
+    out = tmp_path_factory.mktemp("designed")
+    Experiment(lab, out, TransferSettings(real_train_frames=30), 1).design()
+    return out
+
+
 @pytest.fixture
 def tiny(monkeypatch):
     monkeypatch.setitem(RECIPES, "laptop", {"surface": TINY, "edge": TINY})
@@ -109,9 +118,9 @@ FEW = ["--contacts", "10", "--val-contacts", "10", "--real-train-frames", "30", 
 FEW += ["--steps", "6", "--fine-tuning-steps", "4", "--workers", "1"]
 
 
-def test_zero_and_few_shot_from_the_command_line(lab, tiny, tmp_path, capsys):
+def test_zero_and_few_shot_from_the_command_line(lab, designed, tiny, tmp_path, capsys):
+    shutil.copytree(designed, tmp_path / "out")
     command = ["--real", str(lab), "--out", str(tmp_path / "out"), *FEW, "--shots", "10", "30", "--drawn-contacts", "5"]
-    command += ["--randomize-mechanics", "real"]  # the next test but one estimates the materials
     assert tactip.main(["transfer", "zero-shot", *command, "--json"]) == 0
     output = json.loads(capsys.readouterr().out)
     assert set(output) == {"simulation", "real"}
@@ -169,7 +178,45 @@ def test_training_on_wide_frames_starts_from_the_shipped_network_for_them_and_ta
     assert (usual.recipe().network.downsample, experiment.recipe().network.downsample) == (2, 4)
 
 
-def test_training_contacts_are_predicted_and_drawn_by_the_learned_tip(lab, tiny, tmp_path):
+def test_design_of_an_earlier_command_is_used_again_if_frames_and_settings_are_the_same(
+    lab, designed, tmp_path, monkeypatch
+):
+    estimates, said = [], []
+
+    def estimate(design, images, task, seed):
+        estimates.append(len(images))
+        return design, {"1.000": 0.5}
+
+    monkeypatch.setattr(real_sensor, "with_estimated_pitch", estimate)
+
+    def found(**settings):
+        few = TransferSettings(**({"real_train_frames": 30, "randomize_mechanics": "real"} | settings))
+        return Experiment(lab, tmp_path / "out", few, 1, log=said.append).design()
+
+    first = found()
+    assert found() == first and len(estimates) == 1
+    assert (
+        said[-1]
+        == f"pitch and materials are those in {tmp_path / 'out' / 'design.json'}, which were estimated from the same frames"
+    )
+    for changed in ({"seed": 1}, {"real_train_frames": 40}, {}):
+        found(**changed)
+    assert estimates == [30, 30, 40, 30]
+    # A damaged file is replaced.
+    path = tmp_path / "out" / "design.json"
+    right = path.read_bytes()
+    path.write_bytes(right[:500])
+    assert found() == first and len(estimates) == 5 and path.read_bytes() == right
+    assert any(words.startswith(f"pitch and materials are estimated again: the design file {path} ") for words in said)
+    # Whether the materials were estimated is read, too.
+    shutil.copy(designed / "design.json", path)
+    kept = Experiment(lab, tmp_path / "out", TransferSettings(real_train_frames=30), 1, log=said.append)
+    fresh = json.loads(path.read_text())["provenance"]["estimated_materials"]
+    assert kept._sensor.mechanics() == ("estimated" if fresh else "real") and len(estimates) == 5
+
+
+def test_training_contacts_are_predicted_and_drawn_by_the_learned_tip(lab, designed, tiny, tmp_path):
+    shutil.copytree(designed, tmp_path / "out")
     few = TransferSettings(contacts=10, val_contacts=10, drawn_contacts=20, steps=2, init_from="none", real_train_frames=30)
     experiment, tip = Experiment(lab, tmp_path / "out", few, 1), read_fast_tip(any_materials("surface"))
     assert experiment.network().provenance["fast_tip"] == tip.digest
