@@ -11,7 +11,16 @@ from tactip_twin.sim.dataset.sampling import MAX_LABEL, Ranges
 from tactip_twin.sim.labels import TASKS
 from tactip_twin.tactip_model.errors import TactipError
 
-FILES = ("targets.csv", "pins.npz", "mesh.npz", "import.json", "import.png", "neutral.png", "neutral_tactile.png")
+FILES = (
+    "targets.csv",
+    "pins.npz",
+    "mesh.npz",
+    "import.json",
+    "import.png",
+    "neutral.png",
+    "neutral_tactile.png",
+    "blobs.npz",
+)
 """Files that meta.json may give checksums of: the tables, and the files of an imported set (sim2real/importing)."""
 
 _SHA256 = re.compile("[0-9a-f]{64}")

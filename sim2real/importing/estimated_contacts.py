@@ -19,14 +19,15 @@ from tactip_twin.sim.dataset.sampling import Ranges
 from tactip_twin.sim.fast_tip.fast_tip import PinDecoder, any_materials, read_fast_tip
 from tactip_twin.sim.fast_tip.materials import material_inputs
 from tactip_twin.sim.labels import Task
+from tactip_twin.sim2real.importing.frame_blobs import blobs_of
 from tactip_twin.sim2real.importing.source import PIN_DETECTION_FRAMES, Recording
 from tactip_twin.sim2real.importing.table_columns import complete_rows
 from tactip_twin.sim2real.sensor.preprocess import FrameReader
 from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.errors import TactipError
-from tactip_twin.tactip_model.neutral_image import NeutralFit, camera_change, fit_neutral, neutral_px, reference_pixels
-from tactip_twin.tactip_model.optics import REFERENCE_PX, Lens
-from tactip_twin.tactip_model.pin_detection import PinMatcher, find_blobs
+from tactip_twin.tactip_model.neutral_image import NeutralFit, camera_change, fit_neutral, neutral_px
+from tactip_twin.tactip_model.optics import Lens
+from tactip_twin.tactip_model.pin_detection import Blobs, PinMatcher, find_blobs
 from tactip_twin.tactip_model.presets import design_named
 from tactip_twin.tactip_model.sensor_of_image import fit_lattice, sensor_of
 
@@ -128,7 +129,7 @@ def estimate_contacts(
     design = replace(design, materials=design_named(_PRESET).materials)
     if neutral is not None:
         design = _with_camera_of(design, reader.with_rim(neutral), frames.with_rim[:PIN_DETECTION_FRAMES])
-    pins, good = detected_pins(cropped, fit.pins_px)
+    pins, good = detected_pins([blobs_of(image) for image in cropped], fit.pins_px)
     rows, pins = np.array(list(frames.cropped))[good], pins[good]
     model = contact_model(design, some_of(pins, rng), task, rng).model
     noise = _noise(pins)
@@ -192,23 +193,22 @@ def _with_camera_of(design: Design, neutral: np.ndarray, frames: list[np.ndarray
     return replace(design, optics=replace(design.optics, zoom=zoom, drift=(x, y)))
 
 
-def detected_pins(images: Sequence[np.ndarray], at_rest_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the pins (n, p, 2), px of 256, of images, NaN where one is not detected; and which images show enough of them,
+def detected_pins(blobs: Sequence[np.ndarray], at_rest_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the pins (n, p, 2), px of 256, of frames, NaN where one is not detected; and which frames show enough of them,
     (n,) bool.
 
     Args:
-        images: (n) binary images (h, w) uint8 of the pins alone.
+        blobs: (n) centres (k, 2) of the blobs of each frame, px of 256.
         at_rest_px: (p, 2) pins at rest, px of 256; NaN where unknown.
 
     Raises:
-        TactipError: If fewer than _MIN_FRAMES images do.
+        TactipError: If fewer than _MIN_FRAMES frames do.
     """
-    width = images[0].shape[1]
     known = np.isfinite(at_rest_px[:, 0])
-    matcher = PinMatcher((at_rest_px[known] + 0.5) * width / REFERENCE_PX - 0.5)
-    pins = np.full((len(images), len(known), 2), np.nan)
-    for k, image in enumerate(images):
-        pins[k, known] = reference_pixels(matcher.match(find_blobs(image)), width)
+    matcher = PinMatcher(at_rest_px[known])
+    pins = np.full((len(blobs), len(known), 2), np.nan)
+    for k, centres in enumerate(blobs):
+        pins[k, known] = matcher.match(Blobs(centres))
     good = np.isfinite(pins[..., 0]).mean(1) > _MIN_DETECTED
     if good.sum() < _MIN_FRAMES:
         raise TactipError(
@@ -233,11 +233,20 @@ class ContactModel(NamedTuple):
     """(n, 12) most likely poses and shears of the frames, mm and degrees."""
 
 
-def pins_of_some(images: np.ndarray, design: Design, rng: np.random.Generator) -> np.ndarray:
-    """Return the pins (m, p, 2), px of 256, of a few images (n, size, size) uint8 of a sensor, chosen at random, for
-    contact_model; NaN where one is not detected. Raises TactipError if too few images show their pins."""
-    chosen = images[rng.choice(len(images), min(FRAMES, len(images)), replace=False)]
-    pins, good = detected_pins(list(chosen), neutral_px(design))
+def pins_of_some(blobs: Sequence[np.ndarray], design: Design, rng: np.random.Generator) -> np.ndarray:
+    """Return the pins (m, p, 2), px of 256, of a few frames of a sensor, chosen at random, for contact_model; NaN where one
+    is not detected.
+
+    Args:
+        blobs: (n) centres (k, 2) of the blobs of each frame, px of 256.
+        design: The sensor.
+        rng: Generator for the choice.
+
+    Raises:
+        TactipError: If too few frames show their pins.
+    """
+    chosen = rng.choice(len(blobs), min(FRAMES, len(blobs)), replace=False)
+    pins, good = detected_pins([blobs[k] for k in chosen], neutral_px(design))
     return some_of(pins[good], rng)
 
 

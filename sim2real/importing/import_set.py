@@ -20,6 +20,7 @@ from tactip_twin.sim.labels import LABELS, SHEARS
 from tactip_twin.sim.parallel.file_lock import locked
 from tactip_twin.sim.parallel.resume import check_resumable
 from tactip_twin.sim2real.importing.column_map import ColumnMap
+from tactip_twin.sim2real.importing.frame_blobs import BLOBS, FRAMES, blobs_of, pack_blobs
 from tactip_twin.sim2real.importing.layout import Layout
 from tactip_twin.sim2real.importing.missing_neutral import neutral_from_frames
 from tactip_twin.sim2real.importing.report import picture, report_of
@@ -169,7 +170,8 @@ def _import(
     (out / "meta.json").unlink(missing_ok=True)  # from an earlier version; not a set until meta.json exists
     shutil.rmtree(out / "images", ignore_errors=True)
     (out / "images").mkdir()
-    images, pins, left_out = {}, {}, []
+    images, pins, blobs, left_out = {}, {}, {}, []
+    shown = set(spread(range(len(source.names)), FRAMES))
     bar = tqdm(source.names, unit="frame", file=sys.stderr, disable=quiet, mininterval=0.5 if sys.stderr.isatty() else 15)
     for i, name in enumerate(bar):
         try:
@@ -177,6 +179,8 @@ def _import(
             frame = source.load(i)
             binary = reader.masked(frame)
             pins[i], images[i] = len(find_blobs(binary).centres), encode_image(reader.tactile(frame, binary))
+            if i in shown:
+                blobs[i] = blobs_of(reader.cropped(binary))
         except TactipError as error:
             left_out.append({"row": i, "frame": name, "why": str(error)})
     usual = float(np.median(list(pins.values()))) if pins else 0.0
@@ -204,6 +208,7 @@ def _import(
     report["pins_at_rest"], report["pins_apart"] = (len(find_blobs(image).centres) for image in (cropped, tactile))
     report["size_px"] = len(tactile)
     files = {"targets.csv": _targets(source, kept), REPORT: (json.dumps(report, indent=1) + "\n").encode()}
+    files[BLOBS] = pack_blobs({k: blobs[i] for k, i in enumerate(kept.tolist()) if i in blobs})
     files[NEUTRAL], files[NEUTRAL_TACTILE] = encode_image(cropped), encode_image(tactile)
     files[PICTURE] = encode_image(picture(source, kept, pins, reader, neutral))
     for name, data in files.items():

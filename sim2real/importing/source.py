@@ -251,6 +251,6 @@ _DARK = 32
 """Value of the brightest pixel below which a frame is called dark."""
 
 
-def spread(items: Sequence[int]) -> list[int]:
-    """Return PIN_DETECTION_FRAMES of the items, evenly spread, or all if they are fewer."""
-    return [items[i] for i in np.unique(np.linspace(0, len(items) - 1, PIN_DETECTION_FRAMES).astype(int))]
+def spread(items: Sequence[int], count: int = PIN_DETECTION_FRAMES) -> list[int]:
+    """Return `count` of the items, evenly spread, or all if they are fewer."""
+    return [items[i] for i in np.unique(np.linspace(0, len(items) - 1, count).astype(int))]

@@ -1,5 +1,6 @@
 """Materials of a real tip, estimated from frames whose labels are not used, for its design."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -18,7 +19,7 @@ _MARGIN = 1e-3
 
 
 def with_estimated_materials(
-    design: Design, images: np.ndarray, task: Task, around: MechanicsRandomization, seed: int = 0
+    design: Design, blobs: Sequence[np.ndarray], task: Task, around: MechanicsRandomization, seed: int = 0
 ) -> tuple[Design, dict[str, float]]:
     """Return a design with materials that explain the pins of some frames best, whatever their poses; and its materials by
     name (sim/fast_tip/materials.py), with the distance of detected and simulated pins, px of 256, before and with the most
@@ -29,7 +30,7 @@ def with_estimated_materials(
 
     Args:
         design: The design, fitted to the sensor's neutral image.
-        images: (n, size, size) uint8, tactile images of presses.
+        blobs: (n) centres (k, 2) of the blobs of frames of presses, px of 256.
         task: Their stimulus.
         around: Randomization that the design will have: all of it lies within what the learned tip knows.
         seed: Seed of the choice of frames.
@@ -38,7 +39,7 @@ def with_estimated_materials(
         TactipError: If too few frames show their pins.
     """
     rng = np.random.default_rng(seed)
-    fit = contact_model(design, pins_of_some(images, design, rng), task, rng)
+    fit = contact_model(design, pins_of_some(blobs, design, rng), task, rng)
     likely = dict(zip(INPUTS, (float(value) for value in _within(fit, around)), strict=True))
     materials = replace(
         design.materials,

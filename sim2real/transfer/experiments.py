@@ -192,8 +192,7 @@ class Experiment:
         self._init_from = self._initial_network()
         self.recipe()  # an unknown name is reported before any work starts
         self._stimulus: Task = "edge" if self.task == "edge" else "surface"
-        frames = self.split.known.images
-        self._sensor = RealSensor(self.real, self.out, settings, self.samples.size, frames, self._stimulus, log)
+        self._sensor = RealSensor(self.real, self.out, settings, self.split.known, self._stimulus, log)
 
     def recipe(self, variant: Variant = Variant()) -> Recipe:
         """Return the recipe of a training on simulated samples of a variant."""

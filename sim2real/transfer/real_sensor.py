@@ -9,12 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
+from tactip_twin.learning.data import Samples
 from tactip_twin.learning.image_check import MAX_APART_PX, pins_apart_px
 from tactip_twin.sim.dataset.mechanics_randomization import MECHANICS_RANDOMIZATIONS
 from tactip_twin.sim.labels import Task
+from tactip_twin.sim2real.importing.estimated_pitch import with_estimated_pitch
+from tactip_twin.sim2real.importing.frame_blobs import FRAMES, blobs_of, read_blobs
 from tactip_twin.sim2real.importing.import_set import pins_at_rest
 from tactip_twin.sim2real.transfer.estimated_materials import AFTER, BEFORE, with_estimated_materials
-from tactip_twin.sim2real.transfer.estimated_pitch import with_estimated_pitch
 from tactip_twin.sim2real.transfer.neutral_calibration import camera_of, fit_design_to_neutral_image, with_camera_drift
 from tactip_twin.sim2real.transfer.settings import AUTO, TransferSettings
 from tactip_twin.tactip_model.design import Design
@@ -33,6 +35,16 @@ _MATERIALS, _INPUTS = "estimated_materials", "inputs_sha256"
 estimated from."""
 
 
+def _blobs(real: Path, frames: Samples) -> list[np.ndarray]:
+    """Return the centres (k, 2) of the blobs, px of 256, of some frames of a set; those of the tactile images if an earlier
+    version imported it."""
+    found = read_blobs(real, frames.dataset.meta)
+    if found is None:
+        return [blobs_of(image) for image in frames.images[:FRAMES]]
+    known = set(frames.rows.tolist())
+    return [centres for row, centres in found.items() if row in known]
+
+
 class RealSensor:
     """Sensor of a real set. Its design is found when it is first asked for, and kept in a file for later commands."""
 
@@ -41,8 +53,7 @@ class RealSensor:
         real: Path,
         out: Path,
         settings: TransferSettings,
-        size_px: int,
-        images: np.ndarray,
+        frames: Samples,
         task: Task,
         log: Callable[[str], None],
     ) -> None:
@@ -52,16 +63,15 @@ class RealSensor:
             real: Folder of an imported set.
             out: Folder for design.json, what was found.
             settings: Settings of the experiments.
-            size_px: Width of the set's images.
-            images: (n, size, size) uint8, tactile images of presses, from which materials are estimated.
+            frames: Samples of the set from which pitch and materials are estimated.
             task: Their stimulus.
             log: Callback for messages to the user.
 
         Raises:
-            TactipError: The named design cannot be read.
+            TactipError: The named design, or the file of blobs, cannot be read.
         """
         self._real, self._out, self._settings, self._log = real, out, settings, log
-        self._size_px, self._images = size_px, images
+        self._size_px, self._blobs = frames.size, _blobs(real, frames)
         self._task: Task = task
         self._given = load_design(settings.design) if settings.design else None
         self._fitted: Design | None = None
@@ -108,8 +118,8 @@ class RealSensor:
         """Return a checksum of all that pitch and materials are estimated from."""
         name = self._settings.randomize_mechanics
         of_materials = name if name in (AUTO, "estimated") else None
-        record = [design_as_dict(fitted), self._task, self._settings.seed, of_materials, self._images.shape]
-        return hashlib.sha256(json.dumps(record).encode() + self._images.tobytes()).hexdigest()
+        record = [design_as_dict(fitted), self._task, self._settings.seed, of_materials, [len(one) for one in self._blobs]]
+        return hashlib.sha256(json.dumps(record).encode() + b"".join(one.tobytes() for one in self._blobs)).hexdigest()
 
     def _kept(self, path: Path, inputs: str) -> Design | None:
         """Return the design in a file; None if it was estimated from other inputs or is damaged."""
@@ -138,7 +148,7 @@ class RealSensor:
         do not."""
         self._log("estimating the pitch of the pins from some frames")
         try:
-            estimated, by_factor = with_estimated_pitch(design, self._images, self._task, self._settings.seed)
+            estimated, by_factor = with_estimated_pitch(design, self._blobs, self._task, self._settings.seed)
         except TactipError as error:
             self._log(f"the pitch remains {1e3 * design.pins.pitch_m:.2f} mm: {error}")
             return design, None
@@ -153,7 +163,7 @@ class RealSensor:
             return design, None
         self._log("estimating the materials from the pins of some frames")
         try:
-            estimated, found = with_estimated_materials(design, self._images, self._task, around, self._settings.seed)
+            estimated, found = with_estimated_materials(design, self._blobs, self._task, around, self._settings.seed)
         except TactipError as error:
             if name == "estimated":
                 raise

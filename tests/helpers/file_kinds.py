@@ -72,6 +72,7 @@ from tactip_twin.sim2real.calibration.real_set import read_real_set
 from tactip_twin.sim2real.calibration.rig import Rig
 from tactip_twin.sim2real.calibration.state import read_state, write_state
 from tactip_twin.sim2real.importing.column_map import ColumnMap
+from tactip_twin.sim2real.importing.frame_blobs import read_blobs
 from tactip_twin.sim2real.importing.import_set import import_set, read_report
 from tactip_twin.sim2real.importing.layout import Layout, read_layout
 from tactip_twin.sim2real.importing.source import read_source
@@ -409,7 +410,8 @@ def read_imported(folder, root):
     problems = verify(folder)
     if problems:
         raise TactipError(problems[0])
-    return hashed(samples.images, samples.targets, samples.shears, report)
+    blobs = read_blobs(folder, samples.dataset.meta)
+    return hashed(samples.images, samples.targets, samples.shears, report, np.array(list(blobs)), *blobs.values())
 
 
 def write_rig(folder, root):

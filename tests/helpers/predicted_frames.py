@@ -7,10 +7,16 @@ from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES
 from tactip_twin.sim.fast_tip.fast_tip import PinDecoder, any_materials, read_fast_tip
 from tactip_twin.sim.fast_tip.materials import material_inputs
 from tactip_twin.sim.pose import from_mm_deg
+from tactip_twin.sim2real.importing.frame_blobs import blobs_of
 from tactip_twin.tactip_model.raster_renderer import Raster
 from tactip_twin.tactip_model.tactile_image import tactile_image
 
 TIP = read_fast_tip(any_materials("surface"))
+
+
+def blobs_in(images):
+    """Return the centres of the blobs of tactile images (n, size, size), px of 256."""
+    return [blobs_of(image) for image in images]
 
 
 def frames_of(design, count=60):

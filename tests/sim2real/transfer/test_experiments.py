@@ -183,8 +183,8 @@ def test_design_of_an_earlier_command_is_used_again_if_frames_and_settings_are_t
 ):
     estimates, said = [], []
 
-    def estimate(design, images, task, seed):
-        estimates.append(len(images))
+    def estimate(design, blobs, task, seed):
+        estimates.append(len(blobs))
         return design, {"1.000": 0.5}
 
     monkeypatch.setattr(real_sensor, "with_estimated_pitch", estimate)

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from helpers.predicted_frames import frames_of
-from tactip_twin.sim2real.transfer.estimated_pitch import lowest, with_estimated_pitch
+from helpers.predicted_frames import blobs_in, frames_of
+from tactip_twin.sim2real.importing.estimated_pitch import lowest, with_estimated_pitch
 from tactip_twin.tactip_model.neutral_image import neutral_px, widest_spacing, with_spacing
 from tactip_twin.tactip_model.pins import plan_positions
 from tactip_twin.tactip_model.presets import DESIGNS, design_named
@@ -20,7 +20,7 @@ def test_pitch_is_that_of_the_pins_that_made_the_frames(factor):
     """The frames' tip has other materials, too."""
     materials = replace(DESIGN.materials, friction=0.8, skin_young_pa=1.3 * DESIGN.materials.skin_young_pa)
     frames = frames_of(replace(with_spacing(DESIGN, factor), materials=materials), 30)
-    design, apart_px = with_estimated_pitch(DESIGN, frames, "surface")
+    design, apart_px = with_estimated_pitch(DESIGN, blobs_in(frames), "surface")
     assert design.pins.pitch_m / DESIGN.pins.pitch_m == pytest.approx(factor, abs=0.015)
     assert apart_px["1.000"] > min(apart_px.values())
     assert design.materials == DESIGN.materials
