@@ -65,6 +65,9 @@ _SQUARE = Pins(
 )
 """A square array of 49 pins."""
 
+_NARROW = Pins("circular", rings=10, pitch_m=1.64e-3)
+"""Pins of 331 that are closer together than those of the preset, as the pins of a real tip (real-331 has 1.68 mm)."""
+
 _DEEP = Ranges(depth_mm=(-5.5, -2.5), roll_deg=(-15, 15), pitch_deg=(-15, 15))
 """Poses on a surface that show no light touch."""
 
@@ -97,6 +100,7 @@ SENSORS = {
     "surface-e": Sensor("surface", "nominal-331", 109, 1.0, neutral_image=False, poses=_DEEP),
     "surface-f": Sensor("surface", "nominal-127", 110, 0.8, pins=Pins("hexagonal", rings=4, pitch_m=4.4e-3)),
     "surface-g": Sensor("surface", "nominal-127", 111, 0.6, pins=_SQUARE),
+    "surface-h": Sensor("surface", "nominal-331", 113, 1.3, neutral_image=False, poses=_DEEP, pins=_NARROW),
     "edge-a": Sensor("edge", "nominal-127", 105, 1.2),
     "edge-b": Sensor("edge", "nominal-331", 106, 0.5),
     "edge-c": Sensor("edge", "nominal-127", 107, 1.8),

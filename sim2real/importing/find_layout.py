@@ -72,12 +72,13 @@ def find_layout(recording: Recording, given: Layout, log: Callable[[str], object
     # The labels that were found tell where the pins are at rest, and with these, the frames tell more of the labels.
     reader = frame_reader(recording, found.layout.preprocessing, None)
     source = with_labels(recording, found.layout.column_map)
-    image, figures = neutral_from_frames(source, contacts.rows, reader, len(contacts.at_rest_px), given.column_map.task)
+    usual, task = len(contacts.at_rest_px), given.column_map.task
+    image, figures = neutral_from_frames(source, contacts.rows, reader, usual, task, estimates_mechanics=False)
     if not figures["press_removed"]:
         return found
     log("estimating them again, with the pins at rest that follow from the labels found so far")
     turned = replace(given, preprocessing=found.layout.preprocessing)
-    contacts = estimate_contacts(recording, reader, None, given.column_map.task, at_rest=reader.cropped(image))
+    contacts = estimate_contacts(recording, reader, None, task, at_rest=reader.cropped(image))
     return _layout_of(recording, turned, contacts, tap_mm)
 
 

@@ -201,7 +201,9 @@ def _import(
     report = report_of(source, layout.column_map, kept, pins, left_out) | {"neutral_image": neutral is not None}
     report["camera"] = None if neutral is None else _camera(source, kept, reader, neutral)
     if neutral is None:
-        at_rest, report["stand_in"] = neutral_from_frames(source, kept, reader, usual, layout.column_map.task)
+        at_rest, report["stand_in"] = neutral_from_frames(
+            source, kept, reader, usual, layout.column_map.task, estimates_mechanics=True
+        )
     else:
         at_rest = reader.masked(neutral)
     cropped, tactile = reader.cropped(at_rest), reader.shrunk(at_rest)
