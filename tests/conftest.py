@@ -75,7 +75,7 @@ class Press:
 
 @pytest.fixture(scope="session")
 def whole(tmp_path_factory):
-    """Return a finished set of six samples, made by one worker."""
+    """Return a finished set of four samples, made by one worker."""
     folder = tmp_path_factory.mktemp("sets") / "whole"
     result = run(make(folder))
     assert result.returncode == 0, result.stderr

@@ -16,10 +16,10 @@ from tactip_twin.sim.dataset.configuration import Configuration
 from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES
 
 SEED = 8
-"""A seed whose first contacts with an edge pass their checks at once: to repeat one takes longer than to make six."""
+"""A seed whose first contacts with an edge pass their checks at once: to repeat one takes longer than to make four."""
 
 
-def make(out, *options, task="edge", samples=6, workers=1, renderer="raster", seed=SEED):
+def make(out, *options, task="edge", samples=4, workers=1, renderer="raster", seed=SEED):
     """Return the arguments of the command that makes a small set."""
     made = ["dataset", "make", "--task", task, "--samples", str(samples), "--out", str(out), "--workers", str(workers)]
     made += ["--fidelity", "draft", "--design", "nominal-127", "--renderer", renderer, "--seed", str(seed)]
@@ -79,7 +79,7 @@ def kill_unfinished(arguments, folder, reached, attempts=5):
 
 
 def samples_found(output):
-    """Return how many samples a resumed command found, from "4 of 6 samples already exist" or "6 of 6 samples"."""
+    """Return how many samples a resumed command found, from "3 of 4 samples already exist" or "4 of 4 samples"."""
     return int(re.search(r"(\d+) of \d+ samples", output)[1])
 
 

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from helpers.set_commands import contents, kill_unfinished, make, process, records, run, run_process, samples_found, wait_for
+from helpers.set_commands import contents, kill_unfinished, make, process, records, run, samples_found, wait_for
 from tactip_twin.commands import main as tactip
+from tactip_twin.sim.dataset.partial_record import unpack_finished_set
 from tactip_twin.sim.parallel.file_lock import locked
 
 
@@ -23,7 +24,7 @@ def test_make_killed_run_is_resumed_to_the_same_bytes(whole, tmp_path, workers):
     kept = len(records(folder))
     (folder / "images" / ".image_00000.png.1.tmp").write_bytes(b"half a fi")  # a kill during a write leaves this
     # Workers of the killed run end by themselves, at the latest after their current sample.
-    resumed = run_process(make(folder, workers=2))
+    resumed = run(make(folder, workers=2))
     assert resumed.returncode == 0
     assert samples_found(resumed.stderr + resumed.stdout) in (kept, kept + 1, kept + 2)
     assert contents(folder) == contents(whole)
@@ -31,18 +32,18 @@ def test_make_killed_run_is_resumed_to_the_same_bytes(whole, tmp_path, workers):
 
 def test_make_finished_set_grows_to_the_same_bytes(whole, tmp_path):
     folder = tmp_path / "small"
-    assert run(make(folder, samples=3)).returncode == 0
+    assert run(make(folder, samples=2)).returncode == 0
     (folder / ".partial").mkdir()  # as after a kill between the last two steps
     (folder / ".partial" / "configuration.json").write_text("{}")
     grown = run(make(folder))
     assert grown.returncode == 0, grown.stderr
-    assert "3 of 6 samples already exist" in grown.stderr
+    assert "2 of 4 samples already exist" in grown.stderr
     assert contents(folder) == contents(whole)
 
 
 def test_make_killed_growth_is_resumed(whole, tmp_path, monkeypatch):
     folder = tmp_path / "small"
-    assert run(make(folder, samples=4)).returncode == 0
+    assert run(make(folder, samples=2)).returncode == 0
     before = contents(folder)
 
     def killed(*_):
@@ -79,36 +80,36 @@ def test_make_damaged_set_does_not_grow(copy, capsys, damaged, words):
     assert {n: b for n, b in contents(copy).items() if ".partial" not in n} == before
 
 
-def test_make_lost_image_is_made_again(whole, tmp_path):
-    folder = tmp_path / "holed"
-    kill_unfinished(make(folder), folder, (folder / ".partial" / "000000.npz").exists)
-    (folder / "images" / "image_00000.png").unlink()
-    assert run(make(folder)).returncode == 0
-    assert contents(folder) == contents(whole)
+def test_make_lost_image_is_made_again(copy, whole):
+    (copy / ".partial").mkdir()
+    unpack_finished_set(copy)
+    assert len(records(copy)) == 4 and not (copy / "meta.json").exists()  # as after a kill that follows the last contact
+    (copy / "images" / "image_00000.png").unlink()
+    assert run(make(copy)).returncode == 0
+    assert contents(copy) == contents(whole)
 
 
-def test_make_complete_set_makes_nothing(whole, tmp_path):
-    folder = tmp_path / "resumed"
-    assert run(make(folder)).returncode == 0
-    again = run(make(folder))
+def test_make_complete_set_makes_nothing(copy, whole):
+    again = run(make(copy))
     assert again.returncode == 0
     assert "complete already" in again.stdout
-    assert contents(folder) == contents(whole)
+    assert contents(copy) == contents(whole)
 
 
 @pytest.mark.parametrize(
-    ("after", "number"),
+    ("after", "number", "workers"),
     [
-        pytest.param(0, signal.SIGINT, marks=pytest.mark.slow),
-        (3, signal.SIGINT),
-        pytest.param(3, signal.SIGTERM, marks=pytest.mark.slow),
+        pytest.param(0, signal.SIGINT, 2, marks=pytest.mark.slow),
+        (1, signal.SIGINT, 1),
+        pytest.param(3, signal.SIGINT, 2, marks=pytest.mark.slow),
+        pytest.param(3, signal.SIGTERM, 2, marks=pytest.mark.slow),
     ],
 )
-def test_make_interrupted_keeps_finished_samples(tmp_path, after, number):
+def test_make_interrupted_keeps_finished_samples(tmp_path, after, number, workers):
     """Ctrl-C while the workers start and while they work, and the SIGTERM of a scheduler."""
     folder = tmp_path / "stopped"
     started = subprocess.Popen(
-        process(make(folder, samples=60, workers=2)),
+        process(make(folder, samples=60, workers=workers)),
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         text=True,
@@ -145,7 +146,7 @@ def test_make_second_command_on_one_set_is_refused(tmp_path):
     command = process(make(folder, samples=60))
     first = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
-        wait_for(lambda: len(records(folder)) >= 1)
+        wait_for((folder / ".partial" / "configuration.json").exists)
         second = run(make(folder, samples=60))
         assert second.returncode == 1
         assert "another command is making" in second.stderr
@@ -175,11 +176,11 @@ def test_make_kill_between_the_last_two_steps_is_resumed(copy, whole):
 def test_make_full_disk_gives_one_sentence_and_keeps_finished_samples(tmp_path):
     """Simulated by a limit on the size of files: images fit, records do not."""
     folder = tmp_path / "full"
-    limited = ["prlimit", "--fsize=4096", *process(make(folder))]
+    limited = ["prlimit", "--fsize=4096", *process(make(folder, samples=2))]
     result = subprocess.run(limited, capture_output=True, text=True, timeout=300)
     assert result.returncode == 1
     assert "Traceback" not in result.stderr
     assert "cannot write" in result.stderr
     assert "the same command resumes it" in result.stderr
-    assert run(make(folder)).returncode == 0
+    assert run(make(folder, samples=2)).returncode == 0
     assert tactip.main(["dataset", "verify", str(folder)]) == 0

@@ -13,7 +13,7 @@ from tactip_twin.sim.dataset.partial_record import pack_record, record_path, unp
 from tactip_twin.tactip_model import files
 from tactip_twin.tactip_model.input_files import read_arrays
 
-SAMPLES = 4
+SAMPLES = 3
 
 
 def make(folder, samples=SAMPLES):

@@ -16,7 +16,7 @@ from tactip_twin.sim.dataset.format import PARTIAL, labels_sha256, read_configur
 from tactip_twin.sim.dataset.partial_record import unpack_finished_set
 from tactip_twin.sim.dataset.shards import ShardFinalizer
 
-SAMPLES, SHARD = 10, 4
+SAMPLES, SHARD = 5, 2
 
 
 def options(folder, *more, samples=SAMPLES, shard=SHARD):
@@ -55,7 +55,7 @@ def test_sharded_samples_equal_those_of_one_folder(flat, whole):
     for ours, theirs in zip(read_pins(flat, one.meta), read_pins(whole, many.meta), strict=True):
         assert np.array_equal(ours, theirs)
     tables = [(part / "targets.csv").read_text().splitlines()[1:] for part in sorted(whole.glob("shard-*"))]
-    assert [len(rows) for rows in tables] == [4, 4, 2]
+    assert [len(rows) for rows in tables] == [2, 2, 1]
     assert [row for rows in tables for row in rows] == (flat / "targets.csv").read_text().splitlines()[1:]
     assert many.meta["samples"] == {"asked": SAMPLES, "kept": SAMPLES, "failed": 0}
 
@@ -69,7 +69,7 @@ def test_all_who_read_sets_take_it_as_one(flat, whole, tmp_path):
     for folder in (flat, whole):
         name = f"{folder.parent.name}.png"
         assert tactip.main(["dataset", "show", str(folder), "--out", str(tmp_path / name)]) == 0
-        recording = ["dataset", "record", str(folder), "--sample", "9", "--out", str(tmp_path / folder.parent.name)]
+        recording = ["dataset", "record", str(folder), "--sample", "4", "--out", str(tmp_path / folder.parent.name)]
         assert tactip.main(recording) == 0
     one, other = sorted(tmp_path.glob("*.png"))
     assert one.read_bytes() == other.read_bytes()
@@ -82,20 +82,20 @@ def test_two_workers_make_the_same_bytes(whole, tmp_path):
 
 def test_eight_copies_of_a_contact_stay_in_one_shard(tmp_path, capsys):
     assert tactip.main(options(tmp_path / "odd", "--augment-symmetry")) == 1
-    assert "shard_samples must be at least 8, the number of samples of one contact, got 4" in capsys.readouterr().err
-    assert tactip.main(options(tmp_path / "set", "--augment-symmetry", samples=20, shard=16)) == 0
-    assert tactip.main(options(tmp_path / "flat", "--augment-symmetry", samples=20, shard=32)) == 0
+    assert "shard_samples must be at least 8, the number of samples of one contact, got 2" in capsys.readouterr().err
+    assert tactip.main(options(tmp_path / "set", "--augment-symmetry", samples=12, shard=8)) == 0
+    assert tactip.main(options(tmp_path / "flat", "--augment-symmetry", samples=12, shard=16)) == 0
     one, other = read_dataset(tmp_path / "set"), read_dataset(tmp_path / "flat")
     assert np.array_equal(one.poses, other.poses)
     assert tactip.main(["dataset", "verify", str(tmp_path / "set")]) == 0
 
 
 def test_unevenly_filled_shard_can_grow(tmp_path):
-    """A shard holds the 16 samples of two contacts, so a set of 20 samples has shards already, and grows by shards."""
-    for samples in (20, 40):
-        assert tactip.main(options(tmp_path / "set", "--augment-symmetry", samples=samples, shard=20)) == 0
+    """A shard holds the 8 samples of one contact, so a set of 12 samples has shards already, and grows by shards."""
+    for samples in (12, 20):
+        assert tactip.main(options(tmp_path / "set", "--augment-symmetry", samples=samples, shard=12)) == 0
         assert tactip.main(["dataset", "verify", str(tmp_path / "set")]) == 0
-    assert [len(read_dataset(part).images) for part in sorted((tmp_path / "set").glob("shard-*"))] == [16, 16, 8]
+    assert [len(read_dataset(part).images) for part in sorted((tmp_path / "set").glob("shard-*"))] == [8, 8, 4]
 
 
 def test_closing_a_shard_twice_is_harmless(copy, whole):
@@ -126,7 +126,7 @@ def test_unfinished_shard_is_closed_on_resuming(copy, whole, capsys):
     assert contents(copy) == contents(whole)
 
 
-@pytest.mark.parametrize("before", [3, *(pytest.param(n, marks=pytest.mark.slow) for n in (4, 6))])
+@pytest.mark.parametrize("before", [1, *(pytest.param(n, marks=pytest.mark.slow) for n in (2, 3))])
 def test_set_grows_from_one_folder_or_fewer_shards(whole, tmp_path, before):
     assert tactip.main(options(tmp_path / "set", samples=before)) == 0
     assert (tmp_path / "set" / "targets.csv").exists() == (before <= SHARD)
@@ -137,7 +137,7 @@ def test_set_grows_from_one_folder_or_fewer_shards(whole, tmp_path, before):
 @pytest.mark.parametrize("moved", [1, *(pytest.param(k, marks=pytest.mark.slow) for k in (2, 4))])
 def test_growth_that_is_killed_while_it_moves_goes_on(whole, tmp_path, monkeypatch, capsys, moved):
     folder = tmp_path / "set"
-    assert tactip.main(options(folder, samples=3)) == 0
+    assert tactip.main(options(folder, samples=1)) == 0
 
     rename, left = type(folder).rename, iter(range(moved))
 
@@ -151,8 +151,8 @@ def test_growth_that_is_killed_while_it_moves_goes_on(whole, tmp_path, monkeypat
         assert tactip.main(options(folder)) != 0
     assert tactip.main(["dataset", "verify", str(folder)]) == 1
     assert "unfinished" in capsys.readouterr().err
-    assert tactip.main(options(folder, samples=3)) == 1
-    assert "has 10 samples: samples must be 10 until the set is finished, got 3" in capsys.readouterr().err
+    assert tactip.main(options(folder, samples=1)) == 1
+    assert "has 5 samples: samples must be 5 until the set is finished, got 1" in capsys.readouterr().err
     assert tactip.main(options(folder)) == 0
     assert contents(folder) == contents(whole)
 
@@ -175,25 +175,25 @@ def test_kill_loses_no_shard(whole, tmp_path):
 
 
 def test_fewer_samples_than_there_are_are_refused(copy, capsys):
-    for fewer in (3, 8):
+    for fewer in (1, 4):
         assert tactip.main(options(copy, samples=fewer)) == 1
         output = capsys.readouterr().err
-        assert f"has 10 samples: samples must be at least 10, got {fewer}" in output
+        assert f"has 5 samples: samples must be at least 5, got {fewer}" in output
 
 
 def test_large_set_of_one_folder_is_unchanged(tmp_path, capsys):
     """Made as before shards were introduced."""
     folder = tmp_path / "set"
-    assert tactip.main(options(folder, samples=3)) == 0
+    assert tactip.main(options(folder, samples=1)) == 0
     meta = json.loads((folder / "meta.json").read_text())
-    meta["configuration"]["samples"] = 6
+    meta["configuration"]["samples"] = 3
     (folder / "meta.json").write_text(json.dumps(meta))
     mend_checksums(folder)
     before = {path.name for path in folder.iterdir()}
     assert tactip.main(options(folder)) == 1
-    assert "it has 6 samples in one folder, more than the 4 of a shard" in capsys.readouterr().err
+    assert "it has 3 samples in one folder, more than the 2 of a shard" in capsys.readouterr().err
     assert before <= {path.name for path in folder.iterdir()}
-    assert len(read_dataset(folder).images) == 3
+    assert len(read_dataset(folder).images) == 1
 
 
 def _alter_manifest(folder):
@@ -212,8 +212,8 @@ def _swap_shards(folder):
     ("damage", "words"),
     [
         (
-            lambda f: (f / "shard-00001" / "images" / "image_00005.png").unlink(),
-            "shard-00001/images/image_00005.png: missing",
+            lambda f: (f / "shard-00001" / "images" / "image_00003.png").unlink(),
+            "shard-00001/images/image_00003.png: missing",
         ),
         (lambda f: shutil.rmtree(f / "shard-00002"), "shard-00002/meta.json: missing"),
         (lambda f: (f / "shard-00007").mkdir(), "shard-00007: not a shard of this set"),

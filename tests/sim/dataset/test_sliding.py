@@ -130,9 +130,9 @@ def test_set_that_ends_within_a_contact_has_its_samples_only(design, tmp_path):
 
 
 def test_first_snapshot_is_the_contact_without_sliding(design, tmp_path):
-    made(tmp_path / "walked", design)
-    made(tmp_path / "plain", design, samples=3, snapshots_per_contact=1)
-    walked, plain = table(tmp_path / "walked")[::4], table(tmp_path / "plain")
+    made(tmp_path / "walked", design, samples=6, snapshots_per_contact=3)
+    made(tmp_path / "plain", design, samples=2, snapshots_per_contact=1)
+    walked, plain = table(tmp_path / "walked")[::3], table(tmp_path / "plain")
     ours = [{k: v for k, v in row.items() if k not in ("index", "sensor_image")} for row in walked]
     assert ours == [{k: v for k, v in row.items() if k not in ("index", "sensor_image")} for row in plain]
 
@@ -158,15 +158,15 @@ def test_looks_turn_and_mirror_as_contacts_do(design, tmp_path):
 def test_failing_snapshot_is_left_out_and_listed(design, tmp_path):
     """The set is complete, can be read, and can be extended."""
     strict = QualityLimits(volume_ratio=0.65)
-    _, result = made(tmp_path / "set", design, samples=24, snapshots_per_contact=12, seed=3, bounds=strict)
+    _, result = made(tmp_path / "set", design, samples=8, snapshots_per_contact=4, seed=6, bounds=strict)
     meta = json.loads((tmp_path / "set/meta.json").read_text())
     missed = [failure["index"] for failure in meta["failures"]]
-    assert 0 < result["failed"] == len(missed) < 24 and result["kept"] == 24 - len(missed)
+    assert 0 < result["failed"] == len(missed) < 8 and result["kept"] == 8 - len(missed)
     assert all("of its volume" in failure["tries"][0][0] for failure in meta["failures"])
-    assert {int(row["index"]) for row in table(tmp_path / "set")} == set(range(24)) - set(missed)
+    assert {int(row["index"]) for row in table(tmp_path / "set")} == set(range(8)) - set(missed)
     assert verify(tmp_path / "set") == []
-    made(tmp_path / "set", design, samples=36, snapshots_per_contact=12, seed=3, bounds=strict)
-    made(tmp_path / "other", design, samples=36, snapshots_per_contact=12, seed=3, bounds=strict)
+    made(tmp_path / "set", design, samples=12, snapshots_per_contact=4, seed=6, bounds=strict)
+    made(tmp_path / "other", design, samples=12, snapshots_per_contact=4, seed=6, bounds=strict)
     assert contents(tmp_path / "set") == contents(tmp_path / "other")
 
 
