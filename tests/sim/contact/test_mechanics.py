@@ -52,7 +52,7 @@ def test_force_agrees_with_hertz(frictionless, standard):
     tip = replace(frictionless, materials=materials, shape=replace(frictionless.shape, cylinder_m=20e-3))
     fine = replace(
         standard,
-        mesh=Resolution(surface_m=0.8e-3, fine_angle_deg=25),
+        mesh=Resolution(surface_m=0.8e-3, fine_angle_deg=18),
         motion=replace(standard.motion, settle_steps=40, settle_limit=80, settle_speed_m_s=1e-4),
         solver=replace(standard.solver, settle_tolerance=1e-11, iterations=3000),
     )
@@ -65,11 +65,11 @@ def references(design):
     """Return the independent code's domes and their steps (force, displacements) by depth, of sensor and gel alone."""
     m, r = design.materials, design.shape.radius_m
     gel = (m.gel_young_pa, m.gel_poisson)
-    sensor = [Layer(r - m.skin_thickness_m, *gel, 10), Layer(r, m.skin_young_pa, m.skin_poisson, 2)]
-    depths = np.arange(0.5, 4.01, 0.5)
+    sensor = [Layer(r - m.skin_thickness_m, *gel, 8), Layer(r, m.skin_young_pa, m.skin_poisson, 2)]
+    depths = np.arange(1.0, 4.01, 1.0)
     out = {}
-    for name, layers in (("sensor", sensor), ("gel", [Layer(r, *gel, 10)])):
-        dome = Dome(layers, polar_elements=30)
+    for name, layers in (("sensor", sensor), ("gel", [Layer(r, *gel, 8)])):
+        dome = Dome(layers, polar_elements=24)
         steps = list(dome.press(depths * 1e-3))
         out[name] = dome, {d: step for d, step in zip(depths, steps, strict=True)}
     return out
