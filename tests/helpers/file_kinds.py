@@ -15,6 +15,8 @@ import torch
 import trimesh
 
 from helpers.learning_sets import add_pins, mend_checksums, write_fake_set, write_fake_splits
+from helpers.rims import write_coarse_rim
+from tactip_twin.assets.meshes.rims import RIMS
 from tactip_twin.control.policy import Policy, read_policy, write_policy
 from tactip_twin.learning.checkpoint import METRICS, load_checkpoint, provenance, read_metrics, save_checkpoint
 from tactip_twin.learning.configuration import PoseNetConfig, SearchSpace, TrainSettings, TuneSettings
@@ -337,8 +339,7 @@ def read_meshes(folder, root):
 
 def write_object(folder, root):
     """Write an object of the project's own, with its edge."""
-    for name in ("rim-square.ply", "rim-square.edge.csv"):
-        shutil.copy(objects.MESHES / name, folder)
+    write_coarse_rim("rim-square", RIMS["rim-square"], folder)
 
 
 def read_object(folder, root):

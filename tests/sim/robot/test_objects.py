@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 import trimesh
 
+from helpers.rims import write_coarse_rim
 from tactip_twin.assets.meshes.hard_rims import HARD_RIMS
 from tactip_twin.assets.meshes.make import write_rim
+from tactip_twin.assets.meshes.rims import RIMS
 from tactip_twin.sim.robot.objects import MAX_TRIANGLES, load_object
 from tactip_twin.tactip_model.errors import TactipError
 
@@ -138,8 +140,8 @@ def test_rim_file_comes_with_its_edge(tmp_path, name):
     ],
 )
 def test_edge_that_does_not_fit_its_mesh_is_refused(tmp_path, change, message):
-    name = next(iter(HARD_RIMS))
-    write_rim(name, HARD_RIMS[name], tmp_path)
+    name = next(iter(RIMS))
+    write_coarse_rim(name, RIMS[name], tmp_path)
     path = tmp_path / f"{name}.edge.csv"
     head = path.read_text().splitlines()[0]
     np.savetxt(path, change(np.loadtxt(path, delimiter=",", skiprows=1)), delimiter=",", header=head, comments="")
