@@ -88,22 +88,20 @@ def test_press_on_a_tilted_face_follows_its_normal(tip):
 
 
 def test_press_on_a_file_and_an_object(tip, tmp_path):
-    mesh = ring()
-    mesh.apply_scale(1e3)
-    mesh.export(tmp_path / "ring.stl")
-    from_file = tip.press(tmp_path / "ring.stl", depth_mm=2, at_mm=(0, 10))
-    assert np.abs(from_file.pins_mm - tip.press(ring(), depth_mm=2, at_mm=(0, 10)).pins_mm).max() < 0.02
+    ball = trimesh.creation.icosphere(3, 12e-3)
+    ball.copy().apply_scale(1e3).export(tmp_path / "solid.stl")
+    from_file = tip.press(tmp_path / "solid.stl", depth_mm=2, at_mm=(0, 1))
+    assert np.abs(from_file.pins_mm - tip.press(ball, depth_mm=2, at_mm=(0, 1)).pins_mm).max() < 0.02
     # A changed file is read again.
-    trimesh.creation.box((80, 80, 20)).export(tmp_path / "ring.stl")
-    assert tip.press(tmp_path / "ring.stl", depth_mm=2, at_mm=(0, 10)).force_N[2] > 1.1 * from_file.force_N[2]
-    assert tip.press(tt.load_object("sphere"), depth_mm=2).force_N[2] > 0.2
+    trimesh.creation.box((80, 80, 20)).export(tmp_path / "solid.stl")
+    assert tip.press(tmp_path / "solid.stl", depth_mm=2, at_mm=(0, 1)).force_N[2] > 1.1 * from_file.force_N[2]
+    assert tip.press(tt.load_object("edge"), depth_mm=2).force_N[2] > 0.2
 
 
-def test_record_that_fails_its_checks_is_repeated_and_passes():
+def test_record_that_fails_its_checks_is_repeated_and_passes(tip):
     """On a ring, where the plain simulator's record exceeds the allowed penetration."""
     limits = QualityLimits()
-    tip = tt.TacTip("tactip-127", fidelity="draft", renderer="raster")
-    contacts = [tip.press(ring(), depth_mm=depth, at_mm=(0, 10)) for depth in (2.0, 3.0, 4.0)]
+    contacts = [tip.press(ring(), depth_mm=depth, at_mm=(0, 10)) for depth in (2.0, 4.0)]
     assert all(contact.record.violations(limits) == [] for contact in contacts)
     assert max(contact.tries for contact in contacts) > 1
 

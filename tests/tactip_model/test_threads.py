@@ -14,8 +14,8 @@ from tactip_twin.commands.main import main
     [
         ("learning.model", {}, "'1000'", None),
         ("sim.tactip", {}, "'1000'", None),
-        ("sim.tactip", {"GOMP_SPINCOUNT": "77"}, "'77'", None),
-        ("learning.model", {"OMP_WAIT_POLICY": "ACTIVE"}, None, "'ACTIVE'"),
+        ("sim.pose", {"GOMP_SPINCOUNT": "77"}, "'77'", None),
+        ("sim.pose", {"OMP_WAIT_POLICY": "ACTIVE"}, None, "'ACTIVE'"),
     ],
 )
 def test_threads_sleep_soon_unless_user_has_chosen(module, chosen, spins, policy):
