@@ -1,5 +1,6 @@
 """Shared fixtures that are slow to build."""
 
+import hashlib
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -12,6 +13,7 @@ from helpers.set_commands import make, run
 from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.contact.simulator import ContactSimulator
 from tactip_twin.sim.pose import from_mm_deg
+from tactip_twin.sim.robot import objects
 from tactip_twin.tactip_model.presets import design_named
 
 # No deadline: the first call of a cold library is slow, and timings are not tested here. The same examples every time.
@@ -29,6 +31,28 @@ def pytest_collection_modifyitems(items):
 @pytest.fixture(scope="session", autouse=True)
 def quick_workers():
     with forked_workers():
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def quick_repairs():
+    """Check meshes of many triangles once, such as the project's own, however often they are loaded.
+
+    It takes half a second each time. The same mesh gives the same result, so nothing else changes.
+    """
+    repaired, known = objects.repaired, {}
+
+    def remembered(mesh, name):
+        if len(mesh.faces) < 5000:
+            return repaired(mesh, name)
+        key = hashlib.sha256(name.encode() + mesh.vertices.tobytes() + mesh.faces.tobytes()).digest()
+        if key not in known:
+            known[key] = repaired(mesh, name)
+        result, notes = known[key]
+        return result.copy(), list(notes)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(objects, "repaired", remembered)
         yield
 
 

@@ -57,7 +57,7 @@ def followed(tmp_path_factory):
         str(folder / "set"),
     ]
     assert tactip.main(made) == 0
-    output = run(EXAMPLES / "own_estimator.py", "--data", folder / "set", "--out", folder / "run", "--length-mm", "8")
+    output = run(EXAMPLES / "own_estimator.py", "--data", folder / "set", "--out", folder / "run", "--length-mm", "4")
     return folder / "run", output
 
 
@@ -94,7 +94,7 @@ def test_custom_estimator_example(followed):
 
 
 def test_own_controller_follows_a_sphere(tmp_path):
-    printed = run(EXAMPLES / "own_controller.py", "--out", tmp_path / "run", "--length-mm", "8")
+    printed = run(EXAMPLES / "own_controller.py", "--out", tmp_path / "run", "--length-mm", "4")
     score = json.loads((tmp_path / "run" / "score.json").read_text())
     assert "route completed" in printed
     assert score["contact_losses"] == 0 and score["depth_mae_mm"] < 0.6 and score["angle_mean_deg"] < 8

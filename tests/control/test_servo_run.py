@@ -13,7 +13,7 @@ from helpers.kills import end_at_rename
 from tactip_twin.benchmarks.servo.contact_patch import contact_patch_normal
 from tactip_twin.commands import main as tactip
 from tactip_twin.control.estimator import Estimate
-from tactip_twin.control.options import RouteOptions, ServoOptions
+from tactip_twin.control.options import RouteOptions, ServoOptions, Settings
 from tactip_twin.control.score import coverage, summary
 from tactip_twin.control.servo import DEPTHS_MM, Controller
 from tactip_twin.control.servo_run import run_servo
@@ -23,7 +23,7 @@ from tactip_twin.sim.robot.recording import PHASES, read_recording
 from tactip_twin.sim.view.tactile_picture import pin_projection, tactile_picture
 from tactip_twin.tactip_model.errors import TactipError
 
-QUICK = ["servo", "--fidelity", "draft", "--renderer", "raster", "--object", "plate"]
+QUICK = ["servo", "--fidelity", "draft", "--renderer", "raster", "--object", "plate", "--settings.alignment-steps", "4"]
 SHORT = ["--route.kind", "straight", "--route.length-mm", "4"]
 
 
@@ -131,7 +131,7 @@ def test_servo_same_run_twice_gives_equal_arrays(ran, tmp_path):
 
 def test_servo_json_prints_one_object(tmp_path, capsys):
     assert tactip.main([*QUICK, "--route.kind", "straight", "--route.length-mm", "1", "--model", "oracle", "--arm", "none",
-                        "--json", "--out", str(tmp_path / "run")]) == 0  # fmt: skip
+                        "--settings.alignment-steps", "12", "--json", "--out", str(tmp_path / "run")]) == 0  # fmt: skip
     score = json.loads(capsys.readouterr().out)
     assert score["depth_mae_mm"] < 0.2
 
@@ -245,7 +245,8 @@ def test_servo_oracle_runs_a_design_without_a_shipped_network(tmp_path):
 
 def own_options(tmp_path):
     route = RouteOptions(kind="straight", length_mm=2)
-    return ServoOptions(tmp_path / "run", object="plate", arm="none", fidelity="draft", renderer="raster", route=route)
+    quick = {"arm": "none", "fidelity": "draft", "renderer": "raster", "settings": Settings(alignment_steps=4)}
+    return ServoOptions(tmp_path / "run", object="plate", route=route, **quick)
 
 
 @pytest.mark.parametrize("label", [(-2.0, 0.0, 0.0), (0.0, 0.0, -2.0, 0.0, 0.0, 0.0)])
@@ -360,7 +361,19 @@ def test_servo_video_without_pyrender_is_refused(tmp_path, capsys):
 @pytest.mark.parametrize("name", [pytest.param("score.json", marks=pytest.mark.slow), "steps.npz"])
 def test_servo_killed_after_its_last_step_runs_again(tmp_path, name):
     out = tmp_path / "run"
-    command = [*QUICK, "--route.kind", "straight", "--route.length-mm", "1", "--arm", "none", "--out", str(out)]
+    command = [
+        *QUICK,
+        "--route.kind",
+        "straight",
+        "--route.length-mm",
+        "1",
+        "--arm",
+        "none",
+        "--model",
+        "oracle",
+        "--out",
+        str(out),
+    ]
     killed = multiprocessing.get_context("forkserver").Process(target=end_at_rename, args=(name, command))
     killed.start()
     killed.join()

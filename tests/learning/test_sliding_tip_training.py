@@ -25,10 +25,10 @@ from tactip_twin.sim.pose import from_mm_deg, sensor_in_contact
 from tactip_twin.tactip_model.errors import Interrupted, TactipError
 from tactip_twin.tactip_model.presets import design_named
 
-SETTINGS = SlidingTipSettings(modes=20, state_modes=10, overlap_modes=8, width=24, steps=200, batch=64, trusted_fraction=1.0)
+SETTINGS = SlidingTipSettings(modes=20, state_modes=10, overlap_modes=8, width=24, steps=150, batch=64, trusted_fraction=1.0)
 MAKE = ["dataset", "make", "--fidelity", "draft", "--renderer", "raster", "--workers", "2"]
 OPTIONS = [
-    *("--modes", "20", "--state-modes", "10", "--overlap-modes", "8", "--width", "24", "--steps", "200"),
+    *("--modes", "20", "--state-modes", "10", "--overlap-modes", "8", "--width", "24", "--steps", "150"),
     *("--batch", "64", "--trusted-fraction", "1", "--threads", "1"),
 ]
 
@@ -38,7 +38,7 @@ def sets(tmp_path_factory):
     folder = tmp_path_factory.mktemp("sets")
     slides = ["--snapshots-per-contact", "5", "--keep-mesh"]
     curved = ["--curvature-per-m", "-20", "60", "--varying-curvature-fraction", "0.5"]
-    for name, samples, options in (("train", 40, []), ("curved", 20, curved), ("val", 20, ["--split", "val"])):
+    for name, samples, options in (("train", 30, []), ("curved", 15, curved), ("val", 15, ["--split", "val"])):
         assert tactip.main([*MAKE, *slides, *options, "--samples", str(samples), "--out", str(folder / name)]) == 0
     return folder
 

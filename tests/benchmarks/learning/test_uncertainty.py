@@ -18,12 +18,12 @@ from tactip_twin.tactip_model.presets import load_design
 
 @pytest.fixture(scope="module")
 def samples(tmp_path_factory):
-    """Predicted contacts on edges, 60 of them."""
+    """Predicted contacts on edges, 40 of them."""
     tip = shipped_fast_tip("edge", "tactip-127")
     configuration = Configuration(
         task="edge",
         split="test",
-        samples=60,
+        samples=40,
         seed=3,
         renderer="raster",
         design=load_design("tactip-127"),

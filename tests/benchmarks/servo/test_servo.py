@@ -8,10 +8,16 @@ import pytest
 
 from tactip_twin.benchmarks.servo import servo as followed
 from tactip_twin.benchmarks.servo.options import ServoBenchOptions
-from tactip_twin.control.options import RouteOptions
+from tactip_twin.control.options import RouteOptions, Settings
 from tactip_twin.tactip_model.errors import TactipError
 
-QUICK = {"fidelity": "draft", "renderer": "raster", "arm": "none", "model": "oracle"}
+QUICK = {
+    "fidelity": "draft",
+    "renderer": "raster",
+    "arm": "none",
+    "model": "oracle",
+    "settings": Settings(alignment_steps=3),
+}
 
 
 @pytest.fixture
