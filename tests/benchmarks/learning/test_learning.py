@@ -146,7 +146,7 @@ def test_fine_tuned_networks_have_the_shape_of_their_initial_weights():
             assert shapes[0] == shapes[1]
 
 
-def test_page_is_written_and_finished_trainings_are_kept(options):
+def test_page_is_written_and_finished_trainings_are_kept(options, monkeypatch):
     kinds = ("laptop-plain", "laptop-taps", "laptop", "laptop-256px", "laptop-noise", "laptop-slides")
     options = replace(options, only=kinds)
     first = learned.run(options, log=lambda line: None)
@@ -157,6 +157,7 @@ def test_page_is_written_and_finished_trainings_are_kept(options):
     assert f"{first['rows'][0]['mae']['sheared']['pose_z']:.3f}" in page
     assert "Not measured" in page.split("begin beta")[1]
     assert (options.out / "learning.png").stat().st_size > 5000
+    monkeypatch.setattr(learned, "plot", lambda *_: None)  # it is drawn after every row, and has been looked at
     lines = []
     again = learned.run(options, log=lines.append)
     assert sum("already finished" in line for line in lines) == len(first["rows"])
@@ -204,6 +205,7 @@ def test_rows_of_other_versions_and_other_test_sets_are_dropped(options, monkeyp
     def names(**changes):
         return [row["name"] for row in learned.run(replace(options, **changes), log=lambda line: None)["rows"]]
 
+    monkeypatch.setattr(learned, "plot", lambda *_: None)  # it is drawn after every row
     assert names(only=("laptop",)) == ["laptop"]
     assert names(only=("laptop-4",)) == ["laptop", "laptop-4"]
     monkeypatch.setattr(learned, "version", lambda package: "9.9")

@@ -28,7 +28,7 @@ from tactip_twin.tactip_model.presets import load_design
 from tactip_twin.tactip_model.raster_renderer import Raster
 from tactip_twin.tactip_model.tactile_image import tactile_image
 
-CONTACTS = 8
+CONTACTS = 6
 SLOWER = ("edge-256px-tactip-127", "edge-tactip-331")
 NAMES = ["edge-256px-tactip-127", "edge-any-tactip-127", "edge-any-yaw-tactip-127", "edge-tactip-127", "edge-tactip-331"]
 NAMES += ["surface-256px-tactip-127"]
