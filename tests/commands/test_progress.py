@@ -5,19 +5,22 @@ from importlib.metadata import version
 
 import pytest
 
+from tactip_twin.commands import _progress
 from tactip_twin.commands import main as tactip
-from tactip_twin.commands._progress import _PATIENCE_S, DelayedStatus
+from tactip_twin.commands._progress import DelayedStatus
 
 
-def test_only_long_waits_are_reported(capsys):
+def test_only_long_waits_are_reported(capsys, monkeypatch):
+    assert 0.5 <= _progress._PATIENCE_S <= 2
+    monkeypatch.setattr(_progress, "_PATIENCE_S", 0.2)
     with DelayedStatus("reading"):
-        time.sleep(1.5 * _PATIENCE_S)
+        time.sleep(0.5)
     assert capsys.readouterr().err == "reading …\n"
     with DelayedStatus("reading"):
         pass
     with DelayedStatus("reading") as waiting:
         waiting.cancel()
-        time.sleep(1.5 * _PATIENCE_S)
+        time.sleep(0.5)
     assert capsys.readouterr().err == ""
 
 

@@ -41,6 +41,14 @@ def real(tmp_path_factory):
     return folder
 
 
+@pytest.fixture(scope="module")
+def few(tmp_path_factory):
+    """A set of as few frames as a fit and a test take."""
+    folder = tmp_path_factory.mktemp("few") / "set"
+    write_set(folder, hidden_twin(), 20)
+    return folder
+
+
 def start():
     return replace(design_named("nominal-127"), name="mine")
 
@@ -158,15 +166,15 @@ def test_calibrate_recovers_hidden_sensor(real, tmp_path):
     }
 
 
-def test_calibrate_frames_of_other_tip_are_refused(real, tmp_path):
+def test_calibrate_frames_of_other_tip_are_refused(few, tmp_path):
     with pytest.raises(TactipError, match=r"must show the 331 pins of the design .tactip-331., got 127"):
-        calibrate(real, design_named("tactip-331"), Settings(), tmp_path / "state.json")
+        calibrate(few, design_named("tactip-331"), Settings(), tmp_path / "state.json")
 
 
-def test_calibrate_command_refused_writes_nothing(real, tmp_path, capsys):
+def test_calibrate_command_refused_writes_nothing(few, tmp_path, capsys):
     for command, words in (
         ([str(tmp_path / "none")], "is not a folder"),
-        ([str(real), "--design", "tactip-331"], "must show the 331 pins of the design 'tactip-331', got 127"),
+        ([str(few), "--design", "tactip-331"], "must show the 331 pins of the design 'tactip-331', got 127"),
     ):
         assert tactip.main(["calibrate", *command, "--out", str(tmp_path / "mine.json")]) == 1
         assert words in capsys.readouterr().err
@@ -178,10 +186,10 @@ def test_constants_are_sorted():
     assert MOVE_FRACTIONS[0] == 0 and MOVE_FRACTIONS[-1] == 1
 
 
-def test_calibrate_killed_worker_is_one_sentence(real, tmp_path, monkeypatch):
+def test_calibrate_killed_worker_is_one_sentence(few, tmp_path, monkeypatch):
     monkeypatch.setattr(Calibrator, "misfit", lambda self, twin, fidelity: self._executor.submit(os._exit, 9).result())
     with pytest.raises(TactipError, match=r"^a worker was killed; .* the same command resumes after them$"):
-        calibrate(real, start(), Settings(fit_frames=10, test_frames=10), tmp_path / "state.json", lambda line: None)
+        calibrate(few, start(), Settings(fit_frames=10, test_frames=10), tmp_path / "state.json", lambda line: None)
 
 
 def test_calibrate_round_without_a_better_step_ends_as_a_resumed_one_begins(monkeypatch):
