@@ -94,7 +94,7 @@ class PinModel:
         """Return the pins' positions (n, 2 p), mm or px, for free components (n, k), mm and degrees."""
         both = from_mm_deg(self.whole(values).reshape(-1, 2, 6))
         coefficients, _ = self._tip.coefficients(both[:, 0], both[:, 1], self.materials)
-        tips, _ = self._decoder(coefficients)
+        tips = self._decoder.tips(coefficients)
         if self._lens is None:
             return 1e3 * tips[..., :2].reshape(len(values), -1)
         return reference_pixels(self._lens.project(tips), self._lens.width).reshape(len(values), -1)
@@ -123,9 +123,11 @@ class PinModel:
         for component, ends in (within or {}).items():
             low[component], high[component] = ends
         values = (low + (high - low) * rng.random((count, 12)))[:, self.free]
-        bank = self.positions(values)
-        wanted = pins.reshape(len(pins), -1)
-        return self.whole(values[[int(np.nanmean((bank - one) ** 2, 1).argmin()) for one in wanted]])
+        bank, wanted = self.positions(values), pins.reshape(len(pins), -1)
+        known = np.isfinite(wanted)
+        # Sums of squared differences of the known coordinates, without the term that all contacts share.
+        far = bank**2 @ known.T - 2 * bank @ np.where(known, wanted, 0.0).T
+        return self.whole(values[far.argmin(0)])
 
     def information(self, jacobians: np.ndarray, noise: float, prior_weight: float = 1.0) -> np.ndarray:
         """Return the information matrices (n, k, k) of pins with noise (standard deviation of each coordinate) and a prior.

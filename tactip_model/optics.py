@@ -64,7 +64,7 @@ class Lens:
         """Return the pixels (..., 2) of points (..., 3), m, sensor frame. The centre of the top left pixel is (0, 0)."""
         rays = points - self.position
         plan = np.hypot(rays[..., 0], rays[..., 1])
-        scale = self.radius(self.angle_to(points)) / np.maximum(plan, 1e-12)
+        scale = self.radius(np.arctan2(plan, rays[..., 2])) / np.maximum(plan, 1e-12)
         return self.centre - 0.5 + rays[..., :2] * scale[..., None]
 
 

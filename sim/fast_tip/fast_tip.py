@@ -278,6 +278,10 @@ class PinDecoder:
         to_tips = self._moved - pin_lever_m(design) * self._turned
         self._to_tips = to_tips.reshape(len(to_tips), -1).astype(np.float32)
 
+    def tips(self, coefficients: np.ndarray) -> np.ndarray:
+        """Return pin tips (k, p, 3), m, sensor frame, for coefficients (k, n) complex, in half the time of a call."""
+        return self._tips + (_parts(coefficients) @ self._to_tips).reshape(-1, *self._tips.shape)
+
     def __call__(self, coefficients: np.ndarray, longer_m: float | np.ndarray = 0.0) -> tuple[np.ndarray, np.ndarray]:
         """Return pin tips (k, p, 3), m, and directions (k, p, 3) for coefficients (k, n) complex; sensor frame.
 
@@ -285,14 +289,18 @@ class PinDecoder:
             coefficients: (k, n).
             longer_m: Length by which the pins of each contact (k,) exceed those of the design, m.
         """
-        parts = np.concatenate([coefficients.real, coefficients.imag], 1).astype(np.float32)
-        tips = self._tips + (parts @ self._to_tips).reshape(-1, *self._tips.shape)
+        tips, parts = self.tips(coefficients), _parts(coefficients)
         directions = self._directions - (parts @ self._to_turns).reshape(tips.shape)
         if np.any(longer_m):
             # A pin's tip moves with its root, plus its length times the change of the normal.
             tips += np.reshape(longer_m, (-1, 1, 1)) * directions
         directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
         return tips, directions
+
+
+def _parts(coefficients: np.ndarray) -> np.ndarray:
+    """Return the real and imaginary parts (k, 2 n) float32 of coefficients (k, n)."""
+    return np.concatenate([coefficients.real, coefficients.imag], 1).astype(np.float32)
 
 
 def shipped_fast_tip(task: Task, design: str, randomized: bool = False) -> Path:

@@ -214,7 +214,7 @@ def _tips(design: Design, task: Task, poses: np.ndarray, shears: np.ndarray, mec
         materials = np.clip(materials, *tip.materials.T)
     shown = np.where(np.arange(6) == 2, mechanics.depth_gain, 1.0) * poses
     coefficients, _ = tip.coefficients(from_mm_deg(shown), from_mm_deg(shears), materials)
-    tips, _ = PinDecoder(design, tip.modes)(coefficients)
+    tips = PinDecoder(design, tip.modes).tips(coefficients)
     return np.where(poses[:, 2, None, None] < 0, tips, neutral_pins(design)[0])  # without contact nothing moves
 
 
