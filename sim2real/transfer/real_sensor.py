@@ -3,7 +3,7 @@ its pins and the materials that its frames show."""
 
 import hashlib
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,8 +13,9 @@ from tactip_twin.learning.data import Samples
 from tactip_twin.learning.image_check import MAX_APART_PX, pins_apart_px
 from tactip_twin.sim.dataset.mechanics_randomization import MECHANICS_RANDOMIZATIONS
 from tactip_twin.sim.labels import Task
+from tactip_twin.sim2real.importing.estimated_contacts import detected_pins
 from tactip_twin.sim2real.importing.estimated_pitch import with_estimated_pitch
-from tactip_twin.sim2real.importing.frame_blobs import FRAMES, blobs_of, read_blobs
+from tactip_twin.sim2real.importing.frame_blobs import blobs_of, read_blobs
 from tactip_twin.sim2real.importing.import_set import pins_at_rest
 from tactip_twin.sim2real.transfer.estimated_materials import AFTER, BEFORE, with_estimated_materials
 from tactip_twin.sim2real.transfer.neutral_calibration import camera_of, fit_design_to_neutral_image, with_camera_drift
@@ -23,6 +24,7 @@ from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.design_file import design_as_dict, read_design, write_design
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.input_files import read_json
+from tactip_twin.tactip_model.neutral_image import neutral_px
 from tactip_twin.tactip_model.presets import load_design
 
 _MAX_RESIDUAL = 0.75
@@ -30,19 +32,12 @@ _MAX_RESIDUAL = 0.75
 is 0.4 to 0.5 on hidden sensors with other mechanics, and 0.85 to 0.9 on real-127 and real-331, on which narrow mechanics
 around the estimate made depth 0.01 mm worse or changed nothing [M]."""
 
+_TRIED = 40
+"""Number of tactile images that are tried: in half of them, the pins must be detected."""
+
 _MATERIALS, _INPUTS = "estimated_materials", "inputs_sha256"
 """Names in the provenance of a design: what was found of the materials, or null; checksum of all that the design was
 estimated from."""
-
-
-def _blobs(real: Path, frames: Samples) -> list[np.ndarray]:
-    """Return the centres (k, 2) of the blobs, px of 256, of some frames of a set; those of the tactile images if an earlier
-    version imported it."""
-    found = read_blobs(real, frames.dataset.meta)
-    if found is None:
-        return [blobs_of(image) for image in frames.images[:FRAMES]]
-    known = set(frames.rows.tolist())
-    return [centres for row, centres in found.items() if row in known]
 
 
 class RealSensor:
@@ -68,10 +63,10 @@ class RealSensor:
             log: Callback for messages to the user.
 
         Raises:
-            TactipError: The named design, or the file of blobs, cannot be read.
+            TactipError: The named design cannot be read.
         """
         self._real, self._out, self._settings, self._log = real, out, settings, log
-        self._size_px, self._blobs = frames.size, _blobs(real, frames)
+        self._size_px, self._frames = frames.size, frames
         self._task: Task = task
         self._given = load_design(settings.design) if settings.design else None
         self._fitted: Design | None = None
@@ -81,7 +76,8 @@ class RealSensor:
         """Return the given design, or one fitted to the neutral image.
 
         Raises:
-            TactipError: The given one is of another sensor or camera, or the neutral image shows no pins.
+            TactipError: The given one is of another sensor or camera, the neutral image shows no pins, or the set's blobs
+                cannot be read.
         """
         if self._given:
             self._check_given(self._given)
@@ -102,24 +98,38 @@ class RealSensor:
         """Return the design that neutral image and frames show; that of an earlier command if it was estimated from them."""
         self._log("fitting tip and camera to the neutral image")
         fitted, figures = fit_design_to_neutral_image(self._real, self._size_px)
-        inputs, path = self._checksum(fitted), self._out / "design.json"
+        blobs = self._blobs(fitted)
+        inputs, path = self._checksum(fitted, blobs), self._out / "design.json"
         if path.exists() and (kept := self._kept(path, inputs)):
             self._log(f"pitch and materials are those in {path}, which were estimated from the same frames")
             return kept
-        fitted, by_pitch = self._with_pitch(fitted)
-        fitted, materials = self._with_materials(fitted)
+        fitted, by_pitch = self._with_pitch(fitted, blobs)
+        fitted, materials = self._with_materials(fitted, blobs)
         self._estimated = materials is not None
         self._out.mkdir(parents=True, exist_ok=True)
         pitch = {"neutral_image_of": self._real.name, "px_by_factor_of_pitch": by_pitch}
         write_design(path, fitted, pitch | {_MATERIALS: materials} | figures | {_INPUTS: inputs})
         return fitted
 
-    def _checksum(self, fitted: Design) -> str:
+    def _blobs(self, fitted: Design) -> list[np.ndarray]:
+        """Return the centres (k, 2) of the blobs, px of 256, of the tactile images; or, if pins touch in these, of those
+        frames that the import has kept at full size."""
+        seen = [blobs_of(image) for image in self._frames.images]
+        try:
+            detected_pins(seen[:_TRIED], neutral_px(fitted))
+        except TactipError:
+            kept = read_blobs(self._real, self._frames.dataset.meta) or {}
+            known = set(self._frames.rows.tolist())
+            return [centres for row, centres in kept.items() if row in known] or seen
+        return seen
+
+    def _checksum(self, fitted: Design, blobs: Sequence[np.ndarray]) -> str:
         """Return a checksum of all that pitch and materials are estimated from."""
         name = self._settings.randomize_mechanics
         of_materials = name if name in (AUTO, "estimated") else None
-        record = [design_as_dict(fitted), self._task, self._settings.seed, of_materials, [len(one) for one in self._blobs]]
-        return hashlib.sha256(json.dumps(record).encode() + b"".join(one.tobytes() for one in self._blobs)).hexdigest()
+        counts = [len(centres) for centres in blobs]
+        record = [design_as_dict(fitted), self._task, self._settings.seed, of_materials, counts]
+        return hashlib.sha256(json.dumps(record).encode() + b"".join(one.tobytes() for one in blobs)).hexdigest()
 
     def _kept(self, path: Path, inputs: str) -> Design | None:
         """Return the design in a file; None if it was estimated from other inputs or is damaged."""
@@ -143,19 +153,19 @@ class RealSensor:
                 f"image, got {apart:.1f} px: give the design that tactip calibrate has fitted to this sensor, or none"
             )
 
-    def _with_pitch(self, design: Design) -> tuple[Design, dict[str, float] | None]:
+    def _with_pitch(self, design: Design, blobs: Sequence[np.ndarray]) -> tuple[Design, dict[str, float] | None]:
         """Return a design with the pitch that the frames show, and how well they show it; the design itself and None if they
         do not."""
         self._log("estimating the pitch of the pins from some frames")
         try:
-            estimated, by_factor = with_estimated_pitch(design, self._blobs, self._task, self._settings.seed)
+            estimated, by_factor = with_estimated_pitch(design, blobs, self._task, self._settings.seed)
         except TactipError as error:
             self._log(f"the pitch remains {1e3 * design.pins.pitch_m:.2f} mm: {error}")
             return design, None
         self._log(f"the pitch is {1e3 * estimated.pins.pitch_m:.2f} mm; usual is {1e3 * design.pins.pitch_m:.2f} mm")
         return estimated, by_factor
 
-    def _with_materials(self, design: Design) -> tuple[Design, dict[str, float] | None]:
+    def _with_materials(self, design: Design, blobs: Sequence[np.ndarray]) -> tuple[Design, dict[str, float] | None]:
         """Return a design with the materials that the frames show, and these; the design itself and None if they are not to
         be estimated, or cannot be."""
         name, around = self._settings.randomize_mechanics, MECHANICS_RANDOMIZATIONS["estimated"]
@@ -163,7 +173,7 @@ class RealSensor:
             return design, None
         self._log("estimating the materials from the pins of some frames")
         try:
-            estimated, found = with_estimated_materials(design, self._blobs, self._task, around, self._settings.seed)
+            estimated, found = with_estimated_materials(design, blobs, self._task, around, self._settings.seed)
         except TactipError as error:
             if name == "estimated":
                 raise

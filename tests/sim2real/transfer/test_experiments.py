@@ -19,9 +19,10 @@ from tactip_twin.learning.model import Estimates, load_model, net_sha256
 from tactip_twin.learning.train import train
 from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.contact.simulator import ContactSimulator
-from tactip_twin.sim.dataset.format import read_rows
+from tactip_twin.sim.dataset.format import checksum, read_rows
 from tactip_twin.sim.fast_tip.fast_tip import any_materials, read_fast_tip
 from tactip_twin.sim.pose import from_mm_deg
+from tactip_twin.sim2real.importing.frame_blobs import read_blobs
 from tactip_twin.sim2real.transfer import real_sensor
 from tactip_twin.sim2real.transfer.experiments import ABLATIONS, Experiment, _possible, split_of
 from tactip_twin.sim2real.transfer.fine_tune import FineTuning, fine_tune
@@ -213,6 +214,31 @@ def test_design_of_an_earlier_command_is_used_again_if_frames_and_settings_are_t
     kept = Experiment(lab, tmp_path / "out", TransferSettings(real_train_frames=30), 1, log=said.append)
     fresh = json.loads(path.read_text())["provenance"]["estimated_materials"]
     assert kept._sensor.mechanics() == ("estimated" if fresh else "real") and len(estimates) == 5
+
+
+def test_frames_at_full_size_show_pins_that_touch_in_tactile_images(lab, tmp_path, monkeypatch):
+    given = []
+
+    def estimate(design, blobs, task, seed):
+        given.append(blobs)
+        return design, {"1.000": 0.5}
+
+    monkeypatch.setattr(real_sensor, "with_estimated_pitch", estimate)
+    few = TransferSettings(real_train_frames=40, randomize_mechanics="real")
+    touching = tmp_path / "touching"
+    shutil.copytree(lab, touching)
+    for path in (touching / "images").iterdir():
+        image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+        cv2.imwrite(str(path), cv2.dilate(image, np.ones((5, 5), np.uint8)))
+    meta = json.loads((touching / "meta.json").read_text())
+    meta["images"] = {path.name: checksum(path.read_bytes()) for path in sorted((touching / "images").iterdir())}
+    (touching / "meta.json").write_text(json.dumps(meta))
+    for k, real in enumerate((lab, touching)):
+        Experiment(real, tmp_path / f"{k}", few, 1).design()
+    assert [len(blobs) for blobs in given] == [40, 40]
+    kept = read_blobs(lab, meta)
+    assert all(any(np.array_equal(one, centres) for centres in kept.values()) for one in given[1])
+    assert not any(np.array_equal(one, centres) for one in given[0] for centres in kept.values())
 
 
 def test_training_contacts_are_predicted_and_drawn_by_the_learned_tip(lab, designed, tiny, tmp_path):
