@@ -32,8 +32,8 @@ _MAX_RESIDUAL = 0.75
 is 0.4 to 0.5 on hidden sensors with other mechanics, and 0.85 to 0.9 on real-127 and real-331, on which narrow mechanics
 around the estimate made depth 0.01 mm worse or changed nothing [M]."""
 
-_TRIED = 40
-"""Number of tactile images that are tried: in half of them, the pins must be detected."""
+_TRIED = 120
+"""Number of tactile images that are tried, of which detected_pins needs some."""
 
 _MATERIALS, _INPUTS = "estimated_materials", "inputs_sha256"
 """Names in the provenance of a design: what was found of the materials, or null; checksum of all that the design was
