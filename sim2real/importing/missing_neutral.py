@@ -207,7 +207,7 @@ def _mechanics(
     model = contact_model(design, pins, task, rng, first)
     gain = 1.0
     if np.ptp(depths) > _MIN_DEPTH_RANGE_MM:
-        gain = float(np.clip(theilslopes(model.contacts[:, 2], depths)[0], *_GAINS))
+        gain = float(np.clip(np.asarray(theilslopes(model.contacts[:, 2], depths))[0], *_GAINS))
     return design, _Mechanics(model.materials, 1.0 if abs(gain - 1) < _GAIN_ERROR else gain)
 
 
