@@ -13,7 +13,7 @@ from tactip_twin.learning.data import Samples
 from tactip_twin.learning.image_check import MAX_APART_PX, pins_apart_px
 from tactip_twin.sim.dataset.mechanics_randomization import MECHANICS_RANDOMIZATIONS
 from tactip_twin.sim.labels import Task
-from tactip_twin.sim2real.importing.estimated_contacts import detected_pins
+from tactip_twin.sim2real.importing.estimated_contacts import FRAMES, detected_pins
 from tactip_twin.sim2real.importing.estimated_pitch import with_estimated_pitch
 from tactip_twin.sim2real.importing.frame_blobs import blobs_of, read_blobs
 from tactip_twin.sim2real.importing.import_set import pins_at_rest
@@ -31,9 +31,6 @@ _MAX_RESIDUAL = 0.75
 """Largest distance of the pins with estimated materials, as a fraction of that with usual ones, for them to be believed. It
 is 0.4 to 0.5 on hidden sensors with other mechanics, and 0.85 to 0.9 on real-127 and real-331, on which narrow mechanics
 around the estimate made depth 0.01 mm worse or changed nothing [M]."""
-
-_TRIED = 120
-"""Number of tactile images that are tried, of which detected_pins needs some."""
 
 _MATERIALS, _INPUTS = "estimated_materials", "inputs_sha256"
 """Names in the provenance of a design: what was found of the materials, or null; checksum of all that the design was
@@ -116,7 +113,7 @@ class RealSensor:
         frames that the import has kept at full size."""
         seen = [blobs_of(image) for image in self._frames.images]
         try:
-            detected_pins(seen[:_TRIED], neutral_px(fitted))
+            detected_pins(seen[:FRAMES], neutral_px(fitted))
         except TactipError:
             kept = read_blobs(self._real, self._frames.dataset.meta) or {}
             known = set(self._frames.rows.tolist())
