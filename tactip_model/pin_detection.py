@@ -7,6 +7,7 @@ first pin.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -19,6 +20,9 @@ _GATE = 0.42
 
 _LOCAL = 9
 """Number of pins to which the affine map for the next one is fitted."""
+
+_KEPT_MAPS = 500
+"""Number of affine maps that are kept: the same pins are known in the middle of most frames."""
 
 
 MIN_AREA_PX = 4
@@ -100,14 +104,13 @@ class PinMatcher:
         """Prepare for the pins (p, 2), px, of an undeformed image."""
         self.neutral = np.asarray(neutral, float)
         self._middle = int(np.linalg.norm(self.neutral - self.neutral.mean(0), axis=1).argmin())
-        triangles = Delaunay(self.neutral).simplices
-        self._neighbours: list[set[int]] = [set() for _ in self.neutral]
-        for triangle in triangles:
-            for a in triangle:
-                self._neighbours[a].update(int(b) for b in triangle if b != a)
+        self._adjacent = np.zeros((len(self.neutral), len(self.neutral)), bool)
+        for triangle in Delaunay(self.neutral).simplices:
+            self._adjacent[np.ix_(triangle, triangle)] = True
         spacing = cKDTree(self.neutral).query(self.neutral, 4)[0][:, 1:].mean(1)
         self._gate = _GATE * spacing
         self._reach = 2.2 * float(np.median(spacing)) + 0.03 * float(np.ptp(self.neutral))
+        self._map = lru_cache(_KEPT_MAPS)(self._affine_map)
 
     def match(self, blobs: Blobs) -> np.ndarray:
         """Return the positions (p, 2), px, of the pins; NaN where one is not detected, all NaN if none can be identified."""
@@ -115,9 +118,14 @@ class PinMatcher:
         if len(blobs.centres) < 3:
             return positions
         tree = cKDTree(blobs.centres)
+        middle = self.neutral[self._middle]
+        tried = np.array(tree.query_ball_point(middle, self._reach), int)
+        # The likely ones first, so that others can be given up early.
+        shifted = middle + blobs.centres.mean(0) - self.neutral.mean(0)
+        tried = tried[np.linalg.norm(blobs.centres[tried] - shifted, axis=1).argsort(kind="stable")]
         best, best_score = None, -np.inf
-        for first in tree.query_ball_point(self.neutral[self._middle], self._reach):
-            found, score = self._grow(tree, first)
+        for first in tried:
+            found, score = self._grow(tree, int(first), best_score)
             if score > best_score:
                 best, best_score = found, score
         if best is None:
@@ -127,55 +135,65 @@ class PinMatcher:
         positions[known] = blobs.centres[best[known]]
         return positions
 
-    def _expected(self, known: np.ndarray, found: np.ndarray, centres: np.ndarray, pins: np.ndarray) -> np.ndarray:
+    def _expected(self, found: np.ndarray, centres: np.ndarray, pins: np.ndarray) -> np.ndarray:
         """Predict the positions (k, 2) of `pins` (k,) by an affine map of the nearest known pins other than itself.
 
         Args:
-            known: Indices of the known pins.
             found: Blob of each pin (p,), -1 if unknown.
             centres: Centres of the blobs (n, 2), px.
             pins: Indices of the pins to predict.
         """
-        tree = cKDTree(self.neutral[known])
-        _, near = tree.query(self.neutral[pins], min(_LOCAL + 1, len(known)))
+        sources, weights = self._map((found >= 0).tobytes(), pins.tobytes())
+        moved = centres[found[sources]] - self.neutral[sources]
+        return self.neutral[pins] + np.einsum("kl,kld->kd", weights, moved)
+
+    def _affine_map(self, known_bytes: bytes, pins_bytes: bytes) -> tuple[np.ndarray, np.ndarray]:
+        """Return the pins (k, l) by which each of some pins (k,) is predicted, and the weights (k, l) of their motions, for
+        the bytes of which pins are known (p,) bool, and of the pins, int. Neither depends on the image."""
+        known, pins = np.flatnonzero(np.frombuffer(known_bytes, bool)), np.frombuffer(pins_bytes, int)
+        _, near = cKDTree(self.neutral[known]).query(self.neutral[pins], min(_LOCAL + 1, len(known)))
         sources = known[near.reshape(len(pins), -1)]
         used = sources != pins[:, None]
         used &= np.cumsum(used, 1) <= _LOCAL
         offset = self.neutral[sources] - self.neutral[pins][:, None]
-        moved = centres[found[sources]] - self.neutral[sources]
         # A small ridge on the gradient: few or collinear pins determine the position but not its gradient.
         a = np.concatenate([np.ones((*sources.shape, 1)), offset], 2) * used[..., None]
         ridge = 0.025 * ((offset * used[..., None]) ** 2).sum((1, 2))[:, None, None] * np.diag([0.0, 1.0, 1.0])
         to_solve = a.transpose(0, 2, 1) @ a + ridge + 1e-9 * np.eye(3)
-        return self.neutral[pins] + np.linalg.solve(to_solve, a.transpose(0, 2, 1) @ moved)[:, 0]
+        return sources, np.linalg.solve(to_solve, a.transpose(0, 2, 1))[:, 0]
 
-    def _grow(self, tree: cKDTree, first: int) -> tuple[np.ndarray, float]:
+    def _grow(self, tree: cKDTree, first: int, worst: float) -> tuple[np.ndarray, float]:
         """Identify the pins, starting from the middle pin being blob `first`.
 
+        Args:
+            tree: The blobs.
+            first: Blob of the middle pin.
+            worst: Score that the fit must exceed; one that cannot is given up.
+
         Returns:
-            Blob of each pin (p,) int, -1 if unknown, and the score of the fit.
+            Blob of each pin (p,) int, -1 if unknown, and the score of the fit; `worst` if it was given up.
         """
         centres = np.asarray(tree.data)
-        found = np.full(len(self.neutral), -1)
-        found[self._middle] = first
-        taken = {int(first)}
-        ring, tried, misfit = sorted(self._neighbours[self._middle]), {self._middle}, 0.0
-        while ring:
-            known = np.flatnonzero(found >= 0)
-            expected = self._expected(known, found, centres, np.array(ring))
-            distance, nearest = tree.query(expected)
-            order = np.argsort(distance / self._gate[ring])
-            for k in order:
-                pin = ring[k]
-                # Around the first pin the stretch is still unknown, so the gate is wider there.
-                gate = self._gate[pin] * (1.6 if len(known) == 1 else 1.0)
-                if distance[k] < gate and int(nearest[k]) not in taken:
-                    found[pin] = nearest[k]
-                    taken.add(int(nearest[k]))
-                    misfit += (distance[k] / self._gate[pin]) ** 2
-            tried.update(ring)
-            ring = sorted({n for pin in tried if found[pin] >= 0 for n in self._neighbours[pin]} - tried)
-        return found, (found >= 0).sum() - 0.5 * misfit
+        found, tried = np.full(len(self.neutral), -1), np.zeros(len(self.neutral), bool)
+        taken = np.zeros(len(centres), bool)
+        found[self._middle], tried[self._middle], taken[first], misfit = first, True, True, 0.0
+        # Around the first pin the stretch is still unknown, so the gate is wider there.
+        wider = 1.6
+        while len(ring := np.flatnonzero(self._adjacent[found >= 0].any(0) & ~tried)):
+            if np.count_nonzero(~tried | (found >= 0)) - 0.5 * misfit <= worst:
+                return found, worst
+            distance, nearest = tree.query(self._expected(found, centres, ring))
+            relative = distance / self._gate[ring]
+            order = np.argsort(relative)
+            order = order[(relative[order] < wider) & ~taken[nearest[order]]]
+            # Of several pins at one blob, the nearest has it.
+            chosen = order[np.unique(nearest[order], return_index=True)[1]]
+            found[ring[chosen]] = nearest[chosen]
+            taken[nearest[chosen]] = True
+            misfit += float((relative[chosen] ** 2).sum())
+            tried[ring] = True
+            wider = 1.0
+        return found, np.count_nonzero(found >= 0) - 0.5 * misfit
 
     def _settle(self, tree: cKDTree, found: np.ndarray) -> np.ndarray:
         """Reassign each pin the blob nearest to its expected position until nothing changes."""
@@ -184,7 +202,7 @@ class PinMatcher:
             known = np.flatnonzero(found >= 0)
             if len(known) < 4:
                 return found
-            expected = self._expected(known, found, centres, np.arange(len(self.neutral)))
+            expected = self._expected(found, centres, np.arange(len(self.neutral)))
             cost = np.linalg.norm(expected[:, None] - centres[None], axis=2) / self._gate[:, None]
             pins, chosen = linear_sum_assignment(np.minimum(cost, 1.0))
             new = np.full_like(found, -1)

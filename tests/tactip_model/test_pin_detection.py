@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tactip_twin.tactip_model.neutral_image import neutral_px
-from tactip_twin.tactip_model.pin_detection import PinMatcher, find_blobs
+from tactip_twin.tactip_model.pin_detection import Blobs, PinMatcher, find_blobs
 from tactip_twin.tactip_model.presets import design_named
 
 
@@ -47,6 +47,17 @@ def test_match_identifies_pins_moved_by_about_their_spacing(name, shift):
     blobs = type(blobs)(moved[order] + np.random.default_rng(1).normal(0, 0.2, moved.shape))
     found = PinMatcher(neutral).match(blobs)
     assert np.linalg.norm(found - moved, axis=1).max() < 1.5
+
+
+def test_matches_do_not_depend_on_the_frames_before():
+    """What a matcher keeps from frame to frame depends on which pins are known, and not on where they are."""
+    neutral, rng = neutral_px(design_named("tactip-127")), np.random.default_rng(0)
+    frames = [pressed(neutral, rng.uniform(-9, 9, 2), rng.uniform(0, 1.6), 0.05)[rng.random(127) < 0.95] for _ in range(6)]
+    kept = PinMatcher(neutral)
+    again = [kept.match(Blobs(frame)) for frame in [*frames, *frames]]
+    for k, frame in enumerate([*frames, *frames]):
+        assert np.array_equal(again[k], PinMatcher(neutral).match(Blobs(frame)), equal_nan=True)
+        assert np.isfinite(again[k][:, 0]).sum() >= len(frame) - 2
 
 
 def test_match_leaves_hidden_pins_nan():
