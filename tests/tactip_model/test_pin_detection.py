@@ -60,6 +60,23 @@ def test_matches_do_not_depend_on_the_frames_before():
         assert np.isfinite(again[k][:, 0]).sum() >= len(frame) - 2
 
 
+class Exhaustive(PinMatcher):
+    """Gives no start up."""
+
+    def _grow(self, tree, first, to_beat):
+        return super()._grow(tree, first, -np.inf)
+
+
+@pytest.mark.parametrize("name", ["tactip-127", "tactip-331"])
+def test_starts_that_are_given_up_would_not_have_won(name):
+    neutral, rng = neutral_px(design_named(name)), np.random.default_rng(1)
+    for _ in range(5):
+        seen = pressed(neutral, rng.uniform(-12, 12, 2), rng.uniform(0, 1.8), rng.uniform(-0.1, 0.1))
+        seen = seen[rng.random(len(seen)) < 0.97] + rng.normal(0, 0.4, 2)
+        found, all_tried = (one(neutral).match(Blobs(seen)) for one in (PinMatcher, Exhaustive))
+        assert np.array_equal(found, all_tried, equal_nan=True) and np.isfinite(found).any()
+
+
 def test_match_leaves_hidden_pins_nan():
     neutral = neutral_px(design_named("tactip-127"))
     hidden = [5, 60, 100]
