@@ -71,7 +71,7 @@ class DifferentiableTip(torch.nn.Module):
         Args:
             poses: (k, 6) m and rad.
             shears: (k, 6) m and rad.
-            materials: sim/fast_tip/materials.INPUTS (k, 5), or (5,); None for the design's. Of a tip that knows one design
+            materials: sim/fast_tip/materials.INPUTS (k, 6), or (6,); None for the design's. Of a tip that knows one design
                 only, they are ignored.
             pin_length_change_m: Pin length minus the design's, m.
         """

@@ -24,7 +24,7 @@ def started_from(tip: FastTip, task: Task, design: Design, materials: np.ndarray
         tip: The learned tip.
         task: Task of the contacts.
         design: Design of the contacts.
-        materials: (k, 5), materials.INPUTS of the contacts; None if all are of the design.
+        materials: (k, 6), materials.INPUTS of the contacts; None if all are of the design.
 
     Raises:
         TactipError: The tip is of another task or shape.

@@ -57,7 +57,7 @@ class TipContacts:
     skins: np.ndarray
     """(k, s, 3) float32 m, vertices of the skin."""
     materials: np.ndarray
-    """(k, 5), materials.INPUTS of each contact's tip. If they vary, the forces are those on a gel of
+    """(k, 6), materials.INPUTS of each contact's tip. If they vary, the forces are those on a gel of
     REFERENCE_YOUNG_PA."""
 
     @property

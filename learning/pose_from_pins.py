@@ -73,13 +73,13 @@ class PinModel:
 
     @property
     def material_ranges(self) -> np.ndarray:
-        """Ranges (5, 2) of the materials that the tip knows. Raises ValueError if it knows those of one design only."""
+        """Ranges (6, 2) of the materials that the tip knows. Raises ValueError if it knows those of one design only."""
         if self._tip.materials is None:
             raise ValueError("the learned tip knows the materials of one design only")
         return self._tip.materials
 
     def with_materials(self, materials: np.ndarray) -> "PinModel":
-        """Return the model of a tip with other materials, inputs (5,) of FastTip.coefficients."""
+        """Return the model of a tip with other materials, inputs (6,) of FastTip.coefficients."""
         other = copy.copy(self)
         other.materials = materials
         return other

@@ -7,6 +7,7 @@ and calibrates sensors to real sets with it. Writes any_materials.md and any_mat
 import shutil
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -45,8 +46,17 @@ _SHEARS = Ranges(x_mm=(-6, 6), y_mm=(-6, 6), depth_mm=(-0.7, 0.7), roll_deg=(-5,
 their tool centre points are not the apex and their depth is off [M]."""
 
 
+_GEL_POISSON, _GEL_COMPRESSIBILITY = 0.46, 7.0
+"""Middle of the Poisson's ratios of the gels on surfaces, and largest factor of 1 - 2 times it: 0.22 to 0.494. On edges, the
+gel is the design's."""
+
+
 def jobs(options: AnyMaterialsOptions) -> list[Job]:
     """Return the sets."""
+    design, mechanics = load_design("tactip-127"), MECHANICS_RANDOMIZATIONS["wide"]
+    if options.task == "surface":
+        design = replace(design, materials=replace(design.materials, gel_poisson=_GEL_POISSON))
+        mechanics = replace(mechanics, gel_compressibility=_GEL_COMPRESSIBILITY)
     counts = {"val": options.test_contacts, "test": options.test_contacts, "train": options.contacts}
     return [
         Job(
@@ -56,12 +66,12 @@ def jobs(options: AnyMaterialsOptions) -> list[Job]:
                 samples=count,
                 seed=_SEED,
                 renderer="raster",
-                design=load_design("tactip-127"),
+                design=design,
                 fidelity=fidelity_named("standard"),
                 pose=_POSES[options.task],
                 shear=_SHEARS,
                 keep_mesh=True,
-                mechanics_randomization=MECHANICS_RANDOMIZATIONS["wide"],
+                mechanics_randomization=mechanics,
             ),
             options.data / options.task / split,
         )

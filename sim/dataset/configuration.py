@@ -74,6 +74,8 @@ class Configuration(DatasetOptions):
         for name in ("fast_tip", "corrected", "object", "rough_fraction"):
             if not values[name]:
                 del values[name]
+        if self.mechanics_randomization.gel_compressibility == 1:
+            del values["mechanics_randomization"]["gel_compressibility"]
         return values
 
     def digest(self) -> str:

@@ -32,6 +32,8 @@ class MechanicsRandomization:
     """Depth of the pin tips below the outer surface."""
     slip_weakening: float = within(1, 4, default=1.0)
     """Slip-weakening distance."""
+    gel_compressibility: float = within(1, 20, default=1.0)
+    """1 - 2 gel_poisson; the resulting Poisson's ratio is from 0 to 0.499."""
 
     def __post_init__(self) -> None:
         check(self)
@@ -42,8 +44,10 @@ class MechanicsRandomization:
         return all(getattr(self, f.name) == 1 for f in fields(self))
 
     def sample(self, design: Design, rng: np.random.Generator) -> Design:
-        """Return a design with sampled mechanics. Each property takes one number of `rng`."""
-        factors = {f.name: getattr(self, f.name) ** rng.uniform(-1, 1) for f in fields(self)}
+        """Return a design with sampled mechanics. Each property takes one number of `rng`; the compressibility only where it
+        varies, so sets made before it could vary keep their bytes."""
+        taken = [f.name for f in fields(self) if f.name != _LAST or self.gel_compressibility != 1]
+        factors = {_LAST: 1.0} | {name: getattr(self, name) ** rng.uniform(-1, 1) for name in taken}
         values = {name: float(value) for name, value in _varied(design, factors).items()}
         pins = replace(design.pins, length_m=values.pop("length_m"))
         return replace(design, materials=replace(design.materials, **values), pins=pins)
@@ -53,6 +57,10 @@ class MechanicsRandomization:
         Pins."""
         draws = rng.uniform(-1, 1, (count, len(fields(self))))
         return _varied(design, {f.name: getattr(self, f.name) ** draws[:, k] for k, f in enumerate(fields(self))})
+
+
+_LAST = "gel_compressibility"
+"""Name of the last property."""
 
 
 def _varied(design: Design, factors: Mapping[str, Any]) -> dict[str, Any]:
@@ -65,6 +73,7 @@ def _varied(design: Design, factors: Mapping[str, Any]) -> dict[str, Any]:
         "gel_young_pa": m.gel_young_pa * factors["gel_young"],
         "skin_thickness_m": m.skin_thickness_m * factors["skin_thickness"],
         "slip_weakening_m": m.slip_weakening_m * factors["slip_weakening"],
+        "gel_poisson": np.clip(0.5 - (0.5 - m.gel_poisson) * factors[_LAST], 0.0, 0.499),
         "length_m": design.pins.length_m * factors["pin_length"],
     }
 
@@ -90,4 +99,4 @@ calibrated tips have 0.55 [M]; the rest is estimated [?], and exceeds the deviat
 `estimated`: around materials that were estimated from the pins of unlabelled frames, which are about as far off on
 simulated sensors [M]; the kinetic fraction, which pins hardly show, as in `real`. `wide`: what a calibration may meet around
 the 127-pin tip, for a learned tip that knows materials. Deformations depend on the moduli by their ratio alone, so only one
-varies."""
+varies. The gel's compressibility varies where a caller says so (sim2real/transfer/gel.py)."""

@@ -104,7 +104,7 @@ class FastTip:
     provenance: dict[str, Any]
     """Training sets, settings and errors, as JSON."""
     materials: np.ndarray | None = None
-    """(5, 2) low and high of materials.INPUTS in the training set; None if it knows the materials of one tip only."""
+    """(6, 2) low and high of materials.INPUTS in the training set; None if it knows the materials of one tip only."""
 
     def check_design(self, design: Design, randomized: bool = False) -> None:
         """Raise TactipError if a design has another shape or other materials than those learned.
@@ -143,7 +143,7 @@ class FastTip:
         Args:
             poses: (k, 6) m and rad.
             shears: (k, 6) m and rad.
-            materials: materials.INPUTS (5,), or (k, 5), of the tips; needed, and used, if it knows any materials.
+            materials: materials.INPUTS (6,), or (k, 6), of the tips; needed, and used, if it knows any materials.
         """
         scaled, yaw = self._scaled(poses, shears, materials)
         outputs = np.stack([network(scaled) for network in self.networks]) * self.coefficient_scale
@@ -163,7 +163,7 @@ class FastTip:
             decoder: Pins of the design.
             poses: (k, 6) m and rad.
             shears: (k, 6) m and rad.
-            materials: As of `coefficients`; (5,).
+            materials: As of `coefficients`; (6,).
         """
         return self._predict(decoder, poses, shears, materials, decoder.gel_young_pa, 0.0)
 
@@ -329,8 +329,11 @@ def read_fast_tip(path: str | Path) -> FastTip:
             raise ValueError(f"the task must be one of {', '.join(TASKS)}, got {task!r:.40}")
         if about["networks"] < 2:
             raise ValueError(f"it must have at least 2 networks, got {about['networks']}: a single one has no spread")
+        known = arrays.get("materials")
+        if known is not None and len(known) != len(INPUTS):
+            raise ValueError(f"it must know {len(INPUTS)} materials, got {len(known)}: teach it again")
         outputs = [2 * count] * about["networks"] + [len(MEASURES)]
-        inputs = COUNT[task] + len(INPUTS) * ("materials" in arrays)
+        inputs = COUNT[task] + (0 if known is None else len(INPUTS))
         networks = [network_of(arrays, f"network{k}", inputs, size) for k, size in enumerate(outputs)]
         tip = FastTip(
             task=task,
@@ -340,7 +343,7 @@ def read_fast_tip(path: str | Path) -> FastTip:
             measure_network=networks[-1],
             max_spread_m=float(about["max_spread_m"]),
             provenance=about["provenance"],
-            materials=arrays.get("materials"),
+            materials=known,
             **{name: arrays[name] for name in _ARRAYS},
         )
         _check_shapes(tip)

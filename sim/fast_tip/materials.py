@@ -13,11 +13,27 @@ import numpy as np
 from tactip_twin.tactip_model.design import Design, Materials
 from tactip_twin.tactip_model.errors import TactipError
 
-INPUTS = ("log_modulus_ratio", "friction", "kinetic_fraction", "log_slip_weakening", "log_thickness")
-"""Materials as inputs of a network: natural logarithms of skin_young_pa over gel_young_pa, of slip_weakening_m and of
-skin_thickness_m; and as in Materials."""
+INPUTS = (
+    "log_modulus_ratio",
+    "friction",
+    "kinetic_fraction",
+    "log_slip_weakening",
+    "log_thickness",
+    "log_compressibility",
+)
+"""Materials as inputs of a network: natural logarithms of skin_young_pa over gel_young_pa, of slip_weakening_m, of
+skin_thickness_m, and of 1 - 2 gel_poisson, which is the gel's compressibility times a third of its modulus; and as in
+Materials."""
 
-VARIABLE = ("skin_young_pa", "gel_young_pa", "friction", "kinetic_fraction", "slip_weakening_m", "skin_thickness_m")
+VARIABLE = (
+    "skin_young_pa",
+    "gel_young_pa",
+    "friction",
+    "kinetic_fraction",
+    "slip_weakening_m",
+    "skin_thickness_m",
+    "gel_poisson",
+)
 """Fields of Materials that INPUTS and the scale of forces describe."""
 
 _ROUNDING = 1e-9
@@ -25,15 +41,16 @@ _ROUNDING = 1e-9
 
 
 def material_inputs(materials: Materials) -> np.ndarray:
-    """Return INPUTS (5,) of materials."""
+    """Return INPUTS (6,) of materials."""
     return inputs_of({name: getattr(materials, name) for name in VARIABLE})
 
 
 def inputs_of(values: Mapping[str, Any]) -> np.ndarray:
-    """Return INPUTS (..., 5) of materials whose VARIABLE fields are numbers or arrays (...)."""
+    """Return INPUTS (..., 6) of materials whose VARIABLE fields are numbers or arrays (...)."""
     ratio = np.divide(values["skin_young_pa"], values["gel_young_pa"])
-    logarithms = [np.log(a) for a in (ratio, values["slip_weakening_m"], values["skin_thickness_m"])]
-    inputs = [logarithms[0], values["friction"], values["kinetic_fraction"], logarithms[1], logarithms[2]]
+    compressibility = 1 - 2 * np.asarray(values["gel_poisson"])
+    logarithms = [np.log(a) for a in (ratio, values["slip_weakening_m"], values["skin_thickness_m"], compressibility)]
+    inputs = [logarithms[0], values["friction"], values["kinetic_fraction"], *logarithms[1:]]
     return np.stack(np.broadcast_arrays(*inputs), -1)
 
 
@@ -63,23 +80,23 @@ def check_mechanics(learned: dict[str, Any], design: Design) -> None:
 
 
 def are_learned(inputs: np.ndarray, ranges: np.ndarray) -> np.ndarray:
-    """Return for each of INPUTS (..., 5) whether it lies in the ranges (5, 2) that a tip has learned, (..., 5) bool."""
+    """Return for each of INPUTS (..., 6) whether it lies in the ranges (6, 2) that a tip has learned, (..., 6) bool."""
     return (inputs >= ranges[:, 0] - _ROUNDING) & (inputs <= ranges[:, 1] + _ROUNDING)
 
 
 def nearest_learned(inputs: np.ndarray, ranges: np.ndarray) -> np.ndarray:
-    """Return INPUTS (..., 5) with at most the kinetic fraction that a tip has learned, 1 % below the 1 of Coulomb friction.
+    """Return INPUTS (..., 6) with at most the kinetic fraction that a tip has learned, 1 % below the 1 of Coulomb friction.
 
     Args:
-        inputs: (..., 5).
-        ranges: (5, 2) low and high of INPUTS that it has learned.
+        inputs: (..., 6).
+        ranges: (6, 2) low and high of INPUTS that it has learned.
     """
     index = INPUTS.index("kinetic_fraction")
     return np.where(np.arange(len(INPUTS)) == index, np.minimum(inputs, ranges[index, 1]), inputs)
 
 
 def check_inputs(inputs: np.ndarray, ranges: np.ndarray) -> None:
-    """Raise TactipError if INPUTS (5,) lie outside of the ranges (5, 2) that a tip has learned."""
+    """Raise TactipError if INPUTS (6,) lie outside of the ranges (6, 2) that a tip has learned."""
     learned = are_learned(inputs, ranges)
     for name, value, (low, high), known in zip(INPUTS, inputs, ranges, learned, strict=True):
         if not known:

@@ -76,7 +76,7 @@ def _skin_decoder(shape: TipGeometry) -> MeshDecoder:
 
 
 def _learned_materials(design: Design) -> np.ndarray:
-    """Return the inputs (5,) of a design's materials, or the nearest that the learned tip knows."""
+    """Return the inputs (6,) of a design's materials, or the nearest that the learned tip knows."""
     tip = _learned_tip()
     if tip.materials is None:
         raise ValueError("the learned tip must know any materials")

@@ -1,8 +1,8 @@
 """Contacts estimated from the pins of some frames of a set, without its table, which is then compared with them.
 
 The neutral image gives camera and pins, and the learned tip of any materials (sim/fast_tip/) says which contact moves pins
-as those of a frame have moved (learning/pose_from_pins.py). The materials are estimated from the same pins
-(learning/materials_from_pins.py). Whatever else of the mechanics is not this sensor's may make estimates too small or too
+as those of a frame have moved (learning/pose_from_pins.py). Pitch and materials are estimated from the same
+pins (learning/tip_from_pins.py). Whatever else of the mechanics is not this sensor's may make estimates too small or too
 large, but their signs and axes are right.
 """
 
@@ -13,10 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tactip_twin.learning.materials_from_pins import most_likely_materials
 from tactip_twin.learning.pose_from_pins import MostLikely, PinModel, most_likely
+from tactip_twin.learning.tip_from_pins import TipModels, most_likely_tip
 from tactip_twin.sim.dataset.sampling import Ranges
-from tactip_twin.sim.fast_tip.fast_tip import PinDecoder, any_materials, read_fast_tip
+from tactip_twin.sim.fast_tip.fast_tip import any_materials, read_fast_tip
 from tactip_twin.sim.fast_tip.materials import material_inputs
 from tactip_twin.sim.labels import Task
 from tactip_twin.sim2real.importing.frame_blobs import blobs_of
@@ -26,7 +26,6 @@ from tactip_twin.sim2real.sensor.preprocess import FrameReader
 from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.neutral_image import NeutralFit, camera_change, fit_neutral, neutral_px
-from tactip_twin.tactip_model.optics import Lens
 from tactip_twin.tactip_model.pin_detection import Blobs, PinMatcher, find_blobs
 from tactip_twin.tactip_model.presets import design_named
 from tactip_twin.tactip_model.sensor_of_image import fit_lattice, sensor_of
@@ -60,12 +59,12 @@ _OUTLIER_PX = 2.0
 _TRIED_AT_REST = 20
 """Number of frames, those whose pins are closest together, that are tried in place of a missing neutral image [?]."""
 
-_MATERIAL_FRAMES, _MATERIAL_ROUNDS = 40, 2
-"""Number of frames that the materials are estimated from, and number of rounds: with better materials, some frames have
+_TIP_FRAMES, _TIP_ROUNDS = 40, 2
+"""Number of frames that pitch and materials are estimated from, and number of rounds: with better ones, some frames have
 another most likely contact [M]."""
 
 _BAD_FIT = 2.0
-"""Residual of a frame, in medians over all, beyond which it does not count for the materials [?]."""
+"""Residual of a frame, in medians over all, beyond which it does not count for pitch and materials [?]."""
 
 _RANDOM_CONTACTS, _SECTORS = 4000, 6
 """Number of random contacts of which the nearest is the start of an estimate, and number of ranges of yaw, each with its own
@@ -219,18 +218,20 @@ def detected_pins(blobs: Sequence[np.ndarray], at_rest_px: np.ndarray) -> tuple[
 
 
 class ContactModel(NamedTuple):
-    """A model of the pins of a tip whose materials were estimated."""
+    """A model of the pins of a tip whose pitch and materials were estimated."""
 
     model: PinModel
     """The model."""
+    design: Design
+    """The design with the estimated pitch, and its own materials."""
+    materials: np.ndarray
+    """(6,) the estimated materials, inputs of FastTip.coefficients."""
+    contacts: np.ndarray
+    """(n, 12) most likely poses and shears of the frames, mm and degrees."""
     before_px: float
     """Median distance of detected and simulated pins with the design's own materials, px of 256."""
     after_px: float
     """The same with the estimated ones."""
-    materials: np.ndarray
-    """(5,) the estimated materials, inputs of FastTip.coefficients."""
-    contacts: np.ndarray
-    """(n, 12) most likely poses and shears of the frames, mm and degrees."""
 
 
 def pins_of_some(blobs: Sequence[np.ndarray], design: Design, rng: np.random.Generator) -> np.ndarray:
@@ -251,44 +252,32 @@ def pins_of_some(blobs: Sequence[np.ndarray], design: Design, rng: np.random.Gen
 
 
 def some_of(pins: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Return the pins (m, p, 2) of at most _MATERIAL_FRAMES of n frames (n, p, 2), which are enough for the materials."""
-    return pins[rng.choice(len(pins), min(_MATERIAL_FRAMES, len(pins)), replace=False)]
+    """Return the pins (m, p, 2) of at most _TIP_FRAMES of n frames (n, p, 2), which are enough for contact_model."""
+    return pins[rng.choice(len(pins), min(_TIP_FRAMES, len(pins)), replace=False)]
 
 
-def contact_model(
-    design: Design, pins: np.ndarray, task: Task, rng: np.random.Generator, similar: ContactModel | None = None
-) -> ContactModel:
-    """Return a model of the pins of a tip of some design, with the materials that explain the pins of some frames best,
-    whatever their contacts.
+def contact_model(design: Design, pins: np.ndarray, task: Task, rng: np.random.Generator) -> ContactModel:
+    """Return a model of the pins of a tip of some design, with the pitch and materials that explain the pins
+    of some frames best, whatever their contacts.
 
     Args:
         design: The design.
         pins: (n, p, 2) px of 256, from some_of or pins_of_some; NaN where a pin is not detected.
         task: Stimulus of the frames.
         rng: Generator of contacts from which to start.
-        similar: Model of a similar tip for the same frames, whose materials and contacts are the start instead.
     """
-    tip = read_fast_tip(any_materials(task))
-    model = PinModel(tip, PinDecoder(design, tip.modes), _POSES[task], _SHEARS, Lens(design))
+    models = TipModels(read_fast_tip(any_materials(task)), design, _POSES[task], _SHEARS)
     noise = _noise(pins)
-    if similar is None:
-        rounds, materials = _MATERIAL_ROUNDS, np.clip(material_inputs(design.materials), *model.material_ranges.T)
-        model = model.with_materials(materials)
-        found, residuals = _likeliest(_optima(model, pins, noise, task, rng))
-    else:
-        rounds, materials = 1, similar.materials
-        model = model.with_materials(materials)
-        found, residuals = _likeliest([most_likely(model, pins, similar.contacts, noise, outlier=_OUTLIER_PX)])
-    before_px = float(np.median(residuals))
-    for k in range(rounds):
-        if k:
-            found, residuals = _likeliest(_optima(model, pins, noise, task, rng))
+    tip = models.with_materials(models.middle, material_inputs(design.materials))
+    for _ in range(_TIP_ROUNDS):
+        found, residuals = _likeliest(_optima(models.of(tip), pins, noise, task, rng))
         good = residuals <= _BAD_FIT * np.median(residuals)
-        materials = most_likely_materials(model, pins[good], found[good], noise, outlier=_OUTLIER_PX)
-        model = model.with_materials(materials)
-    after = most_likely(model, pins, found, noise, outlier=_OUTLIER_PX)
+        tip = most_likely_tip(models, pins[good], found[good], tip, noise, outlier=_OUTLIER_PX)
+    usual = models.with_materials(tip, material_inputs(design.materials))
+    before, after = (most_likely(models.of(one), pins, found, noise, outlier=_OUTLIER_PX) for one in (usual, tip))
     contacts = np.concatenate([after.poses, after.shears], 1)
-    return ContactModel(model, before_px, float(np.median(after.residuals)), materials, contacts)
+    medians = (float(np.median(one.residuals)) for one in (before, after))
+    return ContactModel(models.of(tip), models.design(tip), models.materials(tip), contacts, *medians)
 
 
 def _likeliest(optima: Sequence[MostLikely]) -> tuple[np.ndarray, np.ndarray]:

@@ -20,13 +20,12 @@ from tactip_twin.sim.fast_tip.materials import material_inputs
 from tactip_twin.sim.pose import from_mm_deg
 from tactip_twin.sim2real.importing.column_map import Task
 from tactip_twin.sim2real.importing.estimated_contacts import FRAMES, contact_model, detected_pins
-from tactip_twin.sim2real.importing.estimated_pitch import most_likely_pitch
 from tactip_twin.sim2real.importing.frame_blobs import blobs_of
 from tactip_twin.sim2real.importing.source import Source
 from tactip_twin.sim2real.sensor.preprocess import FrameReader
 from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.errors import TactipError
-from tactip_twin.tactip_model.neutral_image import fit_neutral, fit_pins, neutral_px, reference_pixels, with_spacing
+from tactip_twin.tactip_model.neutral_image import fit_neutral, fit_pins, neutral_px, reference_pixels
 from tactip_twin.tactip_model.optics import REFERENCE_PX, Lens
 from tactip_twin.tactip_model.pin_detection import PinMatcher, find_blobs
 from tactip_twin.tactip_model.pins import neutral_pins
@@ -69,7 +68,7 @@ class _Mechanics(NamedTuple):
     """How the pins of a tip move."""
 
     materials: np.ndarray | None = None
-    """(5,) inputs of FastTip.coefficients; None for those of the design."""
+    """(6,) inputs of FastTip.coefficients; None for those of the design."""
     depth_gain: float = 1.0
     """Depth that the frames show, in parts of the depth in the table."""
 
@@ -201,14 +200,11 @@ def _mechanics(
         return design, _Mechanics()
     which = rng.permutation(int(good.sum()))[:_MECHANICS_FRAMES]
     pins, depths = pins[good][which], source.poses[rows[good][which], 2]
-    first = contact_model(design, pins, task, rng)
-    factor, _ = most_likely_pitch(design, pins, task, rng, first)
-    design = with_spacing(design, factor)
-    model = contact_model(design, pins, task, rng, first)
+    model = contact_model(design, pins, task, rng)
     gain = 1.0
     if np.ptp(depths) > _MIN_DEPTH_RANGE_MM:
         gain = float(np.clip(np.asarray(theilslopes(model.contacts[:, 2], depths))[0], *_GAINS))
-    return design, _Mechanics(model.materials, 1.0 if abs(gain - 1) < _GAIN_ERROR else gain)
+    return model.design, _Mechanics(model.materials, 1.0 if abs(gain - 1) < _GAIN_ERROR else gain)
 
 
 def _tips(design: Design, task: Task, poses: np.ndarray, shears: np.ndarray, mechanics: _Mechanics) -> np.ndarray:

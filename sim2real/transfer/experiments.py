@@ -33,6 +33,7 @@ from tactip_twin.sim.parallel.worker_pool import worker_count
 from tactip_twin.sim.pose import from_mm_deg
 from tactip_twin.sim2real.importing.import_set import read_report
 from tactip_twin.sim2real.transfer.fine_tune import FineTuning, fine_tune
+from tactip_twin.sim2real.transfer.gel import with_other_gels, with_usual_gel
 from tactip_twin.sim2real.transfer.initial_network import shipped_network_for
 from tactip_twin.sim2real.transfer.linear_correction import MIN_FRAMES, corrected, write_corrected
 from tactip_twin.sim2real.transfer.neutral_calibration import camera_of, nearest_nominal_design
@@ -60,11 +61,6 @@ _STEPS, _STEPS_FROM_NETWORK = 3000, 1500
 _CONTACTS = {"surface": 700, "edge": 2000}
 """Default number of simulated contacts to train on, by task. On a surface, 2000 took three times as long, and the errors on
 real-331 were the same [M] (docs/transfer.md)."""
-
-_DRAWN_CONTACTS = {"surface": 0, "edge": 4000}
-"""Default number of contacts per epoch that are drawn anew, by task. On an edge whose sensor is on no page, errors became
-0.20 mm, 0.13 mm and 2.7° in place of 0.22 mm, 0.17 mm and 3.3°; on such a surface they did not change (0.111 mm, 0.36° and
-0.32° in place of 0.113 mm, 0.35° and 0.33°) [M]."""
 
 _VALIDATION_RENDERINGS = 5
 """Number of renderings of a validation image, of whose camera no more is known than of the real one. With the images of the
@@ -248,7 +244,10 @@ class Experiment:
 
     def simulated(self, variant: Variant = Variant()) -> tuple[Samples, Samples]:
         """Return training and validation samples of a variant, simulated if they do not exist."""
-        design = self.design() if variant.calibrated else nearest_nominal_design(self._pins(), self.samples.size)
+        if variant.calibrated:
+            design = self.design()
+        else:
+            design = with_usual_gel(nearest_nominal_design(self._pins(), self.samples.size), self._stimulus)
         jobs = [self._job(design, variant, split) for split in ("val", "train")]
         make(jobs, self._workers, self.log)
         val, trained = (read_samples(job.folder) for job in jobs)
@@ -265,6 +264,8 @@ class Experiment:
         s = self.settings
         symmetric = split == "train" and self.task == "surface"
         randomization = MECHANICS_RANDOMIZATIONS[self._mechanics(variant)]
+        if not (variant.calibrated and s.design):
+            randomization = with_other_gels(randomization, self._stimulus)
         path, digest = self._learned_tip(design, randomized=not randomization.is_identity)
         configuration = Configuration(
             task=self.task,
@@ -286,12 +287,6 @@ class Experiment:
     def contacts(self) -> int:
         """Number of simulated contacts to train on."""
         return self.settings.contacts or _CONTACTS[self.task]
-
-    @property
-    def drawn_contacts(self) -> int:
-        """Number of contacts per epoch that the learned tip draws anew, where it knows the sensor."""
-        drawn = self.settings.drawn_contacts
-        return _DRAWN_CONTACTS[self.task] if drawn is None else drawn
 
     @property
     def simulated_fidelity(self) -> FidelityName:
@@ -334,7 +329,7 @@ class Experiment:
         folder, recipe = self.out / f"network-{variant.name}", self.recipe(variant)
         sets = self.simulated(variant)
         tips = self._drawing_tips(sets[0])
-        drawn = self.drawn_contacts
+        drawn = self.settings.drawn_contacts
         if drawn and not tips:
             self.log(f"no contacts are drawn anew (--drawn-contacts): no learned tip predicted those in {sets[0].folder}")
         settings = replace(recipe.settings, drawn_contacts=drawn if tips else 0)

@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -13,24 +14,25 @@ from tactip_twin.learning.data import Samples
 from tactip_twin.learning.image_check import MAX_APART_PX, pins_apart_px
 from tactip_twin.sim.dataset.mechanics_randomization import MECHANICS_RANDOMIZATIONS
 from tactip_twin.sim.labels import Task
-from tactip_twin.sim2real.importing.estimated_contacts import FRAMES, detected_pins
-from tactip_twin.sim2real.importing.estimated_pitch import with_estimated_pitch
 from tactip_twin.sim2real.importing.frame_blobs import blobs_of, read_blobs
 from tactip_twin.sim2real.importing.import_set import pins_at_rest
-from tactip_twin.sim2real.transfer.estimated_materials import AFTER, BEFORE, with_estimated_materials
+from tactip_twin.sim2real.transfer.estimated_mechanics import AFTER, BEFORE, estimated_mechanics
+from tactip_twin.sim2real.transfer.gel import with_usual_gel
 from tactip_twin.sim2real.transfer.neutral_calibration import camera_of, fit_design_to_neutral_image, with_camera_drift
 from tactip_twin.sim2real.transfer.settings import AUTO, TransferSettings
 from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.design_file import design_as_dict, read_design, write_design
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.input_files import read_json
-from tactip_twin.tactip_model.neutral_image import neutral_px
 from tactip_twin.tactip_model.presets import load_design
 
 _MAX_RESIDUAL = 0.75
 """Largest distance of the pins with estimated materials, as a fraction of that with usual ones, for them to be believed. It
 is 0.4 to 0.5 on hidden sensors with other mechanics, and 0.85 to 0.9 on real-127 and real-331, on which narrow mechanics
 around the estimate made depth 0.01 mm worse or changed nothing [M]."""
+
+_METHOD = "pitch and materials together"
+"""Name of the way to estimate, so that what an earlier version has estimated in another way is estimated again."""
 
 _MATERIALS, _INPUTS = "estimated_materials", "inputs_sha256"
 """Names in the provenance of a design: what was found of the materials, or null; checksum of all that the design was
@@ -95,37 +97,31 @@ class RealSensor:
         """Return the design that neutral image and frames show; that of an earlier command if it was estimated from them."""
         self._log("fitting tip and camera to the neutral image")
         fitted, figures = fit_design_to_neutral_image(self._real, self._size_px)
-        blobs = self._blobs(fitted)
+        fitted = with_usual_gel(fitted, self._task)
+        blobs = self._blobs()
         inputs, path = self._checksum(fitted, blobs), self._out / "design.json"
         if path.exists() and (kept := self._kept(path, inputs)):
             self._log(f"pitch and materials are those in {path}, which were estimated from the same frames")
             return kept
-        fitted, by_pitch = self._with_pitch(fitted, blobs)
-        fitted, materials = self._with_materials(fitted, blobs)
-        self._estimated = materials is not None
+        fitted, found = self._with_mechanics(fitted, blobs)
         self._out.mkdir(parents=True, exist_ok=True)
-        pitch = {"neutral_image_of": self._real.name, "px_by_factor_of_pitch": by_pitch}
-        write_design(path, fitted, pitch | {_MATERIALS: materials} | figures | {_INPUTS: inputs})
+        write_design(path, fitted, {"neutral_image_of": self._real.name} | found | figures | {_INPUTS: inputs})
         return fitted
 
-    def _blobs(self, fitted: Design) -> list[np.ndarray]:
-        """Return the centres (k, 2) of the blobs, px of 256, of the tactile images; or, if pins touch in these, of those
-        frames that the import has kept at full size."""
-        seen = [blobs_of(image) for image in self._frames.images]
-        try:
-            detected_pins(seen[:FRAMES], neutral_px(fitted))
-        except TactipError:
-            kept = read_blobs(self._real, self._frames.dataset.meta) or {}
-            known = set(self._frames.rows.tolist())
-            return [centres for row, centres in kept.items() if row in known] or seen
-        return seen
+    def _blobs(self) -> list[np.ndarray]:
+        """Return the centres (k, 2) of the blobs, px of 256, of the frames that the import has kept at full size; of the
+        tactile images if it has kept none."""
+        kept = read_blobs(self._real, self._frames.dataset.meta) or {}
+        known = set(self._frames.rows.tolist())
+        shown = [centres for row, centres in kept.items() if row in known]
+        return shown or [blobs_of(image) for image in self._frames.images]
 
     def _checksum(self, fitted: Design, blobs: Sequence[np.ndarray]) -> str:
         """Return a checksum of all that pitch and materials are estimated from."""
         name = self._settings.randomize_mechanics
         of_materials = name if name in (AUTO, "estimated") else None
         counts = [len(centres) for centres in blobs]
-        record = [design_as_dict(fitted), self._task, self._settings.seed, of_materials, counts]
+        record = [_METHOD, design_as_dict(fitted), self._task, self._settings.seed, of_materials, counts]
         return hashlib.sha256(json.dumps(record).encode() + b"".join(one.tobytes() for one in blobs)).hexdigest()
 
     def _kept(self, path: Path, inputs: str) -> Design | None:
@@ -150,36 +146,29 @@ class RealSensor:
                 f"image, got {apart:.1f} px: give the design that tactip calibrate has fitted to this sensor, or none"
             )
 
-    def _with_pitch(self, design: Design, blobs: Sequence[np.ndarray]) -> tuple[Design, dict[str, float] | None]:
-        """Return a design with the pitch that the frames show, and how well they show it; the design itself and None if they
-        do not."""
-        self._log("estimating the pitch of the pins from some frames")
-        try:
-            estimated, by_factor = with_estimated_pitch(design, blobs, self._task, self._settings.seed)
-        except TactipError as error:
-            self._log(f"the pitch remains {1e3 * design.pins.pitch_m:.2f} mm: {error}")
-            return design, None
-        self._log(f"the pitch is {1e3 * estimated.pins.pitch_m:.2f} mm; usual is {1e3 * design.pins.pitch_m:.2f} mm")
-        return estimated, by_factor
-
-    def _with_materials(self, design: Design, blobs: Sequence[np.ndarray]) -> tuple[Design, dict[str, float] | None]:
-        """Return a design with the materials that the frames show, and these; the design itself and None if they are not to
-        be estimated, or cannot be."""
+    def _with_mechanics(self, design: Design, blobs: Sequence[np.ndarray]) -> tuple[Design, dict[str, Any]]:
+        """Return a design with the pitch that the frames show, and with the materials if these are to be
+        estimated and are believed; and what was estimated, for the design's provenance."""
         name, around = self._settings.randomize_mechanics, MECHANICS_RANDOMIZATIONS["estimated"]
-        if name not in (AUTO, "estimated"):
-            return design, None
-        self._log("estimating the materials from the pins of some frames")
+        self._log("estimating pitch and materials from the pins of some frames")
         try:
-            estimated, found = with_estimated_materials(design, blobs, self._task, around, self._settings.seed)
+            found = estimated_mechanics(design, blobs, self._task, around, self._settings.seed)
         except TactipError as error:
             if name == "estimated":
                 raise
-            self._log(f"the materials are not estimated, and vary more: {error}")
-            return design, None
-        if name == AUTO and found[AFTER] > _MAX_RESIDUAL * found[BEFORE]:
+            self._log(f"the pitch remains {1e3 * design.pins.pitch_m:.2f} mm, and the materials vary more: {error}")
+            return design, {_MATERIALS: None}
+        pitches = (1e3 * one.pins.pitch_m for one in (found.with_pitch, design))
+        self._log("the pitch is {:.2f} mm; usual is {:.2f} mm".format(*pitches))
+        before, after = (found.materials[key] for key in (BEFORE, AFTER))
+        shown = {"distances_px": {BEFORE: before, AFTER: after}}
+        if name not in (AUTO, "estimated"):
+            return found.with_pitch, {_MATERIALS: None} | shown
+        if name == AUTO and after > _MAX_RESIDUAL * before:
             self._log(
-                f"the materials vary more, because none explain the pins much better: {found[AFTER]:.2f} px of 256 from the "
-                f"frames, {found[BEFORE]:.2f} px with usual ones"
+                f"the materials vary more, because none explain the pins much better: {after:.2f} px of 256 from the "
+                f"frames, {before:.2f} px with usual ones"
             )
-            return design, None
-        return estimated, found
+            return found.with_pitch, {_MATERIALS: None} | shown
+        self._estimated = True
+        return found.with_materials, {_MATERIALS: found.materials} | shown

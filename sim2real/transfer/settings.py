@@ -42,9 +42,9 @@ class TransferSettings:
     contacts: int | None = within(10, 10**7, default=None)
     """Number of simulated contacts to train on. Default: 700 on a surface, each of which gives eight samples by symmetry, or
     2000 on an edge."""
-    drawn_contacts: int | None = within(0, 10**6, default=None)
-    """Number of contacts per epoch that the learned tip draws anew beside the simulated ones, where it knows the sensor.
-    Default: 4000 on an edge (effect: docs/hidden_sensors.md), 0 on a surface, where symmetries give enough."""
+    drawn_contacts: int = within(0, 10**6, default=4000)
+    """Number of contacts per epoch that the learned tip draws anew beside the simulated ones, where it knows the sensor
+    (effect: docs/transfer.md, docs/hidden_sensors.md)."""
     val_contacts: int = within(10, 10**6, default=500)
     """Number of simulated contacts to validate on."""
     real_train_frames: int | None = within(20, 10**6, default=None)

@@ -12,12 +12,13 @@ from tactip_twin.sim.pose import from_mm_deg
 from tactip_twin.tactip_model.design import Optics, Pins
 from tactip_twin.tactip_model.design_file import read_design, read_design_with_drift, write_design, write_fitted_design
 from tactip_twin.tactip_model.errors import TactipError
-from tactip_twin.tactip_model.neutral_image import fit_neutral, neutral_px
+from tactip_twin.tactip_model.neutral_image import fit_neutral, neutral_px, widest_spacing, with_spacing
 from tactip_twin.tactip_model.optics import Lens
 from tactip_twin.tactip_model.pin_detection import find_blobs
-from tactip_twin.tactip_model.pins import neutral_pins
-from tactip_twin.tactip_model.presets import design_named, load_design
+from tactip_twin.tactip_model.pins import neutral_pins, plan_positions
+from tactip_twin.tactip_model.presets import DESIGNS, design_named, load_design
 from tactip_twin.tactip_model.raster_renderer import Raster
+from tactip_twin.tactip_model.sensor_of_image import free_sensor
 from tactip_twin.tactip_model.tactile_image import tactile_image
 
 
@@ -138,3 +139,26 @@ def test_pin_offsets_of_wrong_count_or_size_raise_error():
         neutral_pins(replace(design, pins=replace(design.pins, as_built_m=((0.0, 0.0),))))
     with pytest.raises(TactipError, match="as_built_m"):
         Pins(as_built_m=((0.01, 0.0),))
+
+
+@pytest.mark.parametrize("name", DESIGNS)
+@pytest.mark.parametrize("factor", [0.85, 1.04])
+def test_pins_at_rest_stay_where_they_are_in_the_image(name, factor):
+    design = design_named(name)
+    optics = replace(design.optics, zoom=1.01, drift=(0.002, -0.001))
+    design = replace(design, optics=optics)
+    factor = min(factor, 0.999 * widest_spacing(design))
+    wider = with_spacing(design, factor)
+    assert np.abs(neutral_px(wider) - neutral_px(design)).max() < 0.02
+    assert wider.optics.zoom == 1.01 and wider.optics.drift == (0.002, -0.001)
+    # What the lens cannot show of a camera beside the axis, the pins' places absorb.
+    assert np.abs(plan_positions(wider.pins) - factor * plan_positions(design.pins)).max() < 0.1e-3
+    assert wider.pins.pitch_m == pytest.approx(factor * design.pins.pitch_m)
+
+
+def test_widest_pins_reach_the_end_of_the_dome():
+    plain = design_named("nominal-127")
+    lattice = with_spacing(plain, widest_spacing(plain) * (1 - 1e-9))
+    assert lattice.pins.rings * lattice.pins.pitch_m == pytest.approx(0.95 * plain.shape.radius_m)
+    free = replace(free_sensor(5), pins=replace(free_sensor(5).pins, as_built_m=((0.0, 0.0), (0.01, 0.0), (0.0, -0.015))))
+    assert widest_spacing(free) == pytest.approx(0.95 * free.shape.radius_m / 0.015)

@@ -23,6 +23,8 @@ REAL = MECHANICS_RANDOMIZATIONS["real"]
 
 
 def value(design, name):
+    if name == "gel_compressibility":
+        return 1 - 2 * design.materials.gel_poisson
     part = design.pins if name == "pin_length" else design.materials
     return getattr(part, {"pin_length": "length_m", "skin_young": "skin_young_pa", "gel_young": "gel_young_pa"}.get(
         name, {"skin_thickness": "skin_thickness_m", "slip_weakening": "slip_weakening_m"}.get(name, name)))  # fmt: skip
@@ -51,6 +53,22 @@ def test_mechanics_randomization_default_is_identity_and_factors_below_1_are_ref
     assert same == design
     with pytest.raises(TactipError, match=r"friction must be .*, got 0.5"):
         MechanicsRandomization(friction=0.5)
+
+
+def test_sets_made_before_the_compressibility_could_vary_keep_their_bytes(design):
+    """Their configurations have no such field, and the generator gives what it gave."""
+    rng = np.random.default_rng(3)
+    sampled = REAL.sample(design, rng)
+    numbers = np.random.default_rng(3).uniform(-1, 1, 8)
+    assert sampled.materials.friction == design.materials.friction * REAL.friction ** numbers[0]
+    assert rng.uniform(-1, 1) == numbers[7]
+    assert "gel_compressibility" not in configuration(mechanics_randomization=REAL).as_json()["mechanics_randomization"]
+    squeezed = replace(REAL, gel_compressibility=3.0)
+    made = configuration(mechanics_randomization=squeezed)
+    assert made.as_json()["mechanics_randomization"]["gel_compressibility"] == 3.0
+    assert squeezed.sample(design, np.random.default_rng(3)).materials.gel_poisson == pytest.approx(
+        0.5 - 0.01 * 3.0 ** numbers[7]
+    )
 
 
 def configuration(**changes):

@@ -11,7 +11,7 @@ from tactip_twin.sim.contact.simulator import ContactSimulator
 from tactip_twin.sim.dataset.format import read_dataset, read_meta, read_rows
 from tactip_twin.sim.dataset.mechanics_randomization import MECHANICS_RANDOMIZATIONS
 from tactip_twin.sim.fast_tip.fast_contacts import FastContacts
-from tactip_twin.sim.fast_tip.fast_tip import any_materials, read_fast_tip, shipped_fast_tip
+from tactip_twin.sim.fast_tip.fast_tip import any_materials, read_fast_tip, shipped_fast_tip, write_fast_tip
 from tactip_twin.sim.fast_tip.randomized_contacts import RandomizedContacts
 from tactip_twin.sim.pose import from_mm_deg
 from tactip_twin.tactip_model.errors import TactipError
@@ -91,3 +91,10 @@ def test_tip_of_one_design_with_randomized_mechanics_gives_one_sentence(tmp_path
     assert "needs a learned tip of any materials, or simulated contacts" in " ".join(capsys.readouterr().err.split())
     assert tactip.main([*command[:2], "--fidelity", "corrected", *command[4:], "--samples", "2"]) == 1
     assert "knows the mechanics of one tip only" in " ".join(capsys.readouterr().err.split())
+
+
+def test_tip_of_fewer_materials_is_refused(tip, tmp_path):
+    """An earlier version knew five."""
+    write_fast_tip(replace(tip, materials=tip.materials[:5]), tmp_path / "tip.npz")
+    with pytest.raises(TactipError, match="must know 6 materials, got 5"):
+        read_fast_tip(tmp_path / "tip.npz")

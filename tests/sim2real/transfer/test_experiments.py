@@ -19,11 +19,12 @@ from tactip_twin.learning.model import Estimates, load_model, net_sha256
 from tactip_twin.learning.train import train
 from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.contact.simulator import ContactSimulator
-from tactip_twin.sim.dataset.format import checksum, read_rows
+from tactip_twin.sim.dataset.format import read_rows
 from tactip_twin.sim.fast_tip.fast_tip import any_materials, read_fast_tip
 from tactip_twin.sim.pose import from_mm_deg
-from tactip_twin.sim2real.importing.frame_blobs import read_blobs
+from tactip_twin.sim2real.importing.frame_blobs import BLOBS, read_blobs
 from tactip_twin.sim2real.transfer import real_sensor
+from tactip_twin.sim2real.transfer.estimated_mechanics import EstimatedMechanics
 from tactip_twin.sim2real.transfer.experiments import ABLATIONS, Experiment, _possible, split_of
 from tactip_twin.sim2real.transfer.fine_tune import FineTuning, fine_tune
 from tactip_twin.sim2real.transfer.neutral_calibration import fit_design_to_neutral_image
@@ -184,11 +185,11 @@ def test_design_of_an_earlier_command_is_used_again_if_frames_and_settings_are_t
 ):
     estimates, said = [], []
 
-    def estimate(design, blobs, task, seed):
+    def estimate(design, blobs, *_):
         estimates.append(len(blobs))
-        return design, {"1.000": 0.5}
+        return EstimatedMechanics(design, design, {"before_px": 0.5, "after_px": 0.5})
 
-    monkeypatch.setattr(real_sensor, "with_estimated_pitch", estimate)
+    monkeypatch.setattr(real_sensor, "estimated_mechanics", estimate)
 
     def found(**settings):
         few = TransferSettings(**({"real_train_frames": 30, "randomize_mechanics": "real"} | settings))
@@ -196,15 +197,12 @@ def test_design_of_an_earlier_command_is_used_again_if_frames_and_settings_are_t
 
     first = found()
     assert found() == first and len(estimates) == 1
-    assert (
-        said[-1]
-        == f"pitch and materials are those in {tmp_path / 'out' / 'design.json'}, which were estimated from the same frames"
-    )
+    path = tmp_path / "out" / "design.json"
+    assert said[-1] == f"pitch and materials are those in {path}, which were estimated from the same frames"
     for changed in ({"seed": 1}, {"real_train_frames": 40}, {}):
         found(**changed)
     assert estimates == [30, 30, 40, 30]
     # A damaged file is replaced.
-    path = tmp_path / "out" / "design.json"
     right = path.read_bytes()
     path.write_bytes(right[:500])
     assert found() == first and len(estimates) == 5 and path.read_bytes() == right
@@ -216,29 +214,27 @@ def test_design_of_an_earlier_command_is_used_again_if_frames_and_settings_are_t
     assert kept._sensor.mechanics() == ("estimated" if fresh else "real") and len(estimates) == 5
 
 
-def test_frames_at_full_size_show_pins_that_touch_in_tactile_images(lab, tmp_path, monkeypatch):
+def test_mechanics_are_estimated_from_frames_at_full_size_if_the_import_kept_them(lab, tmp_path, monkeypatch):
     given = []
 
-    def estimate(design, blobs, task, seed):
+    def estimate(design, blobs, *_):
         given.append(blobs)
-        return design, {"1.000": 0.5}
+        return EstimatedMechanics(design, design, {"before_px": 0.5, "after_px": 0.5})
 
-    monkeypatch.setattr(real_sensor, "with_estimated_pitch", estimate)
+    monkeypatch.setattr(real_sensor, "estimated_mechanics", estimate)
     few = TransferSettings(real_train_frames=40, randomize_mechanics="real")
-    touching = tmp_path / "touching"
-    shutil.copytree(lab, touching)
-    for path in (touching / "images").iterdir():
-        image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-        cv2.imwrite(str(path), cv2.dilate(image, np.ones((5, 5), np.uint8)))
-    meta = json.loads((touching / "meta.json").read_text())
-    meta["images"] = {path.name: checksum(path.read_bytes()) for path in sorted((touching / "images").iterdir())}
-    (touching / "meta.json").write_text(json.dumps(meta))
-    for k, real in enumerate((lab, touching)):
+    without = tmp_path / "without"
+    shutil.copytree(lab, without)
+    (without / BLOBS).unlink()
+    meta = json.loads((without / "meta.json").read_text())
+    del meta["files"][BLOBS]
+    (without / "meta.json").write_text(json.dumps(meta))
+    for k, real in enumerate((lab, without)):
         Experiment(real, tmp_path / f"{k}", few, 1).design()
     assert [len(blobs) for blobs in given] == [40, 40]
-    kept = read_blobs(lab, meta)
-    assert all(any(np.array_equal(one, centres) for centres in kept.values()) for one in given[1])
-    assert not any(np.array_equal(one, centres) for one in given[0] for centres in kept.values())
+    kept = read_blobs(lab, json.loads((lab / "meta.json").read_text()))
+    assert all(any(np.array_equal(one, centres) for centres in kept.values()) for one in given[0])
+    assert not any(np.array_equal(one, centres) for one in given[1] for centres in kept.values())
 
 
 def test_training_contacts_are_predicted_and_drawn_by_the_learned_tip(lab, designed, tiny, tmp_path):

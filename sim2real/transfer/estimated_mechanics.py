@@ -1,7 +1,8 @@
-"""Materials of a real tip, estimated from frames whose labels are not used, for its design."""
+"""Pitch and materials of a real tip, estimated from frames whose labels are not used, for its design."""
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,15 +19,25 @@ _MARGIN = 1e-3
 """Distance of the materials from the ends of what the learned tip knows, as a fraction or in logarithms, -."""
 
 
-def with_estimated_materials(
-    design: Design, blobs: Sequence[np.ndarray], task: Task, around: MechanicsRandomization, seed: int = 0
-) -> tuple[Design, dict[str, float]]:
-    """Return a design with materials that explain the pins of some frames best, whatever their poses; and its materials by
-    name (sim/fast_tip/materials.py), with the distance of detected and simulated pins, px of 256, before and with the most
-    likely ones.
+class EstimatedMechanics(NamedTuple):
+    """What frames show of a tip."""
 
-    The kinetic fraction and the slip weakening remain the design's, because pins hardly show them: on 17 simulated sensors,
-    the true ones were 1.0 to 2.3 and 0.4 to 1.4 times the most likely ones [M].
+    with_pitch: Design
+    """The design with the estimated pitch."""
+    with_materials: Design
+    """That with the estimated materials, too."""
+    materials: dict[str, float]
+    """These by name (sim/fast_tip/materials.py), with the median distance of detected and simulated pins, px of 256, before
+    and with them; both with the estimated pitch."""
+
+
+def estimated_mechanics(
+    design: Design, blobs: Sequence[np.ndarray], task: Task, around: MechanicsRandomization, seed: int = 0
+) -> EstimatedMechanics:
+    """Return the pitch and materials that explain the pins of some frames best, whatever their poses.
+
+    The kinetic fraction, the slip weakening and the gel's compressibility remain the design's, because pins hardly show
+    them: on 17 simulated sensors, the true ones of the first two were 1.0 to 2.3 and 0.4 to 1.4 times the most likely [M].
 
     Args:
         design: The design, fitted to the sensor's neutral image.
@@ -48,24 +59,28 @@ def with_estimated_materials(
         skin_thickness_m=float(np.exp(likely["log_thickness"])),
     )
     found = dict(zip(INPUTS, material_inputs(materials).tolist(), strict=True))
-    return replace(design, materials=materials), found | {BEFORE: fit.before_px, AFTER: fit.after_px}
+    found |= {BEFORE: fit.before_px, AFTER: fit.after_px}
+    return EstimatedMechanics(fit.design, replace(fit.design, materials=materials), found)
 
 
 def _within(fit: ContactModel, around: MechanicsRandomization) -> np.ndarray:
-    """Return the materials (5,) of a fit, moved so that a randomization around them is within what the tip knows."""
+    """Return the materials (6,) of a fit, moved so that a randomization around them is within what the tip knows."""
     factors = {
         "log_modulus_ratio": around.skin_young * around.gel_young,
         "friction": around.friction,
         "kinetic_fraction": around.kinetic_fraction,
         "log_slip_weakening": around.slip_weakening,
         "log_thickness": around.skin_thickness,
+        "log_compressibility": around.gel_compressibility,
     }
     reach = np.log([factors[name] for name in INPUTS]) + _MARGIN
     low, high = (_logarithms(end) for end in fit.model.material_ranges.T)
+    # A tip that knows one value only has no room for a randomization.
+    reach = np.where(high > low, reach, 0.0)
     inside = np.clip(_logarithms(fit.materials), low + reach, high - reach)
     return np.array([x if name.startswith("log_") else np.exp(x) for name, x in zip(INPUTS, inside, strict=True)])
 
 
 def _logarithms(materials: np.ndarray) -> np.ndarray:
-    """Return the natural logarithms (5,) of what materials (5,), some of them logarithms already, stand for."""
+    """Return the natural logarithms (6,) of what materials (6,), some of them logarithms already, stand for."""
     return np.array([x if name.startswith("log_") else np.log(x) for name, x in zip(INPUTS, materials, strict=True)])
