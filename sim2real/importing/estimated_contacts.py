@@ -268,7 +268,7 @@ def contact_model(design: Design, pins: np.ndarray, task: Task, rng: np.random.G
     """
     models = TipModels(read_fast_tip(any_materials(task)), design, _POSES[task], _SHEARS)
     noise = _noise(pins)
-    tip = models.with_materials(models.middle, material_inputs(design.materials))
+    tip, found = models.with_materials(models.middle, material_inputs(design.materials)), np.empty((0, 12))
     for _ in range(_TIP_ROUNDS):
         found, residuals = _likeliest(_optima(models.of(tip), pins, noise, task, rng))
         good = residuals <= _BAD_FIT * np.median(residuals)
