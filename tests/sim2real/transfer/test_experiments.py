@@ -407,7 +407,9 @@ def test_gap_is_small_with_right_design(lab, tmp_path, capsys):
     assert (tmp_path / "out" / "gap.png").stat().st_size > 10_000
     assert {"pose_z", "pose_Ry", "shear_mm"} <= set(output["against"])
     # The same with a given design, into a new folder.
-    output = [*command[:-3], str(tmp_path / "other"), *command[-2:], "--design", "nominal-127", "--gap-frames", "8"]
+    write_design(tmp_path / "own.json", hidden(design_named("nominal-127")), {})
+    output = [*command[:-3], str(tmp_path / "other"), *command[-2:], "--design", str(tmp_path / "own.json")]
+    output += ["--gap-frames", "8"]
     assert tactip.main([*output, "--fidelity", "draft"]) == 0
     assert (tmp_path / "other" / "gap.png").exists()
     right, _ = sim_to_real_gap(read_samples(lab), hidden(design_named("nominal-127")), "draft", 20)
