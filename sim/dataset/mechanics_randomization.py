@@ -46,8 +46,7 @@ class MechanicsRandomization:
     def sample(self, design: Design, rng: np.random.Generator) -> Design:
         """Return a design with sampled mechanics. Each property takes one number of `rng`; the compressibility only where it
         varies, so sets made before it could vary keep their bytes."""
-        taken = [f.name for f in fields(self) if f.name != _LAST or self.gel_compressibility != 1]
-        factors = {_LAST: 1.0} | {name: getattr(self, name) ** rng.uniform(-1, 1) for name in taken}
+        factors = {_LAST: 1.0} | {name: getattr(self, name) ** rng.uniform(-1, 1) for name in self._sampled}
         values = {name: float(value) for name, value in _varied(design, factors).items()}
         pins = replace(design.pins, length_m=values.pop("length_m"))
         return replace(design, materials=replace(design.materials, **values), pins=pins)
@@ -55,8 +54,14 @@ class MechanicsRandomization:
     def sample_many(self, design: Design, count: int, rng: np.random.Generator) -> dict[str, np.ndarray]:
         """Return what varies in `count` designs sampled as by `sample`: fields (count,) of Materials, and length_m of
         Pins."""
-        draws = rng.uniform(-1, 1, (count, len(fields(self))))
-        return _varied(design, {f.name: getattr(self, f.name) ** draws[:, k] for k, f in enumerate(fields(self))})
+        draws = rng.uniform(-1, 1, (count, len(self._sampled)))
+        factors = {name: getattr(self, name) ** draws[:, k] for k, name in enumerate(self._sampled)}
+        return _varied(design, {_LAST: np.ones(count)} | factors)
+
+    @property
+    def _sampled(self) -> list[str]:
+        """Names of the properties that take a number of the generator."""
+        return [f.name for f in fields(self) if f.name != _LAST or self.gel_compressibility != 1]
 
 
 _LAST = "gel_compressibility"

@@ -43,7 +43,8 @@ def test_gradients_agree_with_finite_differences(name):
         return 1e3 * module(*arguments)[:, ::40]
 
     inputs = (poses, shears, materials, length) if module.knows_materials else (poses, shears)
-    assert torch.autograd.gradcheck(in_mm, inputs, eps=1e-6, atol=1e-4, rtol=1e-5)
+    # Differences of 1e-6 m are off by as much as 2e-4 where friction bends the response.
+    assert torch.autograd.gradcheck(in_mm, inputs, eps=1e-7, atol=1e-4, rtol=1e-5)
 
 
 def test_longer_pins_are_those_of_another_design():
