@@ -71,6 +71,15 @@ def test_sets_made_before_the_compressibility_could_vary_keep_their_bytes(design
     )
 
 
+@pytest.mark.parametrize("compressibility", [1.0, 3.0])
+def test_many_designs_are_those_that_are_sampled_one_by_one(design, compressibility):
+    randomization, rng = replace(REAL, gel_compressibility=compressibility), np.random.default_rng(4)
+    many = randomization.sample_many(design, 6, np.random.default_rng(4))
+    for k, one in enumerate(randomization.sample(design, rng) for _ in range(6)):
+        assert many["gel_poisson"][k] == pytest.approx(one.materials.gel_poisson)
+        assert many["friction"][k] == pytest.approx(one.materials.friction)
+
+
 def configuration(**changes):
     made = Configuration(
         task="surface",
