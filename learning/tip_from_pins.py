@@ -8,7 +8,8 @@ farther from the clamped rim of the skin, so the outer ones move more. For each 
 neutral image has them.
 
 The camera's height and the pins' length are not estimated, although both can be on simulated sensors: on the published
-331-pin set, they took up what else the twin has wrong, and the depth was read worse.
+331-pin set, they took up what else the twin has wrong, and the depth was read worse. Nor is the gel's compressibility, which
+pins hardly tell from the depth.
 """
 
 from functools import lru_cache
@@ -52,7 +53,7 @@ class TipModels:
             raise ValueError("the learned tip knows the materials of one design only")
         self._tip, self._design, self._ranges = tip, design, (pose, shear)
         low, high = tip.materials.T.copy()
-        # Pins hardly tell the gel's compressibility from the depth, so it remains the design's.
+        # The gel's compressibility remains the design's.
         gel = INPUTS.index("log_compressibility")
         low[gel] = high[gel] = np.clip(material_inputs(design.materials)[gel], low[gel], high[gel])
         varies = np.append(high > low, True)

@@ -264,7 +264,7 @@ class Experiment:
         s = self.settings
         symmetric = split == "train" and self.task == "surface"
         randomization = MECHANICS_RANDOMIZATIONS[self._mechanics(variant)]
-        if not (variant.calibrated and s.design):
+        if not (variant.calibrated and s.design):  # a given design has its own gel
             randomization = with_other_gels(randomization, self._stimulus)
         path, digest = self._learned_tip(design, randomized=not randomization.is_identity)
         configuration = Configuration(
