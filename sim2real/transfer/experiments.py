@@ -35,7 +35,7 @@ from tactip_twin.sim2real.importing.import_set import read_report
 from tactip_twin.sim2real.transfer.fine_tune import FineTuning, fine_tune
 from tactip_twin.sim2real.transfer.gel import with_other_gels, with_usual_gel
 from tactip_twin.sim2real.transfer.initial_network import shipped_network_for
-from tactip_twin.sim2real.transfer.linear_correction import MIN_FRAMES, corrected, write_corrected
+from tactip_twin.sim2real.transfer.linear_correction import MIN_FRAMES, corrected, features_of, write_corrected
 from tactip_twin.sim2real.transfer.neutral_calibration import camera_of, nearest_nominal_design
 from tactip_twin.sim2real.transfer.real_sensor import RealSensor
 from tactip_twin.sim2real.transfer.real_shear import real_shear
@@ -359,10 +359,11 @@ class Experiment:
         with their own, they would teach it the errors again.
         """
         folder, real = self.out / f"network-sim-and-{count}", self.split.known.take(slice(0, count))
-        base, (trained, _) = self.network(), self.simulated()
+        network, (trained, _) = self.network(), self.simulated()
+        base = network
         if count >= MIN_FRAMES:
-            base, correction = corrected(base, real)
-            trained = replace(trained, targets=correction(trained.targets))
+            base, correction = corrected(network, real)
+            trained = replace(trained, targets=correction(trained.targets, features_of(network, trained.images)))
         settings = FineTuning(self.settings.seed, self.settings.fine_tuning_steps, optics_ranges=self.optics())
         fine_tune(base, trained, real, settings, folder, self._device, self.log)
         return load_model(folder)

@@ -2,8 +2,10 @@
 
 What a network taught in simulation reads wrong on a real sensor is to a large part a linear function of the pose: the rig's
 zeros are offsets, a tip of other mechanics is a gain, and a tool centre beside the axis makes depth change with tilt
-(linear_errors.py). A handful of frames determine these numbers, where a fine-tuning would learn the frames by heart. The
-correction goes into the weights of the output layer, so the result is a network like any other.
+(linear_errors.py). What else its mechanics change is to a part a linear function of the features, the inputs of the output
+layer. A handful of frames determine the former; how far the latter may go, the frames tell themselves. A fine-tuning
+of all layers would learn the frames by heart. The correction goes into the weights of the output layer, so the result is a
+network like any other.
 """
 
 from collections.abc import Callable
@@ -18,7 +20,7 @@ from torch import nn
 
 from tactip_twin.learning.data import Samples
 from tactip_twin.learning.deviation_scale import DeviationScale, fit_deviation_scale
-from tactip_twin.learning.model import WEIGHTS, Model, save_model
+from tactip_twin.learning.model import WEIGHTS, Estimates, Model, save_model
 from tactip_twin.learning.posenet import PoseNet
 from tactip_twin.sim.parallel.resume import check_resumable
 from tactip_twin.sim2real.transfer.fine_tune import origin, recorded
@@ -40,8 +42,19 @@ is a tool centre 0.6 mm beside the axis; 0.1 degree per degree a camera turned b
 _OFFSET_SPREAD = {"mm": 2.0, "°": 10.0}
 """Standard deviation of an offset before any frame is used, by unit: hardly a restriction [?]."""
 
-_NOISE_ROUNDS = 10
-"""Number of rounds in which coefficients and noise are estimated in turn."""
+_FEATURE_SPREADS = {"mm": (0.003, 0.01, 0.03, 0.1, 0.3), "°": (0.03, 0.1, 0.3, 1.0, 3.0)}
+"""Standard deviations, before any frame is used, of the change of a component per standard deviation of the features along
+their widest direction, by unit: the most likely one is taken. The smallest leaves the linear function of the pose."""
+
+_TAIL = 4.0
+"""Degrees of freedom of the distribution of errors, a Student's t, -: a frame that lags far behind its label counts less
+(Lange, Little and Taylor, Journal of the American Statistical Association 84, 1989, who use 4)."""
+
+_MIN_NOISE = 1e-4
+"""Minimum standard deviation of labels, mm or degrees: below it, rounding decides."""
+
+_ROUNDS = 10
+"""Number of rounds in which coefficients, noise and weights of frames are estimated in turn."""
 
 _SCALE_FRAMES = 3
 """Number of frames from which the factors on the standard deviations are believed by half [?]."""
@@ -49,7 +62,8 @@ _SCALE_FRAMES = 3
 
 @dataclass(frozen=True)
 class LinearCorrection:
-    """A correction of k components of a pose, mm and degrees: matrix @ (pose - middle) + middle + offset."""
+    """A correction of k components of a pose, mm and degrees, by the pose and f features of a network:
+    matrix @ (pose - middle) + middle + offset + by_features @ (features - middle_features)."""
 
     matrix: np.ndarray
     """(k, k)."""
@@ -57,47 +71,85 @@ class LinearCorrection:
     """(k,)."""
     offset: np.ndarray
     """(k,)."""
+    by_features: np.ndarray
+    """(k, f)."""
+    middle_features: np.ndarray
+    """(f,)."""
     freedoms: np.ndarray
     """(k,) Number of coefficients of each component that the frames determine."""
 
-    def __call__(self, poses: np.ndarray) -> np.ndarray:
-        """Return corrected poses (n, k)."""
-        return (poses - self.middle) @ self.matrix.T + self.middle + self.offset
+    def __call__(self, poses: np.ndarray, features: np.ndarray) -> np.ndarray:
+        """Return corrected poses (n, k) of poses (n, k) and features (n, f)."""
+        changed = (features - self.middle_features) @ self.by_features.T
+        return (poses - self.middle) @ self.matrix.T + self.middle + self.offset + changed
 
 
 def fit_linear_correction(
-    poses: np.ndarray, labels: np.ndarray, units: tuple[str, ...], varies: np.ndarray
+    poses: np.ndarray, features: np.ndarray, labels: np.ndarray, units: tuple[str, ...], varies: np.ndarray
 ) -> LinearCorrection:
     """Return the most likely correction, with normal priors on its coefficients.
 
-    The noise of each component is estimated with it, by the evidence (MacKay, Neural Computation 4(3), 1992).
+    The noise of each component, and how much the features change it, are estimated with it, by the evidence (MacKay, Neural
+    Computation 4(3), 1992).
 
     Args:
         poses: (n, k) estimates, mm and degrees.
+        features: (n, f) features of the network; f may be 0.
         labels: (n, k) their labels.
         units: (k) units of the components.
-        varies: (k,) bool, whether the labels of a component vary; others are neither scaled nor used for others.
+        varies: (k,) bool, whether the labels of a component vary; others are neither scaled nor used for others, and get an
+            offset only.
     """
-    count, middle = len(units), poses.mean(0)
+    count, middle, middle_features = len(units), poses.mean(0), features.mean(0)
     matrix, offset, freedoms = np.eye(count), np.zeros(count), np.ones(count)
+    by_features = np.zeros((count, features.shape[1]))
+    widest = np.linalg.norm(features - middle_features, 2) / np.sqrt(len(features)) if features.size else 0.0
     terms = np.flatnonzero(varies)
     for k, unit in enumerate(units):
         used = terms if varies[k] else terms[:0]
-        columns = np.column_stack([poses[:, used] - middle[used], np.ones(len(poses))])
+        extra = features - middle_features if varies[k] and widest else features[:, :0]
+        columns = np.column_stack([poses[:, used] - middle[used], np.ones(len(poses)), extra])
         spreads = [_GAIN_SPREAD if j == k else _CROSS_SPREAD[unit, units[j]] for j in used]
-        prior = np.diag(1 / np.square([*spreads, _OFFSET_SPREAD[unit]]))
-        wrong = labels[:, k] - poses[:, k]
-        curvature, noise = columns.T @ columns, max(float(wrong.std()), 1e-6)
-        found = np.zeros(len(used) + 1)
-        for _ in range(_NOISE_ROUNDS):
-            whole = curvature / noise**2 + prior
-            found = np.linalg.solve(whole, columns.T @ wrong / noise**2)
-            freedoms[k] = np.trace(np.linalg.solve(whole, curvature / noise**2))
-            rest = float(np.square(wrong - columns @ found).sum())
-            noise = max(np.sqrt(rest / max(len(wrong) - freedoms[k], 1.0)), 1e-6)
-        matrix[k, used] += found[:-1]
-        offset[k] = found[-1]
-    return LinearCorrection(matrix, middle, offset, freedoms)
+        fits = [
+            _fitted(columns, labels[:, k] - poses[:, k], np.array([*spreads, _OFFSET_SPREAD[unit], *each]))
+            for each in ([[spread / widest] * extra.shape[1] for spread in _FEATURE_SPREADS[unit]] if extra.size else [[]])
+        ]
+        best = max(fits, key=lambda fit: fit.evidence)
+        matrix[k, used] += best.coefficients[: len(used)]
+        offset[k] = best.coefficients[len(used)]
+        by_features[k, : extra.shape[1]] = best.coefficients[len(used) + 1 :]
+        freedoms[k] = best.freedoms
+    return LinearCorrection(matrix, middle, offset, by_features, middle_features, freedoms)
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """Most likely coefficients of a linear function."""
+
+    coefficients: np.ndarray
+    """(c,)."""
+    freedoms: float
+    """Number of them that the frames determine."""
+    evidence: float
+    """Logarithm of the probability of the frames, whatever the coefficients, up to a constant."""
+
+
+def _fitted(columns: np.ndarray, wrong: np.ndarray, spreads: np.ndarray) -> _Fit:
+    """Return the coefficients of columns (n, c) that explain what is wrong (n,), with standard deviations (c,) before."""
+    noise, weights = max(float(wrong.std()), _MIN_NOISE), np.ones(len(wrong))
+    spread = (columns * spreads) @ (columns * spreads).T  # covariance of what the coefficients may explain
+    freedoms, expected = 1.0, wrong
+    for _ in range(_ROUNDS):
+        both = spread + np.diag(noise**2 / weights)
+        expected = spread @ np.linalg.solve(both, wrong)
+        freedoms = float(np.trace(np.linalg.solve(both, spread)))
+        rest = np.square(wrong - expected)
+        noise = max(np.sqrt(weights @ rest / max(len(wrong) - freedoms, 1.0)), _MIN_NOISE)
+        weights = (_TAIL + 1) / (_TAIL + rest / noise**2)
+    both = spread + np.diag(noise**2 / weights)
+    explained = np.linalg.solve(both, wrong)
+    evidence = -0.5 * (wrong @ explained + np.linalg.slogdet(both)[1])
+    return _Fit(spreads**2 * (columns.T @ explained), freedoms, float(evidence))
 
 
 def corrected(model: Model, real: Samples) -> tuple[Model, LinearCorrection]:
@@ -112,16 +164,17 @@ def corrected(model: Model, real: Samples) -> tuple[Model, LinearCorrection]:
     """
     if len(real) < MIN_FRAMES:
         raise TactipError(f"a linear correction needs at least {MIN_FRAMES} real frames, got {len(real)}")
-    estimates, count = model.estimate(real.images), len(model.labels.components)
+    count = len(model.labels.components)
+    estimates, features = _estimates(model, real.images)
     poses = model.labels.unwrapped(estimates.means[:, :count], real.targets)
     varies = real.targets.std(0) > MIN_SPREAD * model.labels.scale  # the others get an offset only
     if model.labels.circular is not None:
         varies[model.labels.circular] = False
-    correction = fit_linear_correction(poses, real.targets, model.labels.units, varies)
+    correction = fit_linear_correction(poses, features, real.targets, model.labels.units, varies)
     net = _with_outputs(model, correction)
     if estimates.deviations is None:
         return replace(model, net=net), correction
-    errors = correction(poses) - real.targets
+    errors = correction(poses, features) - real.targets
     errors = errors * np.sqrt(len(real) / np.maximum(len(real) - correction.freedoms, 1.0))
     found = fit_deviation_scale(errors, estimates.deviations[:, :count], None).factors[0]
     factors = np.ones(len(model.columns))
@@ -130,11 +183,29 @@ def corrected(model: Model, real: Samples) -> tuple[Model, LinearCorrection]:
     return replace(model, net=net, deviation_scale=before.times(factors)), correction
 
 
+def features_of(model: Model, images: np.ndarray) -> np.ndarray:
+    """Return the inputs (n, f) of a network's output layer for tactile images (n, size, size) uint8."""
+    return _estimates(model, images)[1]
+
+
+def _estimates(model: Model, images: np.ndarray) -> tuple[Estimates, np.ndarray]:
+    """Return estimates of n images, and the inputs (n, f) of the output layer."""
+    found: list[torch.Tensor] = []
+    handle = model.net.dense[-1].register_forward_pre_hook(lambda module, inputs: found.append(inputs[0].double().cpu()))
+    try:
+        estimates = model.estimate(images)
+    finally:
+        handle.remove()
+    return estimates, torch.cat(found).numpy()
+
+
 def _with_outputs(model: Model, correction: LinearCorrection) -> PoseNet:
     """Return a copy of a model's network whose output layer has the correction."""
     net, count, scale = deepcopy(model.net), len(correction.offset), model.labels.scale
     matrix = torch.from_numpy(correction.matrix * scale / scale[:, None])
     shift = correction.middle + correction.offset - correction.matrix @ correction.middle
+    shift -= correction.by_features @ correction.middle_features
+    further = torch.from_numpy(correction.by_features / scale[:, None])
     last = net.dense[-1]
     assert isinstance(last, nn.Linear)  # noqa: S101
     k = model.labels.circular
@@ -142,7 +213,7 @@ def _with_outputs(model: Model, correction: LinearCorrection) -> PoseNet:
         shift[k] = 0.0
     with torch.no_grad():
         weight, bias = last.weight[:count].double().cpu(), last.bias[:count].double().cpu()
-        last.weight[:count] = (matrix @ weight).to(last.weight)
+        last.weight[:count] = (matrix @ weight + further).to(last.weight)
         last.bias[:count] = (matrix @ bias + torch.from_numpy(shift / scale)).to(last.bias)
         if k is not None:  # its outputs are a sine, and last a cosine
             turn = Rotation.from_rotvec([0, 0, np.radians(correction.offset[k])]).as_matrix()[:2, :2]

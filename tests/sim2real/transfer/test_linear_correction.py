@@ -10,12 +10,18 @@ from helpers.trainings import NET, QUICK, quiet
 from tactip_twin.learning.data import read_splits
 from tactip_twin.learning.model import load_model
 from tactip_twin.sim.dataset.sampling import POSE_RANGES
-from tactip_twin.sim2real.transfer.linear_correction import corrected, fit_linear_correction, write_corrected
+from tactip_twin.sim2real.transfer.linear_correction import (
+    corrected,
+    features_of,
+    fit_linear_correction,
+    write_corrected,
+)
 from tactip_twin.sim2real.transfer.score import score
 from tactip_twin.tactip_model.errors import TactipError
 
 UNITS = ("mm", "°", "°")
 VARY = np.array([True, True, True])
+NONE = np.empty((100, 0))
 MATRIX = np.array([[1.15, 0.01, 0.0], [0.1, 0.95, -0.05], [0.0, 0.05, 1.1]])
 
 
@@ -27,10 +33,10 @@ def test_linear_errors_are_found():
     """Without noise, the prior has no weight: the labels come out exactly."""
     estimates = poses(40)
     labels = estimates @ MATRIX.T + [0.5, -3.0, 1.0]
-    correction = fit_linear_correction(estimates, labels, UNITS, VARY)
+    correction = fit_linear_correction(estimates, NONE[:40], labels, UNITS, VARY)
     assert np.allclose(correction.matrix, MATRIX, atol=1e-3)
     others = poses(100, seed=1)
-    assert np.allclose(correction(others), others @ MATRIX.T + [0.5, -3.0, 1.0], atol=1e-2)
+    assert np.allclose(correction(others, NONE), others @ MATRIX.T + [0.5, -3.0, 1.0], atol=1e-2)
     assert np.allclose(correction.freedoms, 4.0, atol=1e-2)
 
 
@@ -41,9 +47,9 @@ def test_few_noisy_frames_do_not_distort():
         true = poses(205, seed)
         estimates = (true - [0.4, 2.0, 0.0]) @ np.diag([0.87, 1.0, 1.0])
         labels = true + rng.normal(size=true.shape) * noise
-        correction = fit_linear_correction(estimates[:5], labels[:5], UNITS, VARY)
+        correction = fit_linear_correction(estimates[:5], NONE[:5], labels[:5], UNITS, VARY)
         before.append(np.abs(estimates[5:] - true[5:]).mean(0))
-        after.append(np.abs(correction(estimates[5:]) - true[5:]).mean(0))
+        after.append(np.abs(correction(estimates[5:], np.empty((200, 0))) - true[5:]).mean(0))
         assert np.all(np.abs(np.diag(correction.matrix) - 1) < 0.3)
         assert correction.freedoms[0] < 4
     assert np.mean(after, 0)[0] < 0.7 * np.mean(before, 0)[0]
@@ -54,9 +60,46 @@ def test_component_that_does_not_vary_gets_an_offset_only():
     estimates = poses(50)
     labels = estimates.copy()
     labels[:, 2] = 0.0
-    correction = fit_linear_correction(estimates, labels, UNITS, np.array([True, True, False]))
+    features = np.random.default_rng(1).normal(size=(50, 20))
+    correction = fit_linear_correction(estimates, features, labels, UNITS, np.array([True, True, False]))
+    assert not correction.by_features[2].any()
     assert np.array_equal(correction.matrix[2], [0, 0, 1]) and not correction.matrix[:2, 2].any()
-    assert correction.offset[2] == pytest.approx(-estimates[:, 2].mean(), abs=0.1)
+    assert correction.offset[2] == pytest.approx(-estimates[:, 2].mean(), abs=0.5)
+
+
+def labels_by_features(seed, factor):
+    """Return estimates, features and labels of 250 frames; 30 features change the labels by about `factor` mm."""
+    rng, estimates = np.random.default_rng(seed), poses(250, seed)
+    features = rng.normal(size=(250, 30)) * np.geomspace(3, 0.1, 30)
+    change = features @ rng.normal(size=(30, 3)) / 3 * [factor, 10 * factor, 10 * factor]
+    noise = rng.normal(size=(250, 3)) * [0.05, 0.5, 0.5]
+    return estimates, features, estimates + change + noise
+
+
+@pytest.mark.parametrize(("factor", "better"), [(0.3, 0.6), (0.0, 1.1)])
+def test_features_correct_what_poses_do_not_and_do_no_harm(factor, better):
+    without, with_features = [], []
+    for seed in range(10):
+        estimates, features, labels = labels_by_features(seed, factor)
+        for used, errors in ((features[:, :0], without), (features, with_features)):
+            correction = fit_linear_correction(estimates[:50], used[:50], labels[:50], UNITS, VARY)
+            errors.append(np.abs(correction(estimates[50:], used[50:]) - labels[50:]).mean(0))
+    assert (np.mean(with_features, 0) < better * np.mean(without, 0)).all()
+
+
+def test_frames_that_lag_behind_their_labels_count_less():
+    errors = {}
+    for lagging in (0, 6):
+        rng, found = np.random.default_rng(3), []
+        for seed in range(10):
+            true = poses(130, seed)
+            labels = true + rng.normal(size=true.shape) * [0.05, 0.5, 0.5]
+            labels[:lagging] += [0.8, 8.0, 8.0]
+            correction = fit_linear_correction(true[:30], NONE[:30], labels[:30], UNITS, VARY)
+            found.append(np.abs(correction(true[30:], NONE) - true[30:]).mean(0))
+        errors[lagging] = np.mean(found, 0)
+    assert (errors[6] < 0.5 * np.array([0.8, 8.0, 8.0]) * 6 / 30).all()  # least squares have all of their mean
+    assert (errors[0] < errors[6]).all()
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +116,7 @@ def test_correction_is_in_the_weights(trained):
     found, correction = corrected(model, samples)
     assert all((tensor == kept[name]).all() for name, tensor in model.net.state_dict().items())
     before, after = model.estimate(samples.images), found.estimate(samples.images)
-    assert np.allclose(after.means[:, :3], correction(before.means[:, :3]), atol=1e-4)
+    assert np.allclose(after.means[:, :3], correction(before.means[:, :3], features_of(model, samples.images)), atol=1e-4)
     assert np.allclose(after.means[:, 3:], before.means[:, 3:], atol=1e-6)
     errors = [np.abs(e.means[:, :3] - samples.targets).mean(0) for e in (before, after)]
     assert (errors[1] < errors[0]).all()
