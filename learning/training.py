@@ -13,7 +13,7 @@ import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import torch
@@ -37,21 +37,12 @@ from tactip_twin.sim.dataset.format import EFFECTIVE_SHEARS, FORCES
 from tactip_twin.tactip_model.errors import TactipError
 
 
-class HasRate(Protocol):
-    """Settings with a learning rate."""
-
-    @property
-    def learning_rate(self) -> float:
-        """Learning rate."""
-        ...
-
-
 def paper_rate(settings: TrainSettings, step: int, steps: int) -> float:
     """Return the learning rate at a step, rate / (1 + decay × step), as in the paper's library [P]."""
     return settings.learning_rate / (1 + settings.learning_rate_decay * step)
 
 
-def cosine_rate(settings: HasRate, step: int, steps: int) -> float:
+def cosine_rate(settings: TrainSettings, step: int, steps: int) -> float:
     """Return the learning rate at a step of `steps`: linear warm-up over the first twentieth, cosine decay to zero."""
     warm = max(1, steps // 20)
     return (

@@ -95,7 +95,7 @@ def command_of(name, lab, folder, out):
     if name == "transfer":
         script.write_text(TRANSFER)
         sizes = ["--contacts", "12", "--val-contacts", "10", "--fidelity", "draft", "--steps", "10", "--workers", "1"]
-        tuning = ["--real-train-frames", "30", "--shots", "10", "--fine-tuning-steps", "10"]
+        tuning = ["--real-train-frames", "30", "--shots", "10"]
         real = ["--real", str(lab / "set"), "--out", str(out)]
         return [sys.executable, str(script), "transfer", "few-shot", *real, *sizes, *tuning]
     return [TACTIP, *SERVO, "--out", str(out)]

@@ -1,1 +1,1 @@
-"""Networks trained in simulation on real frames: experiments, fine-tuning, gaps."""
+"""Networks trained in simulation on real frames: experiments, correction by some frames, gaps."""

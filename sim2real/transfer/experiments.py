@@ -1,7 +1,7 @@
 """Transfer from simulation to a real sensor: without any real label, and with a few.
 
     a real set ── neutral image ──► design ── contacts, randomized mechanics ──► network ──► real test frames
-               └─ some frames with labels ──────────────────────────────────► fine-tuned ──┘
+               └─ some frames with labels ───────────────────────────────────► corrected ──┘
 
 Each finished step is kept in OUT and not repeated, so an interrupted command resumes.
 """
@@ -32,10 +32,9 @@ from tactip_twin.sim.labels import FidelityName, Task
 from tactip_twin.sim.parallel.worker_pool import worker_count
 from tactip_twin.sim.pose import from_mm_deg
 from tactip_twin.sim2real.importing.import_set import read_report
-from tactip_twin.sim2real.transfer.fine_tune import FineTuning, fine_tune
 from tactip_twin.sim2real.transfer.gel import with_other_gels, with_usual_gel
 from tactip_twin.sim2real.transfer.initial_network import shipped_network_for
-from tactip_twin.sim2real.transfer.linear_correction import MIN_FRAMES, corrected, features_of, write_corrected
+from tactip_twin.sim2real.transfer.linear_correction import MIN_FRAMES, write_corrected
 from tactip_twin.sim2real.transfer.neutral_calibration import camera_of, nearest_nominal_design
 from tactip_twin.sim2real.transfer.real_sensor import RealSensor
 from tactip_twin.sim2real.transfer.real_shear import real_shear
@@ -352,22 +351,6 @@ class Experiment:
         train(known.take(slice(val, None)), known.take(slice(0, val)), network, plain, folder, self._device, self.log)
         return load_model(folder)
 
-    def tuned(self, count: int) -> Model:
-        """Return the network trained on simulation and fine-tuned with `count` real frames.
-
-        Before that, it is corrected linearly, and simulated contacts get the labels that the real rig would give them:
-        with their own, they would teach it the errors again.
-        """
-        folder, real = self.out / f"network-sim-and-{count}", self.split.known.take(slice(0, count))
-        network, (trained, _) = self.network(), self.simulated()
-        base = network
-        if count >= MIN_FRAMES:
-            base, correction = corrected(network, real)
-            trained = replace(trained, targets=correction(trained.targets, features_of(network, trained.images)))
-        settings = FineTuning(self.settings.seed, self.settings.fine_tuning_steps, optics_ranges=self.optics())
-        fine_tune(base, trained, real, settings, folder, self._device, self.log)
-        return load_model(folder)
-
     def corrected(self, count: int) -> Model:
         """Return the network trained on simulation with its output corrected linearly by `count` real frames."""
         folder = self.out / f"network-sim-corrected-by-{count}"
@@ -402,16 +385,15 @@ def zero_shot(experiment: Experiment) -> dict[str, Any]:
 
 
 def few_shot(experiment: Experiment) -> dict[str, Any]:
-    """Return the errors of the network corrected by some real frames, of the network fine-tuned with them, and of one
-    trained on these only; and of one trained on all."""
+    """Return the errors of the network corrected by some real frames, and of networks trained on these only and on all."""
     known = len(experiment.split.known)
-    counts = [n for n in experiment.settings.shots if n <= known]
+    counts = [n for n in experiment.settings.shots if MIN_FRAMES <= n <= known]
     for n in sorted(set(experiment.settings.shots) - set(counts)):
-        experiment.log(f"not with {n} real frames: the set has {known} to train on (--real-train-frames)")
-    out = {"0": {"fine_tuned": experiment.score(experiment.network())}}
+        why = f"the set has {known} to train on (--real-train-frames)" if n > known else f"at least {MIN_FRAMES} are needed"
+        experiment.log(f"not with {n} real frames: {why}")
+    out: dict[str, Any] = {}
     for n in counts:
-        networks = {"corrected": experiment.corrected} if n >= MIN_FRAMES else {}
-        networks["fine_tuned"] = experiment.tuned
+        networks = {"corrected": experiment.corrected}
         if n >= _MIN_TRAIN_FRAMES:
             networks["alone"] = experiment.real_network
         out[str(n)] = {name: experiment.score(network(n)) for name, network in networks.items()}

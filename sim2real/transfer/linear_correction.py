@@ -8,10 +8,12 @@ of all layers would learn the frames by heart. The correction goes into the weig
 network like any other.
 """
 
+import hashlib
 from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -20,10 +22,9 @@ from torch import nn
 
 from tactip_twin.learning.data import Samples
 from tactip_twin.learning.deviation_scale import DeviationScale, fit_deviation_scale
-from tactip_twin.learning.model import WEIGHTS, Estimates, Model, save_model
+from tactip_twin.learning.model import DESCRIPTION, WEIGHTS, Estimates, Model, net_sha256, read_description, save_model
 from tactip_twin.learning.posenet import PoseNet
 from tactip_twin.sim.parallel.resume import check_resumable
-from tactip_twin.sim2real.transfer.fine_tune import origin, recorded
 from tactip_twin.sim2real.transfer.score import MIN_SPREAD
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.files import remove_leftovers
@@ -236,8 +237,8 @@ def write_corrected(model: Model, real: Samples, folder: str | Path, log: Callab
         TactipError: If the folder holds something else, or there are too few real samples.
     """
     folder = Path(folder)
-    record = origin(model, real)
-    if check_resumable(folder, "corrected network", recorded(folder, record, "linear_correction"), record, own=(WEIGHTS,)):
+    record = _record(model, real)
+    if check_resumable(folder, "corrected network", _recorded(folder, record), record, own=(WEIGHTS,)):
         log(f"{folder} already holds this network")
         return
     found, correction = corrected(model, real)
@@ -246,3 +247,18 @@ def write_corrected(model: Model, real: Samples, folder: str | Path, log: Callab
     numbers = {name: np.round(getattr(correction, name), 6).tolist() for name in ("matrix", "middle", "offset")}
     provenance = model.provenance | record | {"linear_correction": numbers}
     save_model(folder, found.net.state_dict(), model.config, model.labels, model.size, provenance, found.deviation_scale)
+
+
+def _record(model: Model, real: Samples) -> dict[str, Any]:
+    """Return, as JSON, the initial network, the real samples and the function by which it is corrected."""
+    chosen = hashlib.sha256(real.rows.astype("<i8").tobytes()).hexdigest()
+    samples = {"digest": real.dataset.meta["digest"], "samples": len(real), "chosen": chosen}
+    return {"initial_weights": net_sha256(model.net), "real": samples, "corrected_by": "poses and features"}
+
+
+def _recorded(folder: Path, record: dict[str, Any]) -> dict[str, Any] | None:
+    """Return what the provenance of a folder's corrected network has for the keys of `record`; None without one."""
+    if not (folder / DESCRIPTION).exists():
+        return None
+    provenance = read_description(folder)["provenance"]
+    return {key: provenance.get(key) for key in record} if "linear_correction" in provenance else None

@@ -107,7 +107,8 @@ def advice(linear: Mapping[str, Any]) -> list[str]:
     if leaks:
         worst = ", ".join(f"{name} by {_leak(name, linear[name])}" for name in leaks)
         out.append(
-            f"Shear leaks into the pose: {worst}. Friction or the thickness of the skin differ: calibrate, or fine-tune."
+            f"Shear leaks into the pose: {worst}. Friction or the thickness of the skin differ: calibrate, or correct by "
+            "labelled frames."
         )
     # Depth in a tilt about x or y changes by the distance times the sine of the tilt.
     cross = linear.get("pose_z", {}).get("cross", {})

@@ -24,7 +24,6 @@ _NAMES = {
     "simulation": "trained in simulation",
     "real": "trained on all real training frames",
     "corrected": "trained in simulation and corrected linearly by {} real frames",
-    "fine_tuned": "trained in simulation and fine-tuned on {} real frames",
     "alone": "trained on {} real frames only",
 }
 
@@ -117,7 +116,7 @@ def _rows(experiment: str, results: Mapping[str, Any]) -> Iterator[tuple[str, di
     for name, figures in results.items():
         if experiment == "few-shot":
             for part, inner in figures.items():
-                if name != "0":  # the network of zero-shot
+                if part in _NAMES:  # results of an earlier version have more
                     yield _NAMES[part].format(name), inner
         elif experiment == "zero-shot" or name.startswith("without"):
             yield _NAMES.get(name, f"trained in simulation {name}"), figures

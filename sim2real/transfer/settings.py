@@ -51,7 +51,7 @@ class TransferSettings:
     """Number of real frames to train on, in experiments that use real labels; all others are for testing. Default: 1500,
     or three fifths of a smaller set."""
     shots: tuple[int, ...] = (10, 50, 100, 500)
-    """Numbers of real frames to correct by and to fine-tune on."""
+    """Numbers of real frames to correct by, at least 10."""
     randomize_mechanics: Mechanics = AUTO
     """Randomization of the mechanics (sim/dataset/mechanics_randomization.py). estimated: a little, around materials that
     explain the pins of frames best, whatever their labels; auto: estimated where these explain the pins much better than
@@ -74,8 +74,6 @@ class TransferSettings:
     weights. auto: the shipped network for as many pins, which on edges knows any materials; none on surfaces of 331 pins."""
     gap_frames: int = within(8, 10**5, default=150)
     """Number of real frames to compare with simulated ones."""
-    fine_tuning_steps: int = within(1, 10**6, default=800)
-    """Number of steps of a fine-tuning."""
     seed: int = within(0, 2**31, default=0)
     """Seed of sets, trainings and the split of the real frames."""
 
