@@ -57,6 +57,9 @@ _MIN_NOISE = 1e-4
 _ROUNDS = 10
 """Number of rounds in which coefficients, noise and weights of frames are estimated in turn."""
 
+_MIN_REST = 0.05
+"""Minimum part of a frame's error that its own label leaves, -: below it, rounding decides."""
+
 _SCALE_FRAMES = 3
 """Number of frames from which the factors on the standard deviations are believed by half [?]."""
 
@@ -76,8 +79,8 @@ class LinearCorrection:
     """(k, f)."""
     middle_features: np.ndarray
     """(f,)."""
-    freedoms: np.ndarray
-    """(k,) Number of coefficients of each component that the frames determine."""
+    leverages: np.ndarray
+    """(n, k) Change of the corrected pose of each of the frames per change of its own label, -, 0 to 1."""
 
     def __call__(self, poses: np.ndarray, features: np.ndarray) -> np.ndarray:
         """Return corrected poses (n, k) of poses (n, k) and features (n, f)."""
@@ -102,7 +105,7 @@ def fit_linear_correction(
             offset only.
     """
     count, middle, middle_features = len(units), poses.mean(0), features.mean(0)
-    matrix, offset, freedoms = np.eye(count), np.zeros(count), np.ones(count)
+    matrix, offset, leverages = np.eye(count), np.zeros(count), np.zeros(poses.shape)
     by_features = np.zeros((count, features.shape[1]))
     widest = np.linalg.norm(features - middle_features, 2) / np.sqrt(len(features)) if features.size else 0.0
     terms = np.flatnonzero(varies)
@@ -119,8 +122,8 @@ def fit_linear_correction(
         matrix[k, used] += best.coefficients[: len(used)]
         offset[k] = best.coefficients[len(used)]
         by_features[k, : extra.shape[1]] = best.coefficients[len(used) + 1 :]
-        freedoms[k] = best.freedoms
-    return LinearCorrection(matrix, middle, offset, by_features, middle_features, freedoms)
+        leverages[:, k] = best.leverages
+    return LinearCorrection(matrix, middle, offset, by_features, middle_features, leverages)
 
 
 @dataclass(frozen=True)
@@ -129,8 +132,8 @@ class _Fit:
 
     coefficients: np.ndarray
     """(c,)."""
-    freedoms: float
-    """Number of them that the frames determine."""
+    leverages: np.ndarray
+    """(n,) Change of what they explain of each frame per change of what is wrong there, -."""
     evidence: float
     """Logarithm of the probability of the frames, whatever the coefficients, up to a constant."""
 
@@ -139,18 +142,15 @@ def _fitted(columns: np.ndarray, wrong: np.ndarray, spreads: np.ndarray) -> _Fit
     """Return the coefficients of columns (n, c) that explain what is wrong (n,), with standard deviations (c,) before."""
     noise, weights = max(float(wrong.std()), _MIN_NOISE), np.ones(len(wrong))
     spread = (columns * spreads) @ (columns * spreads).T  # covariance of what the coefficients may explain
-    freedoms, expected = 1.0, wrong
     for _ in range(_ROUNDS):
-        both = spread + np.diag(noise**2 / weights)
-        expected = spread @ np.linalg.solve(both, wrong)
-        freedoms = float(np.trace(np.linalg.solve(both, spread)))
-        rest = np.square(wrong - expected)
-        noise = max(np.sqrt(weights @ rest / max(len(wrong) - freedoms, 1.0)), _MIN_NOISE)
+        smoother = spread @ np.linalg.inv(spread + np.diag(noise**2 / weights))
+        rest = np.square(wrong - smoother @ wrong)
+        noise = max(np.sqrt(weights @ rest / max(len(wrong) - np.trace(smoother), 1.0)), _MIN_NOISE)
         weights = (_TAIL + 1) / (_TAIL + rest / noise**2)
     both = spread + np.diag(noise**2 / weights)
-    explained = np.linalg.solve(both, wrong)
-    evidence = -0.5 * (wrong @ explained + np.linalg.slogdet(both)[1])
-    return _Fit(spreads**2 * (columns.T @ explained), freedoms, float(evidence))
+    inverse = np.linalg.inv(both)
+    evidence = -0.5 * (wrong @ inverse @ wrong + np.linalg.slogdet(both)[1])
+    return _Fit(spreads**2 * (columns.T @ (inverse @ wrong)), np.diag(spread @ inverse), float(evidence))
 
 
 def corrected(model: Model, real: Samples) -> tuple[Model, LinearCorrection]:
@@ -176,7 +176,7 @@ def corrected(model: Model, real: Samples) -> tuple[Model, LinearCorrection]:
     if estimates.deviations is None:
         return replace(model, net=net), correction
     errors = correction(poses, features) - real.targets
-    errors = errors * np.sqrt(len(real) / np.maximum(len(real) - correction.freedoms, 1.0))
+    errors = errors / np.maximum(1 - correction.leverages, _MIN_REST)  # as if each frame had been left out of the fit
     found = fit_deviation_scale(errors, estimates.deviations[:, :count], None).factors[0]
     factors = np.ones(len(model.columns))
     factors[:count] = np.array(found) ** (len(real) / (len(real) + _SCALE_FRAMES))

@@ -37,7 +37,7 @@ def test_linear_errors_are_found():
     assert np.allclose(correction.matrix, MATRIX, atol=1e-3)
     others = poses(100, seed=1)
     assert np.allclose(correction(others, NONE), others @ MATRIX.T + [0.5, -3.0, 1.0], atol=1e-2)
-    assert np.allclose(correction.freedoms, 4.0, atol=1e-2)
+    assert np.allclose(correction.leverages.sum(0), 4.0, atol=1e-2)
 
 
 def test_few_noisy_frames_do_not_distort():
@@ -51,7 +51,7 @@ def test_few_noisy_frames_do_not_distort():
         before.append(np.abs(estimates[5:] - true[5:]).mean(0))
         after.append(np.abs(correction(estimates[5:], np.empty((200, 0))) - true[5:]).mean(0))
         assert np.all(np.abs(np.diag(correction.matrix) - 1) < 0.3)
-        assert correction.freedoms[0] < 4
+        assert correction.leverages[:, 0].sum() < 4
     assert np.mean(after, 0)[0] < 0.7 * np.mean(before, 0)[0]
     assert np.mean(after, 0)[1] < 0.7 * np.mean(before, 0)[1]
 
