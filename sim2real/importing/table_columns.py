@@ -26,6 +26,9 @@ _MAX_SCALE = 5.0
 """Largest ratio, up or down, of an estimate to what a column says in one of its units. Estimates are up to three times too
 small, because skin slips [?]; a column that is not so is another one's trace, as the height of a shear on a tilted table."""
 
+_MAX_TILT_SCALE = 2.0
+"""The same of a tilt, which does not slip [?]. A twist of the skin at an edge shows as a fifth of a tilt [M]."""
+
 Known = Mapping[str, tuple[float, str | None, float]]
 """Columns that are given: (factor, column, offset) by our components."""
 
@@ -129,9 +132,10 @@ def explaining(
     """Return up to two columns that explain a complex estimate (n,), in directions that are about square to each other, and
     the columns that say something else."""
     chosen: list[str] = []
+    tilts = components[0].startswith("R")
     left, others = estimate, list(free)
     for _ in range(2):
-        possible = [name for name in others if is_to_scale(columns.of(name), left, components[0])]
+        possible = [name for name in others if is_to_scale(columns.of(name), left, components[0], tilts=tilts)]
         r = {name: correlation(columns.of(name), left) for name in possible}
         if chosen:
             first = np.angle(correlation(columns.of(chosen[0]), estimate))
@@ -192,12 +196,13 @@ _UNIT = re.compile(r"[\s_]*[(\[]?(?:mm|cm|m|deg|degrees|rad|°)[)\]]?$")
 """A unit at the end of a column's name, in small letters."""
 
 
-def is_to_scale(column: np.ndarray, estimate: np.ndarray, component: str) -> bool:
+def is_to_scale(column: np.ndarray, estimate: np.ndarray, component: str, *, tilts: bool = False) -> bool:
     """Return whether an estimate of a component (n,), real or complex, changes with a column (n,) about as much as it says,
-    in one of its units; both without mean."""
+    in one of its units; both without mean. `tilts`: whether it is a tilt of the pose, which no skin follows by a part."""
     slope = abs((column * estimate).sum()) / (column**2).sum()
     factor, _ = nearest_unit(float(slope), "angle" if component.startswith("R") else "pose")
-    return 1 / _MAX_SCALE < slope / factor < _MAX_SCALE
+    largest = _MAX_TILT_SCALE if tilts else _MAX_SCALE
+    return 1 / largest < slope / factor < largest
 
 
 def nearest_unit(slope: float, kind: str) -> tuple[float, str]:

@@ -94,6 +94,20 @@ def test_trace_of_the_shear_in_another_column_is_not_taken_for_it(task):
     assert "shear_x=shear_x" in columns and "shear_z" not in " ".join(columns)
 
 
+def test_trace_of_the_twist_in_the_tilt_is_not_taken_for_a_tilt():
+    """A skin of other mechanics than expected shows a twist at an edge as a small tilt, too."""
+    rng = np.random.default_rng(4)
+    poses, shears, contacts = contacts_of("edge", rng)
+    tilted = contacts.poses.copy()
+    tilted[:, 3] = rng.normal(0, 1.0, COUNT)
+    tilted[:, 4] = 0.2 * shears[:, 5] + rng.normal(0, 1.0, COUNT)
+    contacts = replace(contacts, poses=tilted, optima=tuple(replace(one, poses=tilted) for one in contacts.optima))
+    table = {"depth": poses[:, 2], "yaw": poses[:, 5], "across": poses[:, 0], "shear_Rz": shears[:, 5]}
+    cells = {name: [f"{x:.6g}" for x in column] for name, column in table.items()}
+    columns = find_conventions(cells, contacts, ColumnMap(task="edge")).column_map.columns
+    assert not any(spec.startswith(("pose_Rx", "pose_Ry")) for spec in columns)
+
+
 def test_other_columns_that_follow_the_depth_are_not_taken_for_it():
     """Forces, times and depths in other units follow it as well as the depth does."""
     rng = np.random.default_rng(5)
@@ -171,7 +185,7 @@ def test_few_noisy_frames_are_refused_with_both_readings():
     contacts = EstimatedContacts(
         np.arange(few), estimated, np.ones((few, 6)), shown, np.ones(few), nothing[0], nothing, nothing
     )
-    cells = {name: [f"{x:.6g}" for x in column] for name, column in {"z": depth, "b": tilt, "d": shear}.items()}
+    cells = {name: [f"{x:.6g}" for x in column] for name, column in {"z": depth, "b": 20 * tilt, "d": shear}.items()}
     with pytest.raises(TactipError, match="equally well for two readings of the table: pose_Ry=b shear_x=d"):
         find_conventions(cells, contacts, ColumnMap())
     shown[:, 0] = 4 * (0.95 * shear + 0.3 * noise)
