@@ -25,6 +25,7 @@ from tactip_twin.sim2real.importing.table_columns import (
     column_spec,
     correlation,
     explaining,
+    is_named_shear,
     is_to_scale,
     nearest_unit,
     plainness,
@@ -37,6 +38,10 @@ _MAX_UNEXPLAINED = 0.6
 _MAX_UNCLEAR_DEG = 2.0
 """Mean difference of the labels of two readings that fit equally well, degrees, above which none is taken [?]."""
 
+
+_CERTAIN_TILT = 0.6
+"""Correlation with the tilts from which a column that is named as a shear is one all the same [?]. A twist shows as a tilt
+where the friction is far from the expected one: 0.49 on a hidden sensor [M]."""
 
 _INDEPENDENT, _YAW_SPREAD_RAD, _OUTLIERS = 10.0, 0.2, 0.05
 """Choice among the optima of an edge's yaw: number of independent measurements in a frame, standard deviation of a right
@@ -193,15 +198,16 @@ def _tilts_on_edge(
 ) -> tuple[list[str], list[str]]:
     """Return the columns that explain the tilts, and those that are left. A tilt before the yaw turns with the sensor, one
     after it does not: both are tried. A column that explains shear or offset better is none, because these show as tilt
-    too."""
+    too; nor is one whose name says that it is a shear, unless it explains them very well."""
     shown = Columns(columns.names, columns.values[clear])
     normals = [turn.apply([0.0, 0.0, 1.0]) for turn in (estimated, estimated.inv())]
     tilted = [180 / np.pi * centred(normal[:, 0] + 1j * normal[:, 1]) for normal in normals]  # degrees, small angles
+    explained = {one: max(abs(correlation(shown.of(one), tilt)) for tilt in tilted) for one in free}
     taken = [
         one
         for one in free
-        if max(abs(correlation(columns.of(one), other)) for other in others)
-        > max(abs(correlation(shown.of(one), tilt)) for tilt in tilted)
+        if max(abs(correlation(columns.of(one), other)) for other in others) > explained[one]
+        or (is_named_shear(one) and explained[one] < _CERTAIN_TILT)
     ]
     options = [explaining(shown, [one for one in free if one not in taken], tilt, ("Rx", "Ry")) for tilt in tilted]
     tilts, left = max(options, key=lambda option: len(option[0]))

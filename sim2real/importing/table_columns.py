@@ -192,6 +192,14 @@ def _sounds_like(name: str, component: str) -> bool:
     return low == component or low.endswith(("_" + component, " " + component)) or _SUFFIXES.get(low[-1:]) == component
 
 
+def is_named_shear(name: str) -> bool:
+    """Return whether a column's name says that it is a part of a move in contact."""
+    return bool(_SHEAR.search(name.lower()))
+
+
+_SHEAR = re.compile(r"shear|move|slide|twist")
+"""Names, in small letters, of columns of a move in contact."""
+
 _UNIT = re.compile(r"[\s_]*[(\[]?(?:mm|cm|m|deg|degrees|rad|°)[)\]]?$")
 """A unit at the end of a column's name, in small letters."""
 
