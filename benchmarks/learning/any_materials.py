@@ -47,16 +47,14 @@ their tool centre points are not the apex and their depth is off [M]."""
 
 
 _GEL_POISSON, _GEL_COMPRESSIBILITY = 0.46, 7.0
-"""Middle of the Poisson's ratios of the gels on surfaces, and largest factor of 1 - 2 times it: 0.22 to 0.494. On edges, the
-gel is the design's."""
+"""Middle of the Poisson's ratios of the gels, and largest factor of 1 - 2 times it: 0.22 to 0.494."""
 
 
 def jobs(options: AnyMaterialsOptions) -> list[Job]:
     """Return the sets."""
-    design, mechanics = load_design("tactip-127"), MECHANICS_RANDOMIZATIONS["wide"]
-    if options.task == "surface":
-        design = replace(design, materials=replace(design.materials, gel_poisson=_GEL_POISSON))
-        mechanics = replace(mechanics, gel_compressibility=_GEL_COMPRESSIBILITY)
+    design = load_design("tactip-127")
+    design = replace(design, materials=replace(design.materials, gel_poisson=_GEL_POISSON))
+    mechanics = replace(MECHANICS_RANDOMIZATIONS["wide"], gel_compressibility=_GEL_COMPRESSIBILITY)
     counts = {"val": options.test_contacts, "test": options.test_contacts, "train": options.contacts}
     return [
         Job(

@@ -152,6 +152,7 @@ def _measured(sensor: Sensor, folder: Path, options: HiddenSensorsOptions, log: 
         "task": sensor.task,
         "pins": len(neutral_pins(design)[0]),
         "friction": sensor.friction,
+        "gel_poisson": design.materials.gel_poisson,
         "neutral_image": sensor.neutral_image,
     }
     try:
@@ -209,6 +210,9 @@ def _certain(estimates: Estimates, samples: Samples) -> dict[str, float]:
     return dict(zip(samples.labels.names, np.take_along_axis(errors, kept, 0).mean(0).tolist(), strict=True))
 
 
+_EARLIER_GEL = 0.49
+"""Poisson's ratio of the gel of sensors that an earlier state of this benchmark measured."""
+
 _SHOWN = {
     "surface": {"pose_z": "depth, mm", "pose_Rx": "roll, °", "pose_Ry": "pitch, °"},
     "edge": {"pose_x": "beside, mm", "pose_z": "depth, mm", "pose_Rz": "yaw, °"},
@@ -220,13 +224,14 @@ def tables(result: dict[str, Any]) -> dict[str, str]:
     """Return the tables of the page."""
     out = {}
     for task, shown in _SHOWN.items():
-        head = ["sensor", "pins", "friction", "neutral image", "time, min", *shown.values()]
+        head = ["sensor", "pins", "friction", "gel", "neutral image", "time, min", *shown.values()]
         head += [f"{what} after {SHOTS} frames" for what in shown.values()]
         rows, inside, certain = [], [], []
         for name, one in result["sensors"].items():
             if one["task"] != task:
                 continue
-            what = [name, one["pins"], f"{one['friction']:g}", "yes" if one["neutral_image"] else "no"]
+            gel = one.get("gel_poisson", _EARLIER_GEL)
+            what = [name, one["pins"], f"{one['friction']:g}", f"{gel:.2f}", "yes" if one["neutral_image"] else "no"]
             if "refused" in one:
                 rows.append([*what, "refused", *[""] * (2 * len(shown))])
                 continue
@@ -236,7 +241,7 @@ def tables(result: dict[str, Any]) -> dict[str, str]:
             inside.append([name, *(100 * one["coverage"][f"coverage_{p}"][c] for c in shown for p in (68, 95))])
             if "certain" in one:  # results of an earlier state of this benchmark have none
                 certain.append([name, *(f"{one['certain'][c]:.2f}" for c in shown)])
-        target = ["target", "", "", "", "", *(f"{TARGETS[task][c]:g}" for c in shown), *[""] * len(shown)]
+        target = ["target", *[""] * 5, *(f"{TARGETS[task][c]:g}" for c in shown), *[""] * len(shown)]
         out[task] = table(head, [*rows, target])
         covered = [f"{what.partition(',')[0]}, {p} %" for what in shown.values() for p in (68, 95)]
         if inside:

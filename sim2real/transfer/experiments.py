@@ -246,7 +246,7 @@ class Experiment:
         if variant.calibrated:
             design = self.design()
         else:
-            design = with_usual_gel(nearest_nominal_design(self._pins(), self.samples.size), self._stimulus)
+            design = with_usual_gel(nearest_nominal_design(self._pins(), self.samples.size))
         jobs = [self._job(design, variant, split) for split in ("val", "train")]
         make(jobs, self._workers, self.log)
         val, trained = (read_samples(job.folder) for job in jobs)
@@ -264,7 +264,7 @@ class Experiment:
         symmetric = split == "train" and self.task == "surface"
         randomization = MECHANICS_RANDOMIZATIONS[self._mechanics(variant)]
         if not (variant.calibrated and s.design):  # a given design has its own gel
-            randomization = with_other_gels(randomization, self._stimulus)
+            randomization = with_other_gels(randomization)
         path, digest = self._learned_tip(design, randomized=not randomization.is_identity)
         configuration = Configuration(
             task=self.task,

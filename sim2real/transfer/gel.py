@@ -8,7 +8,6 @@ hardly tell that from a shallower contact, so a network that has learned one rat
 from dataclasses import replace
 
 from tactip_twin.sim.dataset.mechanics_randomization import MechanicsRandomization
-from tactip_twin.sim.labels import Task
 from tactip_twin.tactip_model.design import Design
 
 _POISSON, _COMPRESSIBILITY = 0.467, 3.3
@@ -17,21 +16,14 @@ from the 0.49 of simulated designs to 0.39, below both that calibrations found. 
 wider ranges read more of the depth on them, and too much on simulated sensors (docs/transfer.md)."""
 
 
-def with_usual_gel(design: Design, task: Task) -> Design:
-    """Return a design with the usual gel of a real tip, for contacts of a task.
-
-    On edges, it remains the design's: the learned tip of any materials knows one gel there.
-    """
-    if task == "edge":
-        return design
+def with_usual_gel(design: Design) -> Design:
+    """Return a design with the usual gel of a real tip."""
     return replace(design, materials=replace(design.materials, gel_poisson=_POISSON))
 
 
-def with_other_gels(randomization: MechanicsRandomization, task: Task) -> MechanicsRandomization:
-    """Return a randomization whose gels vary as those of real tips do, for contacts of a task, around the usual gel.
-
-    One that varies nothing remains so.
-    """
-    if task == "edge" or randomization.is_identity:
+def with_other_gels(randomization: MechanicsRandomization) -> MechanicsRandomization:
+    """Return a randomization whose gels vary as those of real tips do, around the usual gel; one that varies nothing remains
+    so."""
+    if randomization.is_identity:
         return randomization
     return replace(randomization, gel_compressibility=_COMPRESSIBILITY)

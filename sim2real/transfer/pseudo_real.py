@@ -1,7 +1,7 @@
 """A pseudo-real sensor: a second simulated tip with hidden parameters, whose set has the format in which a laboratory would
 publish it. Every step with a real set can thus be tried and tested without one. The hidden parameters are sampled from a
-seed: mechanics (sim/dataset/mechanics_randomization.py), camera, pins, light at the rim; frames are larger than tactile
-images, with specks.
+seed: mechanics (sim/dataset/mechanics_randomization.py), the gel's Poisson's ratio, camera, pins, light at the rim; frames
+are larger than tactile images, with specks.
 """
 
 import csv
@@ -43,6 +43,9 @@ _RIM_DIAMETERS = {"nominal-127": (0.9, 1.15), "nominal-331": (0.8, 0.95)}
 """Factors of the apparent diameter of the outermost pins by preset. In the nominal 331-pin tip they almost touch; cameras
 are adjusted until they do not."""
 
+_GEL_POISSON = (0.41, 0.48)
+"""Range of the gel's Poisson's ratio: around those that calibrations of two real tips find, 0.46 and 0.42 (gel.py)."""
+
 COLUMN_MAP = ColumnMap(columns=("pose_z=-depth", "pose_Rx=roll", "pose_Ry=pitch", "pose_Rz=yaw", "pose_x=across"))
 """Conventions of its table: depth is positive into the object."""
 
@@ -66,6 +69,8 @@ def hidden_design(name: str, seed: int, friction: float | None = None, pins: Pin
     """
     rng = np.random.default_rng((seed, 77))
     plain = MECHANICS_RANDOMIZATIONS["real"].sample(design_named(name), rng)
+    gel = float(np.random.default_rng((seed, 81)).uniform(*_GEL_POISSON))
+    plain = replace(plain, materials=replace(plain.materials, gel_poisson=gel))
     if friction is not None:
         plain = replace(plain, materials=replace(plain.materials, friction=friction))
     if pins is not None:

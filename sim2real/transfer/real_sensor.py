@@ -97,7 +97,7 @@ class RealSensor:
         """Return the design that neutral image and frames show; that of an earlier command if it was estimated from them."""
         self._log("fitting tip and camera to the neutral image")
         fitted, figures = fit_design_to_neutral_image(self._real, self._size_px)
-        fitted = with_usual_gel(fitted, self._task)
+        fitted = with_usual_gel(fitted)
         blobs = self._blobs()
         inputs, path = self._checksum(fitted, blobs), self._out / "design.json"
         if path.exists() and (kept := self._kept(path, inputs)):
