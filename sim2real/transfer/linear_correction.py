@@ -140,17 +140,25 @@ class _Fit:
 
 def _fitted(columns: np.ndarray, wrong: np.ndarray, spreads: np.ndarray) -> _Fit:
     """Return the coefficients of columns (n, c) that explain what is wrong (n,), with standard deviations (c,) before."""
-    noise, weights = max(float(wrong.std()), _MIN_NOISE), np.ones(len(wrong))
-    spread = (columns * spreads) @ (columns * spreads).T  # covariance of what the coefficients may explain
+    noise, weights, x = max(float(wrong.std()), _MIN_NOISE), np.ones(len(wrong)), columns * spreads
     for _ in range(_ROUNDS):
-        smoother = spread @ np.linalg.inv(spread + np.diag(noise**2 / weights))
-        rest = np.square(wrong - smoother @ wrong)
-        noise = max(np.sqrt(weights @ rest / max(len(wrong) - np.trace(smoother), 1.0)), _MIN_NOISE)
-        weights = (_TAIL + 1) / (_TAIL + rest / noise**2)
-    both = spread + np.diag(noise**2 / weights)
-    inverse = np.linalg.inv(both)
-    evidence = -0.5 * (wrong @ inverse @ wrong + np.linalg.slogdet(both)[1])
-    return _Fit(spreads**2 * (columns.T @ (inverse @ wrong)), np.diag(spread @ inverse), float(evidence))
+        weighted = x.T * (weights / noise**2)
+        whole = weighted @ x + np.eye(x.shape[1])
+        found = np.linalg.solve(whole, weighted)
+        leverages = np.einsum("ij,ji->i", x, found)
+        rest = wrong - x @ (found @ wrong)
+        noise = max(float(np.sqrt(weights @ rest**2 / max(len(wrong) - leverages.sum(), 1.0))), _MIN_NOISE)
+        weights = (_TAIL + 1) / (_TAIL + (rest / noise) ** 2)
+    precisions = weights / noise**2
+    weighted = x.T * precisions
+    whole = weighted @ x + np.eye(x.shape[1])
+    found = np.linalg.solve(whole, weighted)
+    explained = found @ wrong
+    # Of a normal distribution with the covariance x @ x.T + diag(1 / precisions), by Woodbury's identity.
+    evidence = -0.5 * (
+        wrong @ (precisions * (wrong - x @ explained)) + np.linalg.slogdet(whole)[1] - np.log(precisions).sum()
+    )
+    return _Fit(spreads * explained, np.einsum("ij,ji->i", x, found), float(evidence))
 
 
 def corrected(model: Model, real: Samples) -> tuple[Model, LinearCorrection]:
@@ -166,7 +174,7 @@ def corrected(model: Model, real: Samples) -> tuple[Model, LinearCorrection]:
     if len(real) < MIN_FRAMES:
         raise TactipError(f"a linear correction needs at least {MIN_FRAMES} real frames, got {len(real)}")
     count = len(model.labels.components)
-    estimates, features = _estimates(model, real.images)
+    estimates, features = estimates_and_features(model, real.images)
     poses = model.labels.unwrapped(estimates.means[:, :count], real.targets)
     varies = real.targets.std(0) > MIN_SPREAD * model.labels.scale  # the others get an offset only
     if model.labels.circular is not None:
@@ -184,12 +192,7 @@ def corrected(model: Model, real: Samples) -> tuple[Model, LinearCorrection]:
     return replace(model, net=net, deviation_scale=before.times(factors)), correction
 
 
-def features_of(model: Model, images: np.ndarray) -> np.ndarray:
-    """Return the inputs (n, f) of a network's output layer for tactile images (n, size, size) uint8."""
-    return _estimates(model, images)[1]
-
-
-def _estimates(model: Model, images: np.ndarray) -> tuple[Estimates, np.ndarray]:
+def estimates_and_features(model: Model, images: np.ndarray) -> tuple[Estimates, np.ndarray]:
     """Return estimates of n images, and the inputs (n, f) of the output layer."""
     found: list[torch.Tensor] = []
     handle = model.net.dense[-1].register_forward_pre_hook(lambda module, inputs: found.append(inputs[0].double().cpu()))

@@ -12,7 +12,7 @@ from tactip_twin.learning.model import load_model
 from tactip_twin.sim.dataset.sampling import POSE_RANGES
 from tactip_twin.sim2real.transfer.linear_correction import (
     corrected,
-    features_of,
+    estimates_and_features,
     fit_linear_correction,
     write_corrected,
 )
@@ -116,7 +116,9 @@ def test_correction_is_in_the_weights(trained):
     found, correction = corrected(model, samples)
     assert all((tensor == kept[name]).all() for name, tensor in model.net.state_dict().items())
     before, after = model.estimate(samples.images), found.estimate(samples.images)
-    assert np.allclose(after.means[:, :3], correction(before.means[:, :3], features_of(model, samples.images)), atol=1e-4)
+    assert np.allclose(
+        after.means[:, :3], correction(before.means[:, :3], estimates_and_features(model, samples.images)[1]), atol=1e-4
+    )
     assert np.allclose(after.means[:, 3:], before.means[:, 3:], atol=1e-6)
     errors = [np.abs(e.means[:, :3] - samples.targets).mean(0) for e in (before, after)]
     assert (errors[1] < errors[0]).all()
