@@ -157,7 +157,7 @@ def _edge_rotations(
     sign, factor = best[1:]
     agreement = scores[name, sign, factor]
     left = [one for one in free if one not in same]
-    tilts, left = _tilts_on_edge(columns, left, estimated, clear, others)
+    tilts, left = _tilts_on_edge(columns, left, estimated, clear, others, name)
     turn, scored = factor * values[name] * sign, []
     for reading in assignments(tilts, ("Rx", "Ry"), known):
         about = {"x": np.zeros(len(turn)), "y": np.zeros(len(turn)), "z": turn}
@@ -194,11 +194,12 @@ def _edge_rotations(
 
 
 def _tilts_on_edge(
-    columns: Columns, free: list[str], estimated: Rotation, clear: np.ndarray, others: list[np.ndarray]
+    columns: Columns, free: list[str], estimated: Rotation, clear: np.ndarray, others: list[np.ndarray], yaw: str
 ) -> tuple[list[str], list[str]]:
     """Return the columns that explain the tilts, and those that are left. A tilt before the yaw turns with the sensor, one
     after it does not: both are tried. A column that explains shear or offset better is none, because these show as tilt
-    too; nor is one whose name says that it is a shear, unless it explains them very well."""
+    too; nor is one whose name, unlike that of the column `yaw`, says that it is a shear, unless it explains them very
+    well."""
     shown = Columns(columns.names, columns.values[clear])
     normals = [turn.apply([0.0, 0.0, 1.0]) for turn in (estimated, estimated.inv())]
     tilted = [180 / np.pi * centred(normal[:, 0] + 1j * normal[:, 1]) for normal in normals]  # degrees, small angles
@@ -207,7 +208,7 @@ def _tilts_on_edge(
         one
         for one in free
         if max(abs(correlation(columns.of(one), other)) for other in others) > explained[one]
-        or (is_named_shear(one) and explained[one] < _CERTAIN_TILT)
+        or (is_named_shear(one) and not is_named_shear(yaw) and explained[one] < _CERTAIN_TILT)
     ]
     options = [explaining(shown, [one for one in free if one not in taken], tilt, ("Rx", "Ry")) for tilt in tilted]
     tilts, left = max(options, key=lambda option: len(option[0]))

@@ -109,6 +109,14 @@ def test_trace_of_the_twist_in_the_tilt_is_not_taken_for_a_tilt(name, gain, nois
     assert not any(spec.startswith(("pose_Rx", "pose_Ry")) for spec in columns)
 
 
+def test_tilts_are_found_in_a_table_all_of_whose_columns_are_named_as_moves():
+    rng = np.random.default_rng(4)
+    poses, _, contacts = contacts_of("edge", rng, noise=2.5)
+    cells = {f"move_{k + 1}": [f"{x:.6g}" for x in poses[:, k]] for k in range(6)}
+    columns = find_conventions(cells, contacts, ColumnMap(task="edge")).column_map.columns
+    assert {"pose_Rx=move_4", "pose_Ry=move_5", "pose_Rz=move_6"} <= set(columns)
+
+
 def test_other_columns_that_follow_the_depth_are_not_taken_for_it():
     """Forces, times and depths in other units follow it as well as the depth does."""
     rng = np.random.default_rng(5)
