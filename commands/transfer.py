@@ -23,8 +23,8 @@ class Transfer(Command):
 
     experiment: tyro.conf.Positional[Literal["zero-shot", "ablate", "few-shot", "gap", "pseudo-real"]]
     """Experiment: zero-shot (no real labels), ablate (one part of the simulation left out at a time), few-shot (correction
-    by some real labels), gap (pins and images compared), or pseudo-real (all of these but ablate, on a
-    hidden simulated sensor instead of a real one)."""
+    by some real labels), gap (pins and images compared), or pseudo-real (all of these but ablate, on a hidden simulated
+    sensor instead of a real one)."""
     out: Path
     """Folder for sets, networks, results.json and results.md."""
     real: Path | None = None

@@ -13,7 +13,7 @@ from tactip_twin.tactip_model.design import Design
 _POISSON, _COMPRESSIBILITY = 0.467, 3.3
 """Poisson's ratio of the gel of a tip that nobody has calibrated, and largest factor, up or down, of 1 - 2 times it: ratios
 from the 0.49 of simulated designs to 0.39, below both that calibrations found. Chosen with both published sets in view:
-wider ranges read more of the depth on them, and too much on simulated sensors (docs/transfer.md)."""
+wider ranges read more of the depth on them, and too much on sensors with the designs' gel (docs/transfer.md)."""
 
 
 def with_usual_gel(design: Design) -> Design:

@@ -3,9 +3,8 @@
 What a network taught in simulation reads wrong on a real sensor is to a large part a linear function of the pose: the rig's
 zeros are offsets, a tip of other mechanics is a gain, and a tool centre beside the axis makes depth change with tilt
 (linear_errors.py). What else its mechanics change is to a part a linear function of the features, the inputs of the output
-layer. A handful of frames determine the former; how far the latter may go, the frames tell themselves. A fine-tuning
-of all layers would learn the frames by heart. The correction goes into the weights of the output layer, so the result is a
-network like any other.
+layer. A handful of frames determine the former, and how large the latter may be. A fine-tuning of all layers would learn the
+frames by heart. The correction goes into the weights of the output layer, so the result is a network like any other.
 """
 
 import hashlib
@@ -142,23 +141,27 @@ def _fitted(columns: np.ndarray, wrong: np.ndarray, spreads: np.ndarray) -> _Fit
     """Return the coefficients of columns (n, c) that explain what is wrong (n,), with standard deviations (c,) before."""
     noise, weights, x = max(float(wrong.std()), _MIN_NOISE), np.ones(len(wrong)), columns * spreads
     for _ in range(_ROUNDS):
-        weighted = x.T * (weights / noise**2)
-        whole = weighted @ x + np.eye(x.shape[1])
-        found = np.linalg.solve(whole, weighted)
-        leverages = np.einsum("ij,ji->i", x, found)
-        rest = wrong - x @ (found @ wrong)
+        _, solver, leverages = _least_squares(x, weights / noise**2)
+        rest = wrong - x @ (solver @ wrong)
         noise = max(float(np.sqrt(weights @ rest**2 / max(len(wrong) - leverages.sum(), 1.0))), _MIN_NOISE)
         weights = (_TAIL + 1) / (_TAIL + (rest / noise) ** 2)
     precisions = weights / noise**2
-    weighted = x.T * precisions
-    whole = weighted @ x + np.eye(x.shape[1])
-    found = np.linalg.solve(whole, weighted)
-    explained = found @ wrong
+    whole, solver, leverages = _least_squares(x, precisions)
+    explained = solver @ wrong
     # Of a normal distribution with the covariance x @ x.T + diag(1 / precisions), by Woodbury's identity.
     evidence = -0.5 * (
         wrong @ (precisions * (wrong - x @ explained)) + np.linalg.slogdet(whole)[1] - np.log(precisions).sum()
     )
-    return _Fit(spreads * explained, np.einsum("ij,ji->i", x, found), float(evidence))
+    return _Fit(spreads * explained, leverages, float(evidence))
+
+
+def _least_squares(x: np.ndarray, precisions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the matrix (c, c) of the normal equations of columns (n, c), whose coefficients have a standard deviation of 1
+    before; the coefficients (c, n) per value; and the leverages (n,) of values with these precisions (n,)."""
+    weighted = x.T * precisions
+    whole = weighted @ x + np.eye(x.shape[1])
+    solver = np.linalg.solve(whole, weighted)
+    return whole, solver, np.einsum("ij,ji->i", x, solver)
 
 
 def corrected(model: Model, real: Samples) -> tuple[Model, LinearCorrection]:
