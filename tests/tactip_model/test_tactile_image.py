@@ -260,6 +260,22 @@ def test_threshold_is_that_of_opencv(block, constant):
     assert (binary_frame(frame, (block, constant)) == expected).all()
 
 
+@pytest.mark.parametrize(
+    "height,width,size", [(360, 360, 128), (361, 443, 128), (360, 360, 256), (480, 640, 200), (1000, 720, 37)]
+)
+def test_binary_frame_shrinks_as_opencv_shrinks_it(height, width, size):
+    rng = np.random.default_rng(0)
+    frame = np.where(cv2.GaussianBlur(rng.random((height, width)), (0, 0), 2) > 0.5, 255, 0).astype(np.uint8)
+    settings = TactileImage(threshold=(61, -5.0), size_px=size)
+    white = binary_frame(frame, settings.threshold)
+    expected = cv2.resize(white, (size, size), interpolation=cv2.INTER_AREA)
+    shown = tactile_image(frame, settings)
+    # OpenCV rounds its sums, so it does not always tell which side of half a pixel is on.
+    clear = abs(expected - 127.5) > 1
+    assert set(np.unique(shown)) == {0, 255} and shown.flags.c_contiguous
+    assert (shown == np.where(expected > 127, 255, 0))[clear].all() and clear.mean() > 0.97
+
+
 def test_tactile_image_does_not_depend_on_brightness(raster, design):
     grey = raster.render(*neutral_pins(design))
     brighter = np.clip(grey.astype(int) + 60, 0, 255).astype(np.uint8)
