@@ -89,6 +89,5 @@ def _overlaps(count: int, size: int) -> tuple[int, dict[type, csr_array]]:
     sparse matrices (size, count) by their type, and the sum of a part."""
     part, pixel = count // math.gcd(count, size), size // math.gcd(count, size)
     parts, pixels = part * np.arange(size)[:, None], pixel * np.arange(count)
-    overlap = np.minimum(parts + part, pixels + pixel) - np.maximum(parts, pixels)
-    sparse = csr_array(np.maximum(overlap, 0))
-    return part, {kind: sparse.astype(kind) for kind in (np.uint16, np.uint32)}
+    overlap = np.maximum(np.minimum(parts + part, pixels + pixel) - np.maximum(parts, pixels), 0)
+    return part, {kind: csr_array(overlap.astype(kind)) for kind in (np.uint16, np.uint32)}

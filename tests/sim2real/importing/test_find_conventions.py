@@ -117,6 +117,18 @@ def test_tilts_are_found_in_a_table_all_of_whose_columns_are_named_as_moves():
     assert {"pose_Rx=move_4", "pose_Ry=move_5", "pose_Rz=move_6"} <= set(columns)
 
 
+def test_tilts_are_found_where_their_directions_do_not_look_square():
+    """Frames that show one tilt as a part of the other, as where the yaw comes between them."""
+    rng = np.random.default_rng(4)
+    poses, _, contacts = contacts_of("edge", rng)
+    skewed = contacts.poses.copy()
+    skewed[:, 3] += 0.8 * skewed[:, 4]
+    cells = {f"pose_{k + 1}": [f"{x:.6g}" for x in poses[:, k]] for k in range(6)}
+    columns = find_conventions(cells, replace(contacts, poses=skewed), ColumnMap(task="edge")).column_map.columns
+    rotations = {spec.partition("=")[2] for spec in columns if spec.startswith("pose_R")}
+    assert rotations == {"pose_4", "pose_5", "pose_6"}
+
+
 def test_other_columns_that_follow_the_depth_are_not_taken_for_it():
     """Forces, times and depths in other units follow it as well as the depth does."""
     rng = np.random.default_rng(5)
