@@ -66,6 +66,7 @@ def tactile_image(frame: ArrayLike, settings: TactileImage) -> np.ndarray:
         image = image[top:bottom, left:right]
     shrink = settings.size_px <= min(image.shape)
     size = (settings.size_px, settings.size_px)
+    # OpenCV is slow where pixels are divided.
     if shrink and settings.threshold is not None and not settings.grey and any(n % settings.size_px for n in image.shape):
         return _mostly_white(image, settings.size_px)
     small = cv2.resize(image, size, interpolation=cv2.INTER_AREA if shrink else cv2.INTER_LINEAR)
@@ -74,7 +75,8 @@ def tactile_image(frame: ArrayLike, settings: TactileImage) -> np.ndarray:
 
 def _mostly_white(image: np.ndarray, size: int) -> np.ndarray:
     """Return an image (size, size) uint8, 0 and 255, of a larger binary one (h, w): a pixel is white where at least half of
-    what it covers is. The same as cv2.resize with INTER_AREA and a threshold of one half, in a quarter of the time."""
+    what it covers is. The same as cv2.resize with INTER_AREA and a threshold of one half, but for rounding; from 360 to 128
+    px, in a third of the time [M]."""
     (height, rows), (width, columns) = (_overlaps(count, size) for count in image.shape)
     parts = np.uint16 if height * width <= np.iinfo(np.uint16).max else np.uint32
     white = rows[parts] @ (image & 1).astype(parts)

@@ -44,7 +44,7 @@ _CERTAIN_TILT = 0.6
 where the friction is far from the expected one: 0.49 on a hidden sensor [M]."""
 
 _TILTS = ("Rx", "Ry")
-"""The tilts."""
+"""Components of a pose that are tilts."""
 
 _INDEPENDENT, _YAW_SPREAD_RAD, _OUTLIERS = 10.0, 0.2, 0.05
 """Choice among the optima of an edge's yaw: number of independent measurements in a frame, standard deviation of a right
@@ -88,6 +88,11 @@ class EdgeReading:
     """Number of quarter turns by which the frames are to be rotated, so that an edge is upright."""
     evidence: list[str]
     """A sentence for each choice."""
+
+
+_Reading = tuple[float, Angles, dict[str, tuple[str, float]], float, Rotation]
+"""Likelihood of a reading of the rotations (_rotation_fit), convention of the angles, columns and signs of the tilts by
+component, the yaw of the camera, degrees, and the rotations."""
 
 
 def on_edge(
@@ -160,16 +165,26 @@ def _edge_rotations(
     sign, factor = best[1:]
     agreement = scores[name, sign, factor]
     left = [one for one in free if one not in same]
-    (tilts, left), *others_too = _tilts_on_edge(columns, left, estimated, clear, others, name, known)
-    turns = {one: factor * values[one] for one in free}
-    start_deg = float(np.degrees(np.angle(agreement)))
-    scored = _readings(turns, (name, sign), tilts, known, given_angles, estimated, start_deg)
+    tilts, seconds, left = _tilts_on_edge(columns, left, estimated, clear, others, name)
+    if any(f"pose_{component}" in known for component in _TILTS):
+        seconds = []  # who gives one tilt gives both
+    turn = factor * values[name] * sign
+
+    def readings(tilts: Sequence[str]) -> list[_Reading]:
+        out = []
+        for reading in assignments(tilts, _TILTS, known):
+            about = {"x": np.zeros(len(turn)), "y": np.zeros(len(turn)), "z": turn}
+            about |= {component[1]: s * factor * values[one] for component, (one, s) in reading.items()}
+            for angles in get_args(Angles) if tilts else ("vector" if given_angles == "auto" else given_angles,):
+                score, offset, labels = _rotation_fit(about, angles, estimated, float(np.degrees(np.angle(agreement))))
+                out.append((score, angles, reading, offset, labels))
+        return out
+
+    scored = readings(tilts)
     most = max(one[0] for one in scored)
-    for names, rest in others_too:
-        with_another = _readings(turns, (name, sign), names, known, given_angles, estimated, start_deg)
-        score = max(one[0] for one in with_another)
-        if score > most + MIN_EVIDENCE:
-            scored, most, tilts, left = with_another, score, names, rest
+    with_second = [one for second in seconds for one in readings([*tilts, second])]
+    if with_second and max(one[0] for one in with_second) > most + MIN_EVIDENCE:
+        scored, most = with_second, max(one[0] for one in with_second)
     near = [one for one in scored if one[0] > most - MIN_EVIDENCE]
     if given_angles != "auto":
         fitting = [one for one in near if one[1] == given_angles]
@@ -192,58 +207,25 @@ def _edge_rotations(
         f"{_rotation_words(parts, angles)}: agreement of the yaw {abs(agreement):.2f} (1 is perfect), with a camera rotated "
         f"by {-offset:.0f}°; other readings that fit give the same labels within {apart[k]:.1f}°"
     ]
-    if not tilts:
+    if not reading:
         evidence.append("no column explains the tilts of the frames")
+    for column, _ in reading.values():
+        if column in left:
+            _, same = columns.likeliest(column, left, _TILTS)
+            left = [one for one in left if one not in same]
     return found, angles, offset, evidence, left
 
 
-def _readings(
-    turns: Mapping[str, np.ndarray],
-    yaw: tuple[str, float],
-    tilts: Sequence[str],
-    known: Known,
-    given_angles: AnglesChoice,
-    estimated: Rotation,
-    offset_deg: float,
-) -> list[tuple[float, Angles, dict[str, tuple[str, float]], float, Rotation]]:
-    """Return all readings of columns as tilts: their likelihood (_rotation_fit), convention of the angles, columns and signs
-    by component, the yaw of the camera, degrees, and the rotations.
-
-    Args:
-        turns: (n,) degrees, the columns.
-        yaw: Column and sign of the yaw.
-        tilts: Columns of the tilts, at most two.
-        known: Columns that are given.
-        given_angles: Convention of the angles that is given, or auto.
-        estimated: Estimated rotations.
-        offset_deg: Yaw of the camera from which to start.
-    """
-    out, (name, sign) = [], yaw
-    for reading in assignments(tilts, _TILTS, known):
-        about = {"x": np.zeros(len(turns[name])), "y": np.zeros(len(turns[name])), "z": sign * turns[name]}
-        about |= {component[1]: s * turns[one] for component, (one, s) in reading.items()}
-        for angles in get_args(Angles) if tilts else ("vector" if given_angles == "auto" else given_angles,):
-            score, offset, labels = _rotation_fit(about, angles, estimated, offset_deg)
-            out.append((score, angles, reading, offset, labels))
-    return out
-
-
 def _tilts_on_edge(
-    columns: Columns,
-    free: list[str],
-    estimated: Rotation,
-    clear: np.ndarray,
-    others: list[np.ndarray],
-    yaw: str,
-    known: Known,
-) -> list[tuple[list[str], list[str]]]:
-    """Return choices of the columns that explain the tilts, each with the columns that are left: one by directions, then, if
-    it has a single tilt and none is given, that one and another column.
+    columns: Columns, free: list[str], estimated: Rotation, clear: np.ndarray, others: list[np.ndarray], yaw: str
+) -> tuple[list[str], list[str], list[str]]:
+    """Return the columns that explain the tilts; where this is a single one, those that may be the second; and all that are
+    left.
 
     A tilt before the yaw turns with the sensor, one after it does not: both are tried. If one is before it and one after it,
-    their directions do not show that they are square to each other. A column that explains shear or offset better is none,
-    because these show as tilt too; nor is one whose name, unlike that of the column `yaw`, says that it is a shear, unless
-    it explains them very well.
+    they do not look square to each other, and the second remains to be found by the rotations as a whole. A column that
+    explains shear or offset better is none, because these show as tilt too; nor is one whose name, unlike that of the column
+    `yaw`, says that it is a shear, unless it explains them very well.
     """
     shown = Columns(columns.names, columns.values[clear])
     normals = [turn.apply([0.0, 0.0, 1.0]) for turn in (estimated, estimated.inv())]
@@ -257,13 +239,8 @@ def _tilts_on_edge(
     ]
     options = [explaining(shown, [one for one in free if one not in taken], tilt, _TILTS) for tilt in tilted]
     tilts, left = max(options, key=lambda option: len(option[0]))
-    choices = [(tilts, [*left, *taken])]
-    if len(tilts) == 1 and not any(f"pose_{component}" in known for component in _TILTS):
-        for one in left:
-            if explained[one] > MIN_CORRELATION:
-                second, same = columns.likeliest(one, left, _TILTS)
-                choices.append(([*tilts, second], [other for other in (*left, *taken) if other not in same]))
-    return choices
+    seconds = [columns.likeliest(one, left, _TILTS)[0] for one in left if explained[one] > MIN_CORRELATION]
+    return tilts, list(dict.fromkeys(seconds)) if len(tilts) == 1 else [], [*left, *taken]
 
 
 def _rotation_fit(
