@@ -21,12 +21,15 @@ from scipy.spatial.transform import Rotation
 from tactip_twin.sim.labels import LABELS, SHEARS
 from tactip_twin.sim.pose import from_mm_deg
 from tactip_twin.sim2real.importing.column_map import Angles
-from tactip_twin.sim2real.importing.source import find_neutral_image
+from tactip_twin.sim2real.importing.source import MAX_TAP_MM, find_neutral_image
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.input_files import parse_table, read_file, read_json
 from tactip_twin.tactip_model.input_images import read_image
 
 _NAMES = ("image_name", "sensor_image")
+
+_MAX_VALUE = 1e5
+"""Maximum of a pose or a move, mm or degrees: more than any rig's."""
 
 _TAP_M = 5e-3
 """Length of the tap of poses that are labels: any will do, because they hold it already, m."""
@@ -91,8 +94,8 @@ def read_real_set(folder: str | Path, angles: Angles = "vector") -> RealSet:
         numbers = [np.array([[float(row[c]) for c in group] for row in rows]) for group in columns]
     except ValueError as error:
         raise TactipError(f"{folder / 'targets.csv'}: {error}") from error
-    if not all(np.isfinite(n).all() for n in numbers):
-        raise TactipError(f"{folder / 'targets.csv'} has poses or moves that are not finite")
+    if not all((np.abs(n) <= _MAX_VALUE).all() for n in numbers):
+        raise TactipError(f"{folder / 'targets.csv'} has poses or moves that are not within ±{_MAX_VALUE:g} mm or degrees")
     files = tuple(_found(folder, row[name]) for row in rows)
     neutral = find_neutral_image(folder, files)
     if neutral is None:
@@ -143,6 +146,9 @@ def _tap(path: Path) -> np.ndarray:
         tap = np.array(read_json(path)["tap_move"], float)
     except (ValueError, KeyError, TypeError) as error:
         raise TactipError(f"{path} must give tap_move, six numbers in mm and degrees: {error}") from error
-    if tap.shape != (6,) or not np.isfinite(tap).all() or not np.linalg.norm(tap[:3]) > 0 or tap[3:].any():
-        raise TactipError(f"tap_move in {path} must be a translation, six numbers in mm and degrees, got {tap.tolist()}")
+    if tap.shape != (6,) or not (np.abs(tap) <= MAX_TAP_MM).all() or not tap[:3].any() or tap[3:].any():
+        raise TactipError(
+            f"tap_move in {path} must be a translation by at most {MAX_TAP_MM:g} mm along an axis, six numbers in mm and "
+            f"degrees, got {tap.tolist()}"
+        )
     return from_mm_deg(tap)

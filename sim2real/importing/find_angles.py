@@ -27,9 +27,12 @@ _MIN_DEPTH_SPREAD_MM = 0.1
 _MIN_CHANGE = 1e-4
 """Minimum standard deviation of the change of depth, mm, by a tool centre that is 1 mm off, for it to be sought."""
 
-_SIGNIFICANT, _MIN_LEVER_MM = 3.5, np.array([3.0, 0.3, 0.3])
-"""Minimum of the tool centre's distance from the apex, in standard deviations, and in mm: behind it, and beside it in x and
-y [?]."""
+_SIGNIFICANT = 3.5
+"""Minimum of the tool centre's distance from the apex, in standard deviations [?]."""
+
+_MIN_LEVER_MM = {"surface": np.array([3.0, 0.3, 0.3]), "edge": np.array([3.0, 2.0, 2.0])}
+"""Minimum of the tool centre's distance from the apex, mm, by task: behind it, and beside it in x and y [?]. On an edge,
+another stiffness than the estimated one looks like a tool centre up to 1.2 mm beside the axis [M]."""
 
 
 def angles_and_lever(
@@ -121,7 +124,7 @@ def _lever(rows: Mapping[str, Sequence[str]], contacts: EstimatedContacts, colum
         gain = float(found[0])
         lever[:], deviations[chosen] = 0.0, spread[2:] / abs(gain)
         lever[chosen] = found[2:] / gain
-        chosen &= np.abs(lever) >= np.maximum(_SIGNIFICANT * deviations, _MIN_LEVER_MM)
+        chosen &= np.abs(lever) >= np.maximum(_SIGNIFICANT * deviations, _MIN_LEVER_MM[column_map.task])
     lever = np.where(chosen, np.clip(lever, [-100, -20, -20], [100, 20, 20]).round(1), given)
     names = [
         f"{value:g} (± {deviation:.1f})" if new else f"{value:g}"

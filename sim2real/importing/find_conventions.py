@@ -18,6 +18,7 @@ from tactip_twin.sim2real.importing.estimated_contacts import EstimatedContacts
 from tactip_twin.sim2real.importing.find_angles import angles_and_lever, by_axis, in_order
 from tactip_twin.sim2real.importing.find_on_edge import EdgeReading, on_edge, with_yaws_resolved
 from tactip_twin.sim2real.importing.find_on_surface import on_surface
+from tactip_twin.sim2real.importing.source import MAX_TAP_MM
 from tactip_twin.sim2real.importing.table_columns import (
     MIN_CORRELATION,
     Columns,
@@ -106,8 +107,7 @@ def tap_of(folder: Path, log: Callable[[str], object]) -> float | None:
     tap = content.get("tap_move") if isinstance(content, dict) else None
     if not isinstance(tap, list) or len(tap) < 3 or not all(isinstance(x, (int, float)) for x in tap[:3]):
         return None
-    length = float(np.linalg.norm(tap[:3]))
-    return length if 0 < length < 100 else None
+    return float(np.linalg.norm(tap[:3])) or None if all(abs(x) <= MAX_TAP_MM for x in tap[:3]) else None
 
 
 def _depth(

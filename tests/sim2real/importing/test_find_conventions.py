@@ -285,9 +285,11 @@ def test_tap_is_read_from_meta_and_nonsense_is_not(tmp_path):
     assert tap_of(tmp_path, print) is None
     (tmp_path / "meta.json").write_text('{"tap_move": [0, 3, 4, 0, 0, 0]}')
     assert tap_of(tmp_path, print) == pytest.approx(5.0)
-    for text in ('{"tap_move": "deep"}', '{"tap_move": [0, 0]}', "[1, 2]", '{"tap_move": [0, 0, 1e9]}'):
-        (tmp_path / "meta.json").write_text(text)
+    for tap in ('"deep"', "[0, 0]", "[0, 0, 1e9]", "[0, 5, 1e308]"):
+        (tmp_path / "meta.json").write_text(f'{{"tap_move": {tap}}}')
         assert tap_of(tmp_path, print) is None
+    (tmp_path / "meta.json").write_text("[1, 2]")
+    assert tap_of(tmp_path, print) is None
     (tmp_path / "meta.json").write_text('{"tap_move": [0, 3, 4], "limit": Infinity}')
     told = []
     assert tap_of(tmp_path, told.append) is None
@@ -318,6 +320,14 @@ def test_tool_centre_is_found(lever):
     assert found.tcp_beside_axis_mm == pytest.approx(lever[1:], abs=0.2)
     assert [value == 0 for value in (found.tcp_behind_apex_mm, *found.tcp_beside_axis_mm)] == [value == 0 for value in lever]
     assert evidence.startswith("tcp-behind-apex-mm") and ("not show another" in evidence) == (not any(lever))
+
+
+@pytest.mark.parametrize(("beside_mm", "expected_mm"), [(3.0, 3.0), (1.2, 0.0)])
+def test_tool_centre_near_the_axis_is_not_sought_on_an_edge(beside_mm, expected_mm):
+    """There, another stiffness looks like one about a millimetre beside the axis."""
+    table, contacts = tilted(np.random.default_rng(0), ColumnMap(task="edge", tcp_beside_axis_mm=(beside_mm, 0.0)))
+    found, _ = angles_and_lever(table, contacts, ColumnMap(task="edge", columns=COLUMNS))
+    assert found.tcp_beside_axis_mm == pytest.approx((expected_mm, 0.0), abs=0.2)
 
 
 def test_tool_centre_that_is_given_is_kept():
