@@ -337,7 +337,7 @@ class Scene:
             return np.inf
         # Between samples at this spacing, a surface of the least radius is closer by OVERLAP_ERROR_M at most.
         spacing = np.sqrt(6 * OVERLAP_ERROR_M * (self.stimulus.min_radius_m + CONTACT_RADIUS_M))
-        return deepest_m(self._depth, skin, self.mesh.triangles, spacing, OVERLAP_ERROR_M)
+        return deepest_m(self._depth, skin, self.mesh.triangles, spacing, OVERLAP_ERROR_M, self.stimulus.is_convex)
 
     def _depth(self, points: np.ndarray) -> np.ndarray:
         """Return the depths (n,), m, in the stimulus of points (n, 3) m of the skin with its contact thickness."""

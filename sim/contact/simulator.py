@@ -169,24 +169,34 @@ class ContactSimulator:
         self.scene.deform(vertices)
         self._start, self._pose = before_shear(pose, shear), pose
 
-    def settle(self, pose: ArrayLike, max_steps: int, label: np.ndarray | None = None) -> Iterator[Contact]:
-        """Let a deformed tip settle at a pose, after start_from.
+    def settle(
+        self, pose: ArrayLike, limits: QualityLimits, min_steps: int, max_steps: int, label: np.ndarray | None = None
+    ) -> Contact | None:
+        """Let a deformed tip settle at a pose, after start_from, until its record passes the checks.
 
         Args:
             pose: (6,), m and rad, in the stimulus's frame.
+            limits: Limits of the checks.
+            min_steps: Minimum number of time steps.
             max_steps: Maximum number of time steps.
             label: (6,), m and rad: the same pose relative to the surface where the tip touches it. Default: the pose.
 
-        Yields:
-            The contact after each step. Its slip fraction is 0, because nothing moves.
+        Returns:
+            The contact, whose slip fraction is 0, because nothing moves; None if it fails the checks after all steps.
         """
         pose, warnings = np.asarray(pose, float), 0
         self._steps, self._unsolved, self._slip_fraction, self._phase = 0, 0, 0.0, "settle"
-        for _ in range(max_steps):
+        for step in range(1, max_steps + 1):
             with counted_warnings() as messages, contextlib.suppress(Diverged):
                 self.hold(pose)
             warnings += len(messages)
-            yield self._record(pose, shear_between(self._start, pose), warnings, label)
+            # A record takes as long as a time step, and this is the check that fails last.
+            if step < min_steps or self.scene.penetration() > limits.penetration_m:
+                continue
+            contact = self._record(pose, shear_between(self._start, pose), warnings, label)
+            if not contact.violations(limits):
+                return contact
+        return None
 
     def simulate_partial_shears(self, pose: ArrayLike, shear: ArrayLike, fractions: ArrayLike) -> Iterator[Contact]:
         """Simulate one contact and let it settle at several fractions of its shear.

@@ -91,6 +91,11 @@ class Stimulus(ABC):
         return False
 
     @property
+    def is_convex(self) -> bool:
+        """Whether it is convex, which makes its overlap with the skin quicker to find."""
+        return False
+
+    @property
     def top_m(self) -> float:
         """Height of the highest point in the contact frame, m."""
         return 0.0
@@ -176,6 +181,11 @@ class StraightEdge(Stimulus):
 
     @property
     def has_edge(self) -> bool:
+        """See Stimulus."""
+        return True
+
+    @property
+    def is_convex(self) -> bool:
         """See Stimulus."""
         return True
 

@@ -186,11 +186,10 @@ class SlidingContact:
         limits, there = QualityLimits().while_sliding(), label_of(T)
         vertices = self._meshes(self._coefficients)[0]
         self._simulator.start_from(vertices, there, shear_between(label_of(self._T_start), there))
-        for contact in self._simulator.settle(there, MAX_STEPS, pose):
-            if contact.steps >= MIN_STEPS and not contact.violations(limits):
-                self.take_over(replace(contact, slip_fraction=slip_fraction), self._simulated_skin())
-                return True
-        return False
+        contact = self._simulator.settle(there, limits, MIN_STEPS, MAX_STEPS, pose)
+        if contact is not None:
+            self.take_over(replace(contact, slip_fraction=slip_fraction), self._simulated_skin())
+        return contact is not None
 
     def _simulate(self, before: np.ndarray, T: np.ndarray, pose: np.ndarray) -> None:
         """Simulate the motion from a pose (4, 4), with the present deformation, to the next (4, 4), with its label (6,)."""

@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from tactip_twin.sim.contact.deepest_point import deepest_m
+from tactip_twin.sim.contact.stimuli import StraightEdge
 
 ERROR_M = 5e-6
 
@@ -18,9 +20,10 @@ def sheet(count, width_m=0.02):
     return np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], 1), np.concatenate([lower, upper])
 
 
+@pytest.mark.parametrize("convex", [False, True])
 @pytest.mark.parametrize("radius_m", [0.3e-3, 1e-3, 5e-3])
 @pytest.mark.parametrize("height", [-0.8, 0.9, 1.0, 1.1])
-def test_deepest_point_in_ball_is_below_its_centre(radius_m, height):
+def test_deepest_point_in_ball_is_below_its_centre(radius_m, height, convex):
     """A ball between the vertices of triangles of 2 mm, wherever it is. Its depth is curved as a ball of the radius at which
     the sheet lies."""
     vertices, triangles = sheet(10)
@@ -28,7 +31,7 @@ def test_deepest_point_in_ball_is_below_its_centre(radius_m, height):
     for seed in range(10):
         centre = np.append(np.random.default_rng(seed).uniform(-8e-3, 8e-3, 2), height * radius_m)
         found = deepest_m(
-            lambda p, c=centre: radius_m - np.linalg.norm(p - c, axis=1), vertices, triangles, spacing_m, ERROR_M
+            lambda p, c=centre: radius_m - np.linalg.norm(p - c, axis=1), vertices, triangles, spacing_m, ERROR_M, convex
         )
         exact = max(0.0, radius_m - abs(height) * radius_m)
         assert exact - ERROR_M <= found <= exact + 1e-12
@@ -66,3 +69,21 @@ def test_deepest_point_outside_is_zero_after_one_look():
     looks = []
     assert deepest_m(lambda p: looks.append(1) or np.full(len(p), -0.05), vertices, triangles, 0.1e-3, ERROR_M) == 0.0
     assert len(looks) == 1
+
+
+@pytest.mark.parametrize("turn_deg", [0, 20, 45, 90])
+@pytest.mark.parametrize("lean_deg", [-10, 0, 5, 40])
+def test_deepest_point_over_an_edge_is_the_same_with_tangents(turn_deg, lean_deg):
+    """A block whose edge crosses the sheet. Where the sheet lies flat on it, tangents leave out what touches its top."""
+    vertices, triangles = sheet(10)
+    edge, turn = StraightEdge(), Rotation.from_euler("zy", [turn_deg, lean_deg], degrees=True)
+    found, asked = {}, {False: 0, True: 0}
+    for convex in asked:
+
+        def depth(points, convex=convex):
+            asked[convex] += len(points)
+            return 0.25e-3 - edge.distance(turn.apply(points) - [0.2e-3, 0, -0.2e-3])
+
+        found[convex] = deepest_m(depth, vertices, triangles, 0.1e-3, ERROR_M, convex)
+    assert abs(found[True] - found[False]) < ERROR_M
+    assert lean_deg != 0 or asked[True] < asked[False] / 3
