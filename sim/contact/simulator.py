@@ -188,7 +188,7 @@ class ContactSimulator:
         self._steps, self._unsolved, self._slip_fraction, self._phase = 0, 0, 0.0, "settle"
         for step in range(1, max_steps + 1):
             with counted_warnings() as messages, contextlib.suppress(Diverged):
-                self.hold(pose)
+                self.hold(pose, settled=step >= min_steps)
             warnings += len(messages)
             # A record takes as long as a time step, and this is the check that fails last.
             if step < min_steps or self.scene.penetration() > limits.penetration_m:
@@ -269,9 +269,16 @@ class ContactSimulator:
             if k >= len(poses) - 1 - _SLIP_STEPS:
                 self._slip_fraction += self.scene.slip_fraction() / min(_SLIP_STEPS, len(poses) - 1)
 
-    def hold(self, pose: np.ndarray) -> None:
-        """Simulate one time step with the stimulus at rest at `pose` (6,). Raises Diverged."""
+    def hold(self, pose: np.ndarray, settled: bool = True) -> None:
+        """Simulate one time step with the stimulus at rest at `pose` (6,). Raises Diverged.
+
+        Args:
+            pose: (6,), m and rad.
+            settled: Whether the tip may be at rest after it. If not, the step is solved to the tolerance of a motion.
+        """
         self.scene.stiffen(resting=True)
+        if not settled:
+            self.scene.model.opt.tolerance = self.scene.fidelity.solver.tolerance
         self._place(inverse(sensor_in_contact(pose)))
         self._step(pose)
 

@@ -15,8 +15,8 @@ from tactip_twin.sim.contact.fidelity import Fidelity
 from tactip_twin.sim.contact.record import Contact, QualityLimits
 from tactip_twin.sim.contact.simulator import ContactSimulator
 from tactip_twin.sim.dataset.symmetry import SymmetricReader, Symmetry
-from tactip_twin.sim.fast_tip.fast_contacts import FastContacts
-from tactip_twin.sim.fast_tip.fast_tip import FastTip
+from tactip_twin.sim.fast_tip.fast_tip import FastTip, PinDecoder
+from tactip_twin.sim.fast_tip.materials import material_inputs
 from tactip_twin.sim.fast_tip.mesh_decoder import MeshDecoder
 from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.mesh import Mesh
@@ -50,7 +50,8 @@ class CorrectedContacts:
         """
         self._tip, self._design, self._limits = tip, design, limits
         self._reader: SymmetricReader | None = None
-        self._predictor = FastContacts(tip, design)
+        tip.check_design(design)
+        self._pins, self._materials = PinDecoder(design, tip.modes), material_inputs(design.materials)
         stiffness, damping = fidelity.contact.resting
         contact = replace(fidelity.contact, resting=(stiffness, _DAMPING_RATIO * damping))
         self._simulator = ContactSimulator(design, tip.task, replace(fidelity, contact=contact))
@@ -83,13 +84,13 @@ class CorrectedContacts:
             pose: (6,) m and rad.
             shear: (6,) m and rad.
         """
-        predicted, trusted = self._predictor.predict(pose[None], shear[None])
-        if not trusted[0]:
+        predicted = self._tip.predict(self._pins, pose[None], shear[None], self._materials)
+        if not predicted.trusted[0]:
             return None
-        vertices = self._decoder(self._predictor.coefficients(pose[None], shear[None]))[0]
+        vertices = self._decoder(predicted.coefficients)[0]
         start, _ = self._simulator.reader.read(vertices[: self.mesh.surface_count])
         self._simulator.start_from(vertices, pose, shear)
         contact = self._simulator.settle(pose, self._limits, MIN_STEPS, MAX_STEPS)
         if contact is None or np.linalg.norm(contact.pin_tips - start, axis=1).mean() > MAX_MOVED_M:
             return None
-        return replace(contact, slip_fraction=predicted[0].slip_fraction)
+        return replace(contact, slip_fraction=float(predicted.slip_fractions[0]))

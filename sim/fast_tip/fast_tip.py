@@ -49,8 +49,10 @@ REFERENCE_YOUNG_PA = 1e4
 
 @dataclass(frozen=True)
 class Prediction:
-    """Predicted contacts. (k contacts, p pins)"""
+    """Predicted contacts. (k contacts, p pins, n modes)"""
 
+    coefficients: np.ndarray
+    """(k, n) complex64 coefficients of the skin's modes, sensor frame."""
     pin_tips: np.ndarray
     """(k, p, 3) m, sensor frame."""
     directions: np.ndarray
@@ -206,6 +208,7 @@ class FastTip:
         if self.materials is not None:
             measures[:, 0] += np.log(gel_young_pa / REFERENCE_YOUNG_PA)
         return Prediction(
+            coefficients=coefficients,
             pin_tips=tips,
             directions=directions,
             **forces_and_patch(measures, poses),
