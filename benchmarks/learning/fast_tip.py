@@ -8,6 +8,7 @@ fast_tip.json, .md and .png.
 import shutil
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,17 +20,20 @@ from tactip_twin.benchmarks.learning.learning_sets import DESIGN, jobs
 from tactip_twin.benchmarks.learning.options import FastTipOptions, LearningOptions
 from tactip_twin.benchmarks.report import read_results, table, write_results
 from tactip_twin.learning.fast_tip_settings import FastTipSettings
-from tactip_twin.learning.fast_tip_training import FAST_TIP, TipContacts, fast_tip_errors, read_contacts, train_fast_tip
+from tactip_twin.learning.fast_tip_training import FAST_TIP, fast_tip_errors, read_contacts, train_fast_tip
 from tactip_twin.sim.contact.fidelity import FIDELITIES, fidelity_named
 from tactip_twin.sim.contact.record import Contact, QualityLimits
 from tactip_twin.sim.contact.simulator import ContactSimulator
+from tactip_twin.sim.dataset.configuration import Configuration
+from tactip_twin.sim.dataset.contact_sample import sample_contact
 from tactip_twin.sim.dataset.generate import make
 from tactip_twin.sim.fast_tip.corrected_contacts import CorrectedContacts
 from tactip_twin.sim.fast_tip.fast_contacts import FastContacts
-from tactip_twin.sim.fast_tip.fast_tip import FastTip
+from tactip_twin.sim.fast_tip.fast_tip import FastTip, read_fast_tip, shipped_fast_tip
 from tactip_twin.sim.parallel.worker_pool import worker_count
 from tactip_twin.sim.pose import before_shear, label_of, matrix, sensor_in_contact, shear_between
 from tactip_twin.sim.view.plot import COLORS, figure_of, save_figure
+from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.pins import SkinReader, neutral_pins, pin_lever_m
 from tactip_twin.tactip_model.raster_renderer import Raster
 from tactip_twin.tactip_model.tactile_image import tactile_image
@@ -41,6 +45,24 @@ _IMAGES = 200
 """Number of images of which the rate is measured."""
 
 
+@dataclass(frozen=True)
+class _Motions:
+    """Motions of test contacts. (k contacts)"""
+
+    design: Design
+    """Their tip."""
+    poses: np.ndarray
+    """(k, 6) m and rad."""
+    shears: np.ndarray
+    """(k, 6) m and rad."""
+
+
+def _test_motions(configuration: Configuration) -> _Motions:
+    """Return the motions of a set, without simulating it."""
+    samples = [sample_contact(configuration, number) for number in range(configuration.samples)]
+    return _Motions(configuration.design, np.array([s.pose for s in samples]), np.array([s.shear for s in samples]))
+
+
 def run(options: FastTipOptions, log: Callable[[str], None] = print) -> dict[str, Any]:
     """Measure a task, write fast_tip.json and fast_tip.md, and return the results of all tasks. Raises TactipError."""
     task = options.task
@@ -48,26 +70,29 @@ def run(options: FastTipOptions, log: Callable[[str], None] = print) -> dict[str
         task=task, data=options.data, large_contacts=options.contacts, test_contacts=options.test_contacts
     )
     folders = {name: options.data / kind / task / name for kind, name in _SETS}
-    make([job for job in jobs(learning, {"large"}) if job.folder in folders.values()], worker_count(options.workers), log)
-    test, rows, tips = read_contacts([folders["test"]]), [], []
-    for count in (*options.counts, 0):
-        settings = FastTipSettings(contacts=count, steps=options.steps)
-        out = options.runs / task / str(count or options.contacts)
-        tips.append(train_fast_tip([folders["train"]], folders["val"], settings, out, log))
-        rows.append({"contacts": tips[-1].provenance["contacts"], **fast_tip_errors(tips[-1], test)})
-        log(str(rows[-1]))
-        if not count and options.release:
-            options.release.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(out / FAST_TIP, options.release / f"{task}-{DESIGN}.npz")
-    result = read_results(options.out / "fast_tip.json") | {
-        task: {
-            "rows": rows,
-            "rates": _rates(tips[-1], test),
-            "ways": _ways(tips[-1], test, options.compared_contacts, log),
-            "turned": _turned(tips[-1], test, options.compared_contacts, log),
-            "machine": machine(),
-        }
-    }
+    wanted = [job for job in jobs(learning, {"large"}) if job.folder in folders.values()]
+    motions = _test_motions(next(job.configuration for job in wanted if job.folder == folders["test"]))
+    result = read_results(options.out / "fast_tip.json")
+    if options.times_only:
+        tip, found = read_fast_tip(shipped_fast_tip(task, DESIGN)), dict(result.get(task, {"rows": []}))
+    else:
+        make(wanted, worker_count(options.workers), log)
+        test, rows, tips = read_contacts([folders["test"]]), [], []
+        for count in (*options.counts, 0):
+            settings = FastTipSettings(contacts=count, steps=options.steps)
+            out = options.runs / task / str(count or options.contacts)
+            tips.append(train_fast_tip([folders["train"]], folders["val"], settings, out, log))
+            rows.append({"contacts": tips[-1].provenance["contacts"], **fast_tip_errors(tips[-1], test)})
+            log(str(rows[-1]))
+            if not count and options.release:
+                options.release.mkdir(parents=True, exist_ok=True)
+                shutil.copyfile(out / FAST_TIP, options.release / f"{task}-{DESIGN}.npz")
+        tip = tips[-1]
+        found = {"rows": rows, "turned": _turned(tip, motions, options.compared_contacts, log)}
+    found["rates"] = _rates(tip, motions)
+    found["ways"] = _ways(tip, motions, options.compared_contacts, log)
+    found["machine"] = machine()
+    result = result | {task: found}
     write_results("fast_tip", result, tables(result), options.out)
     plot(result, options.out / "fast_tip.png")
     return result
@@ -77,9 +102,9 @@ _SETS = (("symmetric", "train"), ("plain", "val"), ("plain", "test"))
 """Kinds and splits of the sets of `tactip bench learning` that are used."""
 
 
-def _rates(tip: FastTip, test: TipContacts) -> dict[str, float]:
+def _rates(tip: FastTip, test: _Motions) -> dict[str, float]:
     """Return contacts per second of one core: in a batch, one by one, and with tactile images."""
-    design = test.configuration.design
+    design = test.design
     contacts, renderer = FastContacts(tip, design), Raster(design)
     poses, shears = test.poses, test.shears
 
@@ -101,12 +126,12 @@ def _rates(tip: FastTip, test: TipContacts) -> dict[str, float]:
     return {work.__name__: _rate(work) for work in (batch, single, images)}
 
 
-def _ways(tip: FastTip, test: TipContacts, count: int, log: Callable[[str], None]) -> list[dict[str, Any]]:
+def _ways(tip: FastTip, test: _Motions, count: int, log: Callable[[str], None]) -> list[dict[str, Any]]:
     """Return error and time of the first `count` test contacts, by way to make them, against `standard` and `reference`.
 
     Contacts of a way that cannot be trusted are left out, and counted.
     """
-    design, standard = test.configuration.design, fidelity_named("standard")
+    design, standard = test.design, fidelity_named("standard")
     predictor, corrector = FastContacts(tip, design), CorrectedContacts(tip, design, standard, QualityLimits())
     simulators = {name: ContactSimulator(design, tip.task, fidelity) for name, fidelity in FIDELITIES.items()}
 
@@ -129,7 +154,7 @@ def _ways(tip: FastTip, test: TipContacts, count: int, log: Callable[[str], None
     seconds = {name: float(np.median([s for _, s in results])) for name, results in found.items()}
     start = time.process_time()
     predictor.pins(test.poses, test.shears)
-    found["fast, batch"], seconds["fast, batch"] = found["fast"], (time.process_time() - start) / len(test)
+    found["fast, batch"], seconds["fast, batch"] = found["fast"], (time.process_time() - start) / len(test.poses)
     rows = []
     for name, results in found.items():
         row = {"way": name, "seconds": seconds[name], "cost": seconds[name] / seconds["standard"]}
@@ -147,13 +172,13 @@ def _ways(tip: FastTip, test: TipContacts, count: int, log: Callable[[str], None
     return rows
 
 
-def _turned(tip: FastTip, test: TipContacts, count: int, log: Callable[[str], None]) -> dict[str, float]:
+def _turned(tip: FastTip, test: _Motions, count: int, log: Callable[[str], None]) -> dict[str, float]:
     """Return how far the pins of the first `count` test contacts at `standard` are from those of the same contacts after the
     tip, but not its pins, was turned about its axis, and from predicted ones.
 
     The tip is round, but its mesh is not, so the difference is what the mesh adds at random.
     """
-    design, predictor = test.configuration.design, FastContacts(tip, test.configuration.design)
+    design, predictor = test.design, FastContacts(tip, test.design)
     simulator = ContactSimulator(design, tip.task, fidelity_named("standard"))
     rest, inward = neutral_pins(design)
     turns = [Rotation.from_euler("z", angle, degrees=True) for angle in (0.0, *_TURNS_DEG)]

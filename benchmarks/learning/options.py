@@ -196,6 +196,8 @@ class FastTipOptions:
     """Number of training steps of each network."""
     compared_contacts: int = 24
     """Number of test contacts that are also made at every preset, and corrected."""
+    times_only: bool = False
+    """Measure rates and times of the shipped tip alone, without sets and training; what the page has else stays."""
     data: Path = Path("data/learning")
     """Folder of the data sets: DATA/KIND/TASK/SPLIT."""
     runs: Path = Path("runs/fast-tip")
