@@ -190,7 +190,7 @@ class ContactSimulator:
             with counted_warnings() as messages, contextlib.suppress(Diverged):
                 self.hold(pose, settled=step >= min_steps)
             warnings += len(messages)
-            # A record takes as long as a time step, and this is the check that fails last.
+            # This is the check that fails last, and a record takes a third of the time of a step.
             if step < min_steps or self.scene.penetration() > limits.penetration_m:
                 continue
             contact = self._record(pose, shear_between(self._start, pose), warnings, label)
