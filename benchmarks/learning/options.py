@@ -197,7 +197,7 @@ class FastTipOptions:
     compared_contacts: int = 24
     """Number of test contacts that are also made at every preset, and corrected."""
     times_only: bool = False
-    """Measure rates and times of the shipped tip alone, without sets and training; what the page has else stays."""
+    """Measure only the rates and times of the shipped tip, without sets or training; the rest of the page stays as it is."""
     data: Path = Path("data/learning")
     """Folder of the data sets: DATA/KIND/TASK/SPLIT."""
     runs: Path = Path("runs/fast-tip")

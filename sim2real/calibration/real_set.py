@@ -148,7 +148,7 @@ def _tap(path: Path) -> np.ndarray:
         raise TactipError(f"{path} must give tap_move, six numbers in mm and degrees: {error}") from error
     if tap.shape != (6,) or not (np.abs(tap) <= MAX_TAP_MM).all() or not tap[:3].any() or tap[3:].any():
         raise TactipError(
-            f"tap_move in {path} must be a translation by at most {MAX_TAP_MM:g} mm along an axis, six numbers in mm and "
+            f"tap_move in {path} must be a translation of at most {MAX_TAP_MM:g} mm along each axis, six numbers in mm and "
             f"degrees, got {tap.tolist()}"
         )
     return from_mm_deg(tap)

@@ -27,7 +27,7 @@ MAX_FRAMES = 150_000
 """Maximum number of frames: meta.json, which has a checksum of each, stays below its size limit."""
 
 MAX_TAP_MM = 100.0
-"""Maximum motion of a tap that makes contact, mm along an axis."""
+"""Maximum motion of a tap that makes contact, mm along each axis."""
 
 _TABLES = ("targets.csv", "targets_images.csv", "targets_video.csv")
 """Names of the table, in order, where a folder has several."""
