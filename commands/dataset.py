@@ -111,7 +111,7 @@ class Make(Command):
             failed += r["failed"]
             made = f"{r['made']} made now" if r["made"] else "complete already"
             print(f"{r['folder']}: {r['kept']} of {r['asked']} samples, {made}; {r['failed']} failed")
-            if "simulated" in r:
+            if r.get("simulated"):
                 print(f"{r['simulated']} of them were simulated, because their prediction could not be trusted")
         made, seconds = sum(r["made"] for r in results), max(r["seconds"] for r in results)
         if made:

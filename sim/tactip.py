@@ -15,8 +15,8 @@ import trimesh
 from tactip_twin.sim.contact.fidelity import Fidelity, fidelity_named
 from tactip_twin.sim.contact.press_place import in_contact_frame, place_below
 from tactip_twin.sim.contact.record import Contact, QualityLimits
+from tactip_twin.sim.contact.retries import RetryingSimulator
 from tactip_twin.sim.contact.signed_distance import SignedDistanceMesh
-from tactip_twin.sim.contact.simulator import RetryingSimulator
 from tactip_twin.sim.contact.solid_stimulus import SolidStimulus
 from tactip_twin.sim.contact.stimuli import STIMULI, Stimulus, stimulus_named
 from tactip_twin.sim.labels import FidelityName

@@ -34,6 +34,7 @@ from tactip_twin.sim.parallel.worker_pool import worker_count
 from tactip_twin.sim.pose import before_shear, label_of, matrix, sensor_in_contact, shear_between
 from tactip_twin.sim.view.plot import COLORS, figure_of, save_figure
 from tactip_twin.tactip_model.design import Design
+from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.pins import SkinReader, neutral_pins, pin_lever_m
 from tactip_twin.tactip_model.raster_renderer import Raster
 from tactip_twin.tactip_model.tactile_image import tactile_image
@@ -65,6 +66,8 @@ def _test_motions(configuration: Configuration) -> _Motions:
 
 def run(options: FastTipOptions, log: Callable[[str], None] = print) -> dict[str, Any]:
     """Measure a task, write fast_tip.json and fast_tip.md, and return the results of all tasks. Raises TactipError."""
+    if options.times_only and options.release:
+        raise TactipError("--times-only trains no tip that --release could copy; leave one of them out")
     task = options.task
     learning = LearningOptions(
         task=task, data=options.data, large_contacts=options.contacts, test_contacts=options.test_contacts

@@ -21,7 +21,8 @@ from tactip_twin.benchmarks.physics.stability_map import Cell, cells
 from tactip_twin.benchmarks.report import table, write_results
 from tactip_twin.sim.contact.fidelity import Fidelity, fidelity_named, finer
 from tactip_twin.sim.contact.record import Contact, QualityLimits
-from tactip_twin.sim.contact.simulator import UNCONFIRMED, ContactSimulator, RetryingSimulator
+from tactip_twin.sim.contact.retries import UNCONFIRMED, RetryingSimulator
+from tactip_twin.sim.contact.simulator import ContactSimulator
 from tactip_twin.sim.parallel.worker_pool import WorkerPool, worker_count
 from tactip_twin.sim.pose import from_mm_deg
 from tactip_twin.sim.view.plot import figure_of, save_figure

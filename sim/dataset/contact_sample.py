@@ -6,9 +6,9 @@ import numpy as np
 
 from tactip_twin.sim.contact.curved_surface import MAX_CURVATURE_PER_M, curved_surface, sample_curvatures
 from tactip_twin.sim.contact.limits import MAX_TILT_RAD, exceeds_max_tilt
+from tactip_twin.sim.contact.retries import RetryingSimulator
 from tactip_twin.sim.contact.rough_surface import sample_rough_surface
 from tactip_twin.sim.contact.signed_distance import SignedDistanceMesh
-from tactip_twin.sim.contact.simulator import RetryingSimulator
 from tactip_twin.sim.contact.solid_stimulus import SolidStimulus
 from tactip_twin.sim.dataset.configuration import Configuration
 from tactip_twin.sim.dataset.pressed_object import PressPlaces

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from tactip_twin.sim.contact.record import Contact
-from tactip_twin.sim.contact.simulator import RetryingSimulator
+from tactip_twin.sim.contact.retries import RetryingSimulator
 from tactip_twin.sim.contact.solid_stimulus import SolidStimulus
 from tactip_twin.sim.contact.stimuli import stimulus_named
 from tactip_twin.sim.dataset.configuration import Configuration

@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from tactip_twin.sim.contact.simulator import ContactSimulator, RetryingSimulator
+from tactip_twin.sim.contact.retries import RetryingSimulator
+from tactip_twin.sim.contact.simulator import ContactSimulator
 from tactip_twin.sim.dataset.configuration import Configuration
 from tactip_twin.sim.dataset.contact_sample import sample_contact, simulator_for
 from tactip_twin.sim.dataset.format import read_configuration, read_meta, read_rows, versions

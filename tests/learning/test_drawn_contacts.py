@@ -19,7 +19,7 @@ from tactip_twin.learning.quantities import QUANTITIES
 from tactip_twin.learning.tactile_raster import TactileRaster
 from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.contact.record import QualityLimits
-from tactip_twin.sim.contact.simulator import RetryingSimulator
+from tactip_twin.sim.contact.retries import RetryingSimulator
 from tactip_twin.sim.dataset.configuration import Configuration
 from tactip_twin.sim.dataset.format import read_pins
 from tactip_twin.sim.dataset.generate import Job, make

@@ -20,7 +20,7 @@ from tactip_twin.learning.model import load_network, net_sha256, shipped_models
 from tactip_twin.learning.train import train
 from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.contact.record import QualityLimits
-from tactip_twin.sim.contact.simulator import RetryingSimulator
+from tactip_twin.sim.contact.retries import RetryingSimulator
 from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES, generator
 from tactip_twin.sim.pose import to_mm_deg
 from tactip_twin.tactip_model.errors import TactipError

@@ -7,6 +7,7 @@ import pytest
 from tactip_twin.benchmarks.learning import fast_tip, sliding_tip
 from tactip_twin.benchmarks.learning.options import FastTipOptions, SlidingTipOptions
 from tactip_twin.sim.dataset.generate import check
+from tactip_twin.tactip_model.errors import TactipError
 
 
 def test_sets_of_a_sliding_tip_are_valid_and_apart():
@@ -34,3 +35,10 @@ def test_ways_to_make_a_contact_are_compared_with_the_finest(tmp_path):
     assert all(rate > 0 for rate in measured["rates"].values()) and not (tmp_path / "none").exists()
     assert (tmp_path / "fast_tip.png").stat().st_size > 5000
     assert (tmp_path / "fast_tip.md").read_text().count("| surface | corrected |") == 1
+
+
+def test_times_alone_release_no_tip(tmp_path):
+    options = FastTipOptions(times_only=True, release=tmp_path / "tips", out=tmp_path)
+    with pytest.raises(TactipError, match="--times-only trains no tip"):
+        fast_tip.run(options, log=lambda text: None)
+    assert not list(tmp_path.iterdir())

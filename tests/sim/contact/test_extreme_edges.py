@@ -6,7 +6,8 @@ import pytest
 from tactip_twin.sim.contact.fidelity import fidelity_named
 from tactip_twin.sim.contact.limits import exceeds_max_tilt
 from tactip_twin.sim.contact.record import QualityLimits
-from tactip_twin.sim.contact.simulator import TRIES, ContactSimulator, RetryingSimulator
+from tactip_twin.sim.contact.retries import TRIES, RetryingSimulator
+from tactip_twin.sim.contact.simulator import ContactSimulator
 from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES
 from tactip_twin.sim.pose import from_mm_deg
 

@@ -7,7 +7,8 @@ import pytest
 
 from tactip_twin.sim.contact.fidelity import MIN_STEP_S, Fidelity, Motion, Solver, finer
 from tactip_twin.sim.contact.limits import check_ranges
-from tactip_twin.sim.contact.simulator import TRIES, ContactSimulator
+from tactip_twin.sim.contact.retries import TRIES
+from tactip_twin.sim.contact.simulator import ContactSimulator
 from tactip_twin.sim.dataset.sampling import POSE_RANGES, SHEAR_RANGES, Ranges
 from tactip_twin.sim.labels import TASKS
 from tactip_twin.sim.pose import from_mm_deg

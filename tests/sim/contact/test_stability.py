@@ -11,8 +11,9 @@ from tactip_twin.benchmarks.physics import stability
 from tactip_twin.sim.contact import stimuli
 from tactip_twin.sim.contact.fidelity import fidelity_named, finer
 from tactip_twin.sim.contact.record import QualityLimits
+from tactip_twin.sim.contact.retries import UNCONFIRMED, RetryingSimulator
 from tactip_twin.sim.contact.scene import Scene
-from tactip_twin.sim.contact.simulator import UNCONFIRMED, ContactSimulator, RetryingSimulator
+from tactip_twin.sim.contact.simulator import ContactSimulator
 from tactip_twin.sim.contact.stimuli import STIMULI
 from tactip_twin.sim.pose import from_mm_deg, sensor_in_contact
 from tactip_twin.tactip_model.design import Design, Materials

@@ -6,7 +6,8 @@ import pytest
 
 from tactip_twin.sim.contact import stimuli
 from tactip_twin.sim.contact.record import QualityLimits
-from tactip_twin.sim.contact.simulator import ContactSimulator, RetryingSimulator
+from tactip_twin.sim.contact.retries import RetryingSimulator
+from tactip_twin.sim.contact.simulator import ContactSimulator
 from tactip_twin.sim.contact.stimuli import STIMULI, stimulus_named
 from tactip_twin.sim.labels import TASKS
 from tactip_twin.sim.pose import from_mm_deg, inverse, sensor_in_contact

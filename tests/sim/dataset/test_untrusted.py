@@ -14,7 +14,7 @@ from tactip_twin.sim.contact.fidelity import fidelity_named, finer
 from tactip_twin.sim.contact.limits import exceeds_max_tilt
 from tactip_twin.sim.contact.mujoco_warnings import counted_warnings
 from tactip_twin.sim.contact.record import QualityLimits
-from tactip_twin.sim.contact.simulator import TRIES, RetryingSimulator
+from tactip_twin.sim.contact.retries import TRIES, RetryingSimulator
 from tactip_twin.sim.dataset import contact_sample
 from tactip_twin.sim.dataset import generate as generation
 from tactip_twin.sim.dataset.generate import Job
