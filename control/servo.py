@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from tactip_twin.control.options import GainsName
 from tactip_twin.sim.labels import Task
-from tactip_twin.sim.pose import from_mm_deg, inverse, matrix, sensor_in_contact
+from tactip_twin.sim.pose import from_mm_deg, inverse, matrix, rotation_of, sensor_in_contact
 from tactip_twin.tactip_model.bounds import check, within
 from tactip_twin.tactip_model.errors import lookup
 
@@ -149,4 +149,4 @@ class Servo:
 
 def _twist(motion: np.ndarray) -> np.ndarray:
     """Return translation (m) and rotation vector (rad) of a motion (4, 4)."""
-    return np.concatenate([motion[:3, 3], Rotation.from_matrix(motion[:3, :3]).as_rotvec()])
+    return np.concatenate([motion[:3, 3], rotation_of(motion).as_rotvec()])

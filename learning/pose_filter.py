@@ -29,7 +29,7 @@ from scipy.special import gammaincinv
 
 from tactip_twin.learning.filter_settings import FilterSettings
 from tactip_twin.sim.labels import COMPONENTS, LEARNED, Task
-from tactip_twin.sim.pose import from_mm_deg, inverse, label_of, matrix, sensor_in_contact
+from tactip_twin.sim.pose import FACING, from_mm_deg, inverse, label_of, matrix, rotation_of, sensor_in_contact
 
 
 @dataclass(frozen=True)
@@ -74,6 +74,7 @@ class PoseFilter:
     def __init__(self, task: Task, settings: FilterSettings) -> None:
         """Prepare the filter; it knows nothing before the first estimate."""
         self._rows = [COMPONENTS.index(c) for c in LEARNED[task]]
+        self._learned, self._defined = np.ix_(self._rows, self._rows), np.ix_([*self._rows, 6, 7, 8], [*self._rows, 6, 7, 8])
         self._task, self._settings = task, settings
         # The quantile of chi squared; scipy.stats takes a third of a second to load.
         self._limit = float(2 * gammaincinv(len(self._rows) / 2, settings.gate_probability))
@@ -105,7 +106,7 @@ class PoseFilter:
         self._T_base_tcp = np.array(T_base_tcp)
         k = self._rows
         innovation = _log(sensor_in_contact(label) @ inverse(self._T))[k]
-        S = self._P[np.ix_(k, k)] + R[np.ix_(k, k)]
+        S = self._P[self._learned] + R[self._learned]
         squared = float(innovation @ np.linalg.solve(S, innovation))
         # The ratio of what is seen to what is expected, for the estimates' variance that is assumed at present.
         seen = self._excess * min(squared, self._limit) / len(k)
@@ -162,9 +163,8 @@ class PoseFilter:
         M[3:, 3:] = turn
         M[:3, 3:] = _cross(label[:3]) @ turn
         factor = self._settings.correlated_estimates
-        R, defined = M @ np.diag(factor * (known * deviations) ** 2) @ M.T, np.ix_(self._rows, self._rows)
-        out = np.zeros((6, 6))
-        out[defined] = R[defined]
+        R, out = M @ np.diag(factor * (known * deviations) ** 2) @ M.T, np.zeros((6, 6))
+        out[self._learned] = R[self._learned]
         return out
 
     def _move(self, D: np.ndarray) -> None:
@@ -204,7 +204,7 @@ class PoseFilter:
         """Move the contact frame by a shift (3,), m, and turn it, so the label has the task's components only."""
         turn, spin = Rotation.identity(), np.eye(3)
         if 5 not in self._rows:
-            w, _, _, z = Rotation.from_rotvec(label_of(self._T)[3:]).as_quat(scalar_first=True)
+            w, _, _, z = rotation_of(self._T[:3, :3] @ FACING).as_quat(scalar_first=True)
             angle = -2 * np.arctan2(z, w)
             turn, spin = Rotation.from_rotvec([0, 0, angle]), _spun_curvatures(angle)
         G = matrix(turn.apply(-shift), turn)
@@ -212,9 +212,8 @@ class PoseFilter:
         F[:6, :6], F[_BEND, _BEND] = _adjoint(G), spin
         self._T, self._bends = G @ self._T, spin @ self._bends
         P = F @ self._P @ F.T
-        defined = [*self._rows, 6, 7, 8]
         self._P = np.zeros((9, 9))
-        self._P[np.ix_(defined, defined)] = 0.5 * (P + P.T)[np.ix_(defined, defined)]
+        self._P[self._defined] = 0.5 * (P + P.T)[self._defined]
 
 
 def _spun_curvatures(angle: float) -> np.ndarray:

@@ -8,10 +8,9 @@ the far side; then the frame is at the point of the near side whose normal runs 
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from tactip_twin.sim.contact.signed_distance import DistanceField
-from tactip_twin.sim.pose import FACING, inverse, label_of, matrix, shortest_turn
+from tactip_twin.sim.pose import FACING, inverse, label_of, matrix, rotation_of, shortest_turn
 
 if TYPE_CHECKING:
     from tactip_twin.sim.robot.objects import Edge
@@ -34,6 +33,8 @@ class SurfaceGroundTruth:
 
     def __init__(self, solid: DistanceField) -> None:
         self._solid = solid
+        self._last: tuple[np.ndarray, np.ndarray, float] | None = None
+        """The last sensor (4, 4), and its frame and height: a step of a servo run asks for them several times."""
 
     def frame(self, T_object_sensor: np.ndarray) -> np.ndarray:
         """Return T_object_contact (4, 4) of a sensor (4, 4): z is the normal, rotated about it so that yaw is zero."""
@@ -49,9 +50,12 @@ class SurfaceGroundTruth:
 
     def _frame_and_height(self, T_object_sensor: np.ndarray) -> tuple[np.ndarray, float]:
         """Return T_object_contact (4, 4) of a sensor (4, 4), and the height of its apex above the surface, m."""
-        place, normal, height_m = self._foot(T_object_sensor)
-        turn = shortest_turn(T_object_sensor[:3, 2], -normal)
-        return matrix(place, turn * Rotation.from_matrix(T_object_sensor[:3, :3] @ FACING)), height_m
+        if self._last is None or not np.array_equal(self._last[0], T_object_sensor):
+            place, normal, height_m = self._foot(T_object_sensor)
+            turn = shortest_turn(T_object_sensor[:3, 2], -normal)
+            frame = matrix(place, turn * rotation_of(T_object_sensor[:3, :3] @ FACING))
+            self._last = np.array(T_object_sensor), frame, height_m
+        return self._last[1].copy(), self._last[2]
 
     def _foot(self, T_object_sensor: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         """Return the point (3,) of the surface below the apex, its normal (3,), and the apex's height above it, m."""
@@ -118,7 +122,7 @@ class EdgeGroundTruth:
         _, place, normal, tangent = self.nearest(T_object_sensor[:3, 3])
         # Edges run anticlockwise as seen from above, so the right-hand side of the tangent is off the object.
         off = np.cross(tangent, normal)
-        return matrix(place, Rotation.from_matrix(np.stack([off, np.cross(normal, off), normal], -1)))
+        return matrix(place, rotation_of(np.stack([off, np.cross(normal, off), normal], -1)))
 
     def label(self, T_object_sensor: np.ndarray) -> np.ndarray:
         """Return the label (6,), m and rad, of a sensor (4, 4)."""

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from tactip_twin.assets import FAST_TIPS
 from tactip_twin.sim.fast_tip.archive import check_numbers, pack, unpack
@@ -25,6 +24,7 @@ from tactip_twin.sim.fast_tip.network import Network, network_of
 from tactip_twin.sim.fast_tip.overlap import OverlapModes
 from tactip_twin.sim.fast_tip.skin_field import RING_ANGLES, Modes
 from tactip_twin.sim.labels import TASKS, Task
+from tactip_twin.sim.pose import rotation_of
 from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.files import write_file
@@ -68,7 +68,7 @@ def motion_between(T_before: np.ndarray, T_after: np.ndarray, T_contact: np.ndar
         T_contact: (4, 4), the contact frame in the frame of the object.
     """
     R = T_contact[:3, :3].T
-    turn = Rotation.from_matrix(R @ T_after[:3, :3] @ T_before[:3, :3].T @ R.T)
+    turn = rotation_of(R @ T_after[:3, :3] @ T_before[:3, :3].T @ R.T)
     return np.concatenate([R @ (T_after[:3, 3] - T_before[:3, 3]), turn.as_rotvec()])
 
 

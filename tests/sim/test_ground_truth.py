@@ -31,3 +31,17 @@ def test_label_on_a_thin_wall_is_that_of_its_near_side(thickness_mm):
         # Facets of 4 mm lie up to 0.02 mm below the sphere, and bend its normal between them.
         assert abs(found[2] - label[2]) < 0.03
         assert np.abs(found[3:5] - label[3:5]).max() < 0.5
+
+
+def test_label_and_frame_are_those_of_the_sensor_at_hand():
+    """The last sensor's frame is kept. Neither a change of its array, in place, nor of the returned frame must matter."""
+    ball = trimesh.creation.icosphere(4, RADIUS_M)
+    truth, fresh = (SurfaceGroundTruth(SignedDistanceMesh(ball.vertices, ball.faces)) for _ in range(2))
+    sensor = np.eye(4)
+    for x_mm, depth_mm in ((0, -1), (20, -1), (0, -1), (0, -3)):
+        sensor[:] = sensor_in_contact(from_mm_deg([x_mm, 0, depth_mm, 0, 0, 0]))
+        sensor[2, 3] += RADIUS_M
+        truth.frame(sensor)[:] = 0.0
+        np.testing.assert_array_equal(truth.frame(sensor), fresh.frame(sensor.copy()))
+        np.testing.assert_array_equal(truth.label(sensor), fresh.label(sensor.copy()))
+        fresh = SurfaceGroundTruth(SignedDistanceMesh(ball.vertices, ball.faces))
