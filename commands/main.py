@@ -42,6 +42,7 @@ COMMANDS = {
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command line, by default that of the process. Return the exit status."""
+    _open_standard_streams()
     arguments = sys.argv[1:] if arguments is None else list(arguments)
     if arguments == ["--version"]:
         print(version("tactip-twin"))
@@ -66,6 +67,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
             if isinstance(error, ImportError) and _is_from_stop(error):
                 return _stopped("", signals)
             return _failed(error)
+
+
+def _open_standard_streams() -> None:
+    """Open the standard streams that the caller has closed, as some schedulers do, on nothing: else the next files that are
+    opened would get their numbers, and messages of libraries would go into these files."""
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # gets the lowest number that is free
+    for number, name in ((1, "stdout"), (2, "stderr")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(number, "w", encoding="utf-8", closefd=False))  # noqa: SIM115 - for the whole process
 
 
 _BROKEN_PIPE = 141

@@ -222,8 +222,12 @@ class Recorder:
         self._log_bytes += _FRAME.size + len(data)
         if self._log_bytes > _MAX_LOG_BYTES:
             raise self._full(_MAX_LOG_BYTES)
-        self._log.write(_FRAME.pack(len(data), zlib.crc32(data)) + data)
-        self._log.flush()
+        try:
+            self._log.write(_FRAME.pack(len(data), zlib.crc32(data)) + data)
+            self._log.flush()
+        except OSError as error:
+            error.filename = str(self.folder / LOG)
+            raise
 
     def _full(self, max_bytes: int) -> RecordingFullError:
         """Return the error of a recording that has `max_bytes`. Its steps so far can be read, and completed by `finish`."""

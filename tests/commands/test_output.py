@@ -36,6 +36,28 @@ def test_output_to_a_full_disk_is_said(tmp_path):
     assert done.stderr == "tactip: the output or a file: No space left on device\n"
 
 
+@pytest.mark.parametrize("closed", [(1,), (2,), (0, 1, 2)])
+def test_streams_that_the_caller_has_closed_are_no_files_of_the_command(tmp_path, closed):
+    """A file that got the number of the error stream would receive the messages of libraries."""
+    make = [
+        "dataset",
+        "make",
+        "--samples",
+        "1",
+        "--fidelity",
+        "fast",
+        "--renderer",
+        "raster",
+        "--out",
+        str(tmp_path / "set"),
+    ]
+    close = "import os, runpy; [os.close(n) for n in {}]; runpy.run_module('tactip_twin.commands.main', run_name='__main__')"
+    done = subprocess.run([sys.executable, "-c", close.format(list(closed)), *make], capture_output=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert b"Traceback" not in done.stderr
+    assert main.main(["dataset", "verify", str(tmp_path / "set")]) == 0
+
+
 @pytest.mark.parametrize("encoding", ["ascii", "utf-8:strict"])
 def test_folder_whose_name_is_no_text(tmp_path, encoding):
     folder = os.fsencode(tmp_path) + b"/w\xff\xc3\xa4"

@@ -1,11 +1,13 @@
 """Atomic writing of files, and encoding of images."""
 
+import errno
 import os
 
 import cv2
 import numpy as np
 import pytest
 
+from helpers.full_disk import full_disk
 from tactip_twin.sim.dataset.format import encode_image
 from tactip_twin.tactip_model.design_file import read_design, write_design
 from tactip_twin.tactip_model.errors import TactipError
@@ -19,7 +21,7 @@ def test_write_design_failing_keeps_old_file(tmp_path, monkeypatch):
     write_design(path, design_named("nominal-127"), {})
 
     def full(descriptor):
-        raise OSError("no space left")
+        raise OSError(errno.ENOSPC, "no space left")
 
     monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(OSError, match="no space left"):
@@ -32,6 +34,15 @@ def test_write_file_replaces_old_file(tmp_path):
     for data in (b"old", b"new"):
         write_file(tmp_path / "file", data)
         assert (tmp_path / "file").read_bytes() == data
+
+
+def test_file_for_which_the_disk_has_no_room_is_named(tmp_path):
+    """The system reports it without a name."""
+    write_file(tmp_path / "file", b"old")
+    with full_disk(1000), pytest.raises(OSError, match="File too large") as raised:
+        write_file(tmp_path / "file", bytes(2000))
+    assert raised.value.filename == str(tmp_path / "file")
+    assert (tmp_path / "file").read_bytes() == b"old" and len(list(tmp_path.iterdir())) == 1
 
 
 def test_encode_image_failing_raises_error(monkeypatch):

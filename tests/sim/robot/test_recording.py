@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from helpers.full_disk import full_disk
 from helpers.kills import Killed
 from tactip_twin.sim.robot.recording import (
     ARRAYS,
@@ -106,6 +107,18 @@ def test_kill_leaves_all_complete_steps(tmp_path):
     # The same command starts over in the same folder.
     _record(folder, 2)
     _check(read_recording(folder)[1], 2)
+
+
+def test_log_for_which_the_disk_has_no_room_is_named(tmp_path):
+    """The steps before are kept."""
+    recorder = _record(tmp_path / "run", 3, finish=False)
+    size = (tmp_path / "run" / LOG).stat().st_size
+    with full_disk(size + 1000), pytest.raises(OSError, match="File too large") as raised:
+        for k in range(3, 10):
+            recorder.add(_row(k))
+    assert raised.value.filename == str(tmp_path / "run" / LOG)
+    _check(read_recording(tmp_path / "run")[1], 3)
+    recorder.finish({})
 
 
 @pytest.mark.parametrize("cut", [1, 50, 4000])
