@@ -29,6 +29,9 @@ def _egl_loads() -> bool:
     return True
 
 
-def install_hint() -> str:
-    """Return the command that installs headless OpenGL on Debian."""
-    return f"apt-get install -y {' '.join(DEBIAN_PACKAGES)}"
+def remedy() -> str:
+    """Return what a user can do where OpenGL does not work."""
+    platform = os.environ.get("PYOPENGL_PLATFORM", "egl")
+    if platform != "egl":
+        return f"unset PYOPENGL_PLATFORM, which is {platform!r}"
+    return f"on Debian install it with 'apt-get install -y {' '.join(DEBIAN_PACKAGES)}'"

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 
 from tactip_twin.tactip_model.design import Design
 from tactip_twin.tactip_model.errors import TactipError
-from tactip_twin.tactip_model.opengl import install_hint
+from tactip_twin.tactip_model.opengl import remedy
 from tactip_twin.tactip_model.optics import LedRing, Lens, inner_skin, perpendicular_axes, pin_radii
 from tactip_twin.tactip_model.raster_renderer import blur_and_quantize
 
@@ -59,8 +59,8 @@ def renderer() -> tuple[ModuleType, Any]:
     # functions, EGL's own errors and value errors come through pyrender and PyOpenGL alike.
     except (ImportError, AttributeError, OSError, RuntimeError, ValueError, TypeError, *_gl_error()) as error:
         raise TactipError(
-            f"OpenGL cannot be used here ({type(error).__name__}: {_first_line(error)}): on Debian install it with "
-            f"'{install_hint()}', or use --renderer raster, which does not need it"
+            f"OpenGL cannot be used here ({type(error).__name__}: {_first_line(error)}): {remedy()}, or use --renderer "
+            "raster, which does not need it"
         ) from error
     return pyrender, renderer
 

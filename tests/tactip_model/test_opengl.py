@@ -47,6 +47,13 @@ def test_make_without_opengl_gives_one_sentence_with_remedy(tmp_path):
     assert "Traceback" not in result.stderr
 
 
+def test_platform_that_the_user_has_chosen_in_vain_is_named():
+    code = "from tactip_twin.tactip_model.pyrender_renderer import renderer; renderer()"
+    result = python(code, PYOPENGL_PLATFORM="foo")
+    assert "unset PYOPENGL_PLATFORM, which is 'foo', or use --renderer raster" in result.stderr
+    assert "apt-get" not in result.stderr
+
+
 def test_raster_renderer_needs_no_opengl(tmp_path):
     options = ["--samples", "1", "--fidelity", "draft", "--renderer", "raster"]
     code = f"{MAIN}; sys.exit(main(['dataset', 'make', '--out', {str(tmp_path / 'a')!r}, *{options!r}]))"
