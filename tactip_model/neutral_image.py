@@ -280,13 +280,9 @@ def widest_spacing(design: Design) -> float:
     return limit / extent
 
 
-def with_spacing(design: Design, factor: float, height: float = 1.0) -> Design:
-    """Return the design with pins `factor` times as far apart, a camera `height` times as far behind the plane of the rim,
-    and the lens that shows the pins at the same places in the neutral image.
-
-    Raises:
-        TactipError: The pins would lie outside the dome.
-    """
+def with_spacing(design: Design, factor: float) -> Design:
+    """Return the design with pins `factor` times as far apart, and with the lens that shows them at the same places in the
+    neutral image. Raises TactipError if they would lie outside the dome."""
     pins, optics = design.pins, design.optics
     wider = replace(
         pins,
@@ -295,11 +291,7 @@ def with_spacing(design: Design, factor: float, height: float = 1.0) -> Design:
         rim_diameter_m=factor * pins.rim_diameter_m,
         as_built_m=tuple((factor * x, factor * y) for x, y in pins.as_built_m),
     )
-    moved = replace(
-        optics,
-        camera_offset_m=tuple(factor * x for x in optics.camera_offset_m),
-        camera_height_m=height * optics.camera_height_m,
-    )
+    moved = replace(optics, camera_offset_m=tuple(factor * x for x in optics.camera_offset_m))
     seen = neutral_px(replace(design, optics=_when_neutral(optics)))
     return with_pin_offsets(replace(design, pins=wider, optics=moved), seen)
 

@@ -1,8 +1,8 @@
 """Contacts estimated from the pins of some frames of a set, without its table, which is then compared with them.
 
 The neutral image gives camera and pins, and the learned tip of any materials (sim/fast_tip/) says which contact moves pins
-as those of a frame have moved (learning/pose_from_pins.py). Pitch and materials are estimated from the same pins
-(learning/tip_from_pins.py). Whatever else of the mechanics is not this sensor's may make estimates too small or too
+as those of a frame have moved (learning/pose_from_pins.py). Pitch and materials are estimated from the same
+pins (learning/tip_from_pins.py). Whatever else of the mechanics is not this sensor's may make estimates too small or too
 large, but their signs and axes are right.
 """
 
@@ -60,11 +60,11 @@ _TRIED_AT_REST = 20
 """Number of frames, those whose pins are closest together, that are tried in place of a missing neutral image [?]."""
 
 _TIP_FRAMES, _TIP_ROUNDS = 40, 2
-"""Number of frames that geometry and materials are estimated from, and number of rounds: with better ones, some frames have
+"""Number of frames that pitch and materials are estimated from, and number of rounds: with better ones, some frames have
 another most likely contact [M]."""
 
 _BAD_FIT = 2.0
-"""Residual of a frame, in medians over all, beyond which it does not count for geometry and materials [?]."""
+"""Residual of a frame, in medians over all, beyond which it does not count for pitch and materials [?]."""
 
 _RANDOM_CONTACTS, _SECTORS = 4000, 6
 """Number of random contacts of which the nearest is the start of an estimate, and number of ranges of yaw, each with its own
@@ -218,12 +218,12 @@ def detected_pins(blobs: Sequence[np.ndarray], at_rest_px: np.ndarray) -> tuple[
 
 
 class ContactModel(NamedTuple):
-    """A model of the pins of a tip whose geometry and materials were estimated."""
+    """A model of the pins of a tip whose pitch and materials were estimated."""
 
     model: PinModel
     """The model."""
     design: Design
-    """The design with the estimated pitch and, if asked for, camera height, and its own materials."""
+    """The design with the estimated pitch, and its own materials."""
     materials: np.ndarray
     """(6,) the estimated materials, inputs of FastTip.coefficients."""
     contacts: np.ndarray
@@ -256,20 +256,17 @@ def some_of(pins: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     return pins[rng.choice(len(pins), min(_TIP_FRAMES, len(pins)), replace=False)]
 
 
-def contact_model(
-    design: Design, pins: np.ndarray, task: Task, rng: np.random.Generator, with_height: bool = False
-) -> ContactModel:
-    """Return a model of the pins of a tip of some design, with the pitch and materials that explain the pins of some frames
-    best, whatever their contacts.
+def contact_model(design: Design, pins: np.ndarray, task: Task, rng: np.random.Generator) -> ContactModel:
+    """Return a model of the pins of a tip of some design, with the pitch and materials that explain the pins
+    of some frames best, whatever their contacts.
 
     Args:
         design: The design.
         pins: (n, p, 2) px of 256, from some_of or pins_of_some; NaN where a pin is not detected.
         task: Stimulus of the frames.
         rng: Generator of contacts from which to start.
-        with_height: Whether to estimate the camera height, too.
     """
-    models = TipModels(read_fast_tip(any_materials(task)), design, _POSES[task], _SHEARS, with_height)
+    models = TipModels(read_fast_tip(any_materials(task)), design, _POSES[task], _SHEARS)
     noise = _noise(pins)
     tip, found = models.with_materials(models.middle, material_inputs(design.materials)), np.empty((0, 12))
     for _ in range(_TIP_ROUNDS):

@@ -51,8 +51,8 @@ _ROUNDS = 3
 error by at most 0.05 px of 256 [M]."""
 
 _MECHANICS_FRAMES = 60
-"""Number of frames that geometry and materials are estimated from, once: with a second estimate, the pins' error fell from
-0.32 to 0.22 px of 256 on a hidden tip, and rose from 0.28 to 0.43 on a real one [M]."""
+"""Number of frames that pitch and materials are estimated from, once: with a second estimate, the pins' error fell from 0.32
+to 0.22 px of 256 on a hidden tip, and rose from 0.28 to 0.43 on a real one [M]."""
 
 _MIN_DEPTH_RANGE_MM, _GAINS = 1.0, (0.6, 1.4)
 """Least range of the depths in the table that shows how much of them the frames show, and range of that part [?]."""

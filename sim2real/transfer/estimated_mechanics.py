@@ -1,4 +1,4 @@
-"""Pitch, camera height and materials of a real tip, estimated from frames whose labels are not used, for its design."""
+"""Pitch and materials of a real tip, estimated from frames whose labels are not used, for its design."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -12,6 +12,9 @@ from tactip_twin.sim.labels import Task
 from tactip_twin.sim2real.importing.estimated_contacts import ContactModel, contact_model, pins_of_some
 from tactip_twin.tactip_model.design import Design
 
+BEFORE, AFTER = "before_px", "after_px"
+"""Names of the distances of the pins."""
+
 _MARGIN = 1e-3
 """Distance of the materials from the ends of what the learned tip knows, as a fraction or in logarithms, -."""
 
@@ -19,25 +22,19 @@ _MARGIN = 1e-3
 class EstimatedMechanics(NamedTuple):
     """What frames show of a tip."""
 
-    design: Design
-    """The design with the estimated pitch; where the materials are believed, also with these and the camera height."""
-    materials: dict[str, float] | None
-    """The materials by name (sim/fast_tip/materials.py); None where they are not believed."""
-    before_px: float
-    """Median distance of detected and simulated pins with usual materials, px of 256."""
-    after_px: float
-    """That with the estimated ones; both with the estimated pitch and camera height."""
+    with_pitch: Design
+    """The design with the estimated pitch."""
+    with_materials: Design
+    """That with the estimated materials, too."""
+    materials: dict[str, float]
+    """These by name (sim/fast_tip/materials.py), with the median distance of detected and simulated pins, px of 256, before
+    and with them; both with the estimated pitch."""
 
 
 def estimated_mechanics(
-    design: Design,
-    blobs: Sequence[np.ndarray],
-    task: Task,
-    around: MechanicsRandomization,
-    max_residual: float,
-    seed: int = 0,
+    design: Design, blobs: Sequence[np.ndarray], task: Task, around: MechanicsRandomization, seed: int = 0
 ) -> EstimatedMechanics:
-    """Return the pitch, camera height and materials that explain the pins of some frames best, whatever their poses.
+    """Return the pitch and materials that explain the pins of some frames best, whatever their poses.
 
     The kinetic fraction, the slip weakening and the gel's compressibility remain the design's, because pins hardly show
     them: on 17 simulated sensors, the true ones of the first two were 1.0 to 2.3 and 0.4 to 1.4 times the most likely [M].
@@ -47,19 +44,13 @@ def estimated_mechanics(
         blobs: (n) centres (k, 2) of the blobs of frames of presses, px of 256.
         task: Their stimulus.
         around: Randomization that the design will have: all of it lies within what the learned tip knows.
-        max_residual: Distance of the pins with the estimated materials, relative to that with usual ones, up to which
-            materials and camera height are believed, -.
         seed: Seed of the choice of frames.
 
     Raises:
         TactipError: If too few frames show their pins.
     """
     rng = np.random.default_rng(seed)
-    pins = pins_of_some(blobs, design, rng)
-    fit = contact_model(design, pins, task, np.random.default_rng((seed, 1)), with_height=True)
-    before, after = fit.before_px, fit.after_px
-    if after > max_residual * before:
-        return EstimatedMechanics(contact_model(design, pins, task, rng).design, None, before, after)
+    fit = contact_model(design, pins_of_some(blobs, design, rng), task, rng)
     likely = dict(zip(INPUTS, (float(value) for value in _within(fit, around)), strict=True))
     materials = replace(
         design.materials,
@@ -67,8 +58,9 @@ def estimated_mechanics(
         friction=likely["friction"],
         skin_thickness_m=float(np.exp(likely["log_thickness"])),
     )
-    found: dict[str, float] = dict(zip(INPUTS, material_inputs(materials).tolist(), strict=True))
-    return EstimatedMechanics(replace(fit.design, materials=materials), found, before, after)
+    found = dict(zip(INPUTS, material_inputs(materials).tolist(), strict=True))
+    found |= {BEFORE: fit.before_px, AFTER: fit.after_px}
+    return EstimatedMechanics(fit.design, replace(fit.design, materials=materials), found)
 
 
 def _within(fit: ContactModel, around: MechanicsRandomization) -> np.ndarray:

@@ -16,7 +16,7 @@ from tactip_twin.sim.dataset.mechanics_randomization import MECHANICS_RANDOMIZAT
 from tactip_twin.sim.labels import Task
 from tactip_twin.sim2real.importing.frame_blobs import blobs_of, read_blobs
 from tactip_twin.sim2real.importing.import_set import pins_at_rest
-from tactip_twin.sim2real.transfer.estimated_mechanics import estimated_mechanics
+from tactip_twin.sim2real.transfer.estimated_mechanics import AFTER, BEFORE, estimated_mechanics
 from tactip_twin.sim2real.transfer.gel import with_usual_gel
 from tactip_twin.sim2real.transfer.neutral_calibration import camera_of, fit_design_to_neutral_image, with_camera_drift
 from tactip_twin.sim2real.transfer.settings import AUTO, TransferSettings
@@ -27,12 +27,11 @@ from tactip_twin.tactip_model.input_files import read_json
 from tactip_twin.tactip_model.presets import load_design
 
 _MAX_RESIDUAL = 0.75
-"""Largest distance of the pins with estimated materials, as a fraction of that with usual ones, for materials and camera
-height to be believed. It is 0.2 to 0.6 on hidden sensors with other mechanics, and 0.8 to 1.1 on real-127 and real-331. On
-these, narrow mechanics around the estimate made depth 0.01 mm worse or changed nothing, and the camera height made it
-worse [M]."""
+"""Largest distance of the pins with estimated materials, as a fraction of that with usual ones, for them to be believed. It
+is 0.4 to 0.5 on hidden sensors with other mechanics, and 0.85 to 0.9 on real-127 and real-331, on which narrow mechanics
+around the estimate made depth 0.01 mm worse or changed nothing [M]."""
 
-_METHOD = "pitch, camera height and materials together"
+_METHOD = "pitch and materials together"
 """Name of the way to estimate, so that what an earlier version has estimated in another way is estimated again."""
 
 _MATERIALS, _INPUTS = "estimated_materials", "inputs_sha256"
@@ -58,7 +57,7 @@ class RealSensor:
             real: Folder of an imported set.
             out: Folder for design.json, what was found.
             settings: Settings of the experiments.
-            frames: Samples of the set from which geometry and materials are estimated.
+            frames: Samples of the set from which pitch and materials are estimated.
             task: Their stimulus.
             log: Callback for messages to the user.
 
@@ -102,7 +101,7 @@ class RealSensor:
         blobs = self._blobs()
         inputs, path = self._checksum(fitted, blobs), self._out / "design.json"
         if path.exists() and (kept := self._kept(path, inputs)):
-            self._log(f"pitch, camera height and materials are those in {path}, which were estimated from the same frames")
+            self._log(f"pitch and materials are those in {path}, which were estimated from the same frames")
             return kept
         fitted, found = self._with_mechanics(fitted, blobs)
         self._out.mkdir(parents=True, exist_ok=True)
@@ -118,7 +117,7 @@ class RealSensor:
         return shown or [blobs_of(image) for image in self._frames.images]
 
     def _checksum(self, fitted: Design, blobs: Sequence[np.ndarray]) -> str:
-        """Return a checksum of all that geometry and materials are estimated from."""
+        """Return a checksum of all that pitch and materials are estimated from."""
         name = self._settings.randomize_mechanics
         of_materials = name if name in (AUTO, "estimated") else None
         counts = [len(centres) for centres in blobs]
@@ -130,7 +129,7 @@ class RealSensor:
         try:
             design, provenance = read_design(path), read_json(path)["provenance"]
         except TactipError as error:
-            self._log(f"pitch, camera height and materials are estimated again: {error}")
+            self._log(f"pitch and materials are estimated again: {error}")
             return None
         if provenance.get(_INPUTS) != inputs:
             return None
@@ -148,28 +147,28 @@ class RealSensor:
             )
 
     def _with_mechanics(self, design: Design, blobs: Sequence[np.ndarray]) -> tuple[Design, dict[str, Any]]:
-        """Return a design with the pitch that the frames show, and with the camera height and the materials if these are to
-        be estimated and are believed; and what was estimated, for the design's provenance."""
+        """Return a design with the pitch that the frames show, and with the materials if these are to be
+        estimated and are believed; and what was estimated, for the design's provenance."""
         name, around = self._settings.randomize_mechanics, MECHANICS_RANDOMIZATIONS["estimated"]
-        max_residual = {AUTO: _MAX_RESIDUAL, "estimated": np.inf}.get(name, 0.0)
-        self._log("estimating pitch, camera height and materials from the pins of some frames")
+        self._log("estimating pitch and materials from the pins of some frames")
         try:
-            found = estimated_mechanics(design, blobs, self._task, around, max_residual, self._settings.seed)
+            found = estimated_mechanics(design, blobs, self._task, around, self._settings.seed)
         except TactipError as error:
             if name == "estimated":
                 raise
             self._log(f"the pitch remains {1e3 * design.pins.pitch_m:.2f} mm, and the materials vary more: {error}")
             return design, {_MATERIALS: None}
-        pitches = (1e3 * one.pins.pitch_m for one in (found.design, design))
+        pitches = (1e3 * one.pins.pitch_m for one in (found.with_pitch, design))
         self._log("the pitch is {:.2f} mm; usual is {:.2f} mm".format(*pitches))
-        self._estimated = found.materials is not None
-        if self._estimated:
-            heights = (1e3 * one.optics.camera_height_m for one in (found.design, design))
-            self._log("the camera is {:.1f} mm behind the rim; usual is {:.1f} mm".format(*heights))
-        elif name == AUTO:
+        before, after = (found.materials[key] for key in (BEFORE, AFTER))
+        shown = {"distances_px": {BEFORE: before, AFTER: after}}
+        if name not in (AUTO, "estimated"):
+            return found.with_pitch, {_MATERIALS: None} | shown
+        if name == AUTO and after > _MAX_RESIDUAL * before:
             self._log(
-                f"the materials vary more, because none explain the pins much better: {found.after_px:.2f} px of 256 from "
-                f"the frames, {found.before_px:.2f} px with usual ones"
+                f"the materials vary more, because none explain the pins much better: {after:.2f} px of 256 from the "
+                f"frames, {before:.2f} px with usual ones"
             )
-        distances = {"before_px": found.before_px, "after_px": found.after_px}
-        return found.design, {_MATERIALS: found.materials, "distances_px": distances}
+            return found.with_pitch, {_MATERIALS: None} | shown
+        self._estimated = True
+        return found.with_materials, {_MATERIALS: found.materials} | shown

@@ -182,7 +182,7 @@ def test_design_of_an_earlier_command_is_used_again_if_frames_and_settings_are_t
 
     def estimate(design, blobs, *_):
         estimates.append(len(blobs))
-        return EstimatedMechanics(design, None, 0.5, 0.5)
+        return EstimatedMechanics(design, design, {"before_px": 0.5, "after_px": 0.5})
 
     monkeypatch.setattr(real_sensor, "estimated_mechanics", estimate)
 
@@ -193,7 +193,7 @@ def test_design_of_an_earlier_command_is_used_again_if_frames_and_settings_are_t
     first = found()
     assert found() == first and len(estimates) == 1
     path = tmp_path / "out" / "design.json"
-    assert said[-1] == f"pitch, camera height and materials are those in {path}, which were estimated from the same frames"
+    assert said[-1] == f"pitch and materials are those in {path}, which were estimated from the same frames"
     for changed in ({"seed": 1}, {"real_train_frames": 40}, {}):
         found(**changed)
     assert estimates == [30, 30, 40, 30]
@@ -201,10 +201,7 @@ def test_design_of_an_earlier_command_is_used_again_if_frames_and_settings_are_t
     right = path.read_bytes()
     path.write_bytes(right[:500])
     assert found() == first and len(estimates) == 5 and path.read_bytes() == right
-    assert any(
-        words.startswith(f"pitch, camera height and materials are estimated again: the design file {path} ")
-        for words in said
-    )
+    assert any(words.startswith(f"pitch and materials are estimated again: the design file {path} ") for words in said)
     # Whether the materials were estimated is read, too.
     shutil.copy(designed / "design.json", path)
     kept = Experiment(lab, tmp_path / "out", TransferSettings(real_train_frames=30), 1, log=said.append)
@@ -217,7 +214,7 @@ def test_mechanics_are_estimated_from_frames_at_full_size_if_the_import_kept_the
 
     def estimate(design, blobs, *_):
         given.append(blobs)
-        return EstimatedMechanics(design, None, 0.5, 0.5)
+        return EstimatedMechanics(design, design, {"before_px": 0.5, "after_px": 0.5})
 
     monkeypatch.setattr(real_sensor, "estimated_mechanics", estimate)
     few = TransferSettings(real_train_frames=40, randomize_mechanics="real")
