@@ -8,10 +8,10 @@ farther from the clamped rim of the skin, so the outer ones move more. For each 
 neutral image has them.
 
 The camera's height and the pins' length are not estimated, although both can be on simulated sensors: the height within 0.8
-mm on surfaces. But the depth was not read better by it on average (0.06, 0.14, 0.07 and 0.08 mm off on surface-a, -b, -c and
--e of docs/hidden_sensors.md became 0.09, 0.09, 0.07 and 0.11 mm), and on the published 331-pin set, height and length took up
-what else the twin has wrong (0.125 mm became 0.168 mm). Nor is the gel's compressibility estimated, which pins hardly tell
-from the depth.
+mm on surfaces. But the depth was not read better by it on average (0.06, 0.14, 0.07 and 0.08 mm off on surface-a, -b, -c
+and -e of docs/hidden_sensors.md became 0.09, 0.09, 0.07 and 0.11 mm), and on the published 331-pin set, height and length
+took up what else the twin has wrong (0.125 mm became 0.168 mm). Nor is the gel's compressibility estimated, which pins
+hardly tell from the depth.
 """
 
 from functools import lru_cache
