@@ -70,8 +70,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _open_standard_streams() -> None:
-    """Open the standard streams that the caller has closed, as some schedulers do, on nothing: else the next files that are
-    opened would get their numbers, and messages of libraries would go into these files."""
+    """Open the standard streams that the caller has closed, as some schedulers do, on the null device. Otherwise the next
+    files that are opened would get their numbers, and messages of libraries would go into these files."""
     for number in range(3):
         try:
             os.fstat(number)

@@ -31,7 +31,7 @@ def write_file(path: Path, data: bytes, sync: bool = True) -> None:
     except OSError as error:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
-        if error.filename in (None, str(temporary)):  # a full disk has no name, and nobody knows the other
+        if error.filename in (None, str(temporary)):  # a full disk's error names no file, and nobody knows that name
             error.filename = str(path)
         raise
 

@@ -46,8 +46,8 @@ _SHEARS = Ranges(x_mm=(-6, 6), y_mm=(-6, 6), depth_mm=(-0.7, 0.7), roll_deg=(-5,
 their tool centre points are not the apex and their depth is off [M]."""
 
 _FRICTION = 2.7
-"""Largest factor of the friction of the 127-pin preset, 0.7: 0.26 to 1.89, which covers the sensors of the benchmark
-`hidden-sensors` (0.3 to 1.8)."""
+"""Largest factor, up or down, of the friction of the 127-pin preset, 0.7: so 0.26 to 1.88, which includes the sensors of
+`tactip bench hidden-sensors` (0.3 to 1.8)."""
 
 _GEL_POISSON, _GEL_COMPRESSIBILITY = 0.46, 7.0
 """Middle of the Poisson's ratios of the gels, and largest factor of 1 - 2 times it: 0.22 to 0.494."""
