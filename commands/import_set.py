@@ -64,6 +64,7 @@ class Import(Command):
             layout = found.layout
             print(*found.evidence, sep="\n")
             print(f"found: {found.options()}")
+            recording = read_recording(self.source, layout.column_map, self.targets, self.neutral)
         report = import_set(with_labels(recording, layout.column_map), layout, self.out)
         if found:
             print(f"check the picture of measured and simulated pins, {found.write_picture(self.out)}")

@@ -108,6 +108,9 @@ _LIGHT_EPOCHS: dict[Task, int] = {"surface": 12, "edge": 32}
 _ANY_TRAINING = {"augmented_fraction": 0.6, "augmentation_strength": 1.0, "optics_ranges": "real"}
 """Settings of networks that know any materials and cameras, as in a transfer [?]."""
 
+_WIDE_TRAINING = _DRAWN_TRAINING | _FAST_TRAINING | {"epochs": 20}
+"""Such training once more, on wide images, with light contacts [?]."""
+
 _MORE_PINS_EPOCHS, _ANY_EPOCHS, _ANY_YAW_EPOCHS = 60, 16, 40
 """Numbers of epochs of such networks: from random weights, on a GPU, from a shipped network, and from one that knows fewer
 yaws [?]."""
@@ -190,6 +193,9 @@ def rows(task: Task, paper: bool) -> list[Row]:
     wide_noisy = Recipe(wide.network, replace(laptop.settings, **_NOISE_TRAINING))
     what = "`laptop-256px` fine-tuned with images of a noisy camera, light contacts among them"
     out.append(Row("laptop-256px-noise", what, "256px", wide_noisy, "laptop-256px"))
+    what = f"`{task}-{WIDE_PX}px-{DESIGN}` fine-tuned in the same way, light contacts among the drawn ones"
+    longer = Recipe(wide.network, replace(laptop.settings, **_WIDE_TRAINING))
+    out.append(Row("laptop-256px-light", what, "256px", longer, f"{task}-{WIDE_PX}px-{DESIGN}"))
     known = "any materials, any camera"
     many = Recipe(replace(laptop.network, batch_size=64), replace(drawn, epochs=_MORE_PINS_EPOCHS, **_ANY_TRAINING))
     out.append(Row("laptop-331", f"recipe `laptop` on drawn contacts of `{MORE_PINS_DESIGN}`, {known}", "331", many))

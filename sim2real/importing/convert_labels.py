@@ -92,7 +92,7 @@ def convert_labels(column_map: ColumnMap, table: Mapping[str, Sequence[str]]) ->
 def _labels(column_map: ColumnMap, commands: np.ndarray) -> np.ndarray:
     """Return the labels (n, 6) of poses (n, 6) in their conventions, both in m and rad."""
     angles = column_map.angles
-    plain = angles in ("auto", "vector")
+    plain = angles in ("auto", "vector") or bool(column_map.base_pose)  # base_pose.py gives rotation vectors
     turns = Rotation.from_rotvec(commands[:, 3:]) if plain else Rotation.from_euler(angles, commands[:, 3:])
     lever = 1e-3 * np.array([*column_map.tcp_beside_axis_mm, column_map.tcp_behind_apex_mm])
     apexes = commands[:, :3] + lever - turns.apply(lever)

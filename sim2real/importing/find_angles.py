@@ -42,7 +42,7 @@ def angles_and_lever(
     rows: dict[str, Sequence[str]] = {name: [cells[int(i)] for i in contacts.rows] for name, cells in table.items()}
     evidence = []
     mapped = {ours for ours, (_, column, _) in map(parse_column, column_map.columns) if column is not None}
-    if column_map.task == "surface" and len(mapped & {"pose_Rx", "pose_Ry"}) > 1:
+    if column_map.task == "surface" and len(mapped & {"pose_Rx", "pose_Ry"}) > 1 and not column_map.base_pose:
         column_map, told = _angles(rows, contacts, column_map)
         evidence.append(told)
     elif column_map.task == "surface":

@@ -9,10 +9,11 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 
-from tactip_twin.sim2real.importing.column_map import ColumnMap, parse_column
+from tactip_twin.sim2real.importing.column_map import Angles, ColumnMap, parse_column
 from tactip_twin.sim2real.importing.convert_labels import own_columns
 from tactip_twin.sim2real.importing.estimated_contacts import EstimatedContacts
 from tactip_twin.sim2real.importing.find_angles import angles_and_lever, by_axis, in_order
@@ -73,7 +74,9 @@ def find_conventions(
     if given.task == "surface":
         reading = on_surface(columns, free, contacts, known)
     else:
-        reading = on_edge(columns, free, contacts, known, given.angles)
+        # The columns in place of a pose in the base's frame are a rotation vector by construction.
+        possible: tuple[Angles, ...] = ("vector",) if given.base_pose else get_args(Angles)
+        reading = on_edge(columns, free, contacts, known, given.angles, possible)
     found |= reading.columns
     evidence += reading.evidence
     by_name = _by_name(columns, found)
@@ -124,7 +127,7 @@ def _depth(
             f"{r.get(best, 0):.2f}): give --columns pose_z=…"
         )
     best, same = columns.likeliest(best, to_scale, ("z",))
-    raw = columns.values[:, columns.names.index(best)]
+    raw = columns.raw(best)
     # Deep contacts are read too shallow where the mechanics differ, so the zero is where the line meets no depth.
     slope = float((columns.of(best) * (depth - depth.mean())).sum() / (columns.of(best) ** 2).sum())
     slope /= min(r[best] ** 2, 1.0) or 1.0

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from tactip_twin.sim.view.plot import COLORS, figure_of, save_figure
+from tactip_twin.sim2real.importing.base_pose import TOOL_COLUMNS, find_base_pose, with_tool_columns
 from tactip_twin.sim2real.importing.estimated_contacts import EstimatedContacts, estimate_contacts
 from tactip_twin.sim2real.importing.find_conventions import find_conventions, tap_of
 from tactip_twin.sim2real.importing.layout import Layout
@@ -37,7 +38,8 @@ class FoundLayout:
     def options(self) -> str:
         """Return the options of `tactip import` that give this layout without another search."""
         table, frames = self.layout.column_map, self.layout.preprocessing
-        out = f"--task {table.task} --columns {shlex.join(table.columns)} --angles {table.angles}"
+        base = f" --base-pose {shlex.join(table.base_pose)}" if table.base_pose else ""
+        out = f"--task {table.task}{base} --columns {shlex.join(table.columns)} --angles {table.angles}"
         out += f" --camera-rotation-deg {table.camera_rotation_deg:g} --tcp-behind-apex-mm {table.tcp_behind_apex_mm:g}"
         if any(table.tcp_beside_axis_mm):
             out += f" --tcp-beside-axis-mm {' '.join(f'{x:g}' for x in table.tcp_beside_axis_mm)}"
@@ -48,6 +50,9 @@ class FoundLayout:
         path = folder / CONVENTIONS
         _write_picture(self.contacts, path)
         return path
+
+
+_TOOL = f"{TOOL_COLUMNS[0]} to {TOOL_COLUMNS[-1]}, in the axes of the upright tool"
 
 
 def find_layout(recording: Recording, given: Layout, log: Callable[[str], object] = print) -> FoundLayout:
@@ -61,6 +66,11 @@ def find_layout(recording: Recording, given: Layout, log: Callable[[str], object
     Raises:
         TactipError: If the frames cannot be read, contradict a given column, or do not tell one reading from another.
     """
+    base_pose = given.column_map.base_pose or find_base_pose(recording.table)
+    if base_pose and not given.column_map.base_pose:
+        log(f"{', '.join(base_pose)}: a pose in the frame of the robot's base (--base-pose), which becomes {_TOOL}")
+        recording = replace(recording, table=with_tool_columns(recording.table, base_pose))
+        given = replace(given, column_map=replace(given.column_map, base_pose=base_pose))
     neutral = None if recording.neutral is None else load_neutral(recording.neutral)
     reader = frame_reader(recording, given.preprocessing, neutral)
     log("estimating the contacts of some frames from their pins")
@@ -84,10 +94,17 @@ def find_layout(recording: Recording, given: Layout, log: Callable[[str], object
 
 def _layout_of(recording: Recording, given: Layout, contacts: EstimatedContacts, tap_mm: float | None) -> FoundLayout:
     """Return the layout that agrees with estimated contacts, whose frames were read as the given layout says."""
-    found = find_conventions(recording.table, contacts, given.column_map, tap_mm)
+    # The columns that take the place of a pose in the base's frame are a rotation vector, whatever that pose's angles are.
+    asked = given.column_map
+    found = find_conventions(
+        recording.table, contacts, replace(asked, angles="vector") if asked.base_pose else asked, tap_mm
+    )
     turned = (given.preprocessing.rotate_image_deg + found.rotate_image_deg + 180) % 360 - 180
     preprocessing = replace(given.preprocessing, rotate_image_deg=turned)
-    return FoundLayout(Layout(found.column_map, preprocessing), found.evidence, contacts)
+    column_map = found.column_map
+    if asked.base_pose and asked.angles != "auto":
+        column_map = replace(column_map, angles=asked.angles)
+    return FoundLayout(Layout(column_map, preprocessing), found.evidence, contacts)
 
 
 def _write_picture(contacts: EstimatedContacts, path: Path) -> None:

@@ -35,6 +35,9 @@ from tactip_twin.tactip_model.errors import TactipError
 _MAX_UNEXPLAINED = 0.6
 """Largest part of the circular variance of the yaw that a column may leave [?]."""
 
+_MAX_ZERO_MM = 3.0
+"""Distance of the edge that the frames show from the table's zero within which the table is believed, mm [?]."""
+
 _MAX_UNCLEAR_DEG = 2.0
 """Mean difference of the labels of two readings that fit equally well, degrees, above which none is taken [?]."""
 
@@ -96,15 +99,34 @@ component, the yaw of the camera, degrees, and the rotations."""
 
 
 def on_edge(
-    columns: Columns, free: list[str], contacts: EstimatedContacts, known: Known, given_angles: AnglesChoice
+    columns: Columns,
+    free: list[str],
+    contacts: EstimatedContacts,
+    known: Known,
+    given_angles: AnglesChoice,
+    possible_angles: Sequence[Angles] = get_args(Angles),
 ) -> EdgeReading:
-    """Return the readings of yaw, tilts, offset and shears on an edge."""
+    """Return the readings of yaw, tilts, offset and shears on an edge.
+
+    Args:
+        columns: The columns.
+        free: Those that may be taken.
+        contacts: Estimated contacts.
+        known: Columns that are given.
+        given_angles: Convention of the angles that is given, or auto.
+        possible_angles: Conventions that the table may have.
+
+    Raises:
+        TactipError: If no column explains the yaw or the offset, what is given contradicts the frames, or two readings
+            explain them equally well.
+    """
     # Far from the edge, a frame does not show its direction.
     deviations = contacts.pose_deviations[:, 5]
     clear = deviations <= max(_CLEAR_YAW_DEG, float(np.sort(deviations)[min(len(deviations), 30) - 1]))
     estimated = Rotation.from_rotvec(contacts.poses[clear, 3:], degrees=True)
     others = [centred(contacts.shears[:, 0] + 1j * contacts.shears[:, 1]), centred(contacts.poses[:, 0])]
-    found, angles, offset_deg, evidence, left = _edge_rotations(columns, free, estimated, clear, others, known, given_angles)
+    asked = (given_angles, possible_angles)
+    found, angles, offset_deg, evidence, left = _edge_rotations(columns, free, estimated, clear, others, known, *asked)
     quarter_turns = round(offset_deg / 90)
     wanted = {"pose_x": contacts.poses[:, 0]}
     wanted |= {"shear_x": contacts.shears[:, 0], "shear_y": contacts.shears[:, 1], "shear_Rz": contacts.shears[:, 5]}
@@ -123,8 +145,13 @@ def on_edge(
         best, same = columns.likeliest(best, left, (component,))
         slope = float((columns.of(best) * centred(estimate)).sum() / (columns.of(best) ** 2).sum())
         factor, unit = nearest_unit(abs(slope), "angle" if "_R" in ours else "pose")
-        found[ours] = column_spec(float(np.sign(slope)) * factor, best, 0.0)
-        evidence.append(f"{ours}={found[ours]}: correlation {r[best]:+.2f}{unit}")
+        gain = abs(slope) / factor
+        factor *= float(np.sign(slope)) * (columns.length_along(best, same) if ours == "pose_x" else 1.0)
+        zero = float(np.mean(estimate) / gain - factor * columns.raw(best).mean())
+        zero = round(zero, 1) if ours == "pose_x" and abs(zero) > _MAX_ZERO_MM else 0.0
+        found[ours] = column_spec(factor, best, zero)
+        where = f"; its zero is {zero:+.1f} mm from the edge that the frames show" if zero else ""
+        evidence.append(f"{ours}={found[ours]}: correlation {r[best]:+.2f}{unit}{where}")
         left = [one for one in left if one not in same]
     return EdgeReading(found, angles, -(offset_deg - 90 * quarter_turns), quarter_turns, evidence)
 
@@ -137,6 +164,7 @@ def _edge_rotations(
     others: list[np.ndarray],
     known: Known,
     given_angles: AnglesChoice,
+    possible_angles: Sequence[Angles],
 ) -> tuple[dict[str, str], Angles, float, list[str], list[str]]:
     """Return the readings of the rotations on an edge, their convention, the yaw at which the camera is mounted, degrees,
     the evidence, and the columns that are left.
@@ -149,6 +177,7 @@ def _edge_rotations(
         others: Estimates of other things, (n,), without their mean: shear (complex) and offset.
         known: Columns that are given.
         given_angles: Convention of the angles that is given, or auto.
+        possible_angles: Conventions that the table may have.
     """
     yaw = np.radians(estimated.as_rotvec(degrees=True)[:, 2])
     values = {name: columns.values[clear, columns.names.index(name)] for name in free}
@@ -175,7 +204,7 @@ def _edge_rotations(
         for reading in assignments(tilts, _TILTS, known):
             about = {"x": np.zeros(len(turn)), "y": np.zeros(len(turn)), "z": turn}
             about |= {component[1]: s * factor * values[one] for component, (one, s) in reading.items()}
-            for angles in get_args(Angles) if tilts else ("vector" if given_angles == "auto" else given_angles,):
+            for angles in possible_angles if tilts else ("vector" if given_angles == "auto" else given_angles,):
                 score, offset, labels = _rotation_fit(about, angles, estimated, float(np.degrees(np.angle(agreement))))
                 out.append((score, angles, reading, offset, labels))
         return out
@@ -202,7 +231,7 @@ def _edge_rotations(
             + ("--angles, and the rest is found" if near[k][1] != angles else "the columns of one of them with --columns")
         )
     parts = reading | {"Rz": (name, sign)}
-    found = {f"pose_{component}": column_spec(s * factor, one, 0.0) for component, (one, s) in parts.items()}
+    found = {f"pose_{component}": columns.angle_spec(s * factor, one) for component, (one, s) in parts.items()}
     evidence = [
         f"{_rotation_words(parts, angles)}: agreement of the yaw {abs(agreement):.2f} (1 is perfect), with a camera rotated "
         f"by {-offset:.0f}°; other readings that fit give the same labels within {apart[k]:.1f}°"

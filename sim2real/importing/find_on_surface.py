@@ -70,9 +70,11 @@ def on_surface(columns: Columns, free: list[str], contacts: EstimatedContacts, k
             unit_of = "angle" if component.startswith("R") else "pose"
             slope = abs((columns.of(name) * estimate).sum()) / (columns.of(name) ** 2).sum()
             factor, unit = nearest_unit(float(slope), unit_of)
-            found[f"{prefix}_{component}"] = column_spec(sign * factor, name, 0.0)
+            turns = component.startswith("R")
+            spec = columns.angle_spec(sign * factor, name) if turns else column_spec(sign * factor, name, 0.0)
+            found[f"{prefix}_{component}"] = spec
             r = abs(correlation(columns.of(name), estimate))
-            evidence.append(f"{prefix}_{component}={column_spec(sign * factor, name, 0.0)}: correlation {r:.2f}{unit}")
+            evidence.append(f"{prefix}_{component}={spec}: correlation {r:.2f}{unit}")
     degrees = float((np.degrees(turn) + 180) % 360 - 180)
     evidence.append(
         f"camera-rotation-deg {degrees:.1f}, by tilts and shears together; "

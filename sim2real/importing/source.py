@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from tactip_twin.sim.dataset.format import checksum
+from tactip_twin.sim2real.importing.base_pose import with_tool_columns
 from tactip_twin.sim2real.importing.column_map import ColumnMap
 from tactip_twin.sim2real.importing.convert_labels import convert_labels, image_column
 from tactip_twin.sim2real.sensor.preprocess import IMAGES, FrameReader, check_frame, load
@@ -96,7 +97,8 @@ def read_recording(
 
     Args:
         folder: The folder.
-        column_map: Conventions of its table, of which only those of the frames are used.
+        column_map: Conventions of its table, of which only those of the frames and of a pose in the frame of a robot's base
+            are used.
         targets: The table; if None, targets.csv, targets_images.csv or targets_video.csv in the folder, or its only table.
         neutral: The neutral image; if None, what `find_neutral_image` finds.
 
@@ -117,6 +119,8 @@ def read_recording(
     allowed = f"at most {MAX_FRAMES} (divide a larger set)"
     require(len(rows) <= MAX_FRAMES, f"the number of rows of {path}", len(rows), allowed)
     table = {name.strip(): [(row[name] or "").strip() for row in rows] for name in rows[0] if name and name.strip()}
+    if column_map.base_pose:
+        table = with_tool_columns(table, column_map.base_pose, column_map.angles)
     names = tuple(name or "" for name in table[image_column(column_map, list(table))])
     if neutral is not None and not Path(neutral).is_file():
         raise TactipError(f"the neutral image {neutral} does not exist")

@@ -44,11 +44,27 @@ class Columns:
     """Names of the columns."""
     values: np.ndarray
     """(n, k)."""
+    half_turned: frozenset[str] = frozenset()
+    """Names of those that are angles around 180°: `values` has them around 0."""
+
+    def raw(self, name: str) -> np.ndarray:
+        """Return a column (n,)."""
+        return self.values[:, self.names.index(name)]
 
     def of(self, name: str) -> np.ndarray:
         """Return a column (n,), its mean subtracted."""
-        values = self.values[:, self.names.index(name)]
-        return values - values.mean()
+        return centred(self.raw(name))
+
+    def angle_spec(self, factor: float, name: str) -> str:
+        """Return a column that is an angle as the option --columns has it."""
+        return column_spec(factor, name, -180.0 if name in self.half_turned else 0.0)
+
+    def length_along(self, name: str, same: Sequence[str]) -> float:
+        """Return how long a line is on which column `name` grows by 1: longer than 1 if it is the x or y of a position whose
+        y or x is among those that say the `same`, because the line is along neither axis."""
+        other = {"x": "y", "y": "x", "X": "Y", "Y": "X"}.get(name[-1:])
+        mate = name[:-1] + other if other else ""
+        return float(np.hypot(1.0, self.of(mate).std() / self.of(name).std())) if mate in same else 1.0
 
     def likeliest(self, name: str, free: Sequence[str], components: Sequence[str]) -> tuple[str, list[str]]:
         """Return the column in `free` that is most likely meant, among those that say the same as column `name`, and these:
@@ -56,7 +72,7 @@ class Columns:
         same = [one for one in free if abs(np.corrcoef(self.of(one), self.of(name))[0, 1]) > _SAME_COLUMN]
 
         def rank(one: str) -> tuple[bool, bool, bool]:
-            whole = bool((self.values[:, self.names.index(one)] % 1 == 0).all())
+            whole = bool((self.raw(one) % 1 == 0).all())
             return not any(_sounds_like(one, component) for component in components), whole, one != name
 
         return min(same, key=rank), same
@@ -65,23 +81,20 @@ class Columns:
 def numeric_columns(table: Mapping[str, Sequence[str]], rows: np.ndarray) -> Columns:
     """Return the numeric columns of some rows (n,) of a table that vary.
 
-    Angles from 0 to 360° become those from -180 to 180°. Columns that are named as forces, torques, times or counts are left
-    out: a force follows the depth, too.
+    Angles from 0 to 360° become those from -180 to 180°, and angles around 180° those around 0. Columns that are named as
+    forces, torques, times or counts are left out: a force follows the depth, too.
 
     Raises:
-        TactipError: If there is none, or four of them are a quaternion.
+        TactipError: If there is none.
     """
     read = {name: np.array([number(cells[int(i)]) for i in rows]) for name, cells in table.items()}
     read = {name: column for name, column in read.items() if np.isfinite(column).all()}
-    _refuse_quaternions(read)
-    found = {
-        name: _unwrapped(column)
-        for name, column in read.items()
-        if len(np.unique(column)) > 2 and not _NO_POSE.search(name.lower())
-    }
+    read = {name: x for name, x in read.items() if len(np.unique(x)) > 2 and not _NO_POSE.search(name.lower())}
+    found = {name: _unwrapped(column) for name, column in read.items()}
     if not found:
         raise TactipError(f"the table has no column of numbers that vary: its columns are {', '.join(table)}")
-    return Columns(tuple(found), np.stack(list(found.values()), -1))
+    turned = frozenset(name for name, column in read.items() if _half_turn(column))
+    return Columns(tuple(found), np.stack(list(found.values()), -1), turned)
 
 
 def complete_rows(table: Mapping[str, Sequence[str]]) -> np.ndarray:
@@ -111,19 +124,20 @@ _NO_POSE = re.compile(r"force|torque|wrench|time|stamp|index|count|\bn?id\b|^f_?
 
 
 def _unwrapped(column: np.ndarray) -> np.ndarray:
-    """Return a column (n,), its angles from 180 to 360° brought to -180 to 0 if it has values near 0 and 360 alone."""
-    wraps = column.min() >= 0 and 315 < column.max() <= 360 and not ((column > 135) & (column < 225)).any()
-    return np.where(wraps & (column > 180), column - 360, column)
+    """Return a column (n,) with its angles from 180 to 360° brought to -180 to 0, if it has values near 0 and 360 alone, or
+    those around 180° brought to 0, if it has values near 180 and -180° alone."""
+    wraps = 0 <= column.min() < 45 and 315 < column.max() <= 360 and not ((column > 135) & (column < 225)).any()
+    half = _half_turn(column)
+    return column - half * np.sign(column) if half else np.where(wraps & (column > 180), column - 360, column)
 
 
-def _refuse_quaternions(columns: Mapping[str, np.ndarray]) -> None:
-    """Raise TactipError if four columns are a unit quaternion."""
-    parts = [name for name in columns if re.search(r"q_?[wxyz0-3]$", name.lower())]
-    if len(parts) == 4 and np.allclose(sum(columns[name] ** 2 for name in parts), 1, atol=1e-2):
-        raise TactipError(
-            f"the angles must be Euler angles or a rotation vector, got a quaternion ({', '.join(parts)}): add columns with "
-            "one of these to the table, and leave the quaternion out"
-        )
+def _half_turn(column: np.ndarray) -> float:
+    """Return half a turn, in degrees or rad, if a column (n,) has angles near it on both sides alone; 0 if not."""
+    for half in (180.0, np.pi):
+        near = (0.75 * half < np.abs(column)) & (np.abs(column) <= 1.001 * half)
+        if near.all() and column.min() < 0 < column.max():
+            return half
+    return 0.0
 
 
 def explaining(
@@ -183,13 +197,18 @@ def plainness(turn: float, *readings: Mapping[str, tuple[str, float]]) -> tuple[
 
 def _sounds_like(name: str, component: str) -> bool:
     """Return whether a column's name ends like one of our components, or says depth, roll, pitch or yaw."""
-    low = _UNIT.sub("", name.lower())
+    low = plain_name(name)
     if component == "z" and "depth" in low:
         return True
     if component.startswith("R"):
         words = {"Rx": ("roll",), "Ry": ("pitch",), "Rz": ("yaw",)}[component]
         return low.endswith((component.lower(), *words)) or _SUFFIXES.get(low[-1:]) == component
     return low == component or low.endswith(("_" + component, " " + component)) or _SUFFIXES.get(low[-1:]) == component
+
+
+def plain_name(name: str) -> str:
+    """Return a column's name in small letters, without its unit."""
+    return _UNIT.sub("", name.lower())
 
 
 def is_named_shear(name: str) -> bool:

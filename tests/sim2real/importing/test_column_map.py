@@ -155,7 +155,7 @@ def test_layout_file(tmp_path):
     assert Layout.from_dict(layout.as_dict()) == layout
     path.write_text(json.dumps({"colour": 1}))
     with pytest.raises(
-        TactipError, match=r"unknown field colour in the layout file .*: its fields are angles, camera_rotation_deg"
+        TactipError, match=r"unknown field colour in the layout file .*: its fields are angles, base_pose, camera_rotation_deg"
     ):
         read_layout(path)
     path.write_text("{")

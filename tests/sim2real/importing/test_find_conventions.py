@@ -156,16 +156,6 @@ def test_rotation_of_a_shear_is_not_taken_from_a_displacement():
     assert "shear_Ry=shear_Ry: by its name alone" in find_conventions(cells, contacts, ColumnMap()).evidence
 
 
-def test_quaternions_are_refused_by_name():
-    rng = np.random.default_rng(7)
-    poses, _, contacts = contacts_of("surface", rng)
-    turns = Rotation.from_rotvec(np.radians(poses[:, 3:])).as_quat()
-    columns = {"z": poses[:, 2], **{f"q{c}": turns[:, k] for k, c in enumerate("xyzw")}}
-    cells = {name: [f"{x:.6g}" for x in column] for name, column in columns.items()}
-    with pytest.raises(TactipError, match=r"got a quaternion \(qx, qy, qz, qw\)"):
-        find_conventions(cells, contacts, ColumnMap())
-
-
 def test_angles_from_0_to_360_are_found():
     rng = np.random.default_rng(8)
     poses, shears, contacts = contacts_of("surface", rng)

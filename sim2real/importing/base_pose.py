@@ -1,0 +1,201 @@
+"""Poses in the frame of a robot's base, as controllers record them, in place of poses relative to a surface.
+
+There, the tool often points down: its rotation vector is 180° long and flips its sign from row to row, and a quaternion has
+no component that is a tilt. Six columns take their place: position and rotation vector in the axes that the tool has when it
+is upright, mm and degrees. Upright is where an axis of the tool is along one of the base; the rotation about it is that of
+the mean orientation, or that which puts a line of positions along an axis.
+"""
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from tactip_twin.sim2real.importing.column_map import AnglesChoice
+from tactip_twin.sim2real.importing.table_columns import number, plain_name
+from tactip_twin.tactip_model.bounds import require
+from tactip_twin.tactip_model.errors import TactipError
+
+TOOL_COLUMNS = ("tool_x", "tool_y", "tool_z", "tool_Rx", "tool_Ry", "tool_Rz")
+"""Columns that take the place of a pose in the base's frame."""
+
+_POSITION = ("x", "y", "z")
+_VECTORS = ((_POSITION, ("rx", "ry", "rz")), (("0", "1", "2"), ("3", "4", "5")), (("1", "2", "3"), ("4", "5", "6")))
+"""Ends of the names of a position and a rotation vector: by letters, from 0, and from 1."""
+
+_QUATERNIONS = (("x", "y", "z", "w"), ("1", "2", "3", "0"), ("2", "3", "4", "1"))
+"""Ends of the names of a quaternion, the real part last: by letters, from q0, and from q1 as ABB's controllers have it."""
+
+_BEFORE = "pqsto"
+"""Letters that may stand before such an end, as in qx, posx or tcpx; others belong to a word, as in index, or to rx."""
+
+_JOINTS = re.compile(r"joint|(?:^|[^a-z])q[^a-z]*$")
+"""What stands before the end of the names of joint angles."""
+
+_MIN_LEAN_DEG = 60.0
+"""Smallest angle in all rows between the tool's axis and the base's above which a rotation vector is one in the base's
+frame: a tip that is held upright leans less."""
+
+_MAX_VECTOR_DEG = 180.2
+"""Length of a rotation vector at most, with rounding; three Euler angles around 180° are longer in some rows."""
+
+_MAX_METRES, _MAX_RADIANS = 5.0, 6.4
+"""Largest number of positions in m, and of angles in rad; larger ones are mm and degrees."""
+
+_UPRIGHT_DEG = 10.0
+"""Angle between the mean direction of the tool's axis and an axis of the base within which upright is the latter: tables are
+level, and the tilts of a set have a mean of some degrees [?]."""
+
+_LINE = 5.0
+"""Ratio of the standard deviations of positions along and across a line above which it is that of the offsets from an edge
+[?]."""
+
+_ALONG_RAD = 0.01
+"""Largest angle between a line and an axis along which it is [?]."""
+
+_MIN_LINE_MM = 0.5
+"""Minimum standard deviation of positions along it, mm [?]."""
+
+
+def find_base_pose(table: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
+    """Return the columns of a table that are a pose in the frame of a robot's base, as ColumnMap.base_pose has them; empty
+    if there is none.
+
+    It is a rotation vector of a tool that does not point up, or any quaternion, beside a position.
+
+    Args:
+        table: Cells (n,) of each column.
+
+    Raises:
+        TactipError: If the table has a quaternion, but no position.
+    """
+    values = {name: np.array([number(cell) for cell in cells]) for name, cells in table.items()}
+    values = {name: column for name, column in values.items() if np.isfinite(column).any()}
+    for ends in _QUATERNIONS:
+        for before, quaternion in _groups(values, ends).items():
+            if not _is_unit(values, quaternion):
+                continue
+            positions = _groups([name for name in values if name not in quaternion], _POSITION)
+            if not positions:
+                raise TactipError(
+                    f"the quaternion {', '.join(quaternion)} must stand beside a position, three columns whose names end in "
+                    f"x, y and z, got {', '.join(values)}: name all seven columns with --base-pose"
+                )
+            return (*positions.get(before, next(iter(positions.values()))), *quaternion)
+    for position_ends, ends in _VECTORS:
+        positions = _groups(values, position_ends)
+        for before, vector in _groups(values, ends).items():
+            if before in positions and not _JOINTS.search(before) and _leans(np.array([values[name] for name in vector]).T):
+                return (*positions[before], *vector)
+    return ()
+
+
+def with_tool_columns(
+    table: Mapping[str, Sequence[str]], base_pose: Sequence[str], angles: AnglesChoice = "auto"
+) -> dict[str, Sequence[str]]:
+    """Return a table with TOOL_COLUMNS, mm and degrees, in place of a pose in the frame of a robot's base.
+
+    Args:
+        table: Cells (n,) of each column.
+        base_pose: Its columns: x, y and z, then three angles or the four parts of a quaternion, the real part last.
+        angles: Convention of three angles; auto: a rotation vector.
+
+    Raises:
+        TactipError: If a column is missing, or four of them are no quaternion.
+    """
+    missing = [name for name in base_pose if name not in table]
+    if missing:
+        raise TactipError(f"the table has no column {', '.join(missing)} (--base-pose): its columns are {', '.join(table)}")
+    values = np.array([[number(cell) for cell in table[name]] for name in base_pose]).T
+    known = np.isfinite(values).all(1)
+    if not known.any():
+        raise TactipError(f"no row of the table has numbers in all of {', '.join(base_pose)} (--base-pose)")
+    positions, turns = values[known, :3], values[known, 3:]
+    if turns.shape[1] == len(_QUATERNIONS[0]):
+        norms = np.linalg.norm(turns, axis=1)
+        require(
+            bool(np.all(abs(norms - 1) < _UNIT)), "the length of a quaternion", f"{norms.min():g} to {norms.max():g}", "1"
+        )
+        rotations = Rotation.from_quat(turns)
+    else:
+        turns = _radians(turns)
+        rotations = Rotation.from_rotvec(turns) if angles in ("auto", "vector") else Rotation.from_euler(angles, turns)
+    positions = positions if np.abs(positions).max() > _MAX_METRES else 1e3 * positions
+    upright, mount = _upright(rotations, positions)
+    relative = (upright.inv() * rotations * mount).as_rotvec(degrees=True)
+    found = np.full((len(known), len(TOOL_COLUMNS)), np.nan)
+    found[known] = np.concatenate([upright.inv().apply(positions), relative], 1)
+    others = {name: cells for name, cells in table.items() if name not in base_pose}
+    return others | {name: [f"{x:.7g}" for x in column] for name, column in zip(TOOL_COLUMNS, found.T, strict=True)}
+
+
+_UNIT = 1e-2
+"""Largest deviation of a quaternion's length from 1: tables are rounded."""
+
+
+def _upright(rotations: Rotation, positions: np.ndarray) -> tuple[Rotation, Rotation]:
+    """Return the orientation of the upright tool in the base's frame, from n rotations and positions (n, 3), mm, and the
+    rotation about the tool's axis after which it has no rotation in the mean."""
+    mean = rotations.mean()
+    axes = mean.as_matrix()
+    near = np.argwhere(np.abs(axes) > np.cos(np.radians(_UPRIGHT_DEG)))
+    upright = mean
+    if len(near) == 1:
+        base, tool = near[0]
+        along = np.sign(axes[base, tool]) * np.eye(3)[base]
+        upright = Rotation.align_vectors(along[None], axes[:, tool][None])[0] * mean
+    elif len(near) > 1:
+        upright = Rotation.from_matrix(np.rint(axes))
+    for tool in near[:, 1]:
+        axis = np.eye(3)[tool]
+        across = _line(np.delete(upright.inv().apply(positions), tool, 1))
+        # Depths lie on a line, too, which is along an axis where several are known.
+        if across is not None and (len(near) == 1 or abs(across) > _ALONG_RAD):
+            # Axes 0 and 2 follow each other the other way round.
+            upright *= Rotation.from_rotvec((-across if tool == 1 else across) * axis)
+            return upright, Rotation.from_rotvec(-((upright.inv() * mean).as_rotvec() @ axis) * axis)
+    return upright, Rotation.identity()
+
+
+def _line(positions: np.ndarray) -> float | None:
+    """Return the rotation, rad, that brings the nearer axis onto the line on which positions (n, 2), mm, lie, because one
+    coordinate is to be the offset from an edge; None if they lie on none."""
+    centred = positions - positions.mean(0)
+    spread, directions = np.linalg.eigh(centred.T @ centred / len(centred))
+    if np.sqrt(spread[1]) < _MIN_LINE_MM or spread[1] < _LINE**2 * spread[0]:
+        return None
+    angle = float(np.arctan2(directions[1, 1], directions[0, 1]))
+    return angle - np.pi / 2 * float(np.rint(angle / (np.pi / 2)))
+
+
+def _groups(names: Iterable[str], ends: Sequence[str]) -> dict[str, tuple[str, ...]]:
+    """Return the names that end in each of `ends`, in their order, by what stands before the end; only whole groups."""
+    found: dict[str, dict[str, str]] = {}
+    for name in names:
+        plain = plain_name(name)
+        for end in ends:
+            before = plain.removesuffix(end)
+            if before != plain and (not before or not before[-1].isalnum() or before[-1] in _BEFORE):
+                found.setdefault(before, {})[end] = name
+    return {before: tuple(group[end] for end in ends) for before, group in found.items() if len(group) == len(ends)}
+
+
+def _is_unit(values: Mapping[str, np.ndarray], names: Sequence[str]) -> bool:
+    """Return whether columns are the parts of unit quaternions, where all are known."""
+    squares = sum(values[name] ** 2 for name in names)
+    known = np.isfinite(squares)
+    return bool(known.any() and (np.abs(np.sqrt(squares[known]) - 1) < _UNIT).all())
+
+
+def _leans(vectors: np.ndarray) -> bool:
+    """Return whether numbers (n, 3) are rotation vectors of a tool that leans by more than _MIN_LEAN_DEG in all rows."""
+    vectors = _radians(vectors[np.isfinite(vectors).all(1)])
+    if not len(vectors) or np.degrees(np.linalg.norm(vectors, axis=1).max()) > _MAX_VECTOR_DEG:
+        return False
+    return bool((Rotation.from_rotvec(vectors).as_matrix()[:, 2, 2] < np.cos(np.radians(_MIN_LEAN_DEG))).all())
+
+
+def _radians(angles: np.ndarray) -> np.ndarray:
+    """Return angles (n, 3), degrees or rad, in rad."""
+    return angles if not len(angles) or np.abs(angles).max() <= _MAX_RADIANS else np.radians(angles)

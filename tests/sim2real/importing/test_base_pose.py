@@ -1,0 +1,145 @@
+"""Poses in the frame of a robot's base: found in a table, and read as labels."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from tactip_twin.sim2real.importing.base_pose import TOOL_COLUMNS, find_base_pose, with_tool_columns
+from tactip_twin.sim2real.importing.column_map import ColumnMap
+from tactip_twin.sim2real.importing.convert_labels import convert_labels
+from tactip_twin.sim2real.importing.find_conventions import find_conventions
+from tactip_twin.tactip_model.errors import TactipError
+
+from .test_find_conventions import contacts_of
+
+DOWN = Rotation.from_euler("x", 180, degrees=True)
+WALL = Rotation.from_euler("y", 90, degrees=True)
+
+
+def cells_of(columns):
+    return {name: [f"{x:.9g}" for x in column] for name, column in columns.items()}
+
+
+def in_base(poses, work, mount, form):
+    """Return a table of poses (n, 6), mm and degrees, in the frame of a base.
+
+    Args:
+        poses: Poses relative to the work frame.
+        work: Rotation of the work frame in the base's.
+        mount: Rotation of the tool's frame in the sensor's.
+        form: vector, quaternion, abb or rtde.
+    """
+    turns = work * Rotation.from_rotvec(poses[:, 3:], degrees=True) * mount
+    places = work.apply(poses[:, :3]) + [412.3, -327.1, 123.4]
+    quaternions, vectors = turns.as_quat(), turns.as_rotvec()
+    if form == "quaternion":
+        columns = {**dict(zip("xyz", places.T, strict=True)), **{f"q{c}": quaternions[:, k] for k, c in enumerate("xyzw")}}
+    elif form == "abb":
+        columns = {f"pos_{c}": places[:, k] for k, c in enumerate("xyz")}
+        columns |= {f"q{1 + k}": quaternions[:, (k - 1) % 4] for k in range(4)}
+    elif form == "rtde":
+        joints = np.random.default_rng(0).normal(1.5, 0.2, (6, len(poses)))
+        both = np.concatenate([1e-3 * places, vectors], 1)
+        columns = {f"actual_q_{k}": joints[k] for k in range(6)} | {f"actual_TCP_pose_{k}": both[:, k] for k in range(6)}
+    else:
+        columns = {f"TCP {c} [mm]": places[:, k] for k, c in enumerate("xyz")}
+        columns |= {f"TCP r{c} [deg]": np.degrees(vectors[:, k]) for k, c in enumerate("xyz")}
+    return cells_of(columns)
+
+
+@pytest.mark.parametrize("form", ["vector", "quaternion", "abb", "rtde"])
+@pytest.mark.parametrize("mounted", ["down", "wall", "turned"])
+@pytest.mark.parametrize("task", ["surface", "edge"])
+def test_labels_of_poses_in_the_base_frame_are_those_of_the_truth(task, mounted, form):
+    rng = np.random.default_rng(5)
+    poses, _, contacts = contacts_of(task, rng)
+    work, mount = {
+        "down": (Rotation.from_euler("z", 30, degrees=True), DOWN),
+        "wall": (Rotation.from_euler("z", 90, degrees=True) * WALL * Rotation.from_euler("z", 20, degrees=True), DOWN),
+        "turned": (Rotation.from_euler("z", -65, degrees=True), DOWN * Rotation.from_euler("z", 130, degrees=True)),
+    }[mounted]
+    table = in_base(poses, work, mount, form)
+    base_pose = find_base_pose(table)
+    assert len(base_pose) == (7 if form in ("quaternion", "abb") else 6)
+    table = with_tool_columns(table, base_pose)
+    given = ColumnMap(task=task, base_pose=base_pose, angles="vector")
+    labels, _ = convert_labels(find_conventions(table, contacts, given).column_map, table)
+    for part in (2, 3, 4) if task == "surface" else (0, 2, 3, 4):
+        assert np.corrcoef(labels[:, part], poses[:, part])[0, 1] > 0.98
+        assert np.polyfit(poses[:, part], labels[:, part], 1)[0] == pytest.approx(1.0, abs=0.1)
+        assert abs(np.mean(labels[:, part] - poses[:, part])) < (1.5 if part == 2 else 0.6)
+
+
+def test_offset_across_an_edge_along_no_axis_has_its_length():
+    """Euler angles, so the table's columns are read as they are."""
+    rng = np.random.default_rng(6)
+    poses, _, contacts = contacts_of("edge", rng)
+    table = cells_of({
+        "x": 300 + poses[:, 0] * np.cos(0.5), "y": 300 + poses[:, 0] * np.sin(0.5), "z": poses[:, 2], "yaw": poses[:, 5]
+    })  # fmt: skip
+    labels, _ = convert_labels(find_conventions(table, contacts, ColumnMap(task="edge")).column_map, table)
+    assert np.polyfit(poses[:, 0], labels[:, 0], 1)[0] == pytest.approx(1.0, abs=1e-3)
+    assert abs(np.mean(labels[:, 0] - poses[:, 0])) < 0.2
+
+
+def test_euler_angles_of_a_tool_that_points_down_are_found():
+    rng = np.random.default_rng(7)
+    poses, _, contacts = contacts_of("surface", rng)
+    about_x = (poses[:, 3] + 360) % 360 - 180
+    table = cells_of({"x": 0 * about_x + 412, "z": poses[:, 2], "A": about_x, "B": poses[:, 4], "C": 0 * about_x + 30})
+    column_map = find_conventions(table, contacts, ColumnMap()).column_map
+    assert any(spec.endswith("A-180") for spec in column_map.columns)
+    labels, _ = convert_labels(column_map, table)
+    for part in (3, 4):
+        assert np.corrcoef(labels[:, part], poses[:, part])[0, 1] > 0.98
+
+
+def test_angles_against_a_base_are_read_in_their_convention():
+    rng = np.random.default_rng(8)
+    poses, *_ = contacts_of("surface", rng)
+    turns = Rotation.from_rotvec(poses[:, 3:], degrees=True)
+    euler = (turns * DOWN).as_euler("ZYX", degrees=True)
+    table = cells_of(dict(zip(("x", "y", "z", "A", "B", "C"), np.concatenate([poses[:, :3], euler], 1).T, strict=True)))
+    assert find_base_pose(table) == ()
+    found = with_tool_columns(table, tuple(table), "ZYX")
+    expected = (DOWN.inv() * turns * DOWN).as_rotvec(degrees=True)
+    assert np.allclose(np.array([found[name] for name in TOOL_COLUMNS[3:]], float).T, expected, atol=1e-4)
+
+
+@pytest.mark.parametrize("angles", ["vector", "xyz"])
+def test_labels_relative_to_a_surface_are_no_base_pose(angles):
+    rng = np.random.default_rng(9)
+    poses, *_ = contacts_of("edge", rng)
+    turns = Rotation.from_euler("z", 90, degrees=True) * Rotation.from_rotvec(poses[:, 3:], degrees=True)
+    parts = turns.as_rotvec(degrees=True) if angles == "vector" else turns.as_euler(angles, degrees=True)
+    numbers = np.concatenate([poses[:, :3], parts], 1).T
+    for names in (("x", "y", "z", "rx", "ry", "rz"), [f"pose_{k}" for k in range(1, 7)]):
+        assert find_base_pose(cells_of(dict(zip(names, numbers, strict=True)))) == ()
+
+
+def test_rows_without_a_pose_stay():
+    rng = np.random.default_rng(10)
+    poses, *_ = contacts_of("surface", rng)
+    table = in_base(poses, Rotation.identity(), DOWN, "quaternion")
+    table["qx"][3] = ""
+    found = with_tool_columns(table, find_base_pose(table))
+    assert [found[name][3] for name in TOOL_COLUMNS] == ["nan"] * 6
+    assert np.isfinite(np.delete(np.array(found["tool_Rx"], float), 3)).all()
+
+
+def test_what_is_no_pose_is_refused():
+    rng = np.random.default_rng(11)
+    poses, *_ = contacts_of("surface", rng)
+    table = in_base(poses, Rotation.identity(), DOWN, "quaternion")
+    pose = find_base_pose(table)
+    with pytest.raises(TactipError, match=r"no column qq \(--base-pose\)"):
+        with_tool_columns(table, (*pose[:-1], "qq"))
+    with pytest.raises(TactipError, match="length of a quaternion must be 1, got 5"):
+        with_tool_columns(table, ("qx", "qy", "qz", *pose[:3], "qw"))
+    with pytest.raises(TactipError, match=r"quaternion qx, qy, qz, qw must stand beside a position"):
+        find_base_pose({name: cells for name, cells in table.items() if name != "y"})
+    with pytest.raises(TactipError, match="number of columns of base_pose must be 6 or 7, got 3"):
+        ColumnMap(base_pose=("x", "y", "z"))
+    empty = {name: [""] * 3 for name in pose}
+    with pytest.raises(TactipError, match="no row of the table has numbers"):
+        with_tool_columns(empty, pose)
