@@ -124,7 +124,7 @@ def with_tool_columns(
     positions = positions if np.abs(positions).max() > _MAX_METRES else 1e3 * positions
     upright, mount = _upright(rotations, positions)
     relative = (upright.inv() * rotations * mount).as_rotvec(degrees=True)
-    found = np.full((len(known), len(TOOL_COLUMNS)), np.nan)
+    found = np.full((len(values), len(TOOL_COLUMNS)), np.nan)
     found[known] = np.concatenate([upright.inv().apply(positions), relative], 1)
     others = {name: cells for name, cells in table.items() if name not in base_pose}
     return others | {name: [f"{x:.7g}" for x in column] for name, column in zip(TOOL_COLUMNS, found.T, strict=True)}
@@ -183,7 +183,7 @@ def _groups(names: Iterable[str], ends: Sequence[str]) -> dict[str, tuple[str, .
 
 def _is_unit(values: Mapping[str, np.ndarray], names: Sequence[str]) -> bool:
     """Return whether columns are the parts of unit quaternions, where all are known."""
-    squares = sum(values[name] ** 2 for name in names)
+    squares = np.sum([values[name] ** 2 for name in names], 0)
     known = np.isfinite(squares)
     return bool(known.any() and (np.abs(np.sqrt(squares[known]) - 1) < _UNIT).all())
 
