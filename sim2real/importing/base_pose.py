@@ -27,6 +27,9 @@ _VECTORS = ((_POSITION, ("rx", "ry", "rz")), (("0", "1", "2"), ("3", "4", "5")),
 _QUATERNIONS = (("x", "y", "z", "w"), ("1", "2", "3", "0"), ("2", "3", "4", "1"))
 """Ends of the names of a quaternion, the real part last: by letters, from q0, and from q1 as ABB's controllers have it."""
 
+_Q = re.compile(r"(?:^|[^a-z])q_?$")
+"""What stands before the number in the name of a quaternion's part whose order is known."""
+
 _BEFORE = "pqsto"
 """Letters that may stand before such an end, as in qx, posx or tcpx; others belong to a word, as in index, or to rx."""
 
@@ -68,7 +71,7 @@ def find_base_pose(table: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
         table: Cells (n,) of each column.
 
     Raises:
-        TactipError: If the table has a quaternion, but no position.
+        TactipError: If the table has a quaternion, but no position, or the names of its parts do not tell their order.
     """
     values = {name: np.array([number(cell) for cell in cells]) for name, cells in table.items()}
     values = {name: column for name, column in values.items() if np.isfinite(column).any()}
@@ -76,6 +79,11 @@ def find_base_pose(table: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
         for before, quaternion in _groups(values, ends).items():
             if not _is_unit(values, quaternion):
                 continue
+            if "w" not in ends and not _Q.search(before):
+                raise TactipError(
+                    f"the order of the quaternion {', '.join(sorted(quaternion))} must be known: give --base-pose, x, y and z "
+                    "of the position, then the quaternion, its real part last"
+                )
             positions = _groups([name for name in values if name not in quaternion], _POSITION)
             if not positions:
                 raise TactipError(

@@ -13,6 +13,7 @@ from tactip_twin.sim.dataset.format import checksum
 from tactip_twin.sim2real.importing.base_pose import with_tool_columns
 from tactip_twin.sim2real.importing.column_map import ColumnMap
 from tactip_twin.sim2real.importing.convert_labels import convert_labels, image_column
+from tactip_twin.sim2real.importing.table_columns import with_lists_split
 from tactip_twin.sim2real.sensor.preprocess import IMAGES, FrameReader, check_frame, load
 from tactip_twin.sim2real.sensor.preprocessing_options import ImagePreprocessing
 from tactip_twin.sim2real.sensor.video_frames import VIDEOS
@@ -119,6 +120,7 @@ def read_recording(
     allowed = f"at most {MAX_FRAMES} (divide a larger set)"
     require(len(rows) <= MAX_FRAMES, f"the number of rows of {path}", len(rows), allowed)
     table = {name.strip(): [(row[name] or "").strip() for row in rows] for name in rows[0] if name and name.strip()}
+    table = with_lists_split(table)
     if column_map.base_pose:
         table = with_tool_columns(table, column_map.base_pose, column_map.angles)
     names = tuple(name or "" for name in table[image_column(column_map, list(table))])

@@ -97,6 +97,27 @@ def numeric_columns(table: Mapping[str, Sequence[str]], rows: np.ndarray) -> Col
     return Columns(tuple(found), np.stack(list(found.values()), -1), turned)
 
 
+def with_lists_split(table: Mapping[str, Sequence[str]]) -> dict[str, Sequence[str]]:
+    """Return a table with columns NAME_1, NAME_2 … in place of a column NAME whose cells are lists of as many numbers, as
+    `[1.5, 2, -3]` or `[1.5 2. -3.]`; where a cell is no such list, they are empty."""
+    out: dict[str, Sequence[str]] = {}
+    for name, cells in table.items():
+        lists = [_LIST.fullmatch(cell) for cell in cells]
+        parts = [re.split(r"[,;\s]+", one[1].strip()) if one else [] for one in lists]
+        count = max(map(len, parts))
+        new = [f"{name}_{k + 1}" for k in range(count)]
+        if count < 2 or any(one in table for one in new):
+            out[name] = cells
+            continue
+        whole = [one if len(one) == count else [""] * count for one in parts]
+        out |= {one: [row[k] for row in whole] for k, one in enumerate(new)}
+    return out
+
+
+_LIST = re.compile(r"[\[(]([-+\d.eE,;\s]+)[\])]")
+"""A list or tuple of numbers, as Python writes it."""
+
+
 def complete_rows(table: Mapping[str, Sequence[str]]) -> np.ndarray:
     """Return which rows (n,) bool of a table have a number in each column that has one nearly everywhere."""
     count = len(next(iter(table.values())))

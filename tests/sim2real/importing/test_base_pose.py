@@ -8,6 +8,7 @@ from tactip_twin.sim2real.importing.base_pose import TOOL_COLUMNS, find_base_pos
 from tactip_twin.sim2real.importing.column_map import ColumnMap
 from tactip_twin.sim2real.importing.convert_labels import convert_labels
 from tactip_twin.sim2real.importing.find_conventions import find_conventions
+from tactip_twin.sim2real.importing.table_columns import with_lists_split
 from tactip_twin.tactip_model.errors import TactipError
 
 from .test_find_conventions import contacts_of
@@ -138,8 +139,22 @@ def test_what_is_no_pose_is_refused():
         with_tool_columns(table, ("qx", "qy", "qz", *pose[:3], "qw"))
     with pytest.raises(TactipError, match=r"quaternion qx, qy, qz, qw must stand beside a position"):
         find_base_pose({name: cells for name, cells in table.items() if name != "y"})
+    unclear = {name.replace("q", "rot_").translate(str.maketrans("wxyz", "1234")): table[name] for name in pose[3:]}
+    with pytest.raises(TactipError, match="order of the quaternion rot_1, rot_2, rot_3, rot_4 must be known"):
+        find_base_pose(unclear | {name: table[name] for name in "xyz"})
     with pytest.raises(TactipError, match="number of columns of base_pose must be 6 or 7, got 3"):
         ColumnMap(base_pose=("x", "y", "z"))
     empty = {name: [""] * 3 for name in pose}
     with pytest.raises(TactipError, match="no row of the table has numbers"):
         with_tool_columns(empty, pose)
+
+
+def test_lists_of_numbers_become_columns():
+    table = {
+        "frame": ["a.png", "b.png", "c.png"],
+        "pose": ["[1.5, 2, -3e-1]", "[4. 5. 6.]", ""],
+        "at": ["(1)", "(2)", "(3)"],
+    }
+    expected = {"pose_1": ["1.5", "4.", ""], "pose_2": ["2", "5.", ""], "pose_3": ["-3e-1", "6.", ""]}
+    assert with_lists_split(table) == {"frame": table["frame"], **expected, "at": table["at"]}
+    assert with_lists_split(table | {"pose_1": ["0", "0", "0"]})["pose"] == table["pose"]
