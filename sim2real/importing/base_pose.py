@@ -12,6 +12,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from tactip_twin.sim.dataset.sampling import MAX_LABEL
 from tactip_twin.sim2real.importing.column_map import AnglesChoice
 from tactip_twin.sim2real.importing.table_columns import number, plain_name
 from tactip_twin.tactip_model.bounds import require
@@ -73,7 +74,7 @@ def find_base_pose(table: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
     Raises:
         TactipError: If the table has a quaternion, but no position, or the names of its parts do not tell their order.
     """
-    values = {name: np.array([number(cell) for cell in cells]) for name, cells in table.items()}
+    values = {name: _numbers(cells) for name, cells in table.items()}
     values = {name: column for name, column in values.items() if np.isfinite(column).any()}
     for ends in _QUATERNIONS:
         for before, quaternion in _groups(values, ends).items():
@@ -81,8 +82,8 @@ def find_base_pose(table: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
                 continue
             if "w" not in ends and not _Q.search(before):
                 raise TactipError(
-                    f"the order of the quaternion {', '.join(sorted(quaternion))} must be known: give --base-pose, x, y and z "
-                    "of the position, then the quaternion, its real part last"
+                    f"the order of the quaternion {', '.join(sorted(quaternion))} must be known: give --base-pose, x, y and "
+                    "z of the position, then the quaternion, its real part last"
                 )
             positions = _groups([name for name in values if name not in quaternion], _POSITION)
             if not positions:
@@ -115,7 +116,7 @@ def with_tool_columns(
     missing = [name for name in base_pose if name not in table]
     if missing:
         raise TactipError(f"the table has no column {', '.join(missing)} (--base-pose): its columns are {', '.join(table)}")
-    values = np.array([[number(cell) for cell in table[name]] for name in base_pose]).T
+    values = np.array([_numbers(table[name]) for name in base_pose]).T
     known = np.isfinite(values).all(1)
     if not known.any():
         raise TactipError(f"no row of the table has numbers in all of {', '.join(base_pose)} (--base-pose)")
@@ -187,6 +188,12 @@ def _groups(names: Iterable[str], ends: Sequence[str]) -> dict[str, tuple[str, .
             if before != plain and (not before or not before[-1].isalnum() or before[-1] in _BEFORE):
                 found.setdefault(before, {})[end] = name
     return {before: tuple(group[end] for end in ends) for before, group in found.items() if len(group) == len(ends)}
+
+
+def _numbers(cells: Sequence[str]) -> np.ndarray:
+    """Return the numbers in a column's cells (n,); NaN where a cell has none, or one that is too large for a label."""
+    values = np.array([number(cell) for cell in cells])
+    return np.where(np.abs(values) <= MAX_LABEL, values, np.nan)
 
 
 def _is_unit(values: Mapping[str, np.ndarray], names: Sequence[str]) -> bool:
