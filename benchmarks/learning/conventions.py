@@ -2,12 +2,14 @@
 
 Hidden simulated sensors are pressed on a surface and on an edge, as a laboratory would publish it. Copies of each set get
 other conventions at random: frames turned and mirrored, columns renamed, negated, in other units and mixed with others that
-mean nothing, Euler angles in another order, axes of the table turned, depth before or after the tap. The labels that
-`tactip import --find` gives are compared with the truth. Writes docs/conventions.md and docs/conventions.json.
+mean nothing, Euler angles in another order, axes of the table turned, depth before or after the tap. Others hold poses in
+the frame of a robot's base, as controllers record them. The labels that `tactip import --find` gives are compared with the
+truth. Writes docs/conventions.md and docs/conventions.json.
 """
 
 import csv
 import io
+import itertools
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -52,7 +54,7 @@ _MAX_ERRORS = {"depth_mm": 1.5, "offset_mm": 1.5, "tilt_deg": 2.0, "yaw_deg": 6.
 
 
 def mislabel(
-    lab: Path, truth: tuple[np.ndarray, np.ndarray], task: Task, copy: Path, rng: np.random.Generator
+    lab: Path, truth: tuple[np.ndarray, np.ndarray], task: Task, copy: Path, rng: np.random.Generator, *, base: bool = False
 ) -> np.ndarray:
     """Write a copy of a laboratory's set in random conventions, and return its true poses (n, 6), mm and degrees, in the
     axes of its frames.
@@ -63,6 +65,7 @@ def mislabel(
         task: Stimulus.
         copy: Folder to write.
         rng: Generator of the conventions.
+        base: Whether the table holds poses in the frame of a robot's base alone.
     """
     poses, shears = truth
     quarter, mirrored = int(rng.integers(4)), bool(rng.random() < 0.5)
@@ -72,7 +75,7 @@ def mislabel(
         turned = np.rot90(frame[:, ::-1] if mirrored else frame, quarter)
         where = copy / ("init_0.png" if path.name.startswith("init") else f"images/{path.name}")
         write_file(where, cv2.imencode(".png", np.ascontiguousarray(turned))[1].tobytes())
-    columns, before_tap = mislabel_table(poses, shears, task, rng)
+    columns, before_tap = (in_base(poses, rng), False) if base else mislabel_table(poses, shears, task, rng)
     if before_tap:
         write_file(copy / "meta.json", json.dumps({"tap_move": [0, 0, TAP_MM, 0, 0, 0]}).encode())
     text = io.StringIO()
@@ -118,6 +121,44 @@ def mislabel_table(
     return {str(name): [f"{value:.8g}" for value in columns[name]] for name in order}, before_tap
 
 
+def in_base(poses: np.ndarray, rng: np.random.Generator) -> dict[str, list[str]]:
+    """Return the columns of a table of poses in the frame of a robot's base, as one of several makes of robots has them.
+
+    The surface is level or a wall, in any direction. The tool's axis points along the sensor's axis or against it, and the
+    tool is turned about it by any angle.
+
+    Args:
+        poses: (n, 6) mm and degrees, relative to the surface or edge.
+        rng: Generator of robot and mounting.
+    """
+    wall = Rotation.from_euler("y", 90.0 * (rng.random() < _WALLS), degrees=True)
+    turn, mounted = (Rotation.from_euler("z", angle, degrees=True) for angle in rng.uniform(-180, 180, 2))
+    heading = Rotation.from_euler("z", rng.uniform(-180, 180), degrees=True)
+    work = heading * wall * turn
+    tool = Rotation.from_euler("x", 180.0 * (rng.random() < _AGAINST), degrees=True) * mounted
+    rotations = work * Rotation.from_rotvec(poses[:, 3:], degrees=True) * tool
+    places = work.apply(poses[:, :3]) + rng.uniform([300, -400, 50], [600, 400, 400])
+    form = str(rng.choice(_FORMS))
+    if form == "UR":
+        columns = dict(zip(("x", "y", "z"), 1e-3 * places.T, strict=True))
+        columns |= dict(zip(("rx", "ry", "rz"), rotations.as_rotvec().T, strict=True))
+    elif form == "ROS":
+        columns = dict(zip(("pos_x", "pos_y", "pos_z"), 1e-3 * places.T, strict=True))
+        columns |= dict(zip(("qx", "qy", "qz", "qw"), rotations.as_quat().T, strict=True))
+    else:
+        columns = dict(zip(("X", "Y", "Z"), places.T, strict=True))
+        columns |= dict(zip(("q1", "q2", "q3", "q4"), rotations.as_quat(scalar_first=True).T, strict=True))
+    columns |= {"row": np.arange(len(poses)), "lamp": rng.normal(0, 1, len(poses))}
+    return {name: [f"{value:.8g}" for value in column] for name, column in columns.items()}
+
+
+_FORMS = ("UR", "ROS", "ABB")
+"""Rotation vectors, quaternions with the real part last, and with the real part first."""
+
+_WALLS, _AGAINST = 0.25, 0.75
+"""Fractions of surfaces that are a wall, and of tools whose axis points into the surface."""
+
+
 def as_in_frames(poses: np.ndarray, task: Task, quarter: int, mirrored: bool) -> np.ndarray:
     """Return poses (n, 6), mm and degrees, as they are in frames that were mirrored left to right, then turned."""
     out = poses.copy()
@@ -141,7 +182,8 @@ def judge(copy: Path, task: Task, truth: np.ndarray) -> dict[str, Any]:
         found = find_layout(recording, given, log=lambda line: None)
     except TactipError as error:
         return {"outcome": "refused", "why": str(error)}
-    labels = with_labels(recording, found.layout.column_map).poses
+    column_map = found.layout.column_map
+    labels = with_labels(read_recording(copy, column_map), column_map).poses
     if task == "edge":
         # Frames that are turned once more have been turned in the truth too.
         quarter = round(found.layout.preprocessing.rotate_image_deg / 90)
@@ -170,23 +212,27 @@ def run(options: ConventionsOptions, log: Callable[[str], None] = print) -> dict
     keep = options.data / "conventions.json"
     results = read_results(keep)
     workers = worker_count(options.workers)
-    for task, name, seed in _SENSORS:
-        key = f"{task}-{name.removeprefix('nominal-')}"
-        folder = options.data / key
+    for (task, name, seed), base in itertools.product(_SENSORS, (False, True)):
+        folder = options.data / f"{task}-{name.removeprefix('nominal-')}"
+        key = folder.name + (_BASE if base else "")
         make_pseudo_real(folder, task, name, options.frames, seed, workers, log)  # type: ignore[arg-type]
         dataset = read_dataset(folder / "contacts")
         done = results.setdefault(key, [])
         for k in tqdm(range(len(done), options.copies), f"{key}", unit="copy", initial=len(done), total=options.copies):
-            rng = np.random.default_rng(np.random.SeedSequence(options.seed, spawn_key=(seed, k)))
+            rng = np.random.default_rng(np.random.SeedSequence(options.seed, spawn_key=(seed, k, 1) if base else (seed, k)))
             copy = folder / f"copy-{k}"
             _remove(copy)
-            truth = mislabel(folder / "lab", (dataset.poses, dataset.shears), task, copy, rng)
+            truth = mislabel(folder / "lab", (dataset.poses, dataset.shears), task, copy, rng, base=base)
             done.append(judge(copy, task, truth))
             _remove(copy)
             write_file(keep, (json.dumps(results, indent=1) + "\n").encode())
     result = {"copies": options.copies, "frames": options.frames, "sets": results, "machine": machine()}
     write_results("conventions", result, tables(result), options.out)
     return result
+
+
+_BASE = "-base"
+"""End of the names of sets in the frame of a robot's base."""
 
 
 def _remove(folder: Path) -> None:
@@ -206,6 +252,7 @@ def tables(result: dict[str, Any]) -> dict[str, str]:
         for name in ("depth_mm", "tilt_deg", "offset_mm", "yaw_deg"):
             values = [error[name] for error in errors if name in error]
             cells.append(f"{np.median(values):.2f}" if values else "")
-        rows.append([key.replace("-", ", ") + " pins", *count.values(), *cells])
+        what = key.removesuffix(_BASE).replace("-", ", ") + " pins" + (", in a robot's base" if key.endswith(_BASE) else "")
+        rows.append([what, *count.values(), *cells])
     head = ["set", "right", "refused", "wrong", "depth, mm", "tilt, °", "offset, mm", "yaw, °"]
     return {"outcomes": table(head, rows), "machine": machine_text(result["machine"])}

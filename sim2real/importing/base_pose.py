@@ -37,15 +37,16 @@ _BEFORE = "pqsto"
 _JOINTS = re.compile(r"joint|(?:^|[^a-z])q[^a-z]*$")
 """What stands before the end of the names of joint angles."""
 
-_MIN_LEAN_DEG = 60.0
-"""Smallest angle in all rows between the tool's axis and the base's above which a rotation vector is one in the base's
-frame: a tip that is held upright leans less."""
+_MIN_LEAN_DEG, _MIN_FAR_MM = 60.0, 60.0
+"""Angle between the tool's axis and the table's, and distance from its origin, above which, in all rows, a pose is one in
+the base's frame: relative to the surface, tips lean less, and are nearer."""
 
 _MAX_VECTOR_DEG = 180.2
 """Length of a rotation vector at most, with rounding; three Euler angles around 180° are longer in some rows."""
 
-_MAX_METRES, _MAX_RADIANS = 5.0, 6.4
-"""Largest number of positions in m, and of angles in rad; larger ones are mm and degrees."""
+_MAX_METRES, _MAX_SPREAD_METRES, _MAX_RADIANS = 5.0, 0.06, 6.4
+"""Largest number of positions in m, their largest standard deviation, and the largest number of angles in rad; larger ones
+are mm and degrees."""
 
 _UPRIGHT_DEG = 10.0
 """Angle between the mean direction of the tool's axis and an axis of the base within which upright is the latter: tables are
@@ -66,7 +67,7 @@ def find_base_pose(table: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
     """Return the columns of a table that are a pose in the frame of a robot's base, as ColumnMap.base_pose has them; empty
     if there is none.
 
-    It is a rotation vector of a tool that does not point up, or any quaternion, beside a position.
+    It is a position beside any quaternion, or beside a rotation vector if either is none relative to a surface.
 
     Args:
         table: Cells (n,) of each column.
@@ -95,7 +96,10 @@ def find_base_pose(table: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
     for position_ends, ends in _VECTORS:
         positions = _groups(values, position_ends)
         for before, vector in _groups(values, ends).items():
-            if before in positions and not _JOINTS.search(before) and _leans(np.array([values[name] for name in vector]).T):
+            if before not in positions or _JOINTS.search(before):
+                continue
+            numbers = np.array([values[name] for name in (*positions[before], *vector)]).T
+            if _is_base(numbers[np.isfinite(numbers).all(1)]):
                 return (*positions[before], *vector)
     return ()
 
@@ -130,7 +134,7 @@ def with_tool_columns(
     else:
         turns = _radians(turns)
         rotations = Rotation.from_rotvec(turns) if angles in ("auto", "vector") else Rotation.from_euler(angles, turns)
-    positions = positions if np.abs(positions).max() > _MAX_METRES else 1e3 * positions
+    positions = _millimetres(positions)
     upright, mount = _upright(rotations, positions)
     relative = (upright.inv() * rotations * mount).as_rotvec(degrees=True)
     found = np.full((len(values), len(TOOL_COLUMNS)), np.nan)
@@ -203,14 +207,23 @@ def _is_unit(values: Mapping[str, np.ndarray], names: Sequence[str]) -> bool:
     return bool(known.any() and (np.abs(np.sqrt(squares[known]) - 1) < _UNIT).all())
 
 
-def _leans(vectors: np.ndarray) -> bool:
-    """Return whether numbers (n, 3) are rotation vectors of a tool that leans by more than _MIN_LEAN_DEG in all rows."""
-    vectors = _radians(vectors[np.isfinite(vectors).all(1)])
-    if not len(vectors) or np.degrees(np.linalg.norm(vectors, axis=1).max()) > _MAX_VECTOR_DEG:
+def _is_base(numbers: np.ndarray) -> bool:
+    """Return whether numbers (n, 6) are positions and rotation vectors in the frame of a robot's base."""
+    if not len(numbers):
         return False
-    return bool((Rotation.from_rotvec(vectors).as_matrix()[:, 2, 2] < np.cos(np.radians(_MIN_LEAN_DEG))).all())
+    positions, vectors = _millimetres(numbers[:, :3]), _radians(numbers[:, 3:])
+    if np.degrees(np.linalg.norm(vectors, axis=1).max()) > _MAX_VECTOR_DEG:
+        return False
+    leans = Rotation.from_rotvec(vectors).as_matrix()[:, 2, 2] < np.cos(np.radians(_MIN_LEAN_DEG))
+    return bool(leans.all() or (np.linalg.norm(positions, axis=1) > _MIN_FAR_MM).all())
+
+
+def _millimetres(positions: np.ndarray) -> np.ndarray:
+    """Return positions (n, 3), mm or m, in mm."""
+    metres = np.abs(positions).max() <= _MAX_METRES and positions.std(0).max() <= _MAX_SPREAD_METRES
+    return 1e3 * positions if metres else positions
 
 
 def _radians(angles: np.ndarray) -> np.ndarray:
     """Return angles (n, 3), degrees or rad, in rad."""
-    return angles if not len(angles) or np.abs(angles).max() <= _MAX_RADIANS else np.radians(angles)
+    return angles if np.abs(angles).max() <= _MAX_RADIANS else np.radians(angles)
