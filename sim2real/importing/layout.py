@@ -27,7 +27,9 @@ class Layout:
 
     def as_dict(self) -> dict[str, Any]:
         """Return both parts as one flat dict of JSON types, as layout files and sets record them."""
-        return json.loads(json.dumps(asdict(self.column_map) | asdict(self.preprocessing)))
+        whole = json.loads(json.dumps(asdict(self.column_map) | asdict(self.preprocessing)))
+        # Sets of versions that did not know it remain the same sets.
+        return {key: value for key, value in whole.items() if key != "base_pose" or value}
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any], name: str = "the layout") -> "Layout":
