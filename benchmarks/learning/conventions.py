@@ -125,7 +125,7 @@ def in_base(poses: np.ndarray, rng: np.random.Generator) -> dict[str, list[str]]
     """Return the columns of a table of poses in the frame of a robot's base, as one of several makes of robots has them.
 
     The surface is level or a wall, in any direction. The tool's axis points along the sensor's axis or against it, and the
-    tool is turned about it by any angle.
+    tool is turned about it by any angle. The poses are those of the apex or of a flange behind it.
 
     Args:
         poses: (n, 6) mm and degrees, relative to the surface or edge.
@@ -137,7 +137,9 @@ def in_base(poses: np.ndarray, rng: np.random.Generator) -> dict[str, list[str]]
     work = heading * wall * turn
     tool = Rotation.from_euler("x", 180.0 * (rng.random() < _AGAINST), degrees=True) * mounted
     rotations = work * Rotation.from_rotvec(poses[:, 3:], degrees=True) * tool
-    places = work.apply(poses[:, :3]) + rng.uniform([300, -400, 50], [600, 400, 400])
+    behind = rng.uniform(*_FLANGE_MM) * (rng.random() < _FLANGES)
+    flanges = poses[:, :3] + Rotation.from_rotvec(poses[:, 3:], degrees=True).apply([0, 0, behind])
+    places = work.apply(flanges) + rng.uniform([300, -400, 50], [600, 400, 400])
     form = str(rng.choice(_FORMS))
     if form == "UR":
         columns = dict(zip(("x", "y", "z"), 1e-3 * places.T, strict=True))
@@ -155,8 +157,11 @@ def in_base(poses: np.ndarray, rng: np.random.Generator) -> dict[str, list[str]]
 _FORMS = ("UR", "ROS", "ABB")
 """Rotation vectors, quaternions with the real part last, and with the real part first."""
 
-_WALLS, _AGAINST = 0.25, 0.75
-"""Fractions of surfaces that are a wall, and of tools whose axis points into the surface."""
+_WALLS, _AGAINST, _FLANGES = 0.25, 0.75, 0.5
+"""Fractions of surfaces that are a wall, of tools whose axis points into the surface, and of poses that are a flange's."""
+
+_FLANGE_MM = (80.0, 200.0)
+"""Distance of a flange behind the apex, mm."""
 
 
 def as_in_frames(poses: np.ndarray, task: Task, quarter: int, mirrored: bool) -> np.ndarray:

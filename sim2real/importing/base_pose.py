@@ -1,25 +1,26 @@
 """Poses in the frame of a robot's base, as controllers record them, in place of poses relative to a surface.
 
 There, the tool often points down: its rotation vector is 180° long and flips its sign from row to row, and a quaternion has
-no component that is a tilt. Six columns take their place: position and rotation vector in the axes that the tool has when it
-is upright, mm and degrees. Upright is where an axis of the tool is along one of the base; the rotation about it is that of
-the mean orientation, or that which puts a line of positions along an axis.
+no component that is a tilt. Six further columns are read instead: position and rotation vector in the axes that the tool has
+when it is upright, mm and degrees. Upright is where an axis of the tool is along one of the base; the rotation about it is
+that of the mean orientation, or that which puts a line of positions along an axis.
 """
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tactip_twin.sim.dataset.sampling import MAX_LABEL
-from tactip_twin.sim2real.importing.column_map import AnglesChoice
+from tactip_twin.sim2real.importing.column_map import AnglesChoice, ColumnMap
 from tactip_twin.sim2real.importing.table_columns import number, plain_name
 from tactip_twin.tactip_model.bounds import require
 from tactip_twin.tactip_model.errors import TactipError
 
 TOOL_COLUMNS = ("tool_x", "tool_y", "tool_z", "tool_Rx", "tool_Ry", "tool_Rz")
-"""Columns that take the place of a pose in the base's frame."""
+"""Columns that are read instead of a pose in the base's frame."""
 
 _POSITION = ("x", "y", "z")
 _VECTORS = ((_POSITION, ("rx", "ry", "rz")), (("0", "1", "2"), ("3", "4", "5")), (("1", "2", "3"), ("4", "5", "6")))
@@ -104,10 +105,19 @@ def find_base_pose(table: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
     return ()
 
 
-def with_tool_columns(
-    table: Mapping[str, Sequence[str]], base_pose: Sequence[str], angles: AnglesChoice = "auto"
-) -> dict[str, Sequence[str]]:
-    """Return a table with TOOL_COLUMNS, mm and degrees, in place of a pose in the frame of a robot's base.
+class BasePoses(NamedTuple):
+    """Poses of a tool in the frame of a robot's base."""
+
+    known: np.ndarray
+    """(n,) bool, the rows of the table that have one."""
+    positions: np.ndarray
+    """(m, 3) positions in these rows, mm."""
+    rotations: Rotation
+    """(m) orientations in these rows."""
+
+
+def base_poses(table: Mapping[str, Sequence[str]], base_pose: Sequence[str], angles: AnglesChoice = "auto") -> BasePoses:
+    """Return the poses in the frame of a robot's base that a table of n rows holds.
 
     Args:
         table: Cells (n,) of each column.
@@ -115,7 +125,7 @@ def with_tool_columns(
         angles: Convention of three angles; auto: a rotation vector.
 
     Raises:
-        TactipError: If a column is missing, or four of them are no quaternion.
+        TactipError: If a column is missing, no row has numbers in all of them, or four of them are no quaternion.
     """
     missing = [name for name in base_pose if name not in table]
     if missing:
@@ -127,27 +137,40 @@ def with_tool_columns(
     positions, turns = values[known, :3], values[known, 3:]
     if turns.shape[1] == len(_QUATERNIONS[0]):
         norms = np.linalg.norm(turns, axis=1)
-        require(
-            bool(np.all(abs(norms - 1) < _UNIT)), "the length of a quaternion", f"{norms.min():g} to {norms.max():g}", "1"
-        )
+        is_unit = bool((np.abs(norms - 1) < _UNIT).all())
+        require(is_unit, "the length of a quaternion", f"{norms.min():g} to {norms.max():g}", "1")
         rotations = Rotation.from_quat(turns)
     else:
         turns = _radians(turns)
         rotations = Rotation.from_rotvec(turns) if angles in ("auto", "vector") else Rotation.from_euler(angles, turns)
-    positions = _millimetres(positions)
-    upright, mount = _upright(rotations, positions)
+    return BasePoses(known, _millimetres(positions), rotations)
+
+
+def with_tool_columns(table: Mapping[str, Sequence[str]], column_map: ColumnMap) -> dict[str, Sequence[str]]:
+    """Return a table with TOOL_COLUMNS, mm and degrees, from its poses in the frame of a robot's base.
+
+    Args:
+        table: Cells (n,) of each column.
+        column_map: Conventions of the table, with a base_pose.
+
+    Raises:
+        TactipError: As base_poses.
+    """
+    known, positions, rotations = base_poses(table, column_map.base_pose, column_map.angles)
+    apexes = positions + rotations.apply(column_map.tool_offset_mm)
+    upright, mount = upright_tool(rotations, apexes)
     relative = (upright.inv() * rotations * mount).as_rotvec(degrees=True)
-    found = np.full((len(values), len(TOOL_COLUMNS)), np.nan)
-    found[known] = np.concatenate([upright.inv().apply(positions), relative], 1)
-    others = {name: cells for name, cells in table.items() if name not in base_pose}
-    return others | {name: [f"{x:.7g}" for x in column] for name, column in zip(TOOL_COLUMNS, found.T, strict=True)}
+    found = np.full((len(known), len(TOOL_COLUMNS)), np.nan)
+    found[known] = np.concatenate([upright.inv().apply(apexes), relative], 1)
+    cells = [[f"{x:.7g}" for x in column] for column in found.T]
+    return {**table, **dict(zip(TOOL_COLUMNS, cells, strict=True))}
 
 
 _UNIT = 1e-2
 """Largest deviation of a quaternion's length from 1: tables are rounded."""
 
 
-def _upright(rotations: Rotation, positions: np.ndarray) -> tuple[Rotation, Rotation]:
+def upright_tool(rotations: Rotation, positions: np.ndarray) -> tuple[Rotation, Rotation]:
     """Return the orientation of the upright tool in the base's frame, from n rotations and positions (n, 3), mm, and the
     rotation about the tool's axis after which it has no rotation in the mean."""
     mean = rotations.mean()

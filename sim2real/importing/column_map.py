@@ -63,9 +63,10 @@ class ColumnMap:
     fixed axes (xyz) or rotated axes (XYZ). auto: vector, or with --find the one that the frames show."""
     base_pose: tuple[str, ...] = ()
     """Columns of a pose in the frame of the robot's base: x, y, z in mm or m, then three angles in the convention `angles`,
-    or a quaternion, its real part last. Columns tool_x to tool_Rz take their place: the position, mm, and the rotation
-    vector, degrees, in the axes of the upright tool. --find finds quaternions, and rotation vectors of a tool that points
-    down."""
+    or a quaternion, its real part last. Columns tool_x to tool_Rz are read instead: the position, mm, and the rotation
+    vector, degrees, in the axes of the upright tool. --find finds quaternions and rotation vectors."""
+    tool_offset_mm: tuple[float, float, float] = within(-500, 500, default=(0.0, 0.0, 0.0))
+    """Position of the apex in the frame of the tool whose pose base_pose is, mm, for example of a flange."""
     camera_rotation_deg: float = within(-360, 360, default=0.0)
     """Rotation of the table's axes relative to the image's about the axis of the tip, degrees; the labels are rotated by
     it."""
@@ -81,6 +82,8 @@ class ColumnMap:
         allowed = "auto, vector, or three letters as xyz or ZYX"
         require(self.angles in get_args(AnglesChoice), "angles", repr(self.angles), allowed)
         require(len(self.base_pose) in (0, 6, 7), "the number of columns of base_pose", len(self.base_pose), "6 or 7")
+        if any(self.tool_offset_mm) and not self.base_pose:
+            raise TactipError(f"tool_offset_mm must be 0 0 0 without base_pose, got {self.tool_offset_mm}")
         names = [parse_column(spec)[0] for spec in self.columns]
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:

@@ -45,6 +45,7 @@ def unused_columns(column_map: ColumnMap, table: Mapping[str, Sequence[str]]) ->
     """Return the columns of numbers that vary, but are no label in these conventions."""
     given = dict(parse_column(spec) for spec in column_map.columns)
     used = {column for _, column, _ in given.values()} | {c for ours, c in own_columns(table).items() if ours not in given}
+    used |= {*column_map.base_pose}
     return [name for name, cells in table.items() if name not in used and _span(cells)]
 
 

@@ -5,21 +5,15 @@ from dataclasses import replace
 from typing import get_args
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from tactip_twin.sim2real.importing.column_map import Angles, AnglesChoice, ColumnMap, parse_column
 from tactip_twin.sim2real.importing.convert_labels import convert_labels
 from tactip_twin.sim2real.importing.estimated_contacts import EstimatedContacts
-from tactip_twin.sim2real.importing.table_columns import MIN_EVIDENCE, centred
+from tactip_twin.sim2real.importing.table_columns import MIN_EVIDENCE, centred, robust_fit
 from tactip_twin.tactip_model.errors import TactipError
 
 _SAME_DEG = 0.5
 """Mean difference of labels, degrees, that does not matter."""
-
-_BAD_FIT = 2.0
-"""Residual of a contact, in medians over all contacts, beyond which it is left out of the fit of a tool centre: pins were
-confused in its frame, or the frame lags behind its row. Without them, the tool centre of real-331 is known to 0.1 mm instead
-of 0.2 [M]."""
 
 _MIN_DEPTH_SPREAD_MM = 0.1
 """Minimum standard deviation of the labels of depth, mm, from which their gain can be told [?]."""
@@ -108,7 +102,7 @@ def _renamed(columns: Sequence[str], letters: Mapping[str, str]) -> tuple[str, .
 def _lever(rows: Mapping[str, Sequence[str]], contacts: EstimatedContacts, column_map: ColumnMap) -> tuple[ColumnMap, str]:
     """Return a ColumnMap with the place of the tool centre, where it is not given, that explains how depth changes with
     tilt; and the evidence."""
-    fits = contacts.residuals_px <= _BAD_FIT * np.median(contacts.residuals_px)
+    fits = contacts.fits_well
     rows = {name: [cells[int(i)] for i in np.flatnonzero(fits)] for name, cells in rows.items()}
     depths = contacts.poses[fits, 2]
     given = np.array([column_map.tcp_behind_apex_mm, *column_map.tcp_beside_axis_mm])
@@ -120,7 +114,7 @@ def _lever(rows: Mapping[str, Sequence[str]], contacts: EstimatedContacts, colum
     lever, deviations = np.zeros(3), np.zeros(3)
     for _ in range(2):  # again without what is not significant
         design = np.stack([plain, np.ones_like(plain), *changes[chosen]], -1)
-        found, spread = _robust_fit(design, depths)
+        found, spread = robust_fit(design, depths)
         gain = float(found[0])
         lever[:], deviations[chosen] = 0.0, spread[2:] / abs(gain)
         lever[chosen] = found[2:] / gain
@@ -141,14 +135,6 @@ def _with_lever(column_map: ColumnMap, lever_mm: np.ndarray) -> ColumnMap:
     """Return a ColumnMap with a tool centre (3,): behind the apex, and beside the axis in x and y."""
     behind, x, y = (float(value) for value in lever_mm)
     return replace(column_map, tcp_behind_apex_mm=behind, tcp_beside_axis_mm=(x, y))
-
-
-def _robust_fit(design: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the coefficients (k,) of a fit to values (n,) that outliers hardly pull, and their standard deviations (k,)."""
-    start, *_ = np.linalg.lstsq(design, values, rcond=None)
-    spread = 1.48 * float(np.median(np.abs(values - design @ start))) + 1e-9
-    fit = least_squares(lambda p: (values - design @ p) / spread, start, loss="soft_l1")
-    return fit.x, np.sqrt(np.diag(np.linalg.inv(fit.jac.T @ fit.jac)))
 
 
 def _fit(labels: np.ndarray, estimates: np.ndarray) -> float:

@@ -64,6 +64,7 @@ def find_conventions(
         TactipError: If no column explains the depth (for an edge, also the offset and the yaw), a given column or convention
             of angles contradicts the frames, or two readings explain them equally well.
     """
+    table = {name: cells for name, cells in table.items() if name not in given.base_pose}
     columns, given = numeric_columns(table, contacts.rows), by_axis(given)
     known = dict(parse_column(spec) for spec in given.columns)
     if contacts.optima:

@@ -9,8 +9,10 @@ import numpy as np
 
 from tactip_twin.sim.view.plot import COLORS, figure_of, save_figure
 from tactip_twin.sim2real.importing.base_pose import TOOL_COLUMNS, find_base_pose, with_tool_columns
+from tactip_twin.sim2real.importing.column_map import ColumnMap
 from tactip_twin.sim2real.importing.estimated_contacts import EstimatedContacts, estimate_contacts
 from tactip_twin.sim2real.importing.find_conventions import find_conventions, tap_of
+from tactip_twin.sim2real.importing.find_tool_offset import find_tool_offset
 from tactip_twin.sim2real.importing.layout import Layout
 from tactip_twin.sim2real.importing.missing_neutral import neutral_from_frames
 from tactip_twin.sim2real.importing.source import Recording, frame_reader, with_labels
@@ -39,6 +41,8 @@ class FoundLayout:
         """Return the options of `tactip import` that give this layout without another search."""
         table, frames = self.layout.column_map, self.layout.preprocessing
         base = f" --base-pose {shlex.join(table.base_pose)}" if table.base_pose else ""
+        if any(table.tool_offset_mm):
+            base += f" --tool-offset-mm {' '.join(f'{x:g}' for x in table.tool_offset_mm)}"
         out = f"--task {table.task}{base} --columns {shlex.join(table.columns)} --angles {table.angles}"
         out += f" --camera-rotation-deg {table.camera_rotation_deg:g} --tcp-behind-apex-mm {table.tcp_behind_apex_mm:g}"
         if any(table.tcp_beside_axis_mm):
@@ -68,8 +72,7 @@ def find_layout(recording: Recording, given: Layout, log: Callable[[str], object
     """
     base_pose = given.column_map.base_pose or find_base_pose(recording.table)
     if base_pose and not given.column_map.base_pose:
-        log(f"{', '.join(base_pose)}: a pose in the frame of the robot's base (--base-pose), which becomes {_TOOL}")
-        recording = replace(recording, table=with_tool_columns(recording.table, base_pose))
+        log(f"{', '.join(base_pose)}: a pose in the frame of the robot's base (--base-pose), read as {_TOOL}")
         given = replace(given, column_map=replace(given.column_map, base_pose=base_pose))
     neutral = None if recording.neutral is None else load_neutral(recording.neutral)
     reader = frame_reader(recording, given.preprocessing, neutral)
@@ -81,7 +84,7 @@ def find_layout(recording: Recording, given: Layout, log: Callable[[str], object
         return found
     # The labels that were found tell where the pins are at rest, and with these, the frames tell more of the labels.
     reader = frame_reader(recording, found.layout.preprocessing, None)
-    source = with_labels(recording, found.layout.column_map)
+    source = with_labels(_with_tool(recording, found.layout.column_map), found.layout.column_map)
     usual, task = len(contacts.at_rest_px), given.column_map.task
     image, figures = neutral_from_frames(source, contacts.rows, reader, usual, task, estimates_mechanics=False)
     if not figures["press_removed"]:
@@ -94,17 +97,23 @@ def find_layout(recording: Recording, given: Layout, log: Callable[[str], object
 
 def _layout_of(recording: Recording, given: Layout, contacts: EstimatedContacts, tap_mm: float | None) -> FoundLayout:
     """Return the layout that agrees with estimated contacts, whose frames were read as the given layout says."""
-    # The columns that take the place of a pose in the base's frame are a rotation vector, whatever that pose's angles are.
-    asked = given.column_map
-    found = find_conventions(
-        recording.table, contacts, replace(asked, angles="vector") if asked.base_pose else asked, tap_mm
-    )
+    asked, told = given.column_map, []
+    if asked.base_pose and not any(asked.tool_offset_mm):
+        asked, told = find_tool_offset(recording.table, contacts, asked)
+    # The columns that are read instead of a pose in the base's frame are a rotation vector, whatever that pose's angles are.
+    plain = replace(asked, angles="vector") if asked.base_pose else asked
+    found = find_conventions(_with_tool(recording, asked).table, contacts, plain, tap_mm)
     turned = (given.preprocessing.rotate_image_deg + found.rotate_image_deg + 180) % 360 - 180
     preprocessing = replace(given.preprocessing, rotate_image_deg=turned)
     column_map = found.column_map
     if asked.base_pose and asked.angles != "auto":
         column_map = replace(column_map, angles=asked.angles)
-    return FoundLayout(Layout(column_map, preprocessing), found.evidence, contacts)
+    return FoundLayout(Layout(column_map, preprocessing), (*told, *found.evidence), contacts)
+
+
+def _with_tool(recording: Recording, column_map: ColumnMap) -> Recording:
+    """Return a Recording with the columns that are read instead of a pose in the frame of a robot's base, if it has one."""
+    return replace(recording, table=with_tool_columns(recording.table, column_map)) if column_map.base_pose else recording
 
 
 def _write_picture(contacts: EstimatedContacts, path: Path) -> None:

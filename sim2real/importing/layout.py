@@ -29,7 +29,8 @@ class Layout:
         """Return both parts as one flat dict of JSON types, as layout files and sets record them."""
         whole = json.loads(json.dumps(asdict(self.column_map) | asdict(self.preprocessing)))
         # Sets of versions that did not know it remain the same sets.
-        return {key: value for key, value in whole.items() if key != "base_pose" or value}
+        later = ("base_pose", "tool_offset_mm")
+        return {key: value for key, value in whole.items() if key not in later or self.column_map.base_pose}
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any], name: str = "the layout") -> "Layout":

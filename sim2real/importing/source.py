@@ -122,7 +122,7 @@ def read_recording(
     table = {name.strip(): [(row[name] or "").strip() for row in rows] for name in rows[0] if name and name.strip()}
     table = with_lists_split(table)
     if column_map.base_pose:
-        table = with_tool_columns(table, column_map.base_pose, column_map.angles)
+        table = with_tool_columns(table, column_map)
     names = tuple(name or "" for name in table[image_column(column_map, list(table))])
     if neutral is not None and not Path(neutral).is_file():
         raise TactipError(f"the neutral image {neutral} does not exist")

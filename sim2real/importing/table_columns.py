@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from tactip_twin.sim2real.importing.column_map import written
 from tactip_twin.tactip_model.errors import TactipError
@@ -269,6 +270,14 @@ def column_spec(factor: float, name: str, offset: float) -> str:
 def centred(values: np.ndarray) -> np.ndarray:
     """Return values without their mean."""
     return values - values.mean()
+
+
+def robust_fit(design: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the coefficients (k,) of a fit to values (n,) that outliers hardly pull, and their standard deviations (k,)."""
+    start, *_ = np.linalg.lstsq(design, values, rcond=None)
+    spread = 1.48 * float(np.median(np.abs(values - design @ start))) + 1e-9
+    fit = least_squares(lambda p: (values - design @ p) / spread, start, loss="soft_l1")
+    return fit.x, np.sqrt(np.diag(np.linalg.inv(fit.jac.T @ fit.jac)))
 
 
 def correlation(column: np.ndarray, estimate: np.ndarray) -> complex:

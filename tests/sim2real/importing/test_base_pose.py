@@ -1,5 +1,7 @@
 """Poses in the frame of a robot's base: found in a table, and read as labels."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -8,6 +10,7 @@ from tactip_twin.sim2real.importing.base_pose import TOOL_COLUMNS, find_base_pos
 from tactip_twin.sim2real.importing.column_map import ColumnMap
 from tactip_twin.sim2real.importing.convert_labels import convert_labels
 from tactip_twin.sim2real.importing.find_conventions import find_conventions
+from tactip_twin.sim2real.importing.find_tool_offset import find_tool_offset
 from tactip_twin.sim2real.importing.table_columns import with_lists_split
 from tactip_twin.tactip_model.errors import TactipError
 
@@ -62,8 +65,8 @@ def test_labels_of_poses_in_the_base_frame_are_those_of_the_truth(task, mounted,
     table = in_base(poses, work, mount, form)
     base_pose = find_base_pose(table)
     assert len(base_pose) == (7 if form in ("quaternion", "abb") else 6)
-    table = with_tool_columns(table, base_pose)
     given = ColumnMap(task=task, base_pose=base_pose, angles="vector")
+    table = with_tool_columns(table, given)
     labels, _ = convert_labels(find_conventions(table, contacts, given).column_map, table)
     for part in (2, 3, 4) if task == "surface" else (0, 2, 3, 4):
         assert np.corrcoef(labels[:, part], poses[:, part])[0, 1] > 0.98
@@ -102,7 +105,7 @@ def test_angles_against_a_base_are_read_in_their_convention():
     euler = (turns * DOWN).as_euler("ZYX", degrees=True)
     table = cells_of(dict(zip(("x", "y", "z", "A", "B", "C"), np.concatenate([poses[:, :3], euler], 1).T, strict=True)))
     assert find_base_pose(table) == ()
-    found = with_tool_columns(table, tuple(table), "ZYX")
+    found = with_tool_columns(table, ColumnMap(base_pose=tuple(table), angles="ZYX"))
     expected = (DOWN.inv() * turns * DOWN).as_rotvec(degrees=True)
     assert np.allclose(np.array([found[name] for name in TOOL_COLUMNS[3:]], float).T, expected, atol=1e-4)
 
@@ -123,7 +126,7 @@ def test_rows_without_a_pose_stay():
     poses, *_ = contacts_of("surface", rng)
     table = in_base(poses, Rotation.identity(), DOWN, "quaternion")
     table["qx"][3] = ""
-    found = with_tool_columns(table, find_base_pose(table))
+    found = with_tool_columns(table, ColumnMap(base_pose=find_base_pose(table)))
     assert [found[name][3] for name in TOOL_COLUMNS] == ["nan"] * 6
     assert np.isfinite(np.delete(np.array(found["tool_Rx"], float), 3)).all()
 
@@ -134,9 +137,9 @@ def test_what_is_no_pose_is_refused():
     table = in_base(poses, Rotation.identity(), DOWN, "quaternion")
     pose = find_base_pose(table)
     with pytest.raises(TactipError, match=r"no column qq \(--base-pose\)"):
-        with_tool_columns(table, (*pose[:-1], "qq"))
+        with_tool_columns(table, ColumnMap(base_pose=(*pose[:-1], "qq")))
     with pytest.raises(TactipError, match="length of a quaternion must be 1, got 5"):
-        with_tool_columns(table, ("qx", "qy", "qz", *pose[:3], "qw"))
+        with_tool_columns(table, ColumnMap(base_pose=("qx", "qy", "qz", *pose[:3], "qw")))
     with pytest.raises(TactipError, match=r"quaternion qx, qy, qz, qw must stand beside a position"):
         find_base_pose({name: cells for name, cells in table.items() if name != "y"})
     unclear = {name.replace("q", "rot_").translate(str.maketrans("wxyz", "1234")): table[name] for name in pose[3:]}
@@ -144,9 +147,11 @@ def test_what_is_no_pose_is_refused():
         find_base_pose(unclear | {name: table[name] for name in "xyz"})
     with pytest.raises(TactipError, match="number of columns of base_pose must be 6 or 7, got 3"):
         ColumnMap(base_pose=("x", "y", "z"))
+    with pytest.raises(TactipError, match="tool_offset_mm must be 0 0 0 without base_pose"):
+        ColumnMap(tool_offset_mm=(0, 0, 150))
     empty = {name: [""] * 3 for name in pose}
     with pytest.raises(TactipError, match="no row of the table has numbers"):
-        with_tool_columns(empty, pose)
+        with_tool_columns(empty, ColumnMap(base_pose=pose))
 
 
 def test_lists_of_numbers_become_columns():
@@ -158,3 +163,30 @@ def test_lists_of_numbers_become_columns():
     expected = {"pose_1": ["1.5", "4.", ""], "pose_2": ["2", "5.", ""], "pose_3": ["-3e-1", "6.", ""]}
     assert with_lists_split(table) == {"frame": table["frame"], **expected, "at": table["at"]}
     assert with_lists_split(table | {"pose_1": ["0", "0", "0"]})["pose"] == table["pose"]
+
+
+@pytest.mark.parametrize("across_mm", [(0, 0), (12, -7)])
+def test_offset_of_the_apex_from_a_flange_is_found(across_mm):
+    rng = np.random.default_rng(12)
+    poses, _, contacts = contacts_of("surface", rng, gain=1.0, noise=0.3)
+    offset = np.array([*across_mm, 140.0])
+    work = Rotation.from_euler("z", 30, degrees=True)
+    flanges = poses.copy()
+    flanges[:, :3] -= Rotation.from_rotvec(poses[:, 3:], degrees=True).apply(DOWN.apply(offset))
+    table = in_base(flanges, work, DOWN, "quaternion")
+    found, told = find_tool_offset(table, contacts, ColumnMap(base_pose=find_base_pose(table)))
+    assert np.allclose(found.tool_offset_mm, offset, atol=[1, 1, 5])
+    assert told[0].startswith("tool-offset-mm")
+    table = with_tool_columns(table, found)
+    labels, _ = convert_labels(find_conventions(table, contacts, replace(found, angles="vector")).column_map, table)
+    errors = labels[:, 2] - poses[:, 2]
+    assert np.abs(errors - np.median(errors)).mean() < 0.1 and abs(np.median(errors)) < 0.5
+
+
+def test_poses_of_the_apex_have_no_offset():
+    rng = np.random.default_rng(13)
+    for task in ("surface", "edge"):
+        poses, _, contacts = contacts_of(task, rng)
+        table = in_base(poses, WALL, DOWN, "vector")
+        given = ColumnMap(task=task, base_pose=find_base_pose(table))
+        assert find_tool_offset(table, contacts, given) == (given, [])
