@@ -131,7 +131,7 @@ def base_poses(table: Mapping[str, Sequence[str]], base_pose: Sequence[str], ang
     if missing:
         raise TactipError(f"the table has no column {', '.join(missing)} (--base-pose): its columns are {', '.join(table)}")
     values = np.array([_numbers(table[name]) for name in base_pose]).T
-    known = np.isfinite(values).all(1)
+    known = np.asarray(np.isfinite(values).all(1))
     if not known.any():
         raise TactipError(f"no row of the table has numbers in all of {', '.join(base_pose)} (--base-pose)")
     positions, turns = values[known, :3], values[known, 3:]

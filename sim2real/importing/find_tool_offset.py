@@ -47,10 +47,9 @@ def find_tool_offset(
     place = np.cumsum(known) - 1  # of a row among those with a pose
     fits = contacts.fits_well & known[contacts.rows]
     rows, depths = place[contacts.rows[fits]], contacts.poses[fits, 2]
+    into_tool = rotations.as_matrix().transpose(0, 2, 1)
     normals = upright_tool(rotations, positions)[0].as_matrix().T
-    tries = [
-        _fit(positions[rows] @ normal, rotations[rows].inv().apply(normal), depths, k) for k, normal in enumerate(normals)
-    ]
+    tries = [_fit(positions[rows] @ normal, into_tool[rows] @ normal, depths, k) for k, normal in enumerate(normals)]
     offset, deviations, _ = min(tries, key=lambda one: one[2])
     if not offset.any() or np.abs(offset).max() > _MAX_MM:
         return column_map, []
@@ -74,7 +73,7 @@ def _fit(along: np.ndarray, axes: np.ndarray, depths: np.ndarray, axis: int) -> 
     smallest[axis] = _MIN_ALONG_MM
     chosen = axes.std(0) > _MIN_SIN_SPREAD
     chosen[axis] = axes[:, axis].std() > _MIN_COS_SPREAD
-    offset, deviations = np.zeros(3), np.zeros(3)
+    offset, deviations, remains = np.zeros(3), np.zeros(3), np.inf
     for _ in range(2):  # again without what is not significant
         design = np.stack([along - along.mean(), np.ones_like(along), *(axes - axes.mean(0)).T[chosen]], -1)
         if np.linalg.cond(design / np.maximum(np.linalg.norm(design, axis=0), 1e-9)) > _MAX_CONDITION:
@@ -83,5 +82,6 @@ def _fit(along: np.ndarray, axes: np.ndarray, depths: np.ndarray, axis: int) -> 
         gain = float(found[0]) or 1e-9
         offset[:], deviations[:] = 0.0, 0.0
         offset[chosen], deviations[chosen] = found[2:] / gain, spread[2:] / abs(gain)
+        remains = float(np.median(np.abs(depths - design @ found)))
         chosen &= np.abs(offset) >= np.maximum(_SIGNIFICANT * deviations, smallest)
-    return np.where(chosen, offset, 0.0), deviations, float(np.median(np.abs(depths - design @ found)))
+    return np.where(chosen, offset, 0.0), deviations, remains
