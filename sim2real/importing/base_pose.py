@@ -14,13 +14,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tactip_twin.sim.dataset.sampling import MAX_LABEL
-from tactip_twin.sim2real.importing.column_map import AnglesChoice, ColumnMap
+from tactip_twin.sim2real.importing.column_map import TOOL_COLUMNS, AnglesChoice, ColumnMap
 from tactip_twin.sim2real.importing.table_columns import number, plain_name
 from tactip_twin.tactip_model.bounds import require
 from tactip_twin.tactip_model.errors import TactipError
-
-TOOL_COLUMNS = ("tool_x", "tool_y", "tool_z", "tool_Rx", "tool_Ry", "tool_Rz")
-"""Columns that are read instead of a pose in the base's frame."""
 
 _POSITION = ("x", "y", "z")
 _VECTORS = ((_POSITION, ("rx", "ry", "rz")), (("0", "1", "2"), ("3", "4", "5")), (("1", "2", "3"), ("4", "5", "6")))
@@ -49,16 +46,17 @@ _MAX_METRES, _MAX_SPREAD_METRES, _MAX_RADIANS = 5.0, 0.06, 6.4
 """Largest number of positions in m, their largest standard deviation, and the largest number of angles in rad; larger ones
 are mm and degrees."""
 
-_UPRIGHT_DEG = 10.0
-"""Angle between the mean direction of the tool's axis and an axis of the base within which upright is the latter: tables are
-level, and the tilts of a set have a mean of some degrees [?]."""
+_LEVEL_DEG, _WALL_DEG = 10.0, 2.0
+"""Angle between the mean direction of an axis of the tool and an axis of the base within which upright is the latter: the
+vertical, because tables are level and the tilts of a set have a mean of some degrees, and a horizontal one, because walls
+stand in any direction [?]."""
+
+_CLEAR_TURNS = 1.5
+"""Ratio of the spreads of the directions of two axes of the tool from which one stands out [?]."""
 
 _LINE = 5.0
 """Ratio of the standard deviations of positions along and across a line above which it is that of the offsets from an edge
 [?]."""
-
-_ALONG_RAD = 0.01
-"""Largest angle between a line and an axis along which it is [?]."""
 
 _MIN_LINE_MM = 0.5
 """Minimum standard deviation of positions along it, mm [?]."""
@@ -175,23 +173,30 @@ def upright_tool(rotations: Rotation, positions: np.ndarray) -> tuple[Rotation, 
     rotation about the tool's axis after which it has no rotation in the mean."""
     mean = rotations.mean()
     axes = mean.as_matrix()
-    near = np.argwhere(np.abs(axes) > np.cos(np.radians(_UPRIGHT_DEG)))
+    turned = _axis_of_turns(rotations)
+    limits = np.cos(np.radians([_WALL_DEG, _WALL_DEG, _LEVEL_DEG]))[:, None]
+    near = [(int(base), int(tool)) for base, tool in np.argwhere(np.abs(axes) > limits)]
     upright = mean
-    if len(near) == 1:
-        base, tool = near[0]
+    if near:
+        base, tool = max(near, key=lambda pair: (pair[1] == turned, pair[0]))
         along = np.sign(axes[base, tool]) * np.eye(3)[base]
         upright = Rotation.align_vectors(along[None], axes[:, tool][None])[0] * mean
-    elif len(near) > 1:
-        upright = Rotation.from_matrix(np.rint(axes))
-    for tool in near[:, 1]:
-        axis = np.eye(3)[tool]
-        across = _line(np.delete(upright.inv().apply(positions), tool, 1))
-        # Depths lie on a line, too, which is along an axis where several are known.
-        if across is not None and (len(near) == 1 or abs(across) > _ALONG_RAD):
-            # Axes 0 and 2 follow each other the other way round.
-            upright *= Rotation.from_rotvec((-across if tool == 1 else across) * axis)
-            return upright, Rotation.from_rotvec(-((upright.inv() * mean).as_rotvec() @ axis) * axis)
-    return upright, Rotation.identity()
+    across = None if turned is None else _line(np.delete(upright.inv().apply(positions), turned, 1))
+    if turned is None or across is None:
+        return upright, Rotation.identity()
+    axis = np.eye(3)[turned]
+    # Axes 0 and 2 follow each other the other way round.
+    upright *= Rotation.from_rotvec((-across if turned == 1 else across) * axis)
+    return upright, Rotation.from_rotvec(-((upright.inv() * mean).as_rotvec() @ axis) * axis)
+
+
+def _axis_of_turns(rotations: Rotation) -> int | None:
+    """Return the axis of the tool about which n rotations are the largest, as at an edge, because it varies least; None if
+    it does not stand out."""
+    means = rotations.as_matrix().mean(0)
+    spreads = 1 - np.linalg.norm(means, axis=0)  # half of the mean squared angle to the mean direction
+    first, second = np.argsort(spreads)[:2]
+    return int(first) if spreads[second] > _CLEAR_TURNS**2 * spreads[first] else None
 
 
 def _line(positions: np.ndarray) -> float | None:

@@ -28,6 +28,9 @@ Angles = Literal["vector", "xyz", "xzy", "yxz", "yzx", "zxy", "zyx", "XYZ", "XZY
 AnglesChoice = Literal["auto", Angles]
 """A convention of angles, or `auto`: vector, or what --find finds."""
 
+TOOL_COLUMNS = ("tool_x", "tool_y", "tool_z", "tool_Rx", "tool_Ry", "tool_Rz")
+"""Columns that are read instead of a pose in the base's frame."""
+
 _NUMBER = r"\d+\.?\d*(?:[eE][+-]?\d+)?"
 _PLAIN = r"[^\W\d]\w*"
 _TERM = re.compile(

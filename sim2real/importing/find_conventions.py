@@ -28,6 +28,7 @@ from tactip_twin.sim2real.importing.table_columns import (
     is_to_scale,
     nearest_unit,
     numeric_columns,
+    possible,
 )
 from tactip_twin.tactip_model.errors import TactipError
 from tactip_twin.tactip_model.input_files import read_json
@@ -76,8 +77,8 @@ def find_conventions(
         reading = on_surface(columns, free, contacts, known)
     else:
         # The columns in place of a pose in the base's frame are a rotation vector by construction.
-        possible: tuple[Angles, ...] = ("vector",) if given.base_pose else get_args(Angles)
-        reading = on_edge(columns, free, contacts, known, given.angles, possible)
+        conventions: tuple[Angles, ...] = ("vector",) if given.base_pose else get_args(Angles)
+        reading = on_edge(columns, free, contacts, known, given.angles, conventions)
     found |= reading.columns
     evidence += reading.evidence
     by_name = _by_name(columns, found)
@@ -119,7 +120,7 @@ def _depth(
 ) -> tuple[dict[str, str], list[str], list[str]]:
     """Return the reading of the depth, its evidence, and the columns that are left."""
     depth, free = contacts.poses[:, 2], list(columns.names)
-    to_scale = [name for name in free if is_to_scale(columns.of(name), centred(depth), "z")]
+    to_scale = [name for name in possible(free, "pose_z") if is_to_scale(columns.of(name), centred(depth), "z")]
     r = {name: float(np.corrcoef(columns.of(name), depth)[0, 1]) for name in to_scale}
     best = max(r, key=lambda name: abs(r[name])) if r else ""
     if not r or abs(r[best]) < MIN_CORRELATION:

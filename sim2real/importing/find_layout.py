@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from tactip_twin.sim.view.plot import COLORS, figure_of, save_figure
-from tactip_twin.sim2real.importing.base_pose import TOOL_COLUMNS, find_base_pose, with_tool_columns
-from tactip_twin.sim2real.importing.column_map import ColumnMap
+from tactip_twin.sim2real.importing.base_pose import find_base_pose, with_tool_columns
+from tactip_twin.sim2real.importing.column_map import TOOL_COLUMNS, ColumnMap
 from tactip_twin.sim2real.importing.estimated_contacts import EstimatedContacts, estimate_contacts
 from tactip_twin.sim2real.importing.find_conventions import find_conventions, tap_of
 from tactip_twin.sim2real.importing.find_tool_offset import find_tool_offset

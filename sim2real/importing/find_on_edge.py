@@ -29,6 +29,7 @@ from tactip_twin.sim2real.importing.table_columns import (
     is_to_scale,
     nearest_unit,
     plainness,
+    possible,
 )
 from tactip_twin.tactip_model.errors import TactipError
 
@@ -132,8 +133,8 @@ def on_edge(
     wanted |= {"shear_x": contacts.shears[:, 0], "shear_y": contacts.shears[:, 1], "shear_Rz": contacts.shears[:, 5]}
     for ours, estimate in wanted.items():
         component = ours.partition("_")[2]
-        possible = [one for one in left if is_to_scale(columns.of(one), centred(estimate), component)]
-        r = {one: float(np.corrcoef(columns.of(one), estimate)[0, 1]) for one in possible}
+        to_scale = [one for one in possible(left, ours) if is_to_scale(columns.of(one), centred(estimate), component)]
+        r = {one: float(np.corrcoef(columns.of(one), estimate)[0, 1]) for one in to_scale}
         best = max(r, key=lambda one: abs(r[one]), default="")
         if not r or abs(r[best]) < MIN_CORRELATION:
             if ours == "pose_x":
@@ -142,7 +143,8 @@ def on_edge(
                     f"{best or 'none'}, correlation {r.get(best, 0):.2f}): give --columns pose_x=…"
                 )
             continue
-        best, same = columns.likeliest(best, left, (component,))
+        best, _ = columns.likeliest(best, to_scale, (component,))
+        _, same = columns.likeliest(best, left, (component,))
         slope = float((columns.of(best) * centred(estimate)).sum() / (columns.of(best) ** 2).sum())
         factor, unit = nearest_unit(abs(slope), "angle" if "_R" in ours else "pose")
         gain = abs(slope) / factor
@@ -183,7 +185,7 @@ def _edge_rotations(
     values = {name: columns.values[clear, columns.names.index(name)] for name in free}
     scores = {
         (name, sign, factor): np.exp(1j * (yaw - sign * np.radians(factor * values[name]))).mean()
-        for name in free
+        for name in possible(free, "pose_Rz")
         for sign, factor in itertools.product((1.0, -1.0), UNITS["angle"])
     }
     best = max(scores, key=lambda key: abs(scores[key]), default=None)
@@ -268,7 +270,9 @@ def _tilts_on_edge(
     ]
     options = [explaining(shown, [one for one in free if one not in taken], tilt, _TILTS) for tilt in tilted]
     tilts, left = max(options, key=lambda option: len(option[0]))
-    seconds = [columns.likeliest(one, left, _TILTS)[0] for one in left if explained[one] > MIN_CORRELATION]
+    seconds = [
+        columns.likeliest(one, left, _TILTS)[0] for one in possible(left, "pose_Rx") if explained[one] > MIN_CORRELATION
+    ]
     return tilts, list(dict.fromkeys(seconds)) if len(tilts) == 1 else [], [*left, *taken]
 
 

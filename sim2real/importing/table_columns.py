@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
-from tactip_twin.sim2real.importing.column_map import written
+from tactip_twin.sim2real.importing.column_map import TOOL_COLUMNS, written
 from tactip_twin.tactip_model.errors import TactipError
 
 MIN_CORRELATION = 0.35
@@ -162,6 +162,13 @@ def _half_turn(column: np.ndarray) -> float:
     return 0.0
 
 
+def possible(names: Sequence[str], ours: str) -> list[str]:
+    """Return those of some columns that can be one of our components, pose_x to shear_Rz: TOOL_COLUMNS are poses, and their
+    positions are no angles."""
+    turns, moves = "_R" in ours, ours.startswith("shear")
+    return [name for name in names if name not in TOOL_COLUMNS or not (moves or name.startswith("tool_R") != turns)]
+
+
 def explaining(
     columns: Columns, free: Sequence[str], estimate: np.ndarray, components: tuple[str, str]
 ) -> tuple[list[str], list[str]]:
@@ -171,8 +178,9 @@ def explaining(
     tilts = components[0].startswith("R")
     left, others = estimate, list(free)
     for _ in range(2):
-        possible = [name for name in others if is_to_scale(columns.of(name), left, components[0], tilts=tilts)]
-        r = {name: correlation(columns.of(name), left) for name in possible}
+        names = possible(others, "pose_Rx" if tilts else "shear_x")
+        to_scale = [name for name in names if is_to_scale(columns.of(name), left, components[0], tilts=tilts)]
+        r = {name: correlation(columns.of(name), left) for name in to_scale}
         if chosen:
             first = np.angle(correlation(columns.of(chosen[0]), estimate))
             r = {name: value for name, value in r.items() if abs(np.cos(np.angle(value) - first)) < 0.5}

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tactip_twin.sim2real.importing.base_pose import TOOL_COLUMNS, find_base_pose, with_tool_columns
-from tactip_twin.sim2real.importing.column_map import ColumnMap
+from tactip_twin.sim2real.importing.base_pose import find_base_pose, with_tool_columns
+from tactip_twin.sim2real.importing.column_map import TOOL_COLUMNS, ColumnMap
 from tactip_twin.sim2real.importing.convert_labels import convert_labels
 from tactip_twin.sim2real.importing.find_conventions import find_conventions
 from tactip_twin.sim2real.importing.find_tool_offset import find_tool_offset
