@@ -108,9 +108,6 @@ _LIGHT_EPOCHS: dict[Task, int] = {"surface": 12, "edge": 32}
 _ANY_TRAINING = {"augmented_fraction": 0.6, "augmentation_strength": 1.0, "optics_ranges": "real"}
 """Settings of networks that know any materials and cameras, as in a transfer [?]."""
 
-_WIDE_TRAINING = _DRAWN_TRAINING | _FAST_TRAINING | {"epochs": 20}
-"""Such training once more, on wide images, with light contacts [?]."""
-
 _MORE_PINS_EPOCHS, _ANY_EPOCHS, _ANY_YAW_EPOCHS = 60, 16, 40
 """Numbers of epochs of such networks: from random weights, on a GPU, from a shipped network, and from one that knows fewer
 yaws [?]."""
@@ -188,7 +185,11 @@ def rows(task: Task, paper: bool) -> list[Row]:
     )
     drawn = replace(laptop.settings, epochs=_DRAWN_EPOCHS[task], **_DRAWN_TRAINING)
     wide = Recipe(replace(recipe_named("laptop", task, WIDE_PX).network, batch_size=64), drawn)
-    out += _wide_rows(task, wide, laptop.settings)
+    what = f"recipe `laptop` on images of {WIDE_PX} px, on contacts that the learned tip draws anew at every epoch"
+    out.append(Row("laptop-256px", what, "256px", wide))
+    wide_noisy = Recipe(wide.network, replace(laptop.settings, **_NOISE_TRAINING))
+    what = "`laptop-256px` fine-tuned with images of a noisy camera, light contacts among them"
+    out.append(Row("laptop-256px-noise", what, "256px", wide_noisy, "laptop-256px"))
     known = "any materials, any camera"
     many = Recipe(replace(laptop.network, batch_size=64), replace(drawn, epochs=_MORE_PINS_EPOCHS, **_ANY_TRAINING))
     out.append(Row("laptop-331", f"recipe `laptop` on drawn contacts of `{MORE_PINS_DESIGN}`, {known}", "331", many))
@@ -216,20 +217,6 @@ def rows(task: Task, paper: bool) -> list[Row]:
         what = "`laptop-256px` fine-tuned on such slides, with images of a noisy camera"
         out.append(Row("laptop-256px-slides", what, "256px-slides", wide_slides, "laptop-256px"))
     return out
-
-
-def _wide_rows(task: Task, wide: Recipe, usual: TrainSettings) -> list[Row]:
-    """Return the trainings on single contacts in wide images, the first of which has the recipe `wide`."""
-    what = f"recipe `laptop` on images of {WIDE_PX} px, on contacts that the learned tip draws anew at every epoch"
-    noisy = Recipe(wide.network, replace(usual, **_NOISE_TRAINING))
-    and_noise = "`laptop-256px` fine-tuned with images of a noisy camera, light contacts among them"
-    start, longer = f"{task}-{WIDE_PX}px-{DESIGN}", Recipe(wide.network, replace(usual, **_WIDE_TRAINING))
-    again = f"`{start}` fine-tuned in the same way, light contacts among the drawn ones"
-    return [
-        Row("laptop-256px", what, "256px", wide),
-        Row("laptop-256px-noise", and_noise, "256px", noisy, "laptop-256px"),
-        Row("laptop-256px-light", again, "256px", longer, start),
-    ]
 
 
 def _weighted(recipe: Recipe, beta: float) -> Row:

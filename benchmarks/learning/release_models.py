@@ -57,7 +57,6 @@ def release_model(options: ReleaseModelsOptions, log: Callable[[str], None] = pr
     if options.evaluate_only:
         kinds = {
             "laptop-256px": "256px-",
-            "laptop-256px-light": "256px-",
             "laptop-any": "any-",
             "laptop-any-yaw": "any-yaw-",
             "laptop-256px-slides": "curved-256px-",

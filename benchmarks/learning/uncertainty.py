@@ -23,7 +23,7 @@ from tactip_twin.learning.image_check import ImageCheck, image_check
 from tactip_twin.learning.labels import Labels
 from tactip_twin.learning.model import Model, load_network
 from tactip_twin.learning.pin_projection import PinProjection
-from tactip_twin.learning.pose_from_pins import PinModel, most_likely
+from tactip_twin.learning.pose_from_pins import Misfit, PinModel, most_likely
 from tactip_twin.learning.quantities import QUANTITIES
 from tactip_twin.learning.uncertainty import FORCE_BANDS_N, band_text, uncertainty
 from tactip_twin.sim.dataset.format import read_pins
@@ -92,7 +92,9 @@ def from_pins_by_force(samples: Samples, noises_mm: Mapping[str, float]) -> list
 
     bound: the Cramér-Rao bound for pins whose coordinates in plan view are known with a noise; the shear is unknown within
     its range, as the labels are within theirs. likelihood: poses of maximum likelihood through the learned tip, from
-    simulated pins with that noise, found from the true pose on. What the learned tip has wrong adds to the noise.
+    simulated pins with that noise, found from the true pose on. What the learned tip has wrong adds to the noise. searched:
+    the same, found without knowing the pose. predicted: the same, from pins that the learned tip predicts, so it has nothing
+    wrong.
 
     Args:
         samples: Test contacts.
@@ -106,6 +108,7 @@ def from_pins_by_force(samples: Samples, noises_mm: Mapping[str, float]) -> list
     jacobians = model.jacobians(truth[:, model.free])
     tips, _ = read_pins(samples.folder, samples.dataset.meta)
     pins = 1e3 * tips[samples.rows][..., :2].astype(float)
+    predicted = model.positions(truth[:, model.free]).reshape(pins.shape)
     columns = {}
     for size, noise in noises_mm.items():
         bound = np.zeros(truth.shape)
@@ -115,6 +118,10 @@ def from_pins_by_force(samples: Samples, noises_mm: Mapping[str, float]) -> list
         found = most_likely(model, noisy, truth, float(np.hypot(noise, _TIP_ERROR_MM[task])))
         columns[f"bound_{size}"] = np.sqrt(2 / np.pi) * bound[:, rows]
         columns[f"likelihood_{size}"] = np.abs(found.poses - samples.dataset.poses)[:, rows]
+        poses = searched_poses(model, noisy, float(np.hypot(noise, _TIP_ERROR_MM[task])))
+        columns[f"searched_{size}"] = np.abs(poses - samples.dataset.poses)[:, rows]
+        poses = searched_poses(model, noisy - pins + predicted, noise)
+        columns[f"predicted_{size}"] = np.abs(poses - samples.dataset.poses)[:, rows]
     forces, out = samples.dataset.measures["normal_force_N"][samples.rows], []
     for low, high in pairwise(FORCE_BANDS_N):
         chosen = (forces >= low) & (forces < high)
@@ -124,6 +131,26 @@ def from_pins_by_force(samples: Samples, noises_mm: Mapping[str, float]) -> list
                 {"from_N": low} | {key: dict(zip(labels.names, map(float, x), strict=True)) for key, x in means.items()}
             )
     return out
+
+
+def searched_poses(model: PinModel, pins: np.ndarray, noise: float) -> np.ndarray:
+    """Return the most likely poses (n, 6), mm and degrees, of pins (n, p, 2), mm, whose coordinates have some noise: the
+    best of searches that start from random contacts in several ranges of the first component."""
+    rng, misfit = np.random.default_rng(0), Misfit(model, pins, noise)
+    first = int(np.flatnonzero(model.free)[0])
+    best, costs = np.zeros((len(pins), 6)), np.full(len(pins), np.inf)
+    for ends in pairwise(np.linspace(model.low[0], model.high[0], _SEARCHES + 1)):
+        start = model.nearest_of(pins, _RANDOM_CONTACTS, rng, {first: (float(ends[0]), float(ends[1]))})
+        found = most_likely(model, pins, start, noise)
+        values = np.concatenate([found.poses, found.shears], 1)[:, model.free]
+        cost = misfit.cost(values, model.positions(values))
+        better = cost < costs
+        best[better], costs[better] = found.poses[better], cost[better]
+    return best
+
+
+_SEARCHES, _RANDOM_CONTACTS = 6, 4000
+"""Number of searches, and of random contacts of which the nearest is the start of one [?]."""
 
 
 def pin_noise(samples: Samples, size_px: int) -> dict[str, float]:
@@ -220,6 +247,15 @@ def _altered(samples: Samples, design: Design) -> dict[str, np.ndarray]:
     }
 
 
+_FROM_PINS = {
+    "bound": "bound above 0.5 N",
+    "likelihood": "maximum likelihood, from the true pose on",
+    "searched": "searched",
+    "predicted": "searched, pins that the learned tip predicts",
+}
+"""Kinds of estimates from pins (from_pins_by_force), and their titles."""
+
+
 def tables(result: Mapping[str, Any]) -> dict[str, str]:
     """Return the tables of docs/uncertainty.md from uncertainty.json."""
     out = {}
@@ -253,12 +289,12 @@ def tables(result: Mapping[str, Any]) -> dict[str, str]:
             size,
             f"{pins['noise_mm']:.3f}",
             f"{100 * pins['found_fraction']:.0f} %",
-            *(_range(result["tasks"][task], f"{kind}_{size}") for kind in ("bound", "likelihood")),
+            *(_range(result["tasks"][task], f"{kind}_{size}") for kind in _FROM_PINS),
         ]
         for task in tasks
         for size, pins in result["tasks"][task]["pins"].items()
     ]
-    head = ["task", "image, px", "noise of a pin, mm", "pins found", "bound above 0.5 N", "maximum likelihood above 0.5 N"]
+    head = ["task", "image, px", "noise of a pin, mm", "pins found", *_FROM_PINS.values()]
     out["pins"] = table(head, seen)
     units = {q.name: q.unit for q in QUANTITIES}
     quantities = [

@@ -131,7 +131,6 @@ def test_fine_tuned_networks_have_the_shape_of_their_initial_weights():
             "laptop-fast",
             "laptop-contact",
             "laptop-256px-noise",
-            "laptop-256px-light",
             "laptop-any",
             *(["laptop-any-yaw"] if task == "edge" else []),
             "laptop-long",

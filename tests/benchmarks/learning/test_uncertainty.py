@@ -46,6 +46,9 @@ def test_errors_from_pins_fall_with_force_and_noise(samples):
         assert all(row["bound_256"][n] < row["bound_128"][n] for n in row["bound_128"])
     # These pins are the learned tip's own, so nothing but the noise remains.
     assert firm["likelihood_128"]["pose_x"] == pytest.approx(firm["bound_128"]["pose_x"], rel=0.6)
+    # A search from anywhere finds them nearly as well as one from the true pose.
+    for kind in ("searched", "predicted"):
+        assert firm[f"{kind}_256"]["pose_x"] < min(firm[f"{kind}_128"]["pose_x"], 2 * firm["likelihood_256"]["pose_x"])
 
 
 def test_pin_noise_falls_with_the_size_of_the_image(samples):
