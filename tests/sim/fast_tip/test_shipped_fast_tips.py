@@ -18,8 +18,8 @@ from tactip_twin.tactip_model.presets import design_named
 MAX_MM = {"surface": 0.08, "edge": 0.15}
 """Mean distance of pins over contacts of another seed: about three times the mean of docs/fast_tip.md."""
 
-ROUNDS = 3
-"""Number of times that five contacts are drawn. The mean over five depends on whether the worst is trusted."""
+ROUNDS = {"surface": 1, "edge": 3}
+"""Number of times that five contacts are drawn. On edges, the mean over five depends on whether the worst is trusted."""
 
 
 @pytest.mark.parametrize("task", TASKS)
@@ -31,7 +31,7 @@ def test_shipped_tip_predicts_contacts_of_another_seed(task, name):
     tip = read_fast_tip(path)
     rng = np.random.default_rng(3)
     poses, shears = np.zeros((0, 6)), np.zeros((0, 6))
-    for _ in range(ROUNDS):
+    for _ in range(ROUNDS[task]):
         poses = np.concatenate([poses, [POSE_RANGES[task].sample(rng) for _ in range(5)]])
         shears = np.concatenate([shears, [SHEAR_RANGES.sample(rng) for _ in range(5)]])
     contacts, trusted = FastContacts(tip, design).predict(poses, shears)
@@ -50,7 +50,7 @@ def test_shipped_tip_predicts_contacts_of_another_seed(task, name):
 def test_tip_of_any_materials_refuses_what_it_does_not_know():
     tip, design = read_fast_tip(any_materials("surface")), design_named("tactip-127")
     slippery = dataclasses.replace(design, materials=dataclasses.replace(design.materials, friction=0.1))
-    with pytest.raises(TactipError, match=r"knows a friction from 0\.2\d+ to 1\.8\d+, but the design has 0\.1"):
+    with pytest.raises(TactipError, match=r"knows a friction from 0\.38\d+ to 1\.2\d+, but the design has 0\.1"):
         tip.check_design(slippery)
     smaller = dataclasses.replace(design, shape=dataclasses.replace(design.shape, cylinder_m=5e-3))
     with pytest.raises(TactipError, match=r"belongs to shape\.cylinder_m 0\.0, but the design has 0\.005"):
