@@ -65,7 +65,7 @@ def convert_labels(column_map: ColumnMap, table: Mapping[str, Sequence[str]]) ->
         constant = spec.partition("=")[2].strip().lstrip("+-")
         if constant in table and given[spec.partition("=")[0].strip()][1] is None:
             raise TactipError(f"{spec} is a number, but the table has a column {constant}: write [{constant}] to mean it")
-    found = own_columns(table)
+    found = own_columns(name for name in table if name not in column_map.base_pose)
     if not given and not found:
         raise TactipError(
             "the table has no column named pose_x … shear_Rz: map its columns with --columns, for example pose_z=-pose_2-5; "

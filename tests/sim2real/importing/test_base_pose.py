@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from tactip_twin.sim.labels import LABELS
 from tactip_twin.sim2real.importing.base_pose import find_base_pose, with_tool_columns
 from tactip_twin.sim2real.importing.column_map import TOOL_COLUMNS, ColumnMap
-from tactip_twin.sim2real.importing.convert_labels import convert_labels
+from tactip_twin.sim2real.importing.convert_labels import convert_labels, unused_columns
 from tactip_twin.sim2real.importing.find_conventions import find_conventions
 from tactip_twin.sim2real.importing.find_tool_offset import find_tool_offset
 from tactip_twin.sim2real.importing.table_columns import with_lists_split
@@ -163,6 +164,21 @@ def test_lists_of_numbers_become_columns():
     expected = {"pose_1": ["1.5", "4.", ""], "pose_2": ["2", "5.", ""], "pose_3": ["-3e-1", "6.", ""]}
     assert with_lists_split(table) == {"frame": table["frame"], **expected, "at": table["at"]}
     assert with_lists_split(table | {"pose_1": ["0", "0", "0"]})["pose"] == table["pose"]
+
+
+def test_columns_of_a_base_pose_are_no_labels_by_their_names():
+    rng = np.random.default_rng(14)
+    poses, *_ = contacts_of("surface", rng)
+    work = Rotation.from_euler("z", 50, degrees=True)
+    turns = (work * Rotation.from_rotvec(poses[:, 3:], degrees=True) * DOWN).as_rotvec()
+    numbers = np.concatenate([work.apply(poses[:, :3]) + [412, -57, 123], turns], 1).T
+    table = cells_of(dict(zip(LABELS, numbers, strict=True)))
+    columns = ("pose_z=-tool_z-123", "pose_Rx=tool_Rx", "pose_Ry=-tool_Ry")
+    given = ColumnMap(base_pose=find_base_pose(table), columns=columns)
+    assert given.base_pose == LABELS
+    labels, _ = convert_labels(given, with_tool_columns(table, given))
+    assert np.abs(labels[:, 5]).max() == 0
+    assert unused_columns(given, with_tool_columns(table, given)) == ["tool_Rz"]
 
 
 @pytest.mark.parametrize("across_mm", [(0, 0), (12, -7)])
