@@ -1,7 +1,7 @@
 """Conversion of a laboratory's table to labels in the conventions of sim/pose.py."""
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -29,7 +29,7 @@ def image_column(column_map: ColumnMap, columns: Sequence[str]) -> str:
     )
 
 
-def own_columns(table: Iterable[str]) -> dict[str, str]:
+def own_columns(table: Collection[str]) -> dict[str, str]:
     """Return the columns of a table that have the name of a component, by component; case does not matter, if it is the
     only such column."""
     low = Counter(name.lower() for name in table)
@@ -65,7 +65,7 @@ def convert_labels(column_map: ColumnMap, table: Mapping[str, Sequence[str]]) ->
         constant = spec.partition("=")[2].strip().lstrip("+-")
         if constant in table and given[spec.partition("=")[0].strip()][1] is None:
             raise TactipError(f"{spec} is a number, but the table has a column {constant}: write [{constant}] to mean it")
-    found = own_columns(name for name in table if name not in column_map.base_pose)
+    found = own_columns([name for name in table if name not in column_map.base_pose])
     if not given and not found:
         raise TactipError(
             "the table has no column named pose_x … shear_Rz: map its columns with --columns, for example pose_z=-pose_2-5; "
