@@ -37,14 +37,14 @@ _JOINTS = re.compile(r"joint|(?:^|[^a-z])q[^a-z]*$")
 
 _MIN_LEAN_DEG, _MIN_FAR_MM = 60.0, 60.0
 """Angle between the tool's axis and the table's, and distance from its origin, above which, in all rows, a pose is one in
-the base's frame: relative to the surface, tips lean less, and are nearer."""
+the base's frame: relative to the surface, tips lean less, and are nearer [?]."""
 
 _MAX_VECTOR_DEG = 180.2
-"""Length of a rotation vector at most, with rounding; three Euler angles around 180° are longer in some rows."""
+"""Maximum length of a rotation vector, with rounding; three Euler angles around 180° are longer in some rows."""
 
 _MAX_METRES, _MAX_SPREAD_METRES, _MAX_RADIANS = 5.0, 0.2, 6.4
 """Largest number of positions in m, their largest standard deviation, and the largest number of angles in rad; larger ones
-are mm and degrees. Labels in mm that vary by less would be of one depth."""
+are mm and degrees. Labels in mm that vary by less would be of one depth [?]."""
 
 _LEVEL_DEG, _WALL_DEG = 10.0, 2.0
 """Angle between the mean direction of an axis of the tool and an axis of the base within which upright is the latter: the

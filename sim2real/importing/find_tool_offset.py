@@ -23,10 +23,14 @@ _SIGNIFICANT, _MIN_ALONG_MM, _MIN_ACROSS_MM = 3.5, 10.0, 2.0
 (find_angles.py)."""
 
 _MAX_CONDITION = 1e3
-"""Condition number above which positions along a direction are a multiple of tilts."""
+"""Condition number above which positions along a direction are a multiple of tilts [?]."""
+
+_MIN_GAIN = 0.2
+"""Smallest part of the tool's motion along its axis that estimated depths show: one below is another direction's, as for
+columns (table_columns.py) [?]."""
 
 _MAX_MM = 500.0
-"""Maximum of an offset."""
+"""Maximum of an offset along each axis, as of ColumnMap.tool_offset_mm."""
 
 
 def find_tool_offset(
@@ -79,7 +83,9 @@ def _fit(along: np.ndarray, axes: np.ndarray, depths: np.ndarray, axis: int) -> 
         if np.linalg.cond(design / np.maximum(np.linalg.norm(design, axis=0), 1e-9)) > _MAX_CONDITION:
             return np.zeros(3), np.zeros(3), np.inf
         found, spread = robust_fit(design, depths)
-        gain = float(found[0]) or 1e-9
+        gain = float(found[0])
+        if abs(gain) < _MIN_GAIN:
+            return np.zeros(3), np.zeros(3), np.inf
         offset[:], deviations[:] = 0.0, 0.0
         offset[chosen], deviations[chosen] = found[2:] / gain, spread[2:] / abs(gain)
         remains = float(np.median(np.abs(depths - design @ found)))

@@ -28,7 +28,7 @@ class Layout:
     def as_dict(self) -> dict[str, Any]:
         """Return both parts as one flat dict of JSON types, as layout files and sets record them."""
         whole = json.loads(json.dumps(asdict(self.column_map) | asdict(self.preprocessing)))
-        # Sets of versions that did not know it remain the same sets.
+        # Sets of versions that did not know these remain the same sets.
         later = ("base_pose", "tool_offset_mm")
         return {key: value for key, value in whole.items() if key not in later or self.column_map.base_pose}
 

@@ -2,6 +2,7 @@
 
 import itertools
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -99,13 +100,13 @@ def numeric_columns(table: Mapping[str, Sequence[str]], rows: np.ndarray) -> Col
 
 
 def with_lists_split(table: Mapping[str, Sequence[str]]) -> dict[str, Sequence[str]]:
-    """Return a table with columns NAME_1, NAME_2 … in place of a column NAME whose cells are lists of as many numbers, as
-    `[1.5, 2, -3]` or `[1.5 2. -3.]`; where a cell is no such list, they are empty."""
+    """Return a table with columns NAME_1, NAME_2 … in place of a column NAME whose cells are lists of numbers, as
+    `[1.5, 2, -3]` or `[1.5 2. -3.]`, most of one length; where a cell is no list of this length, they are empty."""
     out: dict[str, Sequence[str]] = {}
     for name, cells in table.items():
         lists = [_LIST.fullmatch(cell) for cell in cells]
         parts = [re.split(r"[,;\s]+", one[1].strip()) if one else [] for one in lists]
-        count = max(map(len, parts))
+        count = Counter(len(one) for one in parts if one).most_common(1)[0][0] if any(parts) else 0
         new = [f"{name}_{k + 1}" for k in range(count)]
         if count < 2 or any(one in table for one in new):
             out[name] = cells
@@ -166,7 +167,7 @@ def possible(names: Sequence[str], ours: str) -> list[str]:
     """Return those of some columns that can be one of our components, pose_x to shear_Rz: TOOL_COLUMNS are poses, and their
     positions are no angles."""
     turns, moves = "_R" in ours, ours.startswith("shear")
-    return [name for name in names if name not in TOOL_COLUMNS or not (moves or name.startswith("tool_R") != turns)]
+    return [name for name in names if name not in TOOL_COLUMNS or (not moves and name.startswith("tool_R") == turns)]
 
 
 def explaining(

@@ -163,6 +163,8 @@ def test_lists_of_numbers_become_columns():
     }
     expected = {"pose_1": ["1.5", "4.", ""], "pose_2": ["2", "5.", ""], "pose_3": ["-3e-1", "6.", ""]}
     assert with_lists_split(table) == {"frame": table["frame"], **expected, "at": table["at"]}
+    longer = with_lists_split({"pose": [*table["pose"][:2], "[7, 8, 9, 10]"]})
+    assert longer["pose_2"] == ["2", "5.", ""] and len(longer) == 3
     assert with_lists_split(table | {"pose_1": ["0", "0", "0"]})["pose"] == table["pose"]
 
 
